@@ -1,0 +1,19 @@
+FROM python:3.11-slim AS build
+WORKDIR /src
+COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY services ./services
+RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir -c constraints.txt '.[gateway,storage]'
+
+FROM python:3.11-slim
+RUN useradd --system --uid 10001 --create-home capture2vr
+COPY --from=build /venv /venv
+# The jobs' database and the staging of uploads: a volume; the rest runs read-only.
+RUN mkdir -p /data && chown capture2vr /data
+VOLUME /data
+ENV PATH=/venv/bin:$PATH PYTHONUNBUFFERED=1 GATEWAY_HOST=0.0.0.0 GATEWAY_PORT=8080 GATEWAY_DATA_DIR=/data
+USER 10001
+EXPOSE 8080
+STOPSIGNAL SIGTERM
+HEALTHCHECK --interval=5s --timeout=3s --start-period=10s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8080/livez', timeout=2)"]
+ENTRYPOINT ["capture2vr"]
+CMD ["gateway"]

@@ -1,0 +1,52 @@
+#!/usr/bin/env bash
+# Prepare this checkout to run on Debian with Python 3.11 or newer.
+#   setup.sh product   .venv with the product (enough for `make demo`)
+#   setup.sh tests     also what the tests drive: Chromium, Node, an S3 server, the Docker command line
+set -euo pipefail
+cd "$(dirname "$0")/.."
+python=${PYTHON:-python3}
+
+# apt_install WHY PACKAGE...: as root install, otherwise say in one sentence what to install.
+apt_install() {
+  local why=$1
+  shift
+  if [[ $(id -u) != 0 ]]; then
+    echo "setup: $why needs Debian packages; run once: sudo apt-get install --no-install-recommends $*" >&2
+    return 1
+  fi
+  [[ -n ${apt_updated:-} ]] || { DEBIAN_FRONTEND=noninteractive apt-get update -qq; apt_updated=1; }
+  DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+have() { command -v "$1" >/dev/null 2>&1; }
+
+product() {
+  have "$python" || apt_install "the product" python3 python3-venv
+  "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+    { echo "setup: Python 3.11 or newer is needed; name one with PYTHON=..." >&2; exit 1; }
+  if [[ ! -x .venv/bin/python ]]; then
+    "$python" -m venv .venv 2>/dev/null || { apt_install "a virtual environment" python3-venv; "$python" -m venv .venv; }
+  fi
+  .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[gateway,edge,storage]'
+  # The faster simplifier is built from source; without a compiler the wheel-only one serves.
+  if have g++; then
+    .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fast]' ||
+      echo "setup: meshoptimizer could not be built; fast-simplification is used" >&2
+  fi
+}
+
+tests() {
+  local packages=()
+  have chromium || packages+=(chromium)
+  have node || packages+=(nodejs npm)
+  have radosgw || packages+=(radosgw ceph-mon ceph-osd ceph-common)
+  have curl || packages+=(curl)
+  have git || packages+=(git)
+  [[ ${#packages[@]} == 0 ]] || apt_install "the test suite" "${packages[@]}" ||
+    echo "setup: tests that need them will be skipped" >&2
+  have docker || apt_install "the compose tests" docker.io ||
+    echo "setup: the compose tests will be skipped" >&2
+  .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+}
+
+"$1"

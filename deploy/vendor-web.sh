@@ -1,0 +1,25 @@
+#!/usr/bin/env bash
+# Fetch the browser libraries of services/gateway/web at one version, from npm, unmodified but for their import lines:
+# there is no bundler and no import map, so a module names the file beside it.
+#   vendor-web.sh VERSION        e.g. 0.187.0
+set -euo pipefail
+version=$1
+web=$(cd "$(dirname "$0")/../services/gateway/web" && pwd)
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+cd "$scratch"
+npm pack --silent "three@$version" >/dev/null
+tar xzf "three-$version.tgz"
+rm -f "$web"/three-*.js
+name() { echo "three-$version.$1.js"; }
+copy() { cp "package/$1" "$web/$(name "$2")"; }
+copy build/three.core.js core
+copy build/three.module.js module
+copy examples/jsm/loaders/GLTFLoader.js gltf-loader
+copy examples/jsm/controls/OrbitControls.js orbit-controls
+copy examples/jsm/utils/BufferGeometryUtils.js buffer-geometry-utils
+copy examples/jsm/utils/SkeletonUtils.js skeleton-utils
+sed -i -E "s#(from|import) '(\./three\.core\.js)'#\1 './$(name core)'#; s#from 'three'#from './$(name module)'#
+  s#'\.\./utils/BufferGeometryUtils\.js'#'./$(name buffer-geometry-utils)'#; s#'\.\./utils/SkeletonUtils\.js'#'./$(name skeleton-utils)'#" \
+  "$web"/three-"$version".*.js
+cp package/LICENSE "$web/three-$version.LICENSE"

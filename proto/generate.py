@@ -1,0 +1,79 @@
+"""Generate the wire's Python code from proto/ into services/edge/api, or with --check tell whether it is stale.
+
+    python proto/generate.py            write the files
+    python proto/generate.py --check    exit 1 and name the stale files
+
+protoc names modules after the folders of the .proto file (`capture2vr.edge.v1.edge_pb2`); here they live in the import
+package `services`, so the one import between them is rewritten.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+PROTO_ROOT = Path(__file__).resolve().parent
+PROTO_FILE = "capture2vr/edge/v1/edge.proto"
+API = PROTO_ROOT.parent / "services" / "edge" / "api"
+NAMES = ("edge_pb2.py", "edge_pb2.pyi", "edge_pb2_grpc.py")
+
+TOOLS_VERSION = "1.85.1"
+"""The grpcio-tools that the checked-in code is made with; another one writes other bytes. The pin of pyproject.toml."""
+
+IMPORTS = {"from capture2vr.edge.v1 import": "from services.edge.api import"}
+
+
+class WrongToolsError(RuntimeError):
+    """The installed grpcio-tools is not the pinned one, so its output proves nothing."""
+
+
+def generate() -> dict[str, bytes]:
+    """File name -> content, as the .proto says today.
+
+    Raises WrongToolsError, or RuntimeError when protoc refuses the file.
+    """
+    from grpc_tools import protoc
+
+    if (installed := version("grpcio-tools")) != TOOLS_VERSION:
+        raise WrongToolsError(f"grpcio-tools is {installed}, the code is made with {TOOLS_VERSION}")
+    with tempfile.TemporaryDirectory() as folder:
+        outputs = [f"--{kind}_out={folder}" for kind in ("python", "pyi", "grpc_python")]
+        if protoc.main(["protoc", f"-I{PROTO_ROOT}", *outputs, PROTO_FILE]) != 0:
+            raise RuntimeError(f"protoc refused {PROTO_FILE}")
+        made = Path(folder, PROTO_FILE).parent
+        return {name: _rewritten((made / name).read_text("utf-8")) for name in NAMES}
+
+
+def stale() -> list[str]:
+    """The names of the checked-in files that differ from what the .proto says today."""
+    return [name for name, content in generate().items() if not _holds(API / name, content)]
+
+
+def _rewritten(text: str) -> bytes:
+    for theirs, ours in IMPORTS.items():
+        text = text.replace(theirs, ours)
+    return text.encode()
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    return path.is_file() and path.read_bytes() == content
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Generate services/edge/api from the wire's .proto file.")
+    parser.add_argument("--check", action="store_true", help="write nothing; fail when the checked-in code is stale")
+    if parser.parse_args().check:
+        names = stale()
+        for name in names:
+            sys.stderr.write(f"stale: services/edge/api/{name}; run python proto/generate.py\n")
+        return 1 if names else 0
+    for name, content in generate().items():
+        (API / name).write_bytes(content)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""`capture2vr doctor`: what this machine has, what is missing and what to do about it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+from rich.table import Table
+
+from services.cli.progress import console
+
+_NEEDED = {
+    "edge": ("numpy", "scipy", "trimesh", "cv2", "av", "embreex", "laspy", "lzfse", "grpc"),
+    "gateway": ("fastapi", "uvicorn", "sqlalchemy", "grpc", "PIL", "pillow_heif", "multipart"),
+    "storage": ("boto3",),
+}
+_MIN_FREE_BYTES = 2 << 30  # a capture of 300 frames with its staging, bundle and store copy
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the table. `grade`: ok | note | bad; a note is worth knowing, a bad one stops something."""
+
+    what: str
+    grade: str
+    said: str
+
+
+def examine(gateway: str) -> int:
+    """Print the table; exit code 1 when something is bad."""
+    findings = [finding for check in _checks(gateway) for finding in check()]
+    table = Table()
+    for column in ("", "what", "found"):
+        table.add_column(column, overflow="fold")
+    marks = {"ok": "[green]ok[/green]", "note": "[yellow]note[/yellow]", "bad": "[red]bad[/red]"}
+    for finding in findings:
+        table.add_row(marks[finding.grade], finding.what, finding.said)
+    console.print(table)
+    return int(any(finding.grade == "bad" for finding in findings))
+
+
+def _checks(gateway: str) -> tuple[Callable[[], Iterator[Finding]], ...]:
+    return _python, _libraries, _simplifier, _device, _presets, _disk, _storage, lambda: _gateway(gateway)
+
+
+def _python() -> Iterator[Finding]:
+    version = ".".join(map(str, sys.version_info[:3]))
+    yield Finding("Python", "ok" if sys.version_info >= (3, 11) else "bad", f"{version}, {os.cpu_count()} cores")
+
+
+def _libraries() -> Iterator[Finding]:
+    for extra, modules in _NEEDED.items():
+        absent = [module for module in modules if not _imports(module)]
+        if absent:
+            yield Finding(f"extra '{extra}'", "bad", f"missing {', '.join(absent)}: pip install 'capture2vr[{extra}]'")
+        else:
+            yield Finding(f"extra '{extra}'", "ok", "all there")
+
+
+def _simplifier() -> Iterator[Finding]:
+    if _imports("meshoptimizer"):
+        yield Finding("LODs", "ok", "meshoptimizer")
+    else:
+        yield Finding(
+            "LODs", "note", "fast-simplification; meshoptimizer is faster: pip install 'capture2vr[fast]' (C++)"
+        )
+
+
+def _device() -> Iterator[Finding]:
+    yield Finding("device", "ok", "cpu: the local field needs no GPU")
+
+
+def _presets() -> Iterator[Finding]:
+    from services.edge.preset import preset_names
+
+    yield Finding("presets", "ok", ", ".join(preset_names()))
+
+
+def _disk() -> Iterator[Finding]:
+    free = shutil.disk_usage(Path.cwd()).free
+    grade = "ok" if free >= _MIN_FREE_BYTES else "bad"
+    yield Finding("disk", grade, f"{free / 2**30:.1f} GiB free here")
+
+
+def _storage() -> Iterator[Finding]:
+    from services.storage.settings import StorageSettings, open_store
+
+    try:
+        settings = StorageSettings()
+        open_store(settings).list("catalog/", limit=1)
+    except Exception as error:  # noqa: BLE001 - whatever is wrong is exactly what the person wants to read
+        yield Finding("storage", "bad", str(error))
+    else:
+        yield Finding("storage", "ok", settings.describe())
+
+
+def _gateway(url: str) -> Iterator[Finding]:
+    try:
+        answer = httpx.get(f"{url}/readyz", timeout=2.0)
+    except httpx.TransportError:
+        yield Finding("gateway", "note", f"nothing answers at {url}; start one with: capture2vr up")
+        return
+    yield Finding("gateway", "ok" if answer.is_success else "bad", f"{url}: {answer.text[:200]}")
+
+
+def _imports(module: str) -> bool:
+    try:
+        importlib.import_module(module)
+    except ImportError:
+        return False
+    return True

@@ -1,0 +1,219 @@
+"""The demo's subject: a printed summer dress with pleats, open at neck, sleeves and hem, hung over a wooden floor.
+
+Made from formulas, so the demo needs no download and the tests know the true surface. Metres, Y up, the dress faces +Z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial import cKDTree
+
+from services.edge.arrays import Bools, Bytes, Floats, Ints
+from services.edge.mesh import Mesh
+from services.edge.mesh.normals import vertex_normals
+from services.edge.mesh.topology import compact
+
+_EDGE_M = 0.005  # of the dress's triangles: as fine as its print
+_SLEEVES = ((-1.0, 0.3), (1.0, 2.1))  # side, and the phase that keeps left and right from being mirror images
+_PLEATS = 11
+_HUNG_M = 0.10  # how much higher than `_OUTLINE` says: the hem then clears the floor by 15 cm
+_FLOOR_M, _BOARD_M = 4.0, 0.14
+_APART_M, _FLOWER_M = 0.085, (0.024, 0.040)  # flowers' least distance and radii: several points of a scan on each
+
+# From hem to neck: height, half-width (x) and half-depth (z), metres.
+_OUTLINE = np.array(
+    [
+        (0.060, 0.385, 0.340),
+        (0.250, 0.320, 0.275),
+        (0.450, 0.235, 0.190),
+        (0.600, 0.160, 0.124),
+        (0.660, 0.140, 0.106),
+        (0.730, 0.148, 0.112),
+        (0.850, 0.180, 0.130),
+        (0.960, 0.190, 0.118),
+        (1.050, 0.188, 0.092),
+        (1.092, 0.165, 0.074),
+        (1.118, 0.130, 0.067),
+        (1.136, 0.096, 0.064),
+    ]
+)
+
+# sRGB
+_TEAL, _CREAM, _CORAL, _MUSTARD = (26, 88, 98), (242, 232, 208), (226, 110, 84), (234, 178, 62)
+_OAK = (168, 128, 88)
+
+
+def garment() -> Mesh:
+    """The dress alone, coloured: three tubes of cloth, about 250,000 triangles."""
+    body = _body()
+    sleeves = [_sleeve(side, phase) for side, phase in _SLEEVES]
+    outside = [_without(sleeve, _inside_body(sleeve.vertices)) for sleeve in sleeves]
+    dress = _joined([_without(body, _inside_sleeves(body.vertices)), *outside])
+    return Mesh(dress.vertices + np.array([0.0, _HUNG_M, 0.0]), dress.faces, _print(dress))
+
+
+def garment_scene() -> Mesh:
+    """The dress over a floor of oak boards."""
+    return _joined([garment(), _floor()])
+
+
+def _body() -> Mesh:
+    rows, columns = int(1.25 / _EDGE_M), int(2.4 / _EDGE_M)
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(_OUTLINE, axis=0), axis=1))])
+    outline = PchipInterpolator(along / along[-1], _OUTLINE)
+    return _tube(lambda turn, v: _body_point(turn, *np.moveaxis(outline(v), -1, 0)), columns, rows)
+
+
+def _body_point(turn: Floats, height: Floats, half_width: Floats, half_depth: Floats) -> Floats:
+    """A cross-section rounder than an ellipse, with pleats below the waist and creases around it; turn 0 is +Z."""
+    skirt = np.clip((0.63 - height) / 0.57, 0.0, 1.0)
+    wave = np.cos(_PLEATS * turn + 0.55 * np.sin(2 * turn + 0.7) + 0.5 * skirt)
+    pleat = 0.155 * skirt**0.75 * (wave + 0.25 * wave**2 - 0.1)
+    near_waist = np.exp(-(((height - 0.66) / 0.10) ** 2))
+    crease = 0.016 * near_waist * np.sin(19 * turn + 70 * height * np.sin(turn + 0.4)) * np.sin(3 * turn + 1)
+    chest = 0.10 * np.exp(-(((height - 0.93) / 0.09) ** 2)) * np.maximum(np.cos(turn), 0) ** 2
+    stretch = 1 + pleat + crease + chest
+    sway = 0.02 * skirt * np.sin(3 * turn + 0.5)
+    neckline = 0.085 * np.clip((height - 1.03) / 0.106, 0, 1) ** 2 * np.maximum(np.cos(turn), 0) ** 2
+    x = half_width * stretch * _round(np.sin(turn))
+    z = half_depth * stretch * _round(np.cos(turn)) + sway
+    return np.stack([x, height - neckline + 0.012 * skirt * wave, z], axis=-1)
+
+
+def _round(wave: Floats) -> Floats:
+    """sin or cos, a little squared off: people are not elliptic."""
+    rounded: Floats = np.sign(wave) * np.abs(wave) ** 0.9
+    return rounded
+
+
+@dataclass(frozen=True, slots=True)
+class _Arm:
+    """A sleeve's axis: shoulder and hand end (3,), metres."""
+
+    start: Floats
+    end: Floats
+
+    def radius(self, v: Floats) -> Floats:
+        """At the share v of its length."""
+        radius: Floats = 0.066 + 0.022 * v
+        return radius
+
+
+def _arm(side: float) -> _Arm:
+    return _Arm(np.array([side * 0.105, 1.040, 0.0]), np.array([side * 0.340, 0.850, 0.015]))
+
+
+def _sleeve(side: float, phase: float) -> Mesh:
+    arm = _arm(side)
+    ahead = (arm.end - arm.start) / np.linalg.norm(arm.end - arm.start)
+    across = np.array([0.0, 0.0, 1.0])
+    over = np.cross(ahead, across)
+
+    def point(turn: Floats, v: Floats) -> Floats:
+        fold = 0.07 * np.sin(26 * v + 2.5 * np.cos(turn + phase)) * np.sin(np.pi * v) * (0.4 + 0.6 * np.cos(turn) ** 2)
+        flare = 0.10 * v**2 * np.cos(6 * turn + phase)
+        radius = arm.radius(v) * (1 + fold + flare)
+        ring = np.cos(turn)[..., None] * across * 0.92 + np.sin(turn)[..., None] * over
+        xyz: Floats = arm.start + v[..., None] * (arm.end - arm.start) + radius[..., None] * ring
+        return xyz
+
+    return _tube(point, int(0.5 / _EDGE_M), int(0.31 / _EDGE_M))
+
+
+def _inside_body(xyz: Floats) -> Bools:
+    """(N,) True where a sleeve would show inside the body: it ends a seam's width, about 1 cm, below the surface."""
+    half_width, half_depth = (np.interp(xyz[:, 1], _OUTLINE[:, 0], _OUTLINE[:, axis]) for axis in (1, 2))
+    inside: Bools = (xyz[:, 0] / half_width) ** 2 + (xyz[:, 2] / half_depth) ** 2 < 0.8
+    return inside
+
+
+def _inside_sleeves(xyz: Floats) -> Bools:
+    """(N,) True where the body's cloth would run through a sleeve."""
+    inside = np.zeros(len(xyz), dtype=np.bool_)
+    for side, _ in _SLEEVES:
+        arm = _arm(side)
+        axis = arm.end - arm.start
+        v = (xyz - arm.start) @ axis / (axis @ axis)
+        away = np.linalg.norm(xyz - arm.start - v[:, None] * axis, axis=1)
+        inside |= (v > 0.0) & (away < 0.93 * arm.radius(v))
+    return inside
+
+
+def _print(dress: Mesh) -> Bytes:
+    """Flowers strewn on teal, a coral belt, cream edges at hem and neck."""
+    xyz, normals = dress.vertices, vertex_normals(dress)
+    rgb = np.tile(np.array(_TEAL, dtype=np.float64), (len(xyz), 1))
+    rng = np.random.default_rng(7)
+    centre = _strewn(xyz, _APART_M, rng)
+    away, flower = cKDTree(xyz[centre]).query(xyz, workers=-1)
+    offset = xyz - xyz[centre][flower]
+    tangent = np.cross(normals[centre], [0.31, 0.9, 0.2])
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    bitangent = np.cross(normals[centre], tangent)
+    angle = np.arctan2(np.einsum("nx,nx->n", offset, bitangent[flower]), np.einsum("nx,nx->n", offset, tangent[flower]))
+    size = rng.uniform(*_FLOWER_M, len(centre))[flower]
+    turn = rng.uniform(0, 2 * np.pi, len(centre))[flower]
+    petal = away < size * (0.72 + 0.28 * np.cos(5 * angle + turn))
+    hue = np.array([_CREAM, _CREAM, _CORAL])[rng.integers(0, 3, len(centre))][flower]
+    rgb[petal] = hue[petal]
+    rgb[away < 0.3 * size] = _MUSTARD
+    rgb[np.abs(xyz[:, 1] - 0.66) < 0.018] = _CORAL
+    rgb[xyz[:, 1] < 0.075] = _CREAM
+    return rgb.astype(np.uint8)
+
+
+def _strewn(xyz: Floats, apart_m: float, rng: np.random.Generator) -> Ints:
+    """Indices of points at least `apart_m` from each other: random ones, each kept if no earlier one is too near."""
+    order = rng.permutation(len(xyz))[:6000]
+    near = cKDTree(xyz[order]).query_ball_point(xyz[order], apart_m)
+    kept = np.zeros(len(order), dtype=np.bool_)
+    for number, neighbours in enumerate(near):
+        kept[number] = not kept[neighbours].any()
+    return order[kept]
+
+
+def _floor() -> Mesh:
+    """Oak boards at y = 0, 2 cm triangles, square."""
+    count = int(_FLOOR_M / 0.02)
+    x, z = np.meshgrid(np.linspace(-0.5, 0.5, count) * _FLOOR_M, np.linspace(-0.5, 0.5, count) * _FLOOR_M)
+    vertices = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
+    board = np.floor(x.ravel() / _BOARD_M + 100).astype(int)
+    rng = np.random.default_rng(3)
+    tone = rng.uniform(0.86, 1.1, 200)[board]
+    grain = 0.05 * np.sin(160 * x.ravel() + 6 * np.sin(2.2 * z.ravel() + board)) * rng.uniform(0.5, 1, x.size)
+    gap = np.where(np.abs(x.ravel() / _BOARD_M % 1.0 - 0.5) > 0.46, 0.75, 1.0)
+    rgb = np.clip(np.array(_OAK) * ((tone + grain) * gap)[:, None], 0, 255).astype(np.uint8)
+    # Wound the other way round than x-then-z would have it, so that the floor's front is its top.
+    return Mesh(vertices, _grid(count, count)[:, ::-1], rgb)
+
+
+def _tube(point: Callable[[Floats, Floats], Floats], columns: int, rows: int) -> Mesh:
+    """The surface point(turn, v), turn in [0,2π) closing on itself, v in [0,1] open at both ends."""
+    turn, v = np.meshgrid(np.arange(columns) / columns * 2 * np.pi, np.linspace(0, 1, rows + 1))
+    faces = _grid(rows + 1, columns + 1)
+    row, column = np.divmod(faces, columns + 1)
+    return Mesh(point(turn, v).reshape(-1, 3), row * columns + column % columns)
+
+
+def _grid(rows: int, columns: int) -> Ints:
+    """(F,3) two triangles for every cell of a grid of rows × columns vertices."""
+    corner = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]))
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def _without(mesh: Mesh, vertices: Bools) -> Mesh:
+    """The mesh less the faces with a corner among the (V,) marked vertices."""
+    return compact(mesh, np.flatnonzero(~vertices[mesh.faces].any(axis=1)))
+
+
+def _joined(parts: list[Mesh]) -> Mesh:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
+    colours = [part.rgb for part in parts if part.rgb is not None]
+    rgb = np.concatenate(colours) if len(colours) == len(parts) else None
+    return Mesh(np.concatenate([part.vertices for part in parts]), faces, rgb)

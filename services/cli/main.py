@@ -1,0 +1,130 @@
+"""The command line: `capture2vr run | up | push | pull | edge | gateway | demo | doctor`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import services
+from services.cli.errors import BadInput
+
+app = typer.Typer(
+    help="Point a phone at a thing; a minute later it stands in a VR headset.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
+DEFAULT_GATEWAY = "http://127.0.0.1:8080"
+
+
+@app.command()
+def run(
+    capture: Annotated[Path, typer.Argument(help="A point cloud, a mesh, an RGB-D folder, or a zip of one.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    preset: Annotated[str, typer.Option(help="How to reconstruct; `doctor` lists them.")] = "",
+    resolution: Annotated[int, typer.Option(min=0, max=1024, help="Cells along the longest side; 0 chooses.")] = 0,
+    isolate: Annotated[bool, typer.Option("--isolate", help="Remove the supporting plane and clutter.")] = False,
+    key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",
+) -> None:
+    """The whole pipeline in one process: capture in, meshes, picture, report and bundle out."""
+    from services.cli.run import run_capture
+
+    run_capture(capture, out, preset=preset, resolution=resolution, isolate=isolate, key=key)
+
+
+@app.command()
+def up(
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port of the gateway; 0 chooses a free one.")] = 8080,
+    data: Annotated[Path, typer.Option(help="Folder of captures, jobs and assets.")] = Path("capture2vr-data"),
+) -> None:
+    """Gateway, worker and embedded store together, until interrupted."""
+    from services.cli.up import serve_together
+
+    raise typer.Exit(serve_together(host, port, data))
+
+
+@app.command()
+def push(
+    capture: Annotated[Path, typer.Argument(help="What the phone would upload: a file, a folder or a zip.")],
+    key: Annotated[str, typer.Option(help="Asset key under which the VR client will find it.")],
+    gateway: Gateway = DEFAULT_GATEWAY,
+    preset: Annotated[str, typer.Option(help="How to reconstruct.")] = "",
+    label: Annotated[str, typer.Option(help="A name for people.")] = "",
+    isolate: Annotated[bool, typer.Option("--isolate", help="Remove the supporting plane and clutter.")] = False,
+) -> None:
+    """Upload a capture as a phone would, follow the job, print where the asset stands."""
+    from services.cli.push import push_capture
+
+    push_capture(capture, gateway, key=key, preset=preset, label=label, isolate=isolate)
+
+
+@app.command()
+def pull(
+    key: Annotated[str, typer.Argument(help="Asset key.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],
+    gateway: Gateway = DEFAULT_GATEWAY,
+    cache: Annotated[Path | None, typer.Option(help="Cache folder; $XDG_CACHE_HOME/capture2vr otherwise.")] = None,
+) -> None:
+    """Fetch an asset as a VR client would: hashes checked, cached by content."""
+    from services.cli.pull import pull_asset
+
+    pull_asset(key, out, gateway, cache=cache)
+
+
+@app.command()
+def edge() -> None:
+    """A worker alone, configured by EDGE_* and STORAGE_* variables."""
+    from services.cli.serve import serve_edge
+
+    raise typer.Exit(serve_edge())
+
+
+@app.command()
+def gateway() -> None:
+    """A gateway alone, configured by GATEWAY_* and STORAGE_* variables."""
+    from services.cli.serve import serve_gateway
+
+    raise typer.Exit(serve_gateway())
+
+
+@app.command()
+def demo(
+    capture: Annotated[Path | None, typer.Argument(help="Your own capture; a simulated one otherwise.")] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("demo"),
+    keep: Annotated[bool, typer.Option("--keep/--stop", help="Keep serving the viewer until interrupted.")] = True,
+) -> None:
+    """Everything once, on this machine, without a network: phone, gateway, worker, store, viewer."""
+    from services.cli.demo import run_demo
+
+    run_demo(capture, out, keep=keep)
+
+
+@app.command()
+def doctor(gateway: Gateway = DEFAULT_GATEWAY) -> None:
+    """What this machine has, what is missing, and what to do about it."""
+    from services.cli.doctor import examine
+
+    raise typer.Exit(examine(gateway))
+
+
+@app.command()
+def version() -> None:
+    """Print the version."""
+    typer.echo(services.__version__)
+
+
+def main() -> None:
+    """Entry point: bad input ends with one sentence on stderr and exit code 2, never with a traceback."""
+    try:
+        app()
+    except BadInput as error:
+        typer.echo(f"capture2vr: {error}", err=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)

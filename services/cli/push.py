@@ -1,0 +1,110 @@
+"""`capture2vr push`: upload a capture as a phone would and follow its job to the end."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+from rich.progress import Progress as Bar
+from rich.progress import TaskID
+
+from services.cli.errors import BadInput, answer_of
+from services.cli.progress import console, stage_bar
+from services.storage.archives import pack
+
+_CHUNK_BYTES = 256 << 10
+_TIMEOUT = httpx.Timeout(30.0, read=60.0)  # the gateway says something at least every 15 s while a job runs
+_RECONNECT_S = 1.0
+_GIVE_UP_S = 120.0  # without a word from the gateway; a restart takes seconds
+_TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
+
+
+def push_capture(source: Path, gateway: str, *, key: str, preset: str, label: str, isolate: bool) -> dict[str, Any]:
+    """Upload, start a job, follow it; the final job. Raises BadInput with the gateway's own reason."""
+    if not source.exists():
+        raise BadInput(f"{source}: there is no such file or folder")
+    try:
+        with httpx.Client(base_url=gateway, timeout=_TIMEOUT) as client, stage_bar() as bar:
+            task = bar.add_task("UPLOADING", total=1.0, message=source.name)
+            capture = upload(client, source, bar, task)
+            request = {"capture": capture["capture"], "asset_key": key, "label": label or key, "isolate": isolate}
+            if preset:
+                request["preset"] = preset
+            # One key for the whole command: a retry after a lost answer finds the job instead of making a second one.
+            job = answer_of(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
+            for state in follow(client, job["id"]):
+                job = state
+                bar.update(task, description=job["stage"] or job["state"], completed=job["fraction"], message="")
+    except httpx.TransportError as error:
+        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    return _outcome(job, gateway)
+
+
+def upload(client: httpx.Client, source: Path, bar: Bar, task: TaskID) -> Any:
+    """POST the capture as one zip, made on the way where the source is not one already."""
+    with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
+        archive = source
+        if not _is_zip(source):
+            archive = Path(scratch) / "capture.zip"
+            pack(source, archive)
+        size = archive.stat().st_size
+        headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
+        return answer_of(client.post("/v1/captures", content=_chunks(archive, size, bar, task), headers=headers))
+
+
+def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
+    """The job each time something happened to it, over server-sent events; reconnects where the connection breaks."""
+    last, heard = "", time.monotonic()
+    while True:
+        try:
+            headers = {"Last-Event-ID": last} if last else {}
+            with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as response:
+                if not response.is_success:
+                    response.read()
+                    answer_of(response)
+                for line in response.iter_lines():
+                    heard = time.monotonic()
+                    if line.startswith("id:"):
+                        last = line[3:].strip()
+                    elif line.startswith("data:") and line[5:].strip():
+                        yield {"stage": "", "fraction": 0.0, "state": "RUNNING", **json.loads(line[5:])}
+            state = answer_of(client.get(f"/v1/jobs/{job}"))
+            yield state
+            if state["state"] in _TERMINAL:
+                return
+        except httpx.TransportError:
+            if time.monotonic() - heard > _GIVE_UP_S:
+                raise
+        time.sleep(_RECONNECT_S)
+
+
+def _chunks(archive: Path, size: int, bar: Bar, task: TaskID) -> Iterator[bytes]:
+    sent = 0
+    with archive.open("rb") as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            yield chunk
+            sent += len(chunk)
+            bar.update(task, completed=sent / size, message=f"{sent / 1e6:.1f} of {size / 1e6:.1f} MB")
+
+
+def _is_zip(source: Path) -> bool:
+    if not source.is_file():
+        return False
+    with source.open("rb") as file:
+        return file.read(4) == b"PK\x03\x04"
+
+
+def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:
+    if job["state"] != "SUCCEEDED":
+        error = job.get("error") or {}
+        raise BadInput(error.get("detail") or f"the job ended as {job['state']}")
+    for warning in job.get("warnings") or []:
+        console.print(f"[yellow]warning[/yellow] {warning}")
+    console.print(f"done in {job['elapsed_s']:.1f} s: {gateway}/view/{job['asset_key']}")
+    return job

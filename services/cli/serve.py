@@ -1,0 +1,37 @@
+"""`capture2vr edge` and `capture2vr gateway`: one service, configured by the environment."""
+
+from __future__ import annotations
+
+from pydantic import ValidationError
+
+from services.cli.errors import BadInput
+from services.logs import configure
+from services.storage.settings import StorageSettings
+
+
+def serve_edge() -> int:
+    """Serve a worker until SIGTERM has drained it; the exit code."""
+    from services.edge.server import serve
+    from services.edge.settings import EdgeSettings
+    from services.edge.work import RealWork
+    from services.storage.settings import open_store
+
+    try:
+        settings, storage = EdgeSettings(), StorageSettings()
+    except (ValidationError, ValueError) as error:
+        raise BadInput(str(error)) from error
+    configure(settings.log_level)
+    return serve(settings, RealWork(open_store(storage)))
+
+
+def serve_gateway() -> int:
+    """Serve a gateway until SIGTERM; the exit code."""
+    from services.gateway.app import serve
+    from services.gateway.settings import GatewaySettings
+    from services.storage.settings import open_store
+
+    try:
+        settings, storage = GatewaySettings(), StorageSettings()
+    except (ValidationError, ValueError) as error:
+        raise BadInput(str(error)) from error
+    return serve(settings, open_store(storage))

@@ -1,0 +1,167 @@
+"""`capture2vr up`: gateway, worker and embedded store on this machine, watched over until interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+
+from services.cli.errors import BadInput
+from services.cli.progress import console
+
+_READY_S = 60.0  # a cold start on a busy two-core machine takes 3 s
+_STOP_S = 15.0  # the worker drains within EDGE_DRAIN_S, set below
+_DRAIN_S = 10
+_RESTART_PAUSE_S = 1.0
+_RESTARTS = 20  # a service that dies more often than this will not be healed by another start
+
+
+def serve_together(host: str, port: int, data: Path) -> int:
+    """Run until SIGINT or SIGTERM; the exit code. Raises BadInput where the port is taken or a service cannot start."""
+    stop = threading.Event()
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, lambda *_: stop.set())
+    with running(host, port, data) as stack:
+        console.print(f"capture page   {stack.url}/")
+        console.print(f"viewer         {stack.url}/view/KEY")
+        console.print(f"API            {stack.url}/openapi.json")
+        console.print(f"data           {data.resolve()}")
+        if host not in {"127.0.0.1", "localhost", "::1"}:
+            console.print(
+                "[yellow]open to the network without access keys: whoever reaches this port can use it[/yellow]"
+            )
+        while not stop.wait(0.5):
+            stack.mend()
+    return 0
+
+
+@contextmanager
+def running(host: str, port: int, data: Path) -> Iterator[Stack]:
+    """Both services, ready; stopped on leaving."""
+    port = port or free_port()
+    _check_free(host, port)
+    data.mkdir(parents=True, exist_ok=True)
+    stack = Stack(host, port, data.resolve())
+    try:
+        stack.start()
+        stack.wait_ready()
+        yield stack
+    finally:
+        stack.stop()
+
+
+class Stack:
+    """The two child processes. A child that dies is started again: its jobs are leased and run again by themselves."""
+
+    def __init__(self, host: str, port: int, data: Path) -> None:
+        self.url = f"http://{'127.0.0.1' if host in {'0.0.0.0', '::'} else host}:{port}"  # noqa: S104
+        self._environment = _environment(host, port, data, edge_port=free_port())
+        self.store_root = data / "store"
+        self._logs = data / "logs"
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._restarts = 0
+
+    def start(self) -> None:
+        """Start whichever service does not run."""
+        self._logs.mkdir(parents=True, exist_ok=True)
+        for service in ("edge", "gateway"):
+            if service not in self._children or self._children[service].poll() is not None:
+                with (self._logs / f"{service}.log").open("ab") as log:
+                    self._children[service] = subprocess.Popen(  # noqa: S603 - our own module
+                        [sys.executable, "-m", "services.cli", service],
+                        env=self._environment,
+                        stdout=log,
+                        stderr=log,
+                        start_new_session=True,  # an interrupt reaches us alone, and we stop them in order
+                    )
+
+    def mend(self) -> None:
+        """Start again what has died."""
+        dead = [name for name, child in self._children.items() if child.poll() is not None]
+        if not dead:
+            return
+        self._restarts += 1
+        if self._restarts > _RESTARTS:
+            raise BadInput(f"the {dead[0]} keeps dying; see {self._logs / dead[0]}.log")
+        console.print(f"[yellow]{dead[0]} ended with {self._children[dead[0]].returncode}; starting it again[/yellow]")
+        time.sleep(_RESTART_PAUSE_S)
+        self.start()
+
+    def wait_ready(self) -> None:
+        """Return once the gateway reports itself, its store and its worker ready."""
+        deadline = time.monotonic() + _READY_S
+        while time.monotonic() < deadline:
+            for name, child in self._children.items():
+                if child.poll() is not None:
+                    raise BadInput(f"the {name} could not start: {_last_line(self._logs / f'{name}.log')}")
+            try:
+                if httpx.get(f"{self.url}/readyz", timeout=2.0).is_success:
+                    return
+            except httpx.TransportError:
+                pass
+            time.sleep(0.1)
+        raise BadInput(f"the services were not ready within {_READY_S:.0f} s; see {self._logs}")
+
+    def stop(self) -> None:
+        """Gateway first, so that no new job reaches a draining worker."""
+        for name in ("gateway", "edge"):
+            child = self._children.get(name)
+            if child is None or child.poll() is not None:
+                continue
+            child.terminate()
+            try:
+                child.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on at this moment."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _check_free(host: str, port: int) -> None:
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise BadInput(f"cannot listen on {host}:{port}: {error.strerror}; choose another with --port") from error
+
+
+def _environment(host: str, port: int, data: Path, *, edge_port: int) -> Mapping[str, str]:
+    """What the operator has set wins; only addresses and folders that must agree are given."""
+    defaults = {
+        "STORAGE_KIND": "local",
+        "STORAGE_ROOT": str(data / "store"),
+        "EDGE_SCRATCH": str(data / "scratch"),
+        "EDGE_DRAIN_S": str(_DRAIN_S),
+        "GATEWAY_DATA_DIR": str(data / "gateway"),
+    }
+    fixed = {
+        "EDGE_HOST": "127.0.0.1",
+        "EDGE_PORT": str(edge_port),
+        "GATEWAY_HOST": host,
+        "GATEWAY_PORT": str(port),
+        "GATEWAY_WORKERS": f"127.0.0.1:{edge_port}",
+        "PYTHONUNBUFFERED": "1",
+    }
+    return {**defaults, **os.environ, **fixed}
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it said nothing"

@@ -1,0 +1,30 @@
+"""Colours of every file format become (N,3) uint8 sRGB."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.edge.arrays import Bytes, Ints
+
+
+def rgb8(values: NDArray[Any]) -> Bytes:
+    """(N,3) uint8 from bytes, 16-bit integers, or floats in [0,1] or [0,255]; what is not finite becomes black.
+
+    The range is told by the largest value, because writers disagree: LAS is 16 bit by the book and 8 bit in the wild.
+    """
+    if values.dtype == np.uint8:
+        return np.ascontiguousarray(values, dtype=np.uint8)
+    floats = np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    top = float(floats.max(initial=0.0))
+    unit_range = top <= 1.0 and np.issubdtype(values.dtype, np.floating)
+    scale = 255.0 if unit_range else 1.0 if top <= 255.0 else 255.0 / 65535.0
+    return np.clip(np.rint(floats * scale), 0, 255).astype(np.uint8)
+
+
+def unpack_rgb(packed: Ints) -> Bytes:
+    """(N,3) uint8 from PCL's 0x00RRGGBB words."""
+    words = packed.astype(np.uint32)
+    return np.stack([(words >> shift) & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)

@@ -1,0 +1,114 @@
+"""What a capture is, told from its content; the one entry to reading it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from services.edge.capture import depth16, nerfstudio, polycam, record3d, scanner3d, stray, tum
+from services.edge.capture.cloud import cloud_format, read_cloud
+from services.edge.capture.files import Folder, open_folder, reading, unreadable
+from services.edge.capture.nouns import Capture
+from services.edge.errors import CaptureError
+
+_FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
+    (record3d.matches, record3d.read),
+    (stray.matches, stray.read),
+    (polycam.matches, polycam.read),
+    (scanner3d.matches, scanner3d.read),
+    (nerfstudio.matches, nerfstudio.read),
+    (depth16.matches, depth16.read),
+    (tum.matches, tum.read),  # last: any folder called "depth" is enough for it
+)
+_CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf")
+_PHOTO_MAGIC = (b"\xff\xd8\xff", b"\x89PNG", b"II*\0", b"MM\0*", b"RIFF")
+# Tables of numbers that belong to a recording and are no clouds.
+_SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
+_HINT = "send a point cloud, a mesh, or the export of a LiDAR scanning app; see the list of formats"
+
+
+def read_capture(folder: Path) -> Capture:
+    """Read and check what a phone sent: an unpacked folder or a single file.
+
+    Poses, intrinsics, counts, image headers and the first and last depth image are checked here; images load lazily.
+    Raises CaptureError, naming the file, the reason and what to do.
+    """
+    with reading(folder.name, "capture"):
+        if not folder.exists():
+            raise CaptureError("CAPTURE_EMPTY", "there is no such file or folder", file=folder.name)
+        if folder.is_dir():
+            return _read_folder(_top(open_folder(folder)))
+        return _read_files(Folder(folder.parent, (folder.name,)))
+
+
+def _top(folder: Folder) -> Folder:
+    """Step into the one folder that everything lies in, as archives often have it."""
+    tops = {name.split("/", 1)[0] for name in folder.names}
+    if len(tops) != 1 or any("/" not in name for name in folder.names):
+        return folder
+    (top,) = tops
+    if top in ("depth", "keyframes", "rgbd"):
+        return folder
+    return _top(Folder(folder.root / top, tuple(name.split("/", 1)[1] for name in folder.names)))
+
+
+def _read_folder(folder: Folder) -> Capture:
+    if not folder.names:
+        raise CaptureError("CAPTURE_EMPTY", "the capture holds no files", hints=(_HINT,))
+    for matches, read in _FORMATS:
+        if matches(folder):
+            return read(folder)
+    return _read_files(folder)
+
+
+def _read_files(folder: Folder) -> Capture:
+    """The largest cloud or mesh among the files; everything else beside it is ignored."""
+    archive = next((name for name in folder.names if record3d.is_archive(folder.path(name))), None)
+    if archive is not None:
+        return record3d.read_archive(folder.path(archive), archive)
+    candidates = [(name, kind) for name in folder.names if (kind := _candidate(folder, name)) is not None]
+    if not candidates:
+        raise _not_found(folder)
+    candidates.sort(key=lambda found: -folder.path(found[0]).stat().st_size)
+    (name, kind), others = candidates[0], [other for other, _ in candidates[1:]]
+    capture = read_cloud(folder, name, kind)
+    if not others:
+        return capture
+    more = f"{name} was read; {len(others)} other clouds or meshes were not ({', '.join(others[:3])})"
+    return replace(capture, warnings=(*capture.warnings, more))
+
+
+def _candidate(folder: Folder, name: str) -> str | None:
+    if name.rsplit("/", 1)[-1].lower() in _SIDE_TABLES:
+        return None
+    return cloud_format(folder, name)
+
+
+def _not_found(folder: Folder) -> CaptureError:
+    """The most helpful name for a capture without anything in it that can be read."""
+    sizes = {name: folder.path(name).stat().st_size for name in folder.names}
+    if not any(sizes.values()):
+        only = folder.names[0] if len(folder.names) == 1 else None
+        return CaptureError("CAPTURE_EMPTY", "the file is empty" if only else "all files are empty", file=only)
+    for name in folder.names:
+        if name.lower().endswith(_CLOUD_SUFFIXES):
+            what = "is empty" if not sizes[name] else f"is called {Path(name).suffix} and holds something else"
+            return unreadable(name, what) if sizes[name] else CaptureError("CAPTURE_EMPTY", what, file=name)
+    heads = [_head(folder.path(name)) for name in folder.names]
+    only = folder.names[0] if len(folder.names) == 1 else None
+    if any(head.startswith(_PHOTO_MAGIC) or head[4:8] == b"ftyp" for head in heads):
+        return CaptureError(
+            "CAPTURE_UNKNOWN_FORMAT",
+            "holds photos or video without depth, which are not read yet",
+            file=only,
+            hints=("scan with a LiDAR app such as Stray Scanner, Record3D or Polycam",),
+        )
+    if any(head.startswith(b"PK\x03\x04") for head in heads):
+        return CaptureError("CAPTURE_UNKNOWN_FORMAT", "is an archive inside the capture", file=only, hints=(_HINT,))
+    return CaptureError("CAPTURE_UNKNOWN_FORMAT", "holds no format that is known here", file=only, hints=(_HINT,))
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(16)

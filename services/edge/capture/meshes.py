@@ -1,0 +1,220 @@
+"""Mesh files through trimesh: .obj, .off, .stl, .glb and .gltf with what lies beside them."""
+
+from __future__ import annotations
+
+import posixpath
+import struct
+from collections.abc import Iterator, Mapping
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats, Ints
+from services.edge.capture.colours import rgb8
+from services.edge.capture.files import Folder, parse_json, reading, unreadable
+from services.edge.capture.images import check_pixels, header_size, read_bytes
+from services.edge.capture.surface import ColourAt, Surface
+from services.edge.capture.tables import MAX_POINTS, too_many, truncated
+from services.edge.errors import CaptureError
+
+MAX_FACES = 5_000_000  # over all nodes, as a scene may show one mesh a million times; 200 bytes each while sampled
+MAX_NODES = 5_000  # of a scene; trimesh takes about a millisecond for each
+_GLB_HEADER = 12
+_UNREAD_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+
+
+class _Beside(Mapping[str, bytes]):
+    """What trimesh asks for the files that a mesh names; a file outside the capture is never opened."""
+
+    def __init__(self, folder: Folder, file: str) -> None:
+        self._folder, self._file = folder, file
+        self.refused: CaptureError | None = None  # trimesh swallows what is raised here and goes on without colours
+
+    def __getitem__(self, name: str) -> bytes:
+        try:
+            return self._read(name)
+        except CaptureError as error:
+            self.refused = error
+            raise
+
+    def _read(self, name: str) -> bytes:
+        beside = self._folder.inside(name.strip(), by=self._file, base=posixpath.dirname(self._file))
+        if beside.endswith(".mtl") and not self._folder.finds(beside):
+            beside = posixpath.splitext(self._file)[0] + ".mtl"  # the mesh was renamed, and its materials with it
+        if not self._folder.finds(beside):
+            raise KeyError(beside)  # trimesh goes on without a texture, and fails without a buffer
+        data = read_bytes(self._folder.path(beside), beside)
+        size = header_size(data[: 2**18])
+        if size is not None:
+            check_pixels(size, beside)
+        return data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._folder.names)
+
+    def __len__(self) -> int:
+        return len(self._folder.names)
+
+
+def read_mesh(folder: Folder, file: str, kind: str) -> list[Surface]:
+    """The triangles of a file of `kind` "obj", "off", "stl", "glb" or "gltf", in the scene's frame.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED, CAPTURE_TOO_LARGE; an empty list when there are no triangles.
+    """
+    import trimesh
+
+    data = read_bytes(folder.path(file), file)
+    _check(data, folder, file, kind)
+    beside = _Beside(folder, file)
+    with reading(file, kind.upper()):
+        loaded = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=beside, process=False, maintain_order=True)
+        if beside.refused is not None:
+            raise beside.refused
+        nodes = list(loaded.graph.nodes_geometry)
+        faces = sum(len(getattr(loaded.geometry[loaded.graph[node][1]], "faces", ())) for node in nodes)
+        if faces > MAX_FACES:
+            what = f"shows {faces:,} triangles; at most {MAX_FACES:,} are read"
+            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("simplify the mesh",))
+        pictures: _Pictures = {}
+        return [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
+
+
+def _check(data: bytes, folder: Folder, file: str, kind: str) -> None:
+    if kind == "off":
+        _check_off(data, file)
+    elif kind == "glb":
+        _check_gltf(_glb_json(data, file), folder, file)
+    elif kind == "gltf":
+        _check_gltf(parse_json(data.decode("utf-8-sig", "replace"), file), folder, file)
+
+
+def _check_off(data: bytes, file: str) -> None:
+    """OFF states its counts first; three digits and separators are the least that a vertex takes."""
+    lines = data[:4096].decode("latin-1").splitlines()
+    rows = [line.split() for line in lines if line.strip() and not line.strip().startswith("#")]
+    with reading(file, "OFF"):
+        counts = rows[0][1:] or rows[1]
+        vertices, faces = int(counts[0]), int(counts[1])
+    if (vertices * 6 + faces * 8) > len(data) + 8:
+        raise truncated(file, f"promises {vertices:,} vertices and {faces:,} faces in {len(data):,} bytes")
+
+
+def _glb_json(data: bytes, file: str) -> dict[str, Any]:
+    if len(data) < _GLB_HEADER + 8:
+        raise truncated(file, "ends before the GLB header does")
+    total, length = struct.unpack_from("<I", data, 8)[0], struct.unpack_from("<I", data, _GLB_HEADER)[0]
+    if max(total, length) > len(data):
+        raise truncated(file, f"promises {max(total, length):,} bytes and has {len(data):,}")
+    return parse_json(data[_GLB_HEADER + 8 : _GLB_HEADER + 8 + length].decode("utf-8", "replace"), file)
+
+
+def _check_gltf(tree: dict[str, Any], folder: Folder, file: str) -> None:
+    """Refuse what trimesh would allocate or open before it notices: counts, compression, files outside or missing."""
+    with reading(file, "glTF"):
+        used = [name for name in _UNREAD_EXTENSIONS if name in tree.get("extensionsRequired", [])]
+        if used:
+            raise unreadable(file, f"needs {used[0]}, which is not read", "export the glTF without compression")
+        if len(tree.get("nodes", [])) > MAX_NODES:
+            raise CaptureError("CAPTURE_TOO_LARGE", f"has over {MAX_NODES:,} nodes", file=file)
+        for accessor in tree.get("accessors", []):
+            if int(accessor["count"]) > 3 * MAX_POINTS:
+                raise too_many(int(accessor["count"]), file)
+        held = sum(int(accessor["count"]) for accessor in tree.get("accessors", []) if "bufferView" not in accessor)
+        if held > MAX_POINTS:
+            raise too_many(held, file)
+        for buffer in tree.get("buffers", []):
+            uri = buffer.get("uri", "data:")
+            if not uri.startswith("data:") and not folder.finds(_beside(folder, file, uri)):
+                raise unreadable(file, f"names {uri[:120]!r}, which is missing", "send the .bin beside the .gltf")
+
+
+def _beside(folder: Folder, file: str, uri: str) -> str:
+    return folder.inside(uri, by=file, base=posixpath.dirname(file))
+
+
+_Pictures = dict[int, Bytes]
+"""Decoded textures by the identity of their image: a scene's many parts share a few."""
+
+
+def _surface(scene: Any, node: str, pictures: _Pictures) -> Surface | None:
+    import trimesh
+
+    transform, name = scene.graph[node]
+    geometry = scene.geometry[name]
+    if not isinstance(geometry, trimesh.Trimesh) or len(geometry.faces) == 0:
+        return None
+    vertices = np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    faces = np.asarray(geometry.faces, np.int64)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError("a face of vertices that do not exist")
+    return Surface(vertices, faces, _colours(geometry, faces, pictures))
+
+
+def _colours(geometry: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    """From the texture or the material's colour, else from the vertices."""
+    visual = geometry.visual
+    if visual.kind == "texture":
+        return _material_colours(visual, faces, pictures)
+    if visual.kind == "vertex":
+        return vertex_colours(np.asarray(visual.vertex_colors)[:, :3], faces)
+    if visual.kind == "face":
+        flat = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
+        return lambda triangle, weights: flat[triangle]
+    return None
+
+
+def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
+    """Interpolate (V,3) uint8 over the triangles."""
+
+    def colour_at(triangle: Ints, weights: Floats) -> Bytes:
+        return rgb8(np.rint(np.einsum("nc,ncd->nd", weights, rgb[faces[triangle]])).astype(np.int16))
+
+    return colour_at
+
+
+def _material_colours(visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    image, factor = _material(visual.material)
+    uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
+    if image is not None and uv is not None and factor is not None:
+        check_pixels(image.size, "texture")
+        if id(image) not in pictures:
+            pictures[id(image)] = np.asarray(image.convert("RGB"))
+        pixels = pictures[id(image)]
+
+        def colour_at(triangle: Ints, weights: Floats) -> Bytes:
+            texel = np.einsum("nc,ncd->nd", weights, uv[faces[triangle]])
+            return np.rint(_nearest(pixels, texel) * factor).astype(np.uint8)
+
+        return colour_at
+    if factor is None:
+        return None
+    flat = np.rint(255 * factor).astype(np.uint8)
+    return lambda triangle, weights: np.tile(flat, (len(triangle), 1))
+
+
+def _material(material: Any) -> tuple[Any, Floats | None]:
+    """The picture, if any, and the sRGB colour (3,) in [0,1] that multiplies it; no colour for an .obj without one."""
+    if hasattr(material, "baseColorTexture"):  # glTF: linear light
+        factor = material.baseColorFactor
+        linear = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3]
+        return material.baseColorTexture, _srgb(linear / 255 if linear.max() > 1 else linear)
+    # For a picture that is missing trimesh puts one of its own, which has no path.
+    image = material.image if "file_path" in getattr(material.image, "info", {}) else None
+    diffuse = np.clip(np.asarray(material.kwargs["kd"], np.float64)[:3], 0, 1) if "kd" in material.kwargs else None
+    return image, diffuse if image is None else np.ones(3)
+
+
+def _srgb(linear: Floats) -> Floats:
+    """IEC 61966-2-1: linear light to sRGB."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
+
+
+def _nearest(pixels: Bytes, uv: Floats) -> Bytes:
+    """The texel at uv, repeating; trimesh turns v so that 0 is the picture's lower edge."""
+    height, width = pixels.shape[:2]
+    u, v = np.nan_to_num(uv[:, 0]) % 1.0, 1.0 - np.nan_to_num(uv[:, 1]) % 1.0
+    columns = np.minimum((u * width).astype(np.int64), width - 1)
+    rows = np.clip((v * height).astype(np.int64), 0, height - 1)
+    texels: Bytes = pixels[rows, columns]
+    return texels

@@ -1,0 +1,176 @@
+"""nerfstudio and instant-ngp: `transforms.json`, images and depth. Poses camera-to-world in OpenGL axes, depth in mm.
+
+Its pixels have their corners at integers (COLMAP's convention), ours their centres: cx and cy lose half a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats
+from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, depth_file
+from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
+from services.edge.capture.images import image_size
+from services.edge.capture.nouns import Capture, Intrinsics
+from services.edge.capture.shots import Shot, checked_intrinsics, missing_warning, rgbd_capture
+from services.edge.errors import CaptureError
+
+FILE = "transforms.json"
+METRES_PER_STEP = 1e-3  # nerfstudio's depth_unit_scale_factor: millimetres
+_STRAIGHT = 1e-6  # distortion below it moves no pixel by a hundredth
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
+_MODELS = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+
+
+def matches(folder: Folder) -> bool:
+    return folder.has(FILE)
+
+
+def read(folder: Folder) -> Capture:
+    tree = read_json(folder.path(FILE), FILE)
+    frames = tree.get("frames")
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise unreadable(FILE, "has no list of frames")
+    if not frames:
+        raise CaptureError("CAPTURE_EMPTY", "lists no frames", file=FILE)
+    named = [(frame, _depth_name(folder, frame)) for frame in frames]
+    if all(name is None for _, name in named):
+        hint = ("record with depth (LiDAR), or send a point cloud",)
+        raise CaptureError("CAPTURE_UNKNOWN_FORMAT", "lists images without depth", file=FILE, hints=hint)
+    missing = [name for _, name in named if name is not None and not folder.has(name)]
+    shots = [_shot(folder, tree | frame, name) for frame, name in named if name is not None and folder.has(name)]
+    if not shots:
+        reason = f"none of its {len(missing)} depth images is there; the first is {missing[0]}"
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the depth folder too",))
+    warnings = missing_warning(missing, "depth images")
+    return rgbd_capture("nerfstudio", shots, axes="opengl", up=None, file=FILE, warnings=warnings)
+
+
+def _depth_name(folder: Folder, frame: Mapping[str, Any]) -> str | None:
+    written = frame.get("depth_file_path") or frame.get("depth_path")
+    return None if written is None else folder.inside(written, by=FILE)
+
+
+def _shot(folder: Folder, frame: Mapping[str, Any], depth: str) -> Shot:
+    """`frame` is the file's own keys overlaid with those of one frame: any intrinsic may stand in either."""
+    colour = folder.inside(frame["file_path"], by=FILE) if "file_path" in frame else None
+    colour = colour if colour is not None and folder.has(colour) else None
+    pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {depth}").reshape(4, 4)
+    scale = (
+        number(frame, "depth_unit_scale_factor", file=FILE) if "depth_unit_scale_factor" in frame else METRES_PER_STEP
+    )
+    source = depth_file(folder.path(depth), depth, scale)
+    camera = _camera(folder, frame, colour, source)
+    lens = _lens(frame, camera)
+    rgb: ColourSource | None = None if colour is None else ImageColour(folder.path(colour), colour)
+    if lens is not None:
+        source, rgb = StraightDepth(source, lens), None if rgb is None else StraightColour(rgb, lens)
+    return Shot(depth, camera, pose, source, None, rgb)
+
+
+def _metres_per_step(frame: Mapping[str, Any]) -> float:
+    key = "depth_unit_scale_factor"
+    scale = number(frame, key, file=FILE) if key in frame else METRES_PER_STEP
+    if not 0 < scale < math.inf:
+        raise unreadable(FILE, f"has {key} {scale}")
+    return scale
+
+
+def _camera(folder: Folder, frame: Mapping[str, Any], colour: str | None, depth: DepthSource) -> Intrinsics:
+    if "w" in frame and "h" in frame:
+        width, height = number(frame, "w", file=FILE), number(frame, "h", file=FILE)
+    else:
+        width, height = image_size(folder.path(colour), colour) if colour is not None else depth.size()
+    if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
+        raise unreadable(FILE, f"has images of {width} x {height} pixels")
+    fx = _focal(frame, "x", width)
+    fy = _focal(frame, "y", height) if "fl_y" in frame or "camera_angle_y" in frame else fx
+    cx = number(frame, "cx", file=FILE) if "cx" in frame else width / 2
+    cy = number(frame, "cy", file=FILE) if "cy" in frame else height / 2
+    return checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, int(width), int(height)), FILE)
+
+
+def _focal(frame: Mapping[str, Any], axis: str, side: float) -> float:
+    """In pixels: given as such, or as the angle of view, side = 2 f tan(angle / 2)."""
+    if f"fl_{axis}" in frame:
+        return number(frame, f"fl_{axis}", file=FILE)
+    if f"camera_angle_{axis}" not in frame:
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has neither fl_x nor camera_angle_x", file=FILE)
+    half = number(frame, f"camera_angle_{axis}", file=FILE) / 2
+    return side / (2 * math.tan(half)) if 0 < half < math.pi / 2 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A camera and OpenCV's distortion (k1, k2, p1, p2, k3)."""
+
+    camera: Intrinsics
+    coefficients: tuple[float, ...]
+
+    def straighten(self, image: Any, *, smooth: bool) -> Any:
+        """The image that a lens without distortion would have taken with the same camera; 0 where it saw nothing.
+
+        Depth must not be smoothed: a mean of front and back lies in the air between them.
+        """
+        import cv2
+
+        height, width = image.shape[:2]
+        camera = self.camera.scaled_to(width, height)
+        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+        maps = cv2.initUndistortRectifyMap(
+            matrix, np.array(self.coefficients), np.eye(3), matrix, (width, height), cv2.CV_32FC1
+        )
+        return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
+
+
+def _lens(frame: Mapping[str, Any], camera: Intrinsics) -> Lens | None:
+    if str(frame.get("camera_model", "")).upper() not in _MODELS or frame.get("is_fisheye"):
+        what = f"has the camera model {frame.get('camera_model', 'fisheye')!r}, which is not read"
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE, hints=("undistort the images first",))
+    coefficients = tuple(number(frame, key, file=FILE) if key in frame else 0.0 for key in _DISTORTION)
+    if not all(math.isfinite(value) for value in coefficients):
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has a lens distortion that is not finite", file=FILE)
+    return Lens(camera, coefficients) if max(map(abs, coefficients)) > _STRAIGHT else None
+
+
+@dataclass(frozen=True, slots=True)
+class StraightDepth:
+    """The depth of `source` with the lens's distortion taken out."""
+
+    source: DepthSource
+    lens: Lens
+
+    @property
+    def file(self) -> str:
+        return self.source.file
+
+    def size(self) -> tuple[int, int]:
+        return self.source.size()
+
+    def load(self) -> Floats:
+        depth_m: Floats = self.lens.straighten(self.source.load(), smooth=False)
+        return depth_m
+
+
+@dataclass(frozen=True, slots=True)
+class StraightColour:
+    """The picture of `source` with the lens's distortion taken out."""
+
+    source: ColourSource
+    lens: Lens
+
+    @property
+    def file(self) -> str:
+        return self.source.file
+
+    def size(self) -> tuple[int, int]:
+        return self.source.size()
+
+    def load(self) -> Bytes:
+        rgb: Bytes = self.lens.straighten(self.source.load(), smooth=True)
+        return rgb

@@ -1,0 +1,66 @@
+"""Polycam's raw export: `keyframes/{corrected_images,corrected_cameras,depth,confidence}` and `mesh_info.json`.
+
+Depth is u16 mm; poses are t_00 ... t_23, row-major camera-to-world in ARKit's axes and world, Y against gravity.
+The corrected folders are bundle-adjusted and preferred to `images` and `cameras`.
+"""
+
+from __future__ import annotations
+
+import posixpath
+from functools import partial
+
+import numpy as np
+
+from services.edge.capture.depth import ImageColour, confidence_image, depth_file
+from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
+from services.edge.capture.nouns import Capture, Intrinsics
+from services.edge.capture.shots import Shot, mostly_matched, no_poses, rgbd_capture
+
+METRES_PER_STEP = 1e-3
+_POSE = [f"t_{row}{column}" for row in range(3) for column in range(4)]
+_SIZE = (1024, 768)  # of Polycam's key frames, for cameras that do not say
+_UP_Y = np.array([0.0, 1.0, 0.0])
+
+
+def matches(folder: Folder) -> bool:
+    return folder.has_folder("keyframes")
+
+
+def read(folder: Folder) -> Capture:
+    depths = _by_stem(folder, "depth")
+    corrected = _by_stem(folder, "corrected_cameras")
+    cameras = corrected or _by_stem(folder, "cameras")
+    images = _by_stem(folder, "corrected_images" if corrected else "images")
+    if not depths:
+        raise unreadable("keyframes", "holds no depth folder: recorded without LiDAR", "scan in Polycam's LiDAR mode")
+    if not cameras:
+        raise no_poses("keyframes/depth", "keyframes/corrected_cameras")
+    both = [stem for stem in depths if stem in cameras]
+    warnings = mostly_matched(len(both), len(depths), len(cameras), file="keyframes", what="cameras")
+    confidences = _by_stem(folder, "confidence")
+    shots = [_shot(folder, depths[stem], cameras[stem], images.get(stem), confidences.get(stem)) for stem in both]
+    return rgbd_capture("polycam", shots, axes="opengl", up=_UP_Y, file="keyframes/depth", warnings=warnings)
+
+
+def _by_stem(folder: Folder, part: str) -> dict[str, str]:
+    names = folder.directly_in(f"keyframes/{part}")
+    return {posixpath.splitext(posixpath.basename(name))[0]: name for name in names}
+
+
+def _shot(folder: Folder, depth: str, camera: str, image: str | None, confidence: str | None) -> Shot:
+    record = read_json(folder.path(camera), camera)
+    pose = numbers([record.get(key) for key in _POSE], 12, file=camera, what="t_00 ... t_23").reshape(3, 4)
+    fx, fy, cx, cy = (number(record, key, file=camera) for key in ("fx", "fy", "cx", "cy"))
+    sides = [number(record, key, file=camera) if key in record else side
+             for key, side in zip(("width", "height"), _SIZE, strict=True)]  # fmt: skip
+    if not all(1 <= side <= 1e6 for side in sides):
+        raise unreadable(camera, f"has an image of {sides[0]} x {sides[1]} pixels")
+    intrinsics = Intrinsics(fx, fy, cx, cy, int(sides[0]), int(sides[1]))
+    return Shot(
+        depth,
+        intrinsics,
+        pose,
+        depth_file(folder.path(depth), depth, METRES_PER_STEP),
+        None if confidence is None else partial(confidence_image, folder.path(confidence), confidence),
+        None if image is None else ImageColour(folder.path(image), image),
+    )

@@ -1,0 +1,213 @@
+"""Record3D's `.r3d`: a zip (or its unpacked folder) of `metadata` and `rgbd/N.{jpg,depth,conf}`.
+
+depth is LZFSE(float32 metres) of dh x dw, conf LZFSE(uint8 0 ... 2), K column-major for the colour image of w x h.
+Poses are camera-to-world in OpenGL axes, relative to frame 0; times `initPose` they are in
+ARKit's world, Y against gravity.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats
+from services.edge.capture.depth import known_depth
+from services.edge.capture.files import MAX_FILES, Folder, number, numbers, parse_json, reading, unreadable
+from services.edge.capture.images import broken_image, check_pixels, decode_rgb, read_bytes
+from services.edge.capture.nouns import Capture, Intrinsics
+from services.edge.capture.poses import checked_pose, pose_from_quaternion
+from services.edge.capture.shots import Shot, matrix_pinhole, mostly_matched, pinhole, rgbd_capture
+from services.edge.errors import CaptureError
+
+_METADATA = "metadata"
+_MAX_ENTRY_BYTES = 64 * 2**20  # one picture or depth image of a phone has at most a few MiB
+_UP_Y = np.array([0.0, 1.0, 0.0])
+
+
+class _Files(Protocol):
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    def read(self, name: str) -> bytes: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Unpacked:
+    folder: Folder
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.folder.names
+
+    def read(self, name: str) -> bytes:
+        return read_bytes(self.folder.path(name), name)
+
+
+@dataclass(frozen=True, slots=True)
+class _Archive:
+    """A zip read entry by entry, never unpacked to disk; entries above _MAX_ENTRY_BYTES are refused."""
+
+    path: Path
+    names: tuple[str, ...]
+
+    def read(self, name: str) -> bytes:
+        with reading(name, "entry of the .r3d"), zipfile.ZipFile(self.path) as archive:
+            size = archive.getinfo(name).file_size
+            if size > _MAX_ENTRY_BYTES:
+                raise CaptureError("CAPTURE_TOO_LARGE", f"unpacks to {size:,} bytes", file=name)
+            with archive.open(name) as entry:
+                return entry.read(_MAX_ENTRY_BYTES)
+
+
+def matches(folder: Folder) -> bool:
+    return folder.has(_METADATA) and folder.has_folder("rgbd")
+
+
+def read(folder: Folder) -> Capture:
+    return _read(_Unpacked(folder))
+
+
+def is_archive(path: Path) -> bool:
+    """Whether a file is a zip with Record3D's metadata at its top."""
+    with path.open("rb") as stream:
+        if stream.read(4) != b"PK\x03\x04":
+            return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _METADATA in archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError):
+        return False
+
+
+def read_archive(path: Path, file: str) -> Capture:
+    with reading(file, ".r3d"), zipfile.ZipFile(path) as archive:
+        names = tuple(archive.namelist())
+    if len(names) > MAX_FILES:
+        raise CaptureError("CAPTURE_TOO_LARGE", f"holds {len(names):,} files", file=file)
+    return _read(_Archive(path, names))
+
+
+def _read(files: _Files) -> Capture:
+    meta = parse_json(files.read(_METADATA).decode("utf-8", "replace"), _METADATA)
+    poses = _poses(meta)
+    depths = {name[5:-6]: name for name in files.names if name.startswith("rgbd/") and name.endswith(".depth")}
+    numbered = {int(stem): name for stem, name in depths.items() if stem.isascii() and stem.isdigit() and len(stem) < 9}
+    posed = sorted(index for index in numbered if index < len(poses))
+    warnings = mostly_matched(len(posed), len(numbered), len(poses), file=_METADATA, what="poses")
+    cameras = _cameras(meta, len(poses))
+    size = _whole(meta, "dw"), _whole(meta, "dh")
+    check_pixels(size, _METADATA)
+    there = frozenset(files.names)
+    shots = [_shot(files, there, index, numbered[index], cameras[index], poses[index], size) for index in posed]
+    up = _UP_Y if "initPose" in meta else None
+    return rgbd_capture("record3d", shots, axes="opengl", up=up, file="rgbd", warnings=warnings)
+
+
+def _shot(
+    files: _Files,
+    there: frozenset[str],
+    index: int,
+    depth: str,
+    camera: Intrinsics,
+    pose: Floats,
+    size: tuple[int, int],
+) -> Shot:
+    confidence, colour = f"rgbd/{index}.conf", f"rgbd/{index}.jpg"
+    load_confidence = partial(_confidence, files, confidence, size) if confidence in there else None
+    rgb = _Jpeg(files, colour, (camera.width, camera.height)) if colour in there else None
+    return Shot(depth, camera, pose, LzfseDepth(files, depth, size), load_confidence, rgb)
+
+
+def _poses(meta: Mapping[str, Any]) -> list[Floats]:
+    """(4,4) each, in OpenGL axes, in ARKit's world when `initPose` is there."""
+    listed = meta.get("poses")
+    if not isinstance(listed, list) or not listed:
+        raise CaptureError("CAPTURE_NO_POSES", "has no poses", file=_METADATA, hints=("export as .r3d, not as video",))
+    start: Floats = np.eye(4)
+    if "initPose" in meta:
+        start = checked_pose(_pose(meta["initPose"], "initPose"), axes="opencv", file=_METADATA)
+    return [start @ _pose(words, f"pose {index}") for index, words in enumerate(listed)]
+
+
+def _pose(words: object, what: str) -> Floats:
+    vector = numbers(words, 7, file=_METADATA, what=what)
+    return pose_from_quaternion(vector[4:], vector[:4])
+
+
+def _cameras(meta: Mapping[str, Any], count: int) -> list[Intrinsics]:
+    """One per pose, at the colour image's size: `perFrameIntrinsicCoeffs` (fx, fy, cx, cy) or K for all."""
+    width, height = _whole(meta, "w"), _whole(meta, "h")
+    each = meta.get("perFrameIntrinsicCoeffs")
+    if isinstance(each, list) and len(each) == count:
+        rows = [numbers(row, 4, file=_METADATA, what="perFrameIntrinsicCoeffs") for row in each]
+        return [pinhole(row, (width, height)) for row in rows]
+    k = numbers(meta.get("K"), 9, file=_METADATA, what="K").reshape(3, 3).T
+    return [matrix_pinhole(k, (width, height))] * count
+
+
+def _whole(meta: Mapping[str, Any], key: str) -> int:
+    value = number(meta, key, file=_METADATA)
+    if not 1 <= value <= 1e6:
+        raise unreadable(_METADATA, f"has {key} = {value}")
+    return int(value)
+
+
+def _lzfse(data: bytes, size: int, file: str) -> bytes:
+    """Exactly `size` bytes. Raises IMAGE_UNREADABLE."""
+    import lzfse
+
+    if len(data) > 2 * size + 4096:  # a codec that doubles its input is none; what unpacks from it would be hostile
+        raise broken_image(file, f"has {len(data):,} bytes for an image of {size:,}")
+    try:
+        plain: bytes = data if len(data) == size else lzfse.decompress(data)
+    except (lzfse.error, MemoryError) as error:
+        raise broken_image(file, f"is not LZFSE ({error})") from None
+    if len(plain) != size:
+        raise broken_image(file, f"unpacks to {len(plain):,} bytes, expected {size:,}")
+    return plain
+
+
+@dataclass(frozen=True, slots=True)
+class LzfseDepth:
+    """LZFSE of float32 metres, `shape` = (width, height) as the metadata say."""
+
+    files: _Files
+    file: str
+    shape: tuple[int, int]
+
+    def size(self) -> tuple[int, int]:
+        return self.shape
+
+    def load(self) -> Floats:
+        width, height = self.shape
+        plain = _lzfse(self.files.read(self.file), width * height * 4, self.file)
+        return known_depth(np.frombuffer(plain, "<f4").reshape(height, width))
+
+
+def _confidence(files: _Files, file: str, size: tuple[int, int]) -> Floats:
+    """ARKit's levels 0, 1, 2 as 0, 0.5, 1."""
+    plain = _lzfse(files.read(file), size[0] * size[1], file)
+    levels = np.frombuffer(plain, np.uint8).reshape(size[1], size[0])
+    confidence: Floats = np.clip(levels.astype(np.float32) / np.float32(2), 0, 1)
+    return confidence
+
+
+@dataclass(frozen=True, slots=True)
+class _Jpeg:
+    """A picture of `shape` = (width, height), as the metadata say."""
+
+    files: _Files
+    file: str
+    shape: tuple[int, int]
+
+    def size(self) -> tuple[int, int]:
+        return self.shape
+
+    def load(self) -> Bytes:
+        return decode_rgb(self.files.read(self.file), self.file)

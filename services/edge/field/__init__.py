@@ -1,0 +1,6 @@
+"""Points in, an unsigned distance field out."""
+
+from services.edge.field.denoise import denoise
+from services.edge.field.local import local_field
+
+__all__ = ["denoise", "local_field"]

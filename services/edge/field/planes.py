@@ -1,0 +1,115 @@
+"""A tangent plane and the local spacing for every point of a cloud.
+
+x_j  neighbours of the point x_i;  h_i  local spacing;  d_j = |x_j − x_i|
+o_j = n·(x_j − x_i): offset of a neighbour from the plane through the point
+
+1. Hypotheses: each pair of the 6 nearest neighbours spans a plane with the point. The one with the largest
+   Σ exp(−(0.63 d_j/h)²)·exp(−(o_j / 0.15h)²) wins, so a plane across two layers loses to the plane of either.
+2. The normal is then the weighted PCA's, three times, with the weights exp(−(0.88 d_j/h)²)·exp(−(o_j / 0.6h)²).
+
+Started from a PCA instead, the re-weighting cannot leave a wrong plane. Normals more than 30° wrong, PCA → hypotheses:
+folded T-shirt 24 → 13 %, car with interior 21 → 17 %, two sheets 1.5 spacings apart 30 → 1 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from services.edge.arrays import Floats, Tick, no_tick
+from services.edge.field.quadrics import TINY, weighted_pca
+
+WORKERS = 2  # numpy and the KD-tree release the GIL; two cores is the smallest machine this must be quick on
+NEIGHBOURS = 16  # enough for a stable plane at random spacing, few enough to stay inside a fold
+SPACING_RANK = 8  # the 8th neighbour: its distance varies by a fifth at random spacing, the first one's by half
+# In an even random sheet the k-th neighbour lies at √(k/π) of the mean spacing, which is 1/√density.
+RANK_TO_SPACING = float(np.sqrt(np.pi / SPACING_RANK))
+PAIRS = np.array(list(combinations(range(1, 7), 2))).T  # of the 6 nearest: 15 planes, one of them in the right layer
+ON_PLANE = 0.15  # in spacings: a neighbour as far off a plane as this is hardly on it
+JUDGE, REFINE = 0.63, 0.88  # per spacing: how fast a neighbour's say falls with its distance
+ROUNDS = 3
+LAYER = 0.6  # in spacings: how far off a plane a neighbour may lie before it counts as another layer's
+CHUNK = 16_384  # points at once: 16 neighbours × 3 × 8 B keep the arrays at 6 MB, near the cache
+
+
+@dataclass(frozen=True, slots=True)
+class Planes:
+    """xyz (N,3), normals (N,3) of length 1 and arbitrary sign, spacing (N,): all float32, unit frame."""
+
+    xyz: Floats
+    normals: Floats
+    spacing: Floats
+
+
+def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None) -> Planes:
+    """Planes of all points, or only the spacing where `normals` are given. `tree` is the KD-tree of `xyz`."""
+    fitted = np.empty((len(xyz), 3), np.float32) if normals is None else _unit(normals)
+    spacing = np.empty(len(xyz), np.float32)
+
+    def fit(part: slice) -> None:
+        distance, index = tree.query(xyz[part], k=min(NEIGHBOURS + 1, len(xyz)))
+        spacing[part] = rank_spacing(distance)
+        if normals is None:
+            fitted[part] = _normals(xyz[index] - xyz[part, None], distance, spacing[part])
+
+    in_threads(fit, slices(len(xyz), CHUNK))
+    return Planes(np.asarray(xyz, np.float32), fitted, spacing)
+
+
+def slices(count: int, size: int) -> list[slice]:
+    """Consecutive slices of `size` that cover range(count)."""
+    return [slice(start, min(start + size, count)) for start in range(0, count, size)]
+
+
+def in_threads(work: Callable[[slice], None], parts: Sequence[slice], tick: Tick = no_tick) -> None:
+    """Run `work` on every part on `WORKERS` threads; tick after each, on this thread. The first exception ends it."""
+    pool = ThreadPoolExecutor(WORKERS)
+    try:
+        for done, _ in enumerate(pool.map(work, parts), start=1):
+            tick(done / len(parts))
+    finally:
+        # After an exception (a cancelled job's tick raises) the parts that wait must not run.
+        pool.shutdown(cancel_futures=True)
+
+
+def rank_spacing(distance: Floats) -> Floats:
+    """Neighbour distances (N,K), self first -> the mean spacing that a random sheet would have to show them (N,)."""
+    rank = min(SPACING_RANK, distance.shape[1] - 1)
+    spacing: Floats = distance[:, rank] * np.sqrt(np.pi / rank) + np.sqrt(TINY)
+    return spacing
+
+
+def _normals(relative: Floats, distance: Floats, spacing: Floats) -> Floats:
+    """Neighbours seen from their points (N,K,3), self first, sorted by distance (N,K) -> normals (N,3)."""
+    in_spacings = distance / spacing[:, None]
+    normals = _best_hypothesis(relative, np.exp(-np.square(JUDGE * in_spacings)), spacing)
+    near = np.exp(-np.square(REFINE * in_spacings))
+    for _ in range(ROUNDS):
+        offset = np.einsum("nkx,nx->nk", relative, normals)
+        same_layer = np.exp(-np.square(offset / (LAYER * spacing[:, None])))
+        normals, _, _ = weighted_pca(relative, near * same_layer)
+    return normals
+
+
+def _best_hypothesis(relative: Floats, near: Floats, spacing: Floats) -> Floats:
+    """Of the planes through the point and two of its nearest: the normal of that with most neighbours on it (N,3)."""
+    first, second = PAIRS[:, PAIRS[1] < relative.shape[1]]
+    if len(first) == 0:
+        return weighted_pca(relative, near)[0]
+    normals = np.cross(relative[:, first], relative[:, second])
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True) + TINY
+    offset = np.einsum("nkx,nhx->nkh", relative, normals) / (ON_PLANE * spacing[:, None, None])
+    score = np.einsum("nk,nkh->nh", near, np.exp(-np.square(offset)))
+    best: Floats = normals[np.arange(len(normals)), score.argmax(axis=1)]
+    return best
+
+
+def _unit(vectors: Floats) -> Floats:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: Floats = np.asarray(vectors / np.maximum(length, TINY), np.float32)
+    return unit

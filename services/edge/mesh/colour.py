@@ -1,0 +1,57 @@
+"""Colours: from the captured points to the mesh, and between sRGB and linear light.
+
+Averages are taken in linear light: the mean of sRGB codes is too dark where dark and bright meet (IEC 61966-2-1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from services.edge.arrays import Bytes, Floats
+from services.edge.mesh.nouns import Mesh
+
+_NEIGHBOURS = 6  # about one ring of a surface sample: smooths the noise of single pixels without washing out a print
+_NEAR = 0.05  # a neighbour this share of the nearest spacing away counts as "here": bounds the weight 1/d² at d = 0
+
+
+def to_linear(rgb: Bytes) -> Floats:
+    """(...,3) uint8 sRGB -> float32 linear light in [0,1]."""
+    linear: Floats = _LINEAR_OF_CODE[rgb]
+    return linear
+
+
+def to_srgb(linear: Floats) -> Bytes:
+    """(...,3) linear light, clipped to [0,1] -> uint8 sRGB, rounded."""
+    light = np.clip(linear, 0.0, 1.0)
+    code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    srgb: Bytes = np.rint(255.0 * code).astype(np.uint8)
+    return srgb
+
+
+def carry_colours(mesh: Mesh, xyz: Floats, rgb: Bytes) -> Mesh:
+    """The mesh with the points' colours: inverse square distance over the nearest points, in linear light.
+
+    xyz (N,3) in the mesh's frame, rgb (N,3) uint8 sRGB, N ≥ 1. Raises ValueError where the two differ in length.
+    """
+    if len(xyz) != len(rgb) or len(xyz) == 0:
+        raise ValueError(f"{len(xyz)} points with {len(rgb)} colours: need as many of both, and at least one")
+    count = min(_NEIGHBOURS, len(xyz))
+    distance, index = cKDTree(xyz).query(mesh.vertices, k=list(range(1, count + 1)), workers=-1)
+    spacing = np.maximum(distance.mean(axis=1, keepdims=True), 1e-12)  # all points here: any weights will do
+    weight = 1.0 / (distance**2 + (_NEAR * spacing) ** 2)
+    weight /= weight.sum(axis=1, keepdims=True)
+    blended = np.einsum("vk,vkc->vc", weight, to_linear(rgb)[index])
+    return replace(mesh, rgb=to_srgb(blended))
+
+
+def _linear_of_code() -> Floats:
+    """(256,) linear light of every sRGB code."""
+    code = np.arange(256) / 255.0
+    linear: Floats = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return linear
+
+
+_LINEAR_OF_CODE = _linear_of_code()

@@ -1,0 +1,42 @@
+"""A mesh as binary PLY, for desktop tools: vertices, triangles and, where known, colours in sRGB."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from services.edge.mesh.nouns import Mesh
+
+_TYPES = {"<f4": "float", "u1": "uchar"}
+
+
+def ply_bytes(mesh: Mesh) -> bytes:
+    """The mesh as a little-endian binary PLY; positions become float32, the frame stays."""
+    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    if mesh.rgb is not None:
+        fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    vertices = np.empty(len(mesh.vertices), dtype=fields)
+    for name, column in zip("xyz", np.asarray(mesh.vertices).T, strict=True):
+        vertices[name] = column
+    if mesh.rgb is not None:
+        for name, column in zip(("red", "green", "blue"), np.asarray(mesh.rgb).T, strict=True):
+            vertices[name] = column
+    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"] = 3
+    faces["corners"] = mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertices)}",
+        *(f"property {_TYPES[kind]} {name}" for name, kind in fields),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header\n",
+    ]
+    return "\n".join(header).encode("ascii") + vertices.tobytes() + faces.tobytes()
+
+
+def write_ply(mesh: Mesh, path: Path) -> None:
+    """Write `ply_bytes` to a file."""
+    path.write_bytes(ply_bytes(mesh))

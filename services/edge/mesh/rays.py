@@ -1,0 +1,94 @@
+"""Rays against a mesh, by Embree: the pictures, and the cameras of the simulated captures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from services.edge.arrays import Bools, Floats, Ints
+from services.edge.mesh.nouns import Mesh
+
+LIFT = 1e-3  # of the longest side: where a ray starts above its surface, so that it does not meet it again
+_SKY_REACH = 0.35  # of the longest side: things farther off do not darken
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What each of N rays met first.
+
+    face (N,) int64, −1 where nothing; along (N,) float32 in lengths of the ray's direction, infinite where nothing;
+    bary (N,3) float32 weights of the face's corners.
+    """
+
+    face: Ints
+    along: Floats
+    bary: Floats
+
+
+class Scene:
+    """A mesh, ready to be looked at; rays are in its frame. Inside it is centred and scaled, for float32's sake.
+
+    May be shared by threads, and should be: Embree lets go of the interpreter (7 M rays/s on one, 13 M/s on two).
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        self._centre = (low + high) / 2
+        self.longest = float((high - low).max())
+        self._scale = 1.0 / max(self.longest, 1e-30)
+        self._scene = EmbreeScene()
+        vertices = ((mesh.vertices - self._centre) * self._scale).astype(np.float32)
+        self._geometry = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
+        self._run(np.zeros((1, 3)), np.ones((1, 3)))  # builds the tree now, before threads share it
+
+    def cast(self, origins: Floats, directions: Floats) -> Hits:
+        """The first face along each ray; origins (N,3) or (1,3), directions (N,3) of any length but 0."""
+        found = self._run(origins, directions, output=True)
+        face, along, u, v = (found[key] for key in ("primID", "tfar", "u", "v"))
+        along[face < 0] = np.inf
+        return Hits(face.astype(np.int64), along, np.stack([1 - u - v, u, v], axis=1))
+
+    def blocked(self, origins: Floats, directions: Floats, reach: float) -> Bools:
+        """(N,) True where something lies within `reach` lengths of the ray's direction."""
+        limit = np.full(len(directions), reach, dtype=np.float32)
+        hit: Bools = self._run(origins, directions, dists=limit, query="OCCLUDED") >= 0
+        return hit
+
+    def _run(self, origins: Floats, directions: Floats, **options: object) -> Any:
+        starts = ((np.broadcast_to(origins, directions.shape) - self._centre) * self._scale).astype(np.float32)
+        return self._scene.run(starts, (directions * self._scale).astype(np.float32), **options)
+
+
+def pinhole(x: Floats, y: Floats, right: Floats, down: Floats, ahead: Floats) -> Floats:
+    """(len(y)·len(x),3) float32 rays of a grid of pixels, row by row: ahead + x·right + y·down."""
+    grid = np.empty((len(y), len(x), 3), dtype=np.float32)
+    grid[:] = (ahead + x[:, None] * right)[None]
+    grid += (y[:, None] * down).astype(np.float32)[:, None]
+    return grid.reshape(-1, 3)
+
+
+def open_sky(scene: Scene, vertices: Floats, normals: Floats, *, rays: int) -> Floats:
+    """(V,) share of the half-space over each vertex that is open, by `rays` spread like a matte surface's light.
+
+    vertices (V,3), normals (V,3) of unit length, float32. Whatever is farther off than `_SKY_REACH` darkens nothing.
+    """
+    tangent = np.cross(normals, np.eye(3, dtype=np.float32)[np.abs(normals).argmin(axis=1)])
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    bitangent = np.cross(normals, tangent)
+    start = vertices + np.float32(LIFT * scene.longest) * normals
+    turn = np.random.default_rng(0).random(len(normals), dtype=np.float32) * np.float32(2 * np.pi)
+    closed = np.zeros(len(normals), dtype=np.float32)
+    for number in range(rays):
+        # Malley: points spread evenly on the disk (a sunflower's spiral), lifted to the hemisphere.
+        radius = np.float32(np.sqrt((number + 0.5) / rays))
+        angle = turn + np.float32(number * np.pi * (3 - np.sqrt(5)))
+        ray = (radius * np.cos(angle))[:, None] * tangent + (radius * np.sin(angle))[:, None] * bitangent
+        ray += np.sqrt(1 - radius**2) * normals
+        closed += scene.blocked(start, ray, _SKY_REACH * scene.longest)
+    share: Floats = 1 - closed / rays
+    return share

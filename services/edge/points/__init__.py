@@ -1,0 +1,9 @@
+"""Capture -> points: fuse depth frames, clean clouds, isolate the thing, and frame it for the field."""
+
+from __future__ import annotations
+
+from services.edge.points.nouns import Points, UnitFrame
+from services.edge.points.to_points import to_points
+from services.edge.points.unit import unit_frame
+
+__all__ = ["Points", "UnitFrame", "to_points", "unit_frame"]

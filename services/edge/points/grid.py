@@ -1,0 +1,131 @@
+"""Voxels as sorted integer keys: grouping, thinning and an average that grows frame by frame in bounded memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.edge.arrays import Bools, Floats, Ints
+
+_BITS = 21
+"""Bits per axis of a key: three of them fill 63 bits, so a grid spans two million voxels a side."""
+_HALF = 1 << (_BITS - 1)
+_MERGE_ROWS = 400_000
+"""Rows waiting before they are merged with the grid: sorting a few large batches beats sorting every frame."""
+_COARSER = 1.26
+"""Growth of the voxel when the grid is full: 2^(1/3), about a third fewer voxels on a surface."""
+
+
+def voxel_keys(xyz: Floats, voxel: float) -> Ints:
+    """(N,3) relative to an origin nearby -> (N,) int64, equal for points of one voxel. Far cells share the border's."""
+    return cell_keys(np.clip(np.floor(xyz / voxel), -_HALF, _HALF - 1).astype(np.int64) + _HALF)
+
+
+def cell_keys(cells: Ints) -> Ints:
+    """(N,3) integer cells, each from 0 to 2^21 - 1 -> (N,) keys."""
+    keys: Ints = (cells[:, 0] << (2 * _BITS)) | (cells[:, 1] << _BITS) | cells[:, 2]
+    return keys
+
+
+def key_cells(keys: Ints) -> Ints:
+    """The inverse of `cell_keys`: (N,) keys -> (N,3) cells."""
+    mask = (1 << _BITS) - 1
+    return np.stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask], axis=1)
+
+
+def sum_groups(keys: Ints, values: Floats) -> tuple[Ints, Floats]:
+    """Sum the rows of `values` (N,C) that share a key: distinct keys (M,) ascending, sums (M,C)."""
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]]) if len(keys) else np.zeros(0, np.int64)
+    if len(starts) == len(keys):
+        return keys, values[order]
+    return keys[starts], np.add.reduceat(values[order], starts, axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Observations of surface points, one row each; everything float32 but xyz.
+
+    xyz (N,3) relative to the grid's origin; normal (N,3) unit, towards the viewer, or zeros;
+    light (N,3) linear, zeros where unseen; seen (N,) whether the light is known; confidence (N,) in [0,1];
+    weight (N,) how much the observation counts in averages.
+    """
+
+    xyz: Floats
+    normal: Floats
+    light: Floats
+    seen: Bools
+    confidence: Floats
+    weight: Floats
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def take(self, index: Ints | Bools) -> Samples:
+        return Samples(
+            self.xyz[index],
+            self.normal[index],
+            self.light[index],
+            self.seen[index],
+            self.confidence[index],
+            self.weight[index],
+        )
+
+
+class VoxelGrid:
+    """Weighted averages per voxel. Holds at most `limit` voxels: when full, the voxel grows.
+
+    Memory is that of the voxels plus `_MERGE_ROWS` waiting rows, however many observations are added.
+    """
+
+    def __init__(self, voxel: float, limit: int) -> None:
+        self.voxel = voxel
+        self._limit = limit
+        self._keys: Ints = np.zeros(0, np.int64)
+        self._sums: Floats = np.zeros((0, 12), np.float32)
+        self._waiting: list[tuple[Ints, Floats]] = []
+
+    def add(self, samples: Samples) -> None:
+        self._waiting.append(sum_groups(voxel_keys(samples.xyz, self.voxel), _moments(samples)))
+        if sum(len(keys) for keys, _ in self._waiting) > max(_MERGE_ROWS, len(self._keys) // 2):
+            self._merge()
+
+    def averages(self) -> Samples:
+        """One sample per voxel; its weight is the sum of the weights."""
+        self._merge()
+        return _average(self._sums)
+
+    def _merge(self) -> None:
+        batches: list[tuple[Ints, Floats]] = [(self._keys, self._sums), *self._waiting]
+        all_keys = np.concatenate([batch[0] for batch in batches])
+        sums: Floats = np.concatenate([batch[1] for batch in batches])
+        self._keys, self._sums = sum_groups(all_keys, sums)
+        self._waiting.clear()
+        while len(self._keys) > self._limit:
+            self.voxel *= _COARSER
+            means = self._sums[:, 1:4] / self._sums[:, :1]
+            self._keys, self._sums = sum_groups(voxel_keys(means, self.voxel), self._sums)
+
+
+def _moments(samples: Samples) -> Floats:
+    """(N,12) float32: w, w·xyz, w·normal, w·confidence, w·seen, w·seen·light."""
+    w = samples.weight.astype(np.float32)[:, None]
+    lit = w * samples.seen[:, None]
+    columns: list[Floats] = [
+        w,
+        w * samples.xyz,
+        w * samples.normal,
+        w * samples.confidence[:, None],
+        lit,
+        lit * samples.light,
+    ]
+    return np.concatenate(columns, axis=1, dtype=np.float32)
+
+
+def _average(sums: Floats) -> Samples:
+    w, lit = sums[:, :1], sums[:, 8:9]
+    seen = lit[:, 0] > 0
+    light = sums[:, 9:12] / np.where(lit > 0, lit, 1)
+    return Samples(sums[:, 1:4] / w, sums[:, 4:7] / w, light, seen, sums[:, 7] / w[:, 0], w[:, 0])

@@ -1,0 +1,74 @@
+"""The largest plane in a set of points, by random samples and refinement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.edge.arrays import Floats
+
+_SAMPLES = 400
+"""Random planes tried: finds a plane that holds 20 % of the points with a probability of 96 %, one of 30 % always."""
+_JUDGES = 5_000
+"""Points that judge a candidate."""
+_REFINEMENTS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """normal·x = offset; normal (3,) unit; spread: standard deviation of its points' distances; share of all points."""
+
+    normal: Floats
+    offset: float
+    spread: float
+    share: float
+
+    def height(self, xyz: Floats) -> Floats:
+        """(N,3) -> (N,) signed distance, positive on the normal's side."""
+        heights: Floats = xyz @ self.normal - self.offset
+        return heights
+
+    def flipped(self) -> Plane:
+        return Plane(-self.normal, -self.offset, self.spread, self.share)
+
+
+def largest_plane(xyz: Floats, reach: float, *, along: Floats | None = None, within_deg: float = 90.0) -> Plane | None:
+    """The plane with most points (N,3) within `reach` of it, or None where no three points span one.
+
+    With `along` (3,) unit only planes whose normal is within `within_deg` of it count, and the normal points along it.
+    Seeded: the same points give the same plane.
+    """
+    rng = np.random.default_rng(0)
+    judges = xyz[rng.permutation(len(xyz))[:_JUDGES]]
+    corners = judges[rng.integers(len(judges), size=(_SAMPLES, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    usable = lengths > 1e-12
+    normals, corners = normals[usable] / lengths[usable, None], corners[usable]
+    if along is not None:
+        upright = np.abs(normals @ along) >= np.cos(np.radians(within_deg))
+        normals, corners = normals[upright], corners[upright]
+    if not len(normals):
+        return None
+    offsets = np.einsum("mi,mi->m", normals, corners[:, 0])
+    votes = [np.count_nonzero(np.abs(judges @ n - d) < reach) for n, d in zip(normals, offsets, strict=True)]
+    best = int(np.argmax(votes))
+    plane = _refine(xyz, normals[best], float(offsets[best]), reach)
+    return plane.flipped() if along is not None and plane.normal @ along < 0 else plane
+
+
+def _refine(xyz: Floats, normal: Floats, offset: float, reach: float) -> Plane:
+    """Least squares over the inliers, again and again, with a reach that shrinks to three standard deviations."""
+    spread = reach
+    for _ in range(_REFINEMENTS):
+        inside = np.abs(xyz @ normal - offset) < min(reach, 3 * spread)
+        if inside.sum() < 3:
+            break
+        centre = xyz[inside].mean(axis=0)
+        values, vectors = np.linalg.eigh(np.cov((xyz[inside] - centre).T))
+        normal, offset = vectors[:, 0], float(vectors[:, 0] @ centre)
+        # Points of a noiseless plane have no spread; a thousandth of the reach keeps their rounding inside.
+        spread = max(float(np.sqrt(max(values[0], 0))), 1e-3 * reach)
+    share = float(np.mean(np.abs(xyz @ normal - offset) < min(reach, 3 * spread)))
+    return Plane(normal, offset, spread, share)

@@ -1,0 +1,72 @@
+"""A first look at a few frames: which depths to believe, and how large a pixel is on the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.edge.capture.nouns import Frame
+from services.edge.errors import CaptureError
+from services.edge.points.depth import Limits, load_depth
+
+MIN_PIXELS = 100
+"""Fewer usable depth pixels than this in a whole capture are no surface."""
+_NEAR_M, _FAR_M = 0.1, 8.0
+"""What phone depth sensors claim to measure."""
+_MIN_CONFIDENCE = 0.25
+"""Drops the lowest of the usual three levels (0, 1/2, 1)."""
+_SURVEY_FRAMES = 8
+_NEARER_HALF = 35
+"""Percentile of the pixel sizes that sets the voxel: the thing itself lies nearer than what surrounds it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """limits: depths and confidences to believe; pixel_m: size of a depth pixel on the nearer surfaces, metres;
+    warnings: sentences for the report."""
+
+    limits: Limits
+    pixel_m: float
+    warnings: tuple[str, ...]
+
+
+def survey_frames(frames: Sequence[Frame]) -> Survey:
+    """Look at up to `_SURVEY_FRAMES` frames. Raises CaptureError: CAPTURE_TOO_FEW_POINTS where they hold no depth."""
+    chosen = frames[:: max(1, -(-len(frames) // _SURVEY_FRAMES))]
+    depths, confidences, pixels = [], [], []
+    for frame in chosen:
+        depth_m, confidence, camera = load_depth(frame)
+        z = depth_m[depth_m > 0]
+        depths.append(z)
+        confidences.append(confidence[depth_m > 0])
+        pixels.append(z / max(camera.fx, camera.fy))
+    z, confidence, pixel = np.concatenate(depths), np.concatenate(confidences), np.concatenate(pixels)
+    if z.size < MIN_PIXELS:
+        raise too_few(len(chosen), z.size, 0, Limits(_NEAR_M, _FAR_M, _MIN_CONFIDENCE))
+    middle = float(np.median(z))
+    near_m = _NEAR_M if middle > 2 * _NEAR_M else middle / 2
+    far_m = _FAR_M if middle < _FAR_M / 2 else 2 * middle
+    usual = (z >= near_m) & (z <= far_m)
+    warnings: tuple[str, ...] = ()
+    trusted = float(np.mean(confidence[usual] >= _MIN_CONFIDENCE))
+    if trusted < 0.05:
+        warnings = (f"Only {trusted:.1%} of the depth is marked as confident; all of it was used.",)
+    limits = Limits(near_m, far_m, _MIN_CONFIDENCE if trusted >= 0.05 else 0.0)
+    return Survey(limits, float(np.percentile(pixel[usual], _NEARER_HALF)), warnings)
+
+
+def too_few(frames: int, read: int, kept: int, limits: Limits) -> CaptureError:
+    """The error for `frames` depth images with `read` pixels of depth, of which `kept` are usable."""
+    return CaptureError(
+        "CAPTURE_TOO_FEW_POINTS",
+        f"of {read} depth pixels in {frames} frames only {kept} are usable"
+        f" (between {limits.near_m:.2f} and {limits.far_m:.1f} m, confident, not at an edge); at least {MIN_PIXELS}"
+        " are needed",
+        hints=(
+            "Hold the phone 0.3 to 4 m away from the thing.",
+            "Glass, mirrors, black and shiny surfaces return no depth.",
+            "Check that the depth images are in metres or millimetres as their format says.",
+        ),
+    )

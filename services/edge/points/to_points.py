@@ -1,0 +1,54 @@
+"""Capture -> points: what the field is fitted to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.edge.arrays import Tick, no_tick
+from services.edge.capture.nouns import Capture
+from services.edge.errors import CaptureError
+from services.edge.points.cloud import MIN_POINTS, cloud_points
+from services.edge.points.fuse import Fused, fuse
+from services.edge.points.isolate import isolate_object
+from services.edge.points.nouns import Points
+from services.edge.points.outliers import inliers
+from services.edge.points.upright import estimate_up, level_up
+
+
+def to_points(capture: Capture, *, voxel: float | None = None, isolate: bool = False, tick: Tick = no_tick) -> Points:
+    """Clean, coloured points of a capture, in its frame and units.
+
+    voxel    distance between points in capture units; None: from the depth pixels' size, and a cloud is left as it is
+    isolate  keep only the thing in the middle: without what it stands on and what stands around it
+
+    Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too little survives, CAPTURE_NOTHING_LEFT where `isolate` finds no
+    thing. `tick` may raise `Cancelled`.
+    """
+    share = 0.9 if isolate else 1.0
+    if capture.kind == "points":
+        points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
+        return isolate_object(points, tick=tick) if isolate else points
+    fused = fuse(capture.frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
+    points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+    return isolate_object(points, aim=fused.aim, cameras=fused.cameras, tick=tick) if isolate else points
+
+
+def _rgbd_points(capture: Capture, fused: Fused, tick: Tick) -> Points:
+    keep = inliers(fused.xyz - fused.cameras[0], tick)
+    if keep.sum() < MIN_POINTS:
+        raise CaptureError(
+            "CAPTURE_TOO_FEW_POINTS",
+            f"{int(keep.sum())} of {len(keep)} fused points are consistent; at least {MIN_POINTS} are needed",
+            hints=("Move slowly, in good light, and keep the thing in view.",),
+        )
+    xyz = fused.xyz[keep]
+    poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in capture.frames])
+    return Points(
+        xyz=xyz,
+        rgb=None if fused.rgb is None else fused.rgb[keep],
+        confidence=fused.confidence[keep],
+        metres_per_unit=capture.metres_per_unit,
+        scale_confidence=capture.scale_confidence,
+        up=estimate_up(poses, xyz) if capture.up is None else level_up(capture.up, xyz),
+        warnings=capture.warnings + fused.warnings,
+    )

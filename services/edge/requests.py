@@ -1,0 +1,66 @@
+"""What a caller asks of the worker, checked on entry; and how the worker says no."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import grpc
+
+from services.edge.api import edge_pb2 as pb
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
+"""Job ids and asset keys: they become object names and log lines, so nothing that a path or a shell could read."""
+
+_LINE = re.compile(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]*")
+"""No control characters and no line ends; joiners stay, which emoji and Persian are written with."""
+
+LABEL_MAX_CHARS = 200
+"""A label is a caption in a headset; more would not be read."""
+
+
+class RefusedError(Exception):
+    """A call that is answered with a status: `details` reads "CODE: sentence"."""
+
+    def __init__(self, status: grpc.StatusCode, code: str, message: str) -> None:
+        super().__init__(f"{code}: {message}")
+        self.status = status
+        self.details = f"{code}: {message}"
+
+
+def invalid(code: str, message: str) -> RefusedError:
+    """The caller's own mistake: asking again will not help."""
+    return RefusedError(grpc.StatusCode.INVALID_ARGUMENT, code, message)
+
+
+@dataclass(frozen=True, slots=True)
+class JobRequest:
+    """A valid header: the fields of the wire's `Header`, with `preset` and `label` filled in."""
+
+    job: str
+    fence: int
+    preset: str
+    asset_key: str
+    target: str
+    isolate: bool
+    label: str
+
+    @classmethod
+    def of(cls, header: pb.Header, presets: tuple[str, ...]) -> JobRequest:
+        """Raises RefusedError (INVALID_ARGUMENT) naming the field; the first of `presets` is the default."""
+        _require_name("JOB_INVALID", "job", header.job)
+        _require_name("KEY_INVALID", "asset_key", header.asset_key)
+        if header.target:
+            _require_name("TARGET_INVALID", "target", header.target)
+        if len(header.label) > LABEL_MAX_CHARS or not _LINE.fullmatch(header.label):
+            raise invalid("LABEL_INVALID", f"label must be one line of at most {LABEL_MAX_CHARS} characters")
+        preset = header.preset or presets[0]
+        if preset not in presets:
+            raise invalid("PRESET_UNKNOWN", f"there is no such preset; known are {', '.join(presets)}")
+        label = header.label or header.asset_key
+        return cls(header.job, header.fence, preset, header.asset_key, header.target, header.isolate, label)
+
+
+def _require_name(code: str, field: str, value: str) -> None:
+    if not _NAME.fullmatch(value):
+        raise invalid(code, f"{field} must be 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")

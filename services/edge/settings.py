@@ -1,0 +1,36 @@
+"""The edge worker's settings: `EDGE_*` variables, read once by the entry point."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import SettingsConfigDict
+
+from services.strict_settings import StrictSettings
+
+
+class EdgeSettings(StrictSettings):
+    """Where a worker listens, how much it takes on, and where it may write."""
+
+    model_config = SettingsConfigDict(env_prefix="EDGE_")
+
+    host: str = Field("127.0.0.1", min_length=1, description="Address to listen on; there are no access keys yet.")
+    port: int = Field(50051, ge=0, le=65535, description="0 takes any free port and logs which.")
+    slots: int = Field(1, ge=1, le=64, description="Jobs computed at once.")
+    queue: int = Field(8, ge=0, le=1000, description="Jobs waiting for a slot; one more is RESOURCE_EXHAUSTED.")
+    scratch: Path = Field(
+        Path(tempfile.gettempdir(), "capture2vr-edge"),
+        description="Folder of uploads and unpacked captures; several workers may share one.",
+    )
+    device: str = Field("cpu", min_length=1, description="What GetWorker reports and fields are trained on.")
+    reflection: bool = Field(False, description="Answer gRPC reflection (grpcurl); for development.")
+    log_level: str = Field("INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$", description="How much is logged, as JSON lines.")
+    drain_s: float = Field(30.0, ge=0, le=3600, description="Seconds that running jobs get after SIGTERM.")
+    max_capture_bytes: int = Field(4 << 30, ge=1, description="Largest capture archive taken, in bytes.")
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can reach the worker."""
+        return self.host in {"127.0.0.1", "::1", "localhost"}

@@ -1,0 +1,144 @@
+"""The gateway: HTTP in, gRPC out. `create_app` builds it, `serve` runs it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+import sys
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+
+import uvicorn
+from fastapi import FastAPI
+from starlette.middleware.cors import CORSMiddleware
+
+import services
+from services.gateway import errors
+from services.gateway.edge import EdgePool
+from services.gateway.instance import FolderInUse, instance
+from services.gateway.jobs.conductor import Means
+from services.gateway.jobs.desk import Desk
+from services.gateway.jobs.dispatcher import Dispatcher
+from services.gateway.jobs.store import JobStore
+from services.gateway.jobs.tables import open_engine
+from services.gateway.jobs.transitions import Retry
+from services.logs import configure
+from services.gateway.metrics import Metrics
+from services.gateway.middleware import Around
+from services.gateway.routes import assets, captures, health, jobs, pages
+from services.gateway.settings import GatewaySettings
+from services.storage.store import Store
+
+# Threads that hash and clean uploads hold the interpreter for this long at a time (5 ms by default), each before the event
+# loop has its turn: with 32 phones uploading, that is what everybody else waits for.
+_SWITCH_S = 0.0005
+_GRACE_S = 5  # that answers under way get when the gateway is told to stop
+
+_log = logging.getLogger(__name__)
+
+
+def create_app(settings: GatewaySettings, store: Store) -> FastAPI:
+    """The app; its database, its dispatcher and its connections live from startup to shutdown.
+
+    Routes find what they need in `app.state`: settings, store, edge, metrics, desk, dispatcher.
+    """
+    app = FastAPI(
+        title="capture2vr",
+        version=services.__version__,
+        summary="Captures in, assets for VR out.",
+        lifespan=_lifespan,
+        docs_url=None,  # its page loads scripts from elsewhere; the document itself is at /openapi.json
+        redoc_url=None,
+    )
+    metrics = Metrics()
+    app.state.settings = settings
+    app.state.store = store
+    app.state.metrics = metrics
+    app.state.edge = EdgePool(settings.workers, silence_s=settings.silence_s, job_timeout_s=settings.job_timeout_s)
+    errors.install(app)
+    for routes in (captures, jobs, assets, health, pages):
+        app.include_router(routes.router)
+    app.mount("/web", pages.Web(directory=pages.WEB), name="web")
+    if settings.cors_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.cors_origins,
+            allow_methods=["GET", "POST"],
+            allow_headers=["Content-Type", "Idempotency-Key", "Last-Event-ID"],
+            expose_headers=["ETag", "Location", "X-Request-ID"],
+        )
+    app.add_middleware(Around, metrics=metrics, max_upload_bytes=settings.max_upload_bytes)
+    return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    settings: GatewaySettings = app.state.settings
+    edge: EdgePool = app.state.edge
+    async with AsyncExitStack() as stack:
+        holder = stack.enter_context(instance(settings.data_dir))
+        engine = open_engine(settings.database)
+        stack.callback(engine.dispose)
+        desk = Desk(JobStore(engine))
+        stack.callback(desk.close)
+        stack.push_async_callback(edge.close)
+        means = Means(
+            desk=desk,
+            edge=edge,
+            store=app.state.store,
+            retry=Retry(settings.max_attempts, settings.retry_s),
+            attach_for_s=settings.attach_for_s,
+            ended=app.state.metrics.ended,
+        )
+        app.state.desk = desk
+        app.state.dispatcher = Dispatcher(means, holder=holder, lease_s=settings.lease_s)
+        for background in (app.state.dispatcher.run(), desk.follow_others()):
+            task = asyncio.create_task(background)
+            task.add_done_callback(_report_death)
+            stack.push_async_callback(_stop, task)
+        yield
+
+
+async def _stop(task: asyncio.Task[None]) -> None:
+    task.cancel()
+    with suppress(asyncio.CancelledError):
+        await task
+
+
+def _report_death(task: asyncio.Task[None]) -> None:
+    """Background tasks end only when they are told to; anything else must be seen."""
+    if not task.cancelled() and (error := task.exception()):
+        _log.critical("a background task of the gateway died", exc_info=error)
+
+
+def serve(settings: GatewaySettings, store: Store) -> int:
+    """Serve until SIGTERM or SIGINT; the process's exit status: 0, or 1 when it could not start."""
+    configure(settings.log_level)
+    sys.setswitchinterval(_SWITCH_S)
+    try:
+        with instance(settings.data_dir):
+            listening = socket.create_server((settings.host, settings.port))
+    except (FolderInUse, OSError) as error:
+        _log.error("cannot start: %s", error)
+        return 1
+    with listening:
+        _announce(settings, listening.getsockname()[1])
+        config = uvicorn.Config(
+            create_app(settings, store),
+            log_config=None,
+            access_log=False,
+            timeout_graceful_shutdown=_GRACE_S,
+            server_header=False,
+        )
+        server = uvicorn.Server(config)
+        server.run(sockets=[listening])
+    return 0 if server.started else 1
+
+
+def _announce(settings: GatewaySettings, port: int) -> None:
+    _log.info("settings: %s", json.dumps(settings.describe()))
+    _log.info("listening on http://%s:%d", settings.host, port)
+    if settings.is_public:
+        _log.warning("GATEWAY_HOST=%s: there are no access keys, so whoever reaches this may use it", settings.host)

@@ -1,0 +1,61 @@
+"""Between rows and nouns."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from typing import Any
+
+import sqlalchemy as sa
+
+from services.gateway.jobs.job import Event, Job, Lease, Order, State
+from services.gateway.jobs.tables import events, jobs, leases
+
+WHOLE_JOB = sa.select(jobs, *[column.label(f"lease_{column.name}") for column in leases.c]).join(leases)
+"""Select of everything a Job needs."""
+
+_LEASE_FIELDS = tuple(field.name for field in fields(Lease))
+
+
+def job_of(row: sa.Row[Any]) -> Job:
+    """A row of WHOLE_JOB as a Job."""
+    values = dict(row._mapping)
+    lease = {name: values.pop(f"lease_{name}") for name in _LEASE_FIELDS}
+    del values["lease_job"]
+    return Job(
+        **{
+            **values,
+            "order": Order(**values["order"]),
+            "state": State(values["state"]),
+            "warnings": tuple(values["warnings"]),
+            "lease": Lease(**lease),
+        }
+    )
+
+
+def job_values(job: Job) -> dict[str, Any]:
+    """The row of `jobs`."""
+    values = {column.name: getattr(job, column.name) for column in jobs.c}
+    return {
+        **values,
+        "order": asdict(job.order),
+        "state": job.state.value,
+        "warnings": list(job.warnings),
+        "preview": job.preview if job.preview is not None else sa.null(),
+        "asset": job.asset if job.asset is not None else sa.null(),
+        "error": job.error if job.error is not None else sa.null(),
+    }
+
+
+def lease_values(job: Job) -> dict[str, Any]:
+    """The row of `leases`."""
+    return {"job": job.id, **asdict(job.lease)}
+
+
+def event_of(row: sa.Row[Any]) -> Event:
+    """A row of `events` as an Event."""
+    return Event(row.job, row.seq, row.kind, row.at, row.data)
+
+
+def event_values(event: Event) -> dict[str, Any]:
+    """The row of `events`."""
+    return {column.name: getattr(event, column.name) for column in events.c if column.name != "id"}

@@ -1,0 +1,29 @@
+"""A stored capture as a stream: a few megabytes in memory, whatever the capture's size."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+from services.storage.store import Store
+
+_READ_BYTES = 4 << 20  # one request to an S3 server; its latency is then small beside the transfer
+
+
+def capture_name(capture: str) -> str:
+    """Object name of a capture's archive."""
+    return f"captures/{capture}.zip"
+
+
+async def capture_bytes(store: Store, capture: str) -> int:
+    """Size of a capture's archive. Raises FileNotFoundError, ValueError for an impossible id, OSError."""
+    return (await asyncio.to_thread(store.head, capture_name(capture))).size
+
+
+async def capture_chunks(store: Store, capture: str, size: int, chunk_bytes: int) -> AsyncIterator[bytes]:
+    """The archive in pieces of at most `chunk_bytes`. Raises OSError."""
+    name = capture_name(capture)
+    for start in range(0, size, _READ_BYTES):
+        block = await asyncio.to_thread(store.get, name, start=start, length=_READ_BYTES)
+        for offset in range(0, len(block), chunk_bytes):
+            yield block[offset : offset + chunk_bytes]

@@ -1,0 +1,100 @@
+"""The tables, and an engine that keeps what it has committed through a power cut.
+
+SQLite by default: write-ahead log, so that readers never wait for the writer; every commit synced; writers take the
+lock when they begin, because a transaction that reads first and then wants to write fails at once instead of waiting.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.engine import Connection, Engine
+
+metadata = sa.MetaData()
+
+jobs = sa.Table(
+    "jobs",
+    metadata,
+    # Ids begin with the time of creation, so their order is the order of the queue and of every listing.
+    sa.Column("id", sa.String(64), primary_key=True),
+    sa.Column("order", sa.JSON, nullable=False),
+    sa.Column("state", sa.String(16), nullable=False, index=True),
+    sa.Column("stage", sa.String(32), nullable=False),
+    sa.Column("fraction", sa.Double, nullable=False),
+    sa.Column("elapsed_s", sa.Double, nullable=False),
+    sa.Column("eta_s", sa.Double, nullable=False),
+    sa.Column("preview", sa.JSON),
+    sa.Column("asset", sa.JSON),
+    sa.Column("error", sa.JSON),
+    sa.Column("warnings", sa.JSON, nullable=False),
+    sa.Column("seconds", sa.JSON, nullable=False),
+    sa.Column("last_event", sa.Integer, nullable=False),
+    sa.Column("created", sa.Double, nullable=False),
+    sa.Column("updated", sa.Double, nullable=False),
+)
+
+leases = sa.Table(
+    "leases",
+    metadata,
+    sa.Column("job", sa.ForeignKey("jobs.id"), primary_key=True),
+    sa.Column("holder", sa.String(64), nullable=False),
+    sa.Column("worker", sa.String(255), nullable=False),
+    sa.Column("fence", sa.BigInteger, nullable=False),
+    sa.Column("attempts", sa.Integer, nullable=False),
+    sa.Column("until", sa.Double, nullable=False),
+    sa.Column("not_before", sa.Double, nullable=False),
+    sa.Column("run_seq", sa.BigInteger, nullable=False),
+    sa.Column("cancel", sa.Boolean, nullable=False),
+)
+
+events = sa.Table(
+    "events",
+    metadata,
+    # One number line over all jobs: a process learns what others wrote by asking for what is beyond the last it saw.
+    sa.Column("id", sa.Integer, primary_key=True, autoincrement=True),
+    sa.Column("job", sa.ForeignKey("jobs.id"), nullable=False),
+    sa.Column("seq", sa.Integer, nullable=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("at", sa.Double, nullable=False),
+    sa.Column("data", sa.JSON, nullable=False),
+    sa.UniqueConstraint("job", "seq"),
+)
+
+idempotency = sa.Table(
+    "idempotency_keys",
+    metadata,
+    sa.Column("key", sa.String(255), primary_key=True),
+    sa.Column("body_sha256", sa.String(64), nullable=False),
+    sa.Column("job", sa.ForeignKey("jobs.id"), nullable=False),
+)
+
+_BUSY_MS = 10_000  # another process may hold the lock for a synced commit; 10 s of them is a fault
+
+
+def open_engine(url: str) -> Engine:
+    """An engine with every table present. Raises sqlalchemy.exc.SQLAlchemyError when the database cannot be used."""
+    engine = sa.create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
+    if engine.dialect.name == "sqlite":
+        sa.event.listen(engine, "connect", _prepare)
+        sa.event.listen(engine, "begin", _begin)
+    metadata.create_all(engine)
+    return engine
+
+
+def for_writing(engine: Engine) -> Engine:
+    """The same engine, whose transactions take SQLite's write lock when they begin."""
+    return engine.execution_options(writes=True)
+
+
+def _prepare(connection: Any, _: Any) -> None:
+    connection.isolation_level = None  # the driver must not begin transactions behind our back
+    cursor = connection.cursor()
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={_BUSY_MS}"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin(connection: Connection) -> None:
+    writes = connection.get_execution_options().get("writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,0 +1,69 @@
+"""What Prometheus is told. One registry per app, so that two apps in one process do not count together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+from services.gateway.jobs.job import Job, State
+
+_REQUEST_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 120)
+_JOB_S = (1, 2, 5, 10, 20, 40, 60, 120, 300, 600, 1800, 3600, 21600)
+_LAG_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 30)
+
+
+class Metrics:
+    """The gateway's counters."""
+
+    def __init__(self) -> None:
+        self._registry = CollectorRegistry()
+        registry = self._registry
+        self._requests = Counter(
+            "capture2vr_http_requests", "Answers by route and status", ["method", "route", "status"], registry=registry
+        )
+        self._request_s = Histogram(
+            "capture2vr_http_request_seconds",
+            "Time to the end of the answer; event streams not counted",
+            ["route"],
+            buckets=_REQUEST_S,
+            registry=registry,
+        )
+        self._upload_bytes = Counter("capture2vr_upload_bytes", "Bytes of request bodies received", registry=registry)
+        self._jobs = Gauge("capture2vr_jobs", "Jobs by state", ["state"], registry=registry)
+        self._queue = Gauge("capture2vr_queue_depth", "Jobs that wait for a worker", registry=registry)
+        self._job_s = Histogram(
+            "capture2vr_job_seconds", "Acceptance to end", ["state"], buckets=_JOB_S, registry=registry
+        )
+        self._stage_s = Histogram(
+            "capture2vr_stage_seconds", "By stage of jobs that succeeded", ["stage"], buckets=_JOB_S, registry=registry
+        )
+        self._lag_s = Histogram(
+            "capture2vr_event_lag_seconds", "Event written to event sent", buckets=_LAG_S, registry=registry
+        )
+        self._listeners = Gauge("capture2vr_event_listeners", "Open event streams", registry=registry)
+
+    def answered(self, method: str, route: str, status: int, seconds: float, received: int, streamed: bool) -> None:
+        """One answer is complete; `received` bytes of body came with its request."""
+        self._requests.labels(method, route, str(status)).inc()
+        self._upload_bytes.inc(received)
+        if not streamed:
+            self._request_s.labels(route).observe(seconds)
+
+    def ended(self, job: Job) -> None:
+        """A job has ended."""
+        self._job_s.labels(job.state.value).observe(job.elapsed_s)
+        for stage, seconds in job.seconds.items():
+            self._stage_s.labels(stage).observe(seconds)
+
+    def sent(self, lag_s: float) -> None:
+        """A live event went out so long after it was written."""
+        self._lag_s.observe(max(0.0, lag_s))
+
+    def page(self, counts: Mapping[State, int], listeners: int) -> bytes:
+        """The text that Prometheus reads."""
+        for state, count in counts.items():
+            self._jobs.labels(state.value).set(count)
+        self._queue.set(counts.get(State.QUEUED, 0))
+        self._listeners.set(listeners)
+        return generate_latest(self._registry)

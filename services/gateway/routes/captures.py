@@ -1,0 +1,102 @@
+"""/v1/captures: what phones upload. The body is read by hand, as it comes, so the schema is told by hand too."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, ConfigDict
+
+from services.gateway.schemas import problems
+from services.gateway.uploads.accept import Uploads
+
+router = APIRouter(prefix="/v1", tags=["captures"])
+
+
+class FileVerdict(BaseModel):
+    """What became of one file: "ok", or why it was left out; bytes and sha256 as stored; stripped: what was removed."""
+
+    file: str
+    bytes: int
+    sha256: str
+    verdict: str
+    stripped: list[str]
+
+
+class CaptureView(BaseModel):
+    """A stored capture. `inspected` tells whether a worker has read it; otherwise kind and format are not known yet."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "capture": "cap_019b2f7c8a3e5b2d4c681f0a9b8c",
+                "name": "Dress",
+                "created": "2026-01-01T00:00:00Z",
+                "bytes": 123456,
+                "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+                "inspected": True,
+                "kind": "rgbd",
+                "format": "tum",
+                "frames": 5,
+                "points": 0,
+                "warnings": [],
+                "files": [
+                    {"file": "a.jpg", "bytes": 123, "sha256": "…", "verdict": "ok", "stripped": ["GPSInfo"]},
+                ],
+            }
+        }
+    )
+
+    capture: str
+    name: str
+    created: str
+    bytes: int
+    sha256: str
+    inspected: bool
+    kind: str
+    format: str
+    frames: int
+    points: int
+    warnings: list[str]
+    files: list[FileVerdict]
+
+
+_FORM = {
+    "type": "object",
+    "properties": {
+        "files": {"type": "array", "items": {"type": "string", "format": "binary"}},
+        "name": {"type": "string", "maxLength": 200},
+    },
+    "required": ["files"],
+}
+_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {"schema": _FORM},
+            "application/zip": {"schema": {"type": "string", "format": "binary"}},
+        },
+    }
+}
+
+
+@router.post(
+    "/captures",
+    status_code=201,
+    response_model=CaptureView,
+    responses=problems(400, 408, 413, 415, 422, 503, 507),
+    openapi_extra=_BODY,
+)
+async def upload(request: Request) -> CaptureView:
+    """Upload a capture: photos, a film, a point cloud, or the export of a scanner app, as files or as one zip.
+
+    Every file is checked; places, serial numbers and names are removed. It is on the store before this answers.
+    """
+    return CaptureView.model_validate(await _uploads(request).accept(request))
+
+
+def _uploads(request: Request) -> Uploads:
+    """One for the app, made at the first upload: its limits belong to the running event loop."""
+    state = request.app.state
+    if not hasattr(state, "uploads"):
+        state.uploads = Uploads(state.settings, state.store, state.edge)
+    uploads: Uploads = state.uploads
+    return uploads

@@ -1,0 +1,89 @@
+"""The capture page, the viewer, and the modules that they are made of."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from fastapi import APIRouter, Request, Response
+from fastapi.staticfiles import StaticFiles
+from starlette.types import Scope
+
+from services.gateway.errors import Problem
+from services.gateway.schemas import problems
+from services.storage.catalogue import valid_key
+from services.storage.store import Store
+
+router = APIRouter(tags=["pages"])
+
+WEB = Path(__file__).parents[1] / "web"
+
+_INLINE_SCRIPT = re.compile(r"<script(?![^>]*\bsrc=)[^>]*>(.*?)</script>", re.DOTALL)
+_VERSIONED = re.compile(r"-\d+\.\d+\.\d+\.")  # "three-0.187.0.module.js" will always be that
+_FOREVER = "public, max-age=31536000, immutable"
+_HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
+
+
+@router.get("/", response_class=Response, responses=_HTML)
+async def capture_page(request: Request) -> Response:
+    """Where a phone makes its capture."""
+    return _page("index.html", request.app.state.store)
+
+
+@router.get("/view/{key}", response_class=Response, responses={**_HTML, **problems(404)})
+async def viewer(key: str, request: Request) -> Response:
+    """Where an asset is looked at, on a screen or in a headset."""
+    if not valid_key(key):
+        raise Problem(404, "KEY_INVALID", "that is no asset key", hints=("check the address",))
+    return _page("view.html", request.app.state.store)
+
+
+class Web(StaticFiles):
+    """The modules: those with a version in their name are kept for ever, the others are asked for every time."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        response = await super().get_response(path, scope)
+        response.headers["Cache-Control"] = _FOREVER if _VERSIONED.search(path) else "no-cache"
+        if Path(path).name == "sw.js":
+            response.headers["Service-Worker-Allowed"] = "/"  # it serves the pages, which are above /web/
+        return response
+
+
+def _page(name: str, store: Store) -> Response:
+    html = (WEB / name).read_text(encoding="utf-8")
+    headers = {"Cache-Control": "no-cache", "Content-Security-Policy": _policy(html, _origin(store))}
+    return Response(html, media_type="text/html", headers=headers)
+
+
+def _policy(html: str, assets: str) -> str:
+    """Only what is ours runs; assets may come from the CDN's origin. Inline scripts (import maps) are named by hash."""
+    inline = " ".join(f"'sha256-{_digest(script)}'" for script in _INLINE_SCRIPT.findall(html))
+    return "; ".join(
+        part.strip()
+        for part in (
+            "default-src 'none'",
+            f"script-src 'self' 'wasm-unsafe-eval' {inline}",  # mesh decoders are WebAssembly
+            "worker-src 'self' blob:",
+            "style-src 'self' 'unsafe-inline'",
+            f"img-src 'self' data: blob: {assets}",
+            f"connect-src 'self' data: blob: {assets}",
+            "manifest-src 'self'",
+            "base-uri 'none'",
+            "form-action 'self'",
+            "frame-ancestors 'none'",
+        )
+    )
+
+
+def _digest(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def _origin(store: Store) -> str:
+    """Scheme and host of the CDN; "" where this gateway serves the assets itself."""
+    parts = urlsplit(store.url("assets/x"))
+    return f"{parts.scheme}://{parts.netloc}" if parts.netloc else ""

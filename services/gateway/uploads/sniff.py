@@ -1,0 +1,77 @@
+"""What a file is, from its first bytes; its name only decides where bytes cannot."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import PurePosixPath
+
+HEAD_BYTES = 64  # enough for every magic number here
+
+
+class Kind(Enum):
+    """What an upload may consist of. `DATA` is read by the worker; `UNKNOWN` is nothing that a capture has."""
+
+    JPEG = "jpeg"
+    PNG = "png"
+    WEBP = "webp"
+    TIFF = "tiff"
+    HEIF = "heif"
+    EXR = "exr"
+    VIDEO = "video"
+    ARCHIVE = "archive"
+    DATA = "data"
+    UNKNOWN = "unknown"
+
+
+IMAGES = {Kind.JPEG, Kind.PNG, Kind.WEBP, Kind.TIFF, Kind.HEIF, Kind.EXR}
+
+_MAGIC = (
+    (b"\xff\xd8\xff", Kind.JPEG),
+    (b"\x89PNG\r\n\x1a\n", Kind.PNG),
+    (b"II*\0", Kind.TIFF),
+    (b"MM\0*", Kind.TIFF),
+    (b"v/1\x01", Kind.EXR),
+    (b"PK\x03\x04", Kind.ARCHIVE),
+    (b"PK\x05\x06", Kind.ARCHIVE),
+    (b"\x1f\x8b\x08", Kind.ARCHIVE),
+    (b"7z\xbc\xaf\x27\x1c", Kind.ARCHIVE),
+    (b"Rar!\x1a\x07", Kind.ARCHIVE),
+    (b"\xfd7zXZ\x00", Kind.ARCHIVE),
+    (b"BZh91AY&SY", Kind.ARCHIVE),
+    (b"\x28\xb5\x2f\xfd", Kind.ARCHIVE),
+)
+_HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif", b"avis"}
+_OLD_MOVIE = {b"moov", b"mdat", b"wide", b"free", b"skip"}  # QuickTime before it had `ftyp`
+_IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".exr"}
+_VIDEO_SUFFIXES = {".mp4", ".mov", ".m4v"}
+# Clouds and meshes; Record3D's depth and confidence; Android's DEPTH16 and glTF's buffers; arrays; poses, intrinsics.
+_DATA_SUFFIXES = {".ply", ".pcd", ".xyz", ".pts", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf", ".mtl"}
+_DATA_SUFFIXES |= {".depth", ".conf", ".bin", ".npy", ".json", ".csv", ".txt", ".log", ".yaml", ".yml", ".xml", ".md"}
+
+
+def sniff(name: str, head: bytes) -> Kind:
+    """The kind of the file `name` (a path in the upload) that begins with `head`, HEAD_BYTES of it.
+
+    A picture's or film's name on other bytes gives that kind all the same: whoever reads it then says what is wrong.
+    """
+    for magic, kind in _MAGIC:
+        if head.startswith(magic):
+            return kind
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return Kind.WEBP
+    if head[4:8] == b"ftyp":
+        return Kind.HEIF if head[8:12] in _HEIF_BRANDS else Kind.VIDEO
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix in _VIDEO_SUFFIXES or (head[4:8] in _OLD_MOVIE and suffix not in _DATA_SUFFIXES):
+        return Kind.VIDEO
+    if suffix in _IMAGE_SUFFIXES:
+        return {".exr": Kind.EXR, ".png": Kind.PNG}.get(suffix, Kind.JPEG)
+    return Kind.DATA if suffix in _DATA_SUFFIXES or _is_text(head) else Kind.UNKNOWN
+
+
+def _is_text(head: bytes) -> bool:
+    """Text in UTF-8, cut anywhere, without control characters: `metadata`, LICENSE, a list of poses."""
+    text = head.decode("utf-8", errors="ignore")
+    return len(text.encode()) >= len(head) - 3 and all(
+        letter.isprintable() or letter in "\r\n\t\ufeff" for letter in text
+    )

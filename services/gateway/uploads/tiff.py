@@ -1,0 +1,81 @@
+"""TIFF 6.0: entries that name person or place leave their directories; strips of pixels stay where they are."""
+
+from __future__ import annotations
+
+import struct
+
+from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, unique
+from services.gateway.uploads.exif import BrokenExifError, byte_order, field_bytes, tag_name
+
+# Here what goes is listed: a TIFF's directory also says where its pixels are, in more ways than a list would cover.
+_REMOVED = {
+    0x010E,
+    0x013B,
+    0x013C,
+    0x02BC,
+    0x8298,
+    0x83BB,
+    0x8649,
+    0x8769,
+    0x8825,
+    0xA420,
+    0xA430,
+    0xA431,
+    0xA435,
+    0xC62F,
+}
+_REMOVED |= {0x9C9B, 0x9C9C, 0x9C9D, 0x9C9E, 0x9C9F, 0x927C, 0x9286}
+_DIRECTORIES = {0x8769, 0x8825}  # tags whose value is a directory of its own: Exif, GPS
+_MOST_PAGES = 64  # a loop of directories must end
+
+
+def clean(data: Buffer) -> Cleaned:
+    """Metadata in place. Raises UnreadableError where a directory leads nowhere."""
+    removed: list[str] = []
+    try:
+        order = byte_order(bytes(data[:4]))
+        offset = struct.unpack_from(order + "I", data, 4)[0]
+        for _ in range(_MOST_PAGES):
+            if offset == 0:
+                break
+            offset = _clean_directory(data, order, offset, removed)
+    except (struct.error, BrokenExifError) as error:
+        raise UnreadableError(f"the TIFF is damaged or cut short: {error}") from None
+    return Cleaned(unique(removed), len(data))
+
+
+def _clean_directory(data: Buffer, order: str, offset: int, removed: list[str]) -> int:
+    """Close the gaps that removed entries leave; the offset of the next directory."""
+    count = struct.unpack_from(order + "H", data, offset)[0]
+    end = offset + 2 + 12 * count
+    next_offset = int(struct.unpack_from(order + "I", data, end)[0])
+    kept = b""
+    for at in range(offset + 2, end, 12):
+        tag = struct.unpack_from(order + "H", data, at)[0]
+        if tag in _REMOVED:
+            removed.append(tag_name(tag))
+            _blank_value(data, order, at, nested=tag in _DIRECTORIES)
+        else:
+            kept += data[at : at + 12]
+    struct.pack_into(order + "H", data, offset, len(kept) // 12)
+    rest = kept + struct.pack(order + "I", next_offset)
+    data[offset + 2 : end + 4] = rest.ljust(end + 4 - offset - 2, b"\0")
+    return next_offset
+
+
+def _blank_value(data: Buffer, order: str, at: int, *, nested: bool) -> None:
+    _, kind, number, pointer = struct.unpack_from(order + "HHII", data, at)
+    size = field_bytes(kind, number)
+    if size > 4:
+        _blank_within(data, pointer, size)
+    elif nested:
+        count = struct.unpack_from(order + "H", data, pointer)[0]
+        for inner in range(pointer + 2, pointer + 2 + 12 * count, 12):
+            _blank_value(data, order, inner, nested=struct.unpack_from(order + "H", data, inner)[0] in _DIRECTORIES)
+        _blank_within(data, pointer, 2 + 12 * count)
+
+
+def _blank_within(data: Buffer, start: int, size: int) -> None:
+    if start + size > len(data):
+        raise UnreadableError("the TIFF is damaged: a value ends outside of the file")
+    blank(data, start, start + size)

@@ -1,0 +1,83 @@
+// The gateway's HTTP API, as both pages use it.
+
+/** A problem document (RFC 9457) as an exception: `message` is for people, `code` for programs. */
+export class Problem extends Error {
+  constructor(document) {
+    super(document.detail || document.title || 'Something went wrong.');
+    this.code = document.code || 'UNKNOWN';
+    this.file = document.file || '';
+    this.hints = document.hints || [];
+    this.status = document.status || 0;
+  }
+}
+
+const OFFLINE = { code: 'OFFLINE', detail: 'The server cannot be reached.', hints: ['Check the connection and try again.'] };
+
+/** Parse an answer's body, or throw it as a Problem. */
+function opened(status, text) {
+  let body = {};
+  try {
+    body = JSON.parse(text);
+  } catch {
+    body = { detail: `The server answered ${status}.` };
+  }
+  if (status >= 200 && status < 300) return body;
+  throw new Problem({ status, ...body });
+}
+
+export async function getJson(url) {
+  const answer = await fetch(url, { cache: 'no-cache' }).catch(() => {
+    throw new Problem(OFFLINE);
+  });
+  return opened(answer.status, await answer.text());
+}
+
+export async function postJson(url, body, headers = {}) {
+  const answer = await fetch(url, {
+    method: 'POST',
+    headers: { 'Content-Type': 'application/json', ...headers },
+    body: JSON.stringify(body),
+  }).catch(() => {
+    throw new Problem(OFFLINE);
+  });
+  return opened(answer.status, await answer.text());
+}
+
+/** Upload files as one capture. XMLHttpRequest, because fetch tells nothing of an upload's progress. */
+export function uploadCapture(files, name, onProgress) {
+  const form = new FormData();
+  form.append('name', name);
+  for (const file of files) form.append('files', file, file.webkitRelativePath || file.name);
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest();
+    request.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);
+    request.onload = () => {
+      try {
+        resolve(opened(request.status, request.responseText));
+      } catch (problem) {
+        reject(problem);
+      }
+    };
+    request.onerror = () => reject(new Problem(OFFLINE));
+    request.open('POST', '/v1/captures');
+    request.send(form);
+  });
+}
+
+/**
+ * Follow a job over server-sent events; the browser reconnects by itself and replays what was missed.
+ * `onEvent(type, data)` hears every event; returns a function that stops listening.
+ */
+export function followJob(id, onEvent) {
+  const source = new EventSource(`/v1/jobs/${id}/events`);
+  for (const type of ['progress', 'published', 'state']) {
+    source.addEventListener(type, (event) => onEvent(type, JSON.parse(event.data)));
+  }
+  return () => source.close();
+}
+
+/** "My grandmother's dress!" -> "My-grandmother-s-dress": the characters that an asset key may have. */
+export function keyFrom(name) {
+  const plain = name.normalize('NFKD').replace(/[\u0300-\u036f]/g, '');
+  return plain.replace(/[^A-Za-z0-9._-]+/g, '-').replace(/^[^A-Za-z0-9]+|[-._]+$/g, '').slice(0, 100);
+}

@@ -1,0 +1,246 @@
+"""A store in a folder: the embedded default. Several processes (gateway, workers) may share one root.
+
+Layout: `<root>/<object name>` holds the bytes and nothing else, so any file server can serve them. Beside it
+`.meta/<object name>` says what the bytes are, `.tmp/` holds puts under way and `.locks/` the locks of conditional puts.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import io
+import json
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from zlib import crc32
+
+from services.storage.bundle import content_type as type_by_name
+from services.storage.store import IMMUTABLE, NO_CACHE, ConditionFailed, Head, check_name
+
+_COPY_BYTES = 1 << 20  # per read while copying: fast enough for a disk, small for 32 uploads at once
+_LOCKS = 64  # lock files; two names that share one wait for each other a few ms
+_ABANDONED_S = 24 * 3600.0  # a put that has not ended after a day belongs to a process that died
+
+
+@dataclass(frozen=True, slots=True)
+class _Meta:
+    """What the sidecar says of the bytes. inode, size and mtime_ns tell whether it speaks of the file that is there."""
+
+    etag: str
+    content_type: str
+    cache_control: str
+    inode: int
+    size: int
+    mtime_ns: int
+
+    def describes(self, stat: os.stat_result) -> bool:
+        return (self.inode, self.size, self.mtime_ns) == (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+
+
+class LocalStore:
+    """Objects under `root`, served by the gateway below `base_url`."""
+
+    def __init__(self, root: Path, base_url: str = "/v1/files") -> None:
+        self.root = Path(root).resolve()
+        self._base_url = base_url.rstrip("/")
+        for folder in (".meta", ".tmp", ".locks"):
+            (self.root / folder).mkdir(parents=True, exist_ok=True)
+        self._remove_abandoned()
+
+    def put(
+        self,
+        name: str,
+        data: bytes | Path,
+        *,
+        content_type: str,
+        cache_control: str = IMMUTABLE,
+        if_match: str | None = None,
+        if_absent: bool = False,
+    ) -> Head:
+        path = self.path(name)
+        temporary = self.root / ".tmp" / uuid.uuid4().hex
+        try:
+            etag = _write_synced(temporary, data)
+            stat = temporary.stat()
+            meta = _Meta(etag, content_type, cache_control, stat.st_ino, stat.st_size, stat.st_mtime_ns)
+            with self._locked(name):
+                self._check(name, if_match, if_absent)
+                # A crash between the two renames leaves the new sidecar beside the old bytes: `_Meta.describes` sees
+                # that, and the etag is computed from the bytes. The other order would show new bytes with an old type.
+                self._write_meta(name, meta)
+                _make_folder(path.parent)
+                temporary.replace(path)
+                _sync_folder(path.parent)
+        finally:
+            temporary.unlink(missing_ok=True)
+        return _head(name, stat, meta)
+
+    def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
+        with self._open(name) as file:
+            file.seek(start)
+            return file.read() if length is None else file.read(length)
+
+    def fetch(self, name: str, path: Path) -> None:
+        with self._open(name) as source:
+            try:
+                with path.open("wb") as target:
+                    shutil.copyfileobj(source, target, _COPY_BYTES)
+            except BaseException:
+                path.unlink(missing_ok=True)
+                raise
+
+    def head(self, name: str) -> Head:
+        with self._open(name) as file:
+            stat = os.fstat(file.fileno())
+            meta = self._read_meta(name)
+            if meta is None or not meta.describes(stat):
+                meta = self._renewed(name, file, stat, meta)
+        return _head(name, stat, meta)
+
+    def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
+        names = sorted(name for name in self._names(prefix) if name.startswith(prefix) and name > after)
+        heads: list[Head] = []
+        for name in names:
+            if len(heads) == limit:
+                break
+            try:
+                head = self.head(name)
+            except FileNotFoundError:
+                continue  # deleted since the folder was read
+            heads.append(Head(head.name, head.size, head.etag, "", "", head.modified))
+        return heads
+
+    def delete(self, name: str) -> None:
+        path = self.path(name)
+        with self._locked(name):
+            path.unlink(missing_ok=True)
+            self._meta_path(name).unlink(missing_ok=True)
+
+    def url(self, name: str) -> str:
+        return f"{self._base_url}/{check_name(name)}"
+
+    def upload_url(self, name: str, *, expires_s: int) -> str:
+        raise io.UnsupportedOperation("a local store takes no direct uploads; post the capture to the gateway")
+
+    def path(self, name: str) -> Path:
+        """The file of an object, there or not: for whoever serves it. Raises ValueError for an impossible name."""
+        return self.root / check_name(name)
+
+    def _meta_path(self, name: str) -> Path:
+        return self.root / ".meta" / name
+
+    def _open(self, name: str) -> io.BufferedReader:
+        try:
+            return self.path(name).open("rb")
+        except (IsADirectoryError, NotADirectoryError, FileNotFoundError):
+            raise FileNotFoundError(name) from None
+
+    def _check(self, name: str, if_match: str | None, if_absent: bool) -> None:
+        if if_match is None and not if_absent:
+            return
+        try:
+            present: str | None = self.head(name).etag
+        except FileNotFoundError:
+            present = None
+        if if_absent and present is not None:
+            raise ConditionFailed(f"{name} exists")
+        if if_match is not None and present != if_match:
+            raise ConditionFailed(f"{name} has changed")
+
+    @contextmanager
+    def _locked(self, name: str) -> Iterator[None]:
+        """One writer of a name at a time, among threads and processes; a process that dies loses its lock."""
+        with (self.root / ".locks" / f"{crc32(name.encode()) % _LOCKS:02d}").open("ab") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def _read_meta(self, name: str) -> _Meta | None:
+        try:
+            return _Meta(**json.loads(self._meta_path(name).read_bytes()))
+        except (FileNotFoundError, NotADirectoryError, ValueError, TypeError):
+            return None  # lost or torn: the bytes are what counts
+
+    def _write_meta(self, name: str, meta: _Meta) -> None:
+        path = self._meta_path(name)
+        temporary = self.root / ".tmp" / uuid.uuid4().hex
+        fields = {field: getattr(meta, field) for field in meta.__slots__}
+        _write_synced(temporary, json.dumps(fields).encode())
+        _make_folder(path.parent)
+        temporary.replace(path)
+
+    def _renewed(self, name: str, file: io.BufferedReader, stat: os.stat_result, old: _Meta | None) -> _Meta:
+        """A sidecar for bytes that have none of their own: after a crash between two renames, or from a backup.
+
+        Written without the lock: if a put comes between, the next head finds a mismatch and renews once more.
+        """
+        etag = hashlib.file_digest(file, "sha256").hexdigest()
+        kind = (old.content_type, old.cache_control) if old else (type_by_name(name), NO_CACHE)
+        meta = _Meta(etag, *kind, stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        with suppress(OSError):  # a folder that may only be read
+            self._write_meta(name, meta)
+        return meta
+
+    def _names(self, prefix: str) -> Iterator[str]:
+        """Names that may begin with `prefix`: only its deepest whole folder is walked."""
+        top = prefix.rpartition("/")[0]
+        try:
+            start = self.path(top) if top else self.root
+        except ValueError:
+            return  # no object has such a name
+        for folder, folders, files in os.walk(start):
+            folders[:] = [each for each in folders if not each.startswith(".")]
+            relative = Path(folder).relative_to(self.root)
+            yield from ((relative / file).as_posix() for file in files if not file.startswith("."))
+
+    def _remove_abandoned(self) -> None:
+        for file in (self.root / ".tmp").iterdir():
+            try:
+                if time.time() - file.stat().st_mtime > _ABANDONED_S:
+                    file.unlink()
+            except FileNotFoundError:
+                continue  # another process was faster
+
+
+def _head(name: str, stat: os.stat_result, meta: _Meta) -> Head:
+    modified = datetime.fromtimestamp(stat.st_mtime, UTC)
+    return Head(name, stat.st_size, meta.etag, meta.content_type, meta.cache_control, modified)
+
+
+def _write_synced(path: Path, data: bytes | Path) -> str:
+    """Write and fsync; the sha256 of the bytes in hex."""
+    digest = hashlib.sha256()
+    with path.open("xb") as target, _opened(data) as source:
+        while block := source.read(_COPY_BYTES):
+            digest.update(block)
+            target.write(block)
+        target.flush()
+        os.fsync(target.fileno())
+    return digest.hexdigest()
+
+
+def _opened(data: bytes | Path) -> io.BufferedIOBase:
+    return data.open("rb") if isinstance(data, Path) else io.BytesIO(data)
+
+
+def _make_folder(folder: Path) -> None:
+    """Create a folder so that it survives a power cut: every new one is synced into its parent."""
+    if folder.is_dir():
+        return
+    _make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    _sync_folder(folder.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,235 @@
+"""A store on any S3-compatible service: AWS, MinIO, Ceph's RADOS Gateway, R2, ..."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import boto3
+from boto3.s3.transfer import TransferConfig
+from botocore.config import Config
+from botocore.exceptions import BotoCoreError, ClientError, HTTPClientError
+from botocore.exceptions import ConnectionError as BotoConnectionError
+
+from services.storage.store import IMMUTABLE, ConditionFailed, Head, check_name
+
+_MULTIPART_BYTES = 16 << 20  # below, one request is faster; S3's smallest part is 5 MiB
+_TRANSFER = TransferConfig(
+    multipart_threshold=_MULTIPART_BYTES, multipart_chunksize=_MULTIPART_BYTES, max_concurrency=4
+)
+_CONNECT_S, _READ_S = 5.0, 60.0  # a healthy endpoint accepts in ms; a slow one may think for seconds before an answer
+_ATTEMPTS = 5  # boto's standard mode: exponential back-off with jitter, up to 20 s each
+_CONNECTIONS = 32  # as many uploads as the gateway promises at once
+_LIST_LIMIT = 1000  # S3 answers no more in one page
+
+
+class S3Store:
+    """Objects of one bucket, addressed path-style (no wildcard DNS needed).
+
+    endpoint         where this process reaches the service; "" for AWS
+    public_endpoint  where clients reach it; presigned URLs are signed for this host. Default: endpoint
+    base_url         where clients read objects, e.g. a CDN in front of the bucket. Default: public_endpoint/bucket
+    """
+
+    def __init__(
+        self,
+        *,
+        bucket: str,
+        access_key: str = "",
+        secret_key: str = "",
+        endpoint: str = "",
+        public_endpoint: str = "",
+        region: str = "us-east-1",
+        base_url: str = "",
+    ) -> None:
+        self._bucket = bucket
+        self._client = _client(endpoint, access_key, secret_key, region)
+        public = public_endpoint or endpoint
+        self._public_client = _client(public, access_key, secret_key, region) if public != endpoint else self._client
+        home = public.rstrip("/") or f"https://s3.{region}.amazonaws.com"
+        self._base_url = base_url.rstrip("/") or f"{home}/{bucket}"
+
+    def create_bucket(self) -> None:
+        """Make the bucket unless it is there: for first starts and tests."""
+        with _translated(self._bucket):
+            try:
+                self._client.head_bucket(Bucket=self._bucket)
+            except ClientError as error:
+                if _status(error) != 404:
+                    raise
+                self._client.create_bucket(Bucket=self._bucket)
+
+    def set_policy(self, policy: str) -> None:
+        """Replace the bucket's policy (JSON): who may read what without credentials."""
+        with _translated(self._bucket):
+            self._client.put_bucket_policy(Bucket=self._bucket, Policy=policy)
+
+    def put(
+        self,
+        name: str,
+        data: bytes | Path,
+        *,
+        content_type: str,
+        cache_control: str = IMMUTABLE,
+        if_match: str | None = None,
+        if_absent: bool = False,
+    ) -> Head:
+        what = {"ContentType": content_type, "CacheControl": cache_control}
+        size = data.stat().st_size if isinstance(data, Path) else len(data)
+        condition = _condition(if_match, if_absent)
+        with _translated(check_name(name)):
+            if isinstance(data, Path) and size > _MULTIPART_BYTES and not condition:
+                self._client.upload_file(str(data), self._bucket, name, ExtraArgs=what, Config=_TRANSFER)
+                return self.head(name)
+            answer = self._put_object(name, data, what | condition)
+        date = answer["ResponseMetadata"]["HTTPHeaders"].get("date")
+        modified = parsedate_to_datetime(date) if date else datetime.now(UTC)
+        return Head(name, size, _bare(answer["ETag"]), content_type, cache_control, modified)
+
+    def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
+        if length == 0:
+            self.head(name)
+            return b""
+        wanted = {"Range": f"bytes={start}-{'' if length is None else start + length - 1}"} if start or length else {}
+        with _translated(check_name(name)):
+            try:
+                body: bytes = self._client.get_object(Bucket=self._bucket, Key=name, **wanted)["Body"].read()
+            except ClientError as error:
+                if _status(error) == 416:  # begins behind the end
+                    return b""
+                raise
+        return body
+
+    def fetch(self, name: str, path: Path) -> None:
+        """Parts arrive in parallel in a neighbour file, which takes the name when it is whole."""
+        partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+        try:
+            with _translated(check_name(name)):
+                self._client.download_file(self._bucket, name, str(partial), Config=_TRANSFER)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def head(self, name: str) -> Head:
+        with _translated(check_name(name)):
+            answer = self._client.head_object(Bucket=self._bucket, Key=name)
+        return Head(
+            name,
+            answer["ContentLength"],
+            _bare(answer["ETag"]),
+            answer.get("ContentType", ""),
+            answer.get("CacheControl", ""),
+            answer["LastModified"],
+        )
+
+    def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
+        heads: list[Head] = []
+        while len(heads) < limit:
+            page = min(limit - len(heads), _LIST_LIMIT)
+            with _translated(self._bucket):
+                answer = self._client.list_objects_v2(
+                    Bucket=self._bucket, Prefix=prefix, StartAfter=after, MaxKeys=page
+                )
+            found = [
+                Head(each["Key"], each["Size"], _bare(each["ETag"]), "", "", each["LastModified"])
+                for each in answer.get("Contents", ())
+            ]
+            heads += found
+            if not answer["IsTruncated"] or not found:
+                break
+            after = found[-1].name
+        return heads
+
+    def delete(self, name: str) -> None:
+        with _translated(check_name(name)):
+            self._client.delete_object(Bucket=self._bucket, Key=name)
+
+    def url(self, name: str) -> str:
+        return f"{self._base_url}/{quote(check_name(name))}"
+
+    def upload_url(self, name: str, *, expires_s: int) -> str:
+        where = {"Bucket": self._bucket, "Key": check_name(name)}
+        url: str = self._public_client.generate_presigned_url("put_object", Params=where, ExpiresIn=expires_s)
+        return url
+
+    def _put_object(self, name: str, data: bytes | Path, arguments: dict[str, str]) -> dict[str, Any]:
+        with data.open("rb") if isinstance(data, Path) else nullcontext(data) as body:
+            answer: dict[str, Any] = self._client.put_object(Bucket=self._bucket, Key=name, Body=body, **arguments)
+        return answer
+
+
+def _client(endpoint: str, access_key: str, secret_key: str, region: str) -> Any:
+    # A session of its own: boto3's default one is not safe among threads while it makes clients.
+    return boto3.session.Session().client(
+        "s3",
+        endpoint_url=endpoint or None,
+        aws_access_key_id=access_key or None,
+        aws_secret_access_key=secret_key or None,
+        region_name=region,
+        config=Config(
+            signature_version="s3v4",
+            s3={"addressing_style": "path"},
+            # The newer default sends trailing checksums in chunked encoding, which fails through TLS proxies and on
+            # several S3 servers.
+            request_checksum_calculation="when_required",
+            response_checksum_validation="when_required",
+            retries={"mode": "standard", "total_max_attempts": _ATTEMPTS},
+            connect_timeout=_CONNECT_S,
+            read_timeout=_READ_S,
+            max_pool_connections=_CONNECTIONS,
+        ),
+    )
+
+
+def _condition(if_match: str | None, if_absent: bool) -> dict[str, str]:
+    # The etag goes bare: the RADOS Gateway compares the header as it stands with its own bare one, so a quoted etag
+    # never matches; MinIO and AWS take both.
+    matching = {"IfMatch": if_match} if if_match is not None else {}
+    return matching | ({"IfNoneMatch": "*"} if if_absent else {})
+
+
+@contextmanager
+def _translated(name: str) -> Iterator[None]:
+    """Botocore's errors become built-in ones here and nowhere else."""
+    try:
+        yield
+    except ClientError as error:
+        raise _builtin(name, error) from None
+    except (BotoConnectionError, HTTPClientError) as error:
+        raise OSError(f"the S3 service cannot be reached for {name}: {error}") from None
+    except (BotoCoreError, boto3.exceptions.Boto3Error) as error:
+        raise _wrapped(name, error) from None
+
+
+def _builtin(name: str, error: ClientError) -> Exception:
+    status, code = _status(error), str(error.response.get("Error", {}).get("Code", ""))
+    if code == "NoSuchBucket":
+        return OSError(f"the bucket for {name} does not exist")
+    if status == 404:
+        # AWS answers a conditional put of an absent object so, others with 412.
+        return ConditionFailed(f"{name} is gone") if error.operation_name == "PutObject" else FileNotFoundError(name)
+    if status == 412 or code == "ConditionalRequestConflict":
+        return ConditionFailed(f"{name} has changed")
+    if status in (401, 403):
+        return PermissionError(f"the S3 service refuses {error.operation_name} of {name}: {code}")
+    return OSError(f"the S3 service failed at {error.operation_name} of {name}: {status} {code}")
+
+
+def _wrapped(name: str, error: Exception) -> Exception:
+    """boto3's transfers wrap the ClientError that matters into an error of their own."""
+    cause = error.__context__
+    return _builtin(name, cause) if isinstance(cause, ClientError) else OSError(f"{name}: {error}")
+
+
+def _status(error: ClientError) -> int:
+    return int(error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 0))
+
+
+def _bare(etag: str) -> str:
+    return etag.strip('"')

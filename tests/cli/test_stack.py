@@ -1,0 +1,135 @@
+"""`up`, `push`, `pull` as three people would use them, and the demo."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.cli.up import free_port
+from tests.cli.test_run import capture2vr
+from tests.clouds import write_ply
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The URL that `capture2vr up` prints."""
+    port = free_port()
+    data = tmp_path_factory.mktemp("up")
+    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(data)]
+    child = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, bufsize=1)
+    try:
+        assert child.stderr is not None
+        said = next(line for line in child.stderr if "capture page" in line)
+        assert f"http://127.0.0.1:{port}/" in said
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        child.send_signal(signal.SIGINT)
+        child.communicate(timeout=60)
+    assert child.returncode == 0
+
+
+@pytest.fixture(scope="module")
+def disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A round leaf, 3,000 points, slightly bent."""
+    rng = np.random.default_rng(2)
+    radius, angle = np.sqrt(rng.random(3000)) * 0.1, rng.random(3000) * 2 * np.pi
+    x, z = radius * np.cos(angle), radius * np.sin(angle)
+    return write_ply(tmp_path_factory.mktemp("disk") / "leaf.ply", np.c_[x, 3 * x**2, z])
+
+
+def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path: Path) -> None:
+    pushed = capture2vr("push", disk, "--gateway", url, "--key", "leaf")
+    assert pushed.returncode == 0, pushed.stderr
+    assert f"{url}/view/leaf" in pushed.stderr
+
+    with urllib.request.urlopen(f"{url}/v1/assets/leaf") as answer:
+        entry = json.load(answer)
+    pulled = capture2vr("pull", "leaf", "-o", tmp_path / "pulled", "--gateway", url, "--cache", tmp_path / "cache")
+    assert pulled.returncode == 0, pulled.stderr
+    for lod in entry["lods"]:
+        content = (tmp_path / "pulled" / f"lod{lod['level']}.glb").read_bytes()
+        assert hashlib.sha256(content).hexdigest() == lod["sha256"]
+
+    # A rotten cache entry is noticed and fetched again; a good one is not fetched twice.
+    rotten = tmp_path / "cache" / entry["lods"][0]["sha256"]
+    rotten.write_bytes(b"rotten")
+    again = capture2vr("pull", "leaf", "-o", tmp_path / "again", "--gateway", url, "--cache", tmp_path / "cache")
+    assert again.returncode == 0, again.stderr
+    assert (tmp_path / "again" / "lod0.glb").read_bytes() == (tmp_path / "pulled" / "lod0.glb").read_bytes()
+    assert again.stderr.count("network") == 1
+
+
+def test_a_second_push_makes_a_second_version(url: str, disk: Path) -> None:
+    for version in (1, 2):
+        assert capture2vr("push", disk, "--gateway", url, "--key", "twice").returncode == 0
+        with urllib.request.urlopen(f"{url}/v1/assets/twice") as answer:
+            assert json.load(answer)["version"] == version
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["push", "nowhere.ply", "--key", "x"], "nowhere.ply"),
+        (["pull", "never-made", "-o", "x"], "never-made"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_sentence(url: str, arguments: list[str], word: str, tmp_path: Path) -> None:
+    result = capture2vr(*arguments, "--gateway", url, cwd=tmp_path)
+    assert result.returncode == 2
+    assert word in result.stderr
+    assert "Traceback" not in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bad_key_and_a_bad_preset_are_told_by_the_gateway(url: str, disk: Path) -> None:
+    bad_key = capture2vr("push", disk, "--gateway", url, "--key", "a/../b")
+    assert bad_key.returncode == 2
+    assert "a/../b" in bad_key.stderr
+    bad_preset = capture2vr("push", disk, "--gateway", url, "--key", "ok", "--preset", "magic")
+    assert bad_preset.returncode == 2
+    assert "draft" in bad_preset.stderr
+
+
+def test_no_gateway_is_said_plainly(disk: Path) -> None:
+    result = capture2vr("push", disk, "--gateway", f"http://127.0.0.1:{free_port()}", "--key", "x")
+    assert result.returncode == 2
+    assert "cannot be reached" in result.stderr
+
+
+def test_a_taken_port_is_said_plainly(url: str, tmp_path: Path) -> None:
+    result = capture2vr("up", "--port", url.rsplit(":", 1)[1], "--data", tmp_path / "data")
+    assert result.returncode == 2
+    assert "--port" in result.stderr
+
+
+def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
+    environment = {**os.environ, "EDGE_SLOT": "4"}
+    command = [sys.executable, "-m", "services.cli", "edge"]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 2
+    assert "EDGE_SLOT " in result.stderr
+    assert "EDGE_SLOTS" in result.stderr
+
+
+def test_doctor_finds_nothing_bad(url: str, tmp_path: Path) -> None:
+    result = capture2vr("doctor", "--gateway", url, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
+def test_the_demo_ends_with_picture_report_and_viewer(tmp_path: Path) -> None:
+    result = capture2vr("demo", "-o", tmp_path / "demo", "--stop")
+    assert result.returncode == 0, result.stderr
+    assert "/view/demo-garment" in result.stderr
+    report = json.loads((tmp_path / "demo" / "report.json").read_text())
+    assert report["state"] == "SUCCEEDED"
+    assert (tmp_path / "demo" / "asset" / "preview.png").stat().st_size > 10_000

@@ -1,0 +1,31 @@
+"""Fixtures that every part of the tests shares."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+_IN_CI = os.environ.get("CI") == "true"
+
+
+def missing(what: str) -> None:
+    """Skip on a laptop, fail in CI: a test that silently never runs proves nothing."""
+    if _IN_CI:
+        pytest.fail(f"{what} is missing, and CI must have it")
+    pytest.skip(f"{what} is missing")
+
+
+def data_folder() -> Path:
+    """Where the real test data lies: $CAPTURE2VR_DATA, or shared/data beside the checkout."""
+    return Path(os.environ.get("CAPTURE2VR_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of the real test data."""
+    folder = data_folder()
+    if not folder.is_dir():
+        missing(f"the test data ({folder})")
+    return folder

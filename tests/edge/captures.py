@@ -1,0 +1,383 @@
+"""Tiny captures in every format that is read, of one closed-form scene: a sphere seen from a ring of cameras.
+
+The writers know the formats from their descriptions, not from the readers: a reader that mixes up axes, units or the
+order of a matrix puts the sphere's points elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import lzfse
+import numpy as np
+
+CENTRE = np.array([0.4, -0.3, 1.2])  # metres, off the origin so that a mirrored world shows
+RADIUS_M = 0.25
+WIDTH, HEIGHT = 64, 48  # pixels of the depth images
+FOCAL, CX, CY = 60.0, 30.5, 25.0  # off centre, so that a transposed matrix shows
+COLOUR_SCALE = 4  # colour images are this much larger
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes <-> OpenGL camera axes
+
+
+def poses(count: int = 4, up: str = "y") -> list[np.ndarray]:
+    """(4,4) camera-to-world in OpenCV axes, on a ring a metre from the sphere and above it, looking at it, upright."""
+    axis = {"y": np.array([0.0, 1.0, 0.0]), "z": np.array([0.0, 0.0, 1.0])}[up]
+    side, ahead = np.roll(axis, 1), np.roll(axis, 2)
+    found = []
+    for angle in np.linspace(0.3, 2.0, count):
+        eye = CENTRE + np.cos(angle) * side + np.sin(angle) * ahead + 0.4 * axis
+        forward = (CENTRE - eye) / np.linalg.norm(CENTRE - eye)
+        right = np.cross(forward, axis)
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3] = np.column_stack([right, np.cross(forward, right), forward, eye])
+        found.append(pose)
+    return found
+
+
+def depth_m(pose: np.ndarray) -> np.ndarray:
+    """(H,W) metres along the optical axis to the sphere, 0 beside it: the smaller root of |o + z d - c| = r."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([(u - CX) / FOCAL, (v - CY) / FOCAL, np.ones(u.shape)], axis=-1) @ pose[:3, :3].T
+    to_eye = pose[:3, 3] - CENTRE
+    a, b, c = (rays**2).sum(-1), rays @ to_eye, to_eye @ to_eye - RADIUS_M**2
+    inside = b * b - a * c
+    return np.where(inside > 0, (-b - np.sqrt(np.maximum(inside, 0))) / a, 0.0)
+
+
+def steps(metres: np.ndarray, per_metre: float = 1000.0) -> np.ndarray:
+    return np.rint(metres * per_metre).astype(np.uint16)
+
+
+def picture(index: int) -> np.ndarray:
+    """(h,w,3) uint8 RGB: red grows to the right, green is the frame's number, blue grows downward."""
+    v, u = np.mgrid[: HEIGHT * COLOUR_SCALE, : WIDTH * COLOUR_SCALE]
+    return np.stack([u, np.full(u.shape, 40 * index), v], axis=-1).astype(np.uint8)
+
+
+def colour_camera() -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy for `picture`, pixel centres at integers."""
+    s = COLOUR_SCALE
+    return FOCAL * s, FOCAL * s, (CX + 0.5) * s - 0.5, (CY + 0.5) * s - 0.5
+
+
+def save_png(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+
+
+def save_jpg(path: Path, rgb: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(jpg_bytes(rgb))
+
+
+def jpg_bytes(rgb: np.ndarray) -> bytes:
+    return cv2.imencode(".jpg", rgb[..., ::-1])[1].tobytes()
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """(4,) x, y, z, w: the eigenvector of the matrix of Bar-Itzhack (2000) with the largest eigenvalue."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0],
+            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], 0, 0],
+            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], 0],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r.trace()],
+        ]
+    )
+    return np.linalg.eigh(k)[1][:, -1]
+
+
+def confidence(metres: np.ndarray) -> np.ndarray:
+    """(H,W) uint8: 2 on the sphere, 0 beside it."""
+    return np.where(metres > 0, 2, 0).astype(np.uint8)
+
+
+def _row_major_k() -> list[float]:
+    fx, fy, cx, cy = colour_camera()
+    return [fx, 0, cx, 0, fy, cy, 0, 0, 1]
+
+
+def write_open3d(folder: Path) -> Path:
+    lines = []
+    for index, pose in enumerate(poses()):
+        save_png(folder / f"depth/{index:05}.png", steps(depth_m(pose)))
+        save_jpg(folder / f"color/{index:05}.jpg", picture(index))
+        lines += [f"{index} {index} {index + 1}", *(" ".join(map(repr, row)) for row in pose.tolist())]
+    (folder / "trajectory.log").write_text("\n".join(lines) + "\n")
+    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [FOCAL, 0, 0, 0, FOCAL, 0, CX, CY, 1]}
+    (folder / "camera.json").write_text(json.dumps(camera))
+    return folder
+
+
+def write_tum(folder: Path) -> Path:
+    """Depth, colour and pose come at different times, as from a motion capture system of 100 Hz."""
+    truth, depths, colours = ["# ground truth"], ["# depth maps"], ["# color images"]
+    for index, pose in enumerate(poses(up="z")):
+        stamp = 1305031102.0 + index / 30
+        save_png(folder / f"depth/{stamp:.6f}.png", steps(depth_m(pose), 5000.0))
+        save_png(folder / f"rgb/{stamp + 0.011:.6f}.png", picture(index)[..., ::-1])
+        depths.append(f"{stamp:.6f} depth/{stamp:.6f}.png")
+        colours.append(f"{stamp + 0.011:.6f} rgb/{stamp + 0.011:.6f}.png")
+        words = [*pose[:3, 3], *quaternion(pose[:3, :3])]
+        truth.append(" ".join([f"{stamp + 0.004:.4f}", *(f"{word:.9f}" for word in words)]))
+    for name, lines in (("groundtruth.txt", truth), ("depth.txt", depths), ("rgb.txt", colours)):
+        (folder / name).write_text("\n".join(lines) + "\n")
+    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [FOCAL, 0, 0, 0, FOCAL, 0, CX, CY, 1]}
+    (folder / "camera.json").write_text(json.dumps(camera))
+    return folder
+
+
+def write_nerfstudio(folder: Path) -> Path:
+    """Pixels have their corners at integers there: half a pixel more on cx and cy."""
+    fx, fy, cx, cy = colour_camera()
+    frames = []
+    for index, pose in enumerate(poses()):
+        save_png(folder / f"depth/{index}.png", steps(depth_m(pose)))
+        save_jpg(folder / f"images/{index}.jpg", picture(index))
+        frame = {"file_path": f"./images/{index}.jpg", "depth_file_path": f"depth/{index}.png"}
+        frames.append(frame | {"transform_matrix": (pose @ FLIP).tolist()})
+    size = {"w": WIDTH * COLOUR_SCALE, "h": HEIGHT * COLOUR_SCALE}
+    tree = size | {"fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(tree))
+    return folder
+
+
+def write_record3d(folder: Path) -> Path:
+    """Poses relative to the first, and the first beside them."""
+    fx, fy, cx, cy = colour_camera()
+    world = [pose @ FLIP for pose in poses()]
+    relative = [np.linalg.inv(world[0]) @ pose for pose in world]
+    meta = {
+        "w": WIDTH * COLOUR_SCALE, "h": HEIGHT * COLOUR_SCALE, "dw": WIDTH, "dh": HEIGHT, "fps": 60,
+        "K": [fx, 0, 0, 0, fy, 0, cx, cy, 1],
+        "poses": [[*quaternion(pose[:3, :3]), *pose[:3, 3]] for pose in relative],
+        "initPose": [*quaternion(world[0][:3, :3]), *world[0][:3, 3]],
+    }  # fmt: skip
+    (folder / "rgbd").mkdir(parents=True)
+    (folder / "metadata").write_text(json.dumps(meta))
+    for index, pose in enumerate(poses()):
+        metres = depth_m(pose)
+        unknown = np.where(metres > 0, metres, np.nan).astype("<f4")
+        (folder / f"rgbd/{index}.depth").write_bytes(lzfse.compress(unknown.tobytes()))
+        (folder / f"rgbd/{index}.conf").write_bytes(lzfse.compress(confidence(metres).tobytes()))
+        save_jpg(folder / f"rgbd/{index}.jpg", picture(index))
+    return folder
+
+
+def write_r3d(folder: Path) -> Path:
+    """The same as one zip."""
+    inside = write_record3d(folder / "inside")
+    archive = folder / "capture.r3d"
+    with zipfile.ZipFile(archive, "w") as target:
+        for path in sorted(inside.rglob("*")):
+            if path.is_file():
+                target.write(path, path.relative_to(inside))
+    return archive
+
+
+def write_stray(folder: Path) -> Path:
+    """The video has a frame before the first with depth; poses are in OpenCV axes."""
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+    for index, pose in enumerate(poses(), start=1):
+        metres = depth_m(pose)
+        save_png(folder / f"depth/{index:06}.png", steps(metres))
+        save_png(folder / f"confidence/{index:06}.png", confidence(metres))
+        words = [f"{word:.9f}" for word in (*pose[:3, 3], *quaternion(pose[:3, :3]))]
+        rows.append(", ".join([f"{index / 60:.4f}", f"{index:06}", *words]))
+    (folder / "odometry.csv").write_text("\n".join(rows) + "\n")
+    k = np.reshape(_row_major_k(), (3, 3))
+    (folder / "camera_matrix.csv").write_text("\n".join(",".join(map(str, row)) for row in k))
+    write_video(folder / "rgb.mp4", [picture(index) for index in range(len(poses()) + 1)])
+    return folder
+
+
+def write_video(path: Path, pictures: list[np.ndarray]) -> None:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt, stream.bit_rate = "yuv420p", 8_000_000
+        for rgb in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(rgb, format="rgb24")))
+        container.mux(stream.encode())
+
+
+def write_polycam(folder: Path) -> Path:
+    fx, fy, cx, cy = colour_camera()
+    for index, pose in enumerate(poses()):
+        metres, stamp = depth_m(pose), 1_700_000_000 + index
+        save_png(folder / f"keyframes/depth/{stamp}.png", steps(metres))
+        save_png(folder / f"keyframes/confidence/{stamp}.png", (confidence(metres) * 127.5).astype(np.uint8))
+        save_jpg(folder / f"keyframes/corrected_images/{stamp}.jpg", picture(index))
+        matrix = pose @ FLIP
+        camera = {f"t_{row}{column}": matrix[row, column] for row in range(3) for column in range(4)}
+        camera |= {
+            "fx": fx,
+            "fy": fy,
+            "cx": cx,
+            "cy": cy,
+            "width": WIDTH * COLOUR_SCALE,
+            "height": HEIGHT * COLOUR_SCALE,
+        }
+        path = folder / f"keyframes/corrected_cameras/{stamp}.json"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(json.dumps(camera))
+    (folder / "mesh_info.json").write_text("{}")
+    return folder
+
+
+def write_scanner3d(folder: Path) -> Path:
+    """Intrinsics for 1920 x 1440; only every other frame has a picture."""
+    scale = 1920 / WIDTH
+    k = [FOCAL * scale, 0, (CX + 0.5) * scale - 0.5, 0, FOCAL * scale, (CY + 0.5) * scale - 0.5, 0, 0, 1]
+    folder.mkdir(parents=True, exist_ok=True)
+    for index, pose in enumerate(poses()):
+        metres = depth_m(pose)
+        save_png(folder / f"depth_{index:05}.png", steps(metres))
+        save_png(folder / f"conf_{index:05}.png", confidence(metres))
+        record = {"cameraPoseARFrame": (pose @ FLIP).reshape(-1).tolist(), "intrinsics": k, "frame_index": index}
+        (folder / f"frame_{index:05}.json").write_text(json.dumps(record))
+        if index % 2 == 0:
+            save_jpg(folder / f"frame_{index:05}.jpg", picture(index))
+    return folder
+
+
+def write_depth16(folder: Path) -> Path:
+    """A phone held level, with a screen twice as long as it is high: it crops the picture's height."""
+    folder.mkdir(parents=True, exist_ok=True)
+    screen_height = WIDTH / 2
+    projection = np.zeros((4, 4))
+    projection[0, 0], projection[1, 1] = 2 * FOCAL / WIDTH, 2 * FOCAL / screen_height
+    projection[0, 2] = 1 - 2 * (CX + 0.5) / WIDTH
+    projection[1, 2] = (2 * (CY + 0.5) - HEIGHT) / screen_height
+    projection[2:, 2:] = [[-1.002, -0.2], [-1, 0]]
+    rows = ["frame,tx,ty,tz,qx,qy,qz,qw,yaw,pitch,roll,projection"]
+    for index, pose in enumerate(poses()):
+        metres, name = depth_m(pose), f"{12 * index:08}"
+        level = np.where(metres > 0, 0, 1).astype(np.uint16)  # Android: 0 is certain, 1 is none
+        (folder / f"{name}_depth16.bin").write_bytes((steps(metres) | level << 13).astype("<u2").tobytes())
+        save_jpg(folder / f"{name}_image.jpg", picture(index))
+        words = [*pose[:3, 3], *quaternion((pose @ FLIP)[:3, :3])]
+        rows.append(",".join([name, *map(repr, map(float, words)), "0,0,0", " ".join(map(str, projection.T.flat))]))
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+RGBD: dict[str, Callable[[Path], Path]] = {
+    "open3d": write_open3d,
+    "tum": write_tum,
+    "nerfstudio": write_nerfstudio,
+    "record3d": write_record3d,
+    "r3d": write_r3d,
+    "stray": write_stray,
+    "polycam": write_polycam,
+    "3dscannerapp": write_scanner3d,
+    "depth16": write_depth16,
+}
+
+
+def sphere(count: int = 500, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points on the sphere (N,3) float32, colours (N,3) uint8, normals (N,3) float32."""
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    xyz = CENTRE + RADIUS_M * normals
+    return xyz.astype(np.float32), rng.integers(0, 256, (count, 3), np.uint8), normals.astype(np.float32)
+
+
+def ply_bytes(
+    xyz: np.ndarray, rgb: np.ndarray | None = None, normals: np.ndarray | None = None, *, form: str = "little"
+) -> bytes:
+    """PLY as "ascii", "little" or "big" endian."""
+    order = {"ascii": "=", "little": "<", "big": ">"}[form]
+    fields = [(name, order + "f4") for name in "xyz"]
+    columns = [xyz]
+    if normals is not None:
+        fields += [(name, order + "f4") for name in ("nx", "ny", "nz")]
+        columns.append(normals)
+    if rgb is not None:
+        fields += [(name, "u1") for name in ("red", "green", "blue")]
+        columns.append(rgb)
+    table = np.empty(len(xyz), fields)
+    for name, values in zip(table.dtype.names, np.hstack(columns).T, strict=True):
+        table[name] = values
+    kinds = "".join(f"property {'uchar' if kind == 'u1' else 'float'} {name}\n" for name, kind in fields)
+    style = "ascii" if form == "ascii" else f"binary_{form}_endian"
+    head = f"ply\nformat {style} 1.0\ncomment a test\nelement vertex {len(xyz)}\n{kinds}end_header\n".encode()
+    if form != "ascii":
+        return head + table.tobytes()
+    return head + "\n".join(" ".join(map(str, row)) for row in table.tolist()).encode() + b"\n"
+
+
+def pcd_bytes(xyz: np.ndarray, rgb: np.ndarray, normals: np.ndarray, *, form: str = "binary", height: int = 1) -> bytes:
+    """PCD as "ascii", "binary" or "binary_compressed", colours packed into the bits of a float."""
+    packed = (rgb.astype(np.uint32) << [16, 8, 0]).sum(1).astype(np.uint32)
+    table = np.zeros(len(xyz), [(name, "<f4") for name in ("x", "y", "z", "rgb", "nx", "ny", "nz")])
+    for name, values in zip(("x", "y", "z", "nx", "ny", "nz"), np.hstack([xyz, normals]).T, strict=True):
+        table[name] = values
+    table["rgb"] = packed.view(np.float32)
+    head = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z rgb normal_x normal_y normal_z\n"
+        "SIZE 4 4 4 4 4 4 4\nTYPE F F F F F F F\nCOUNT 1 1 1 1 1 1 1\n"
+        f"WIDTH {len(xyz) // height}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(xyz)}\nDATA {form}\n"
+    ).encode()
+    if form == "ascii":
+        return head + "\n".join(" ".join(f"{value!r}" for value in row) for row in table.tolist()).encode()
+    if form == "binary":
+        return head + table.tobytes()
+    plain = b"".join(table[name].tobytes() for name in table.dtype.names)
+    squeezed = lzf_compress(plain)
+    return head + struct.pack("<II", len(squeezed), len(plain)) + squeezed
+
+
+def lzf_compress(data: bytes) -> bytes:
+    """LibLZF's format, by a greedy search of the last place where three bytes stood."""
+    out, literals, seen, at = bytearray(), bytearray(), {}, 0
+
+    def flush() -> None:
+        for start in range(0, len(literals), 32):
+            run = literals[start : start + 32]
+            out.append(len(run) - 1)
+            out.extend(run)
+        literals.clear()
+
+    while at < len(data):
+        key = data[at : at + 3]
+        start = seen.get(key, -1)
+        seen[key] = at
+        back = at - start - 1
+        if len(key) < 3 or start < 0 or back >= 8192:
+            literals.append(data[at])
+            at += 1
+            continue
+        length = 3
+        while length < 264 and at + length < len(data) and data[start + length] == data[at + length]:
+            length += 1
+        flush()
+        short = min(length - 2, 7)
+        out.append(short << 5 | back >> 8)
+        if short == 7:
+            out.append(length - 9)
+        out.append(back & 0xFF)
+        at += length
+    flush()
+    return bytes(out)
+
+
+def save_las(path: Path, xyz: np.ndarray, rgb: np.ndarray) -> None:
+    """LAS 1.2 or, by the suffix, LAZ; colours in the upper byte of 16 bits, as the standard asks."""
+    import laspy
+
+    header = laspy.LasHeader(point_format=2, version="1.2")
+    header.scales, header.offsets = np.full(3, 1e-4), np.floor(xyz.min(axis=0))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz.astype(np.float64).T
+    las.red, las.green, las.blue = rgb.astype(np.uint16).T * 257
+    las.write(str(path))

@@ -1,0 +1,14 @@
+"""A worker process of its own, with scripted work: `python -m tests.edge.scripted_worker`, configured by EDGE_*."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+from services.edge.server import serve
+from services.edge.settings import EdgeSettings
+from tests.edge.edge_client import Scripted
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")
+    sys.exit(serve(EdgeSettings(), Scripted()))

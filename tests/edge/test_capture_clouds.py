@@ -1,0 +1,249 @@
+"""Point clouds and meshes: what was written is what is read, whatever the file is called."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from services.edge.capture import read_capture
+from services.edge.capture.pcd import lzf_decompress
+from services.edge.capture.surface import SAMPLES
+from services.edge.capture.tables import MAX_POINTS
+from tests.edge import captures
+
+XYZ, RGB, NORMALS = captures.sphere()
+
+
+def npy_bytes(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def rows(*columns: np.ndarray, separator: str = " ", head: str = "") -> bytes:
+    table = np.hstack(columns).tolist()
+    return (head + "\n".join(separator.join(f"{value:.9g}" for value in row) for row in table) + "\n").encode()
+
+
+CLOUDS: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "PLY, ASCII": ("ply", lambda: captures.ply_bytes(XYZ, RGB, NORMALS, form="ascii")),
+    "PLY, little endian": ("ply", lambda: captures.ply_bytes(XYZ, RGB, NORMALS)),
+    "PLY, big endian": ("ply", lambda: captures.ply_bytes(XYZ, RGB, NORMALS, form="big")),
+    "PCD, ASCII": ("pcd", lambda: captures.pcd_bytes(XYZ, RGB, NORMALS, form="ascii")),
+    "PCD, binary": ("pcd", lambda: captures.pcd_bytes(XYZ, RGB, NORMALS)),
+    "PCD, LZF": ("pcd", lambda: captures.pcd_bytes(XYZ, RGB, NORMALS, form="binary_compressed")),
+    "text": ("xyz", lambda: rows(XYZ, RGB, NORMALS)),
+    "text, normals first": ("xyz", lambda: rows(XYZ, NORMALS, RGB)),
+    "CSV with names": ("xyz", lambda: rows(XYZ, RGB, NORMALS, separator=",", head="X,Y,Z,R,G,B,nx,ny,nz\n")),
+    "semicolons": ("xyz", lambda: rows(XYZ, RGB, NORMALS, separator=";").replace(b".", b",")),
+    "CloudCompare": ("xyz", lambda: rows(XYZ, RGB, NORMALS, head="//X Y Z R G B Nx Ny Nz\n")),
+    "NumPy": ("npy", lambda: npy_bytes(np.hstack([XYZ, RGB, NORMALS]))),
+}
+
+
+@pytest.mark.parametrize("name", CLOUDS)
+def test_points_colours_and_normals_come_back(name: str, tmp_path: Path) -> None:
+    """Under a name that says nothing: the content decides."""
+    kind, make = CLOUDS[name]
+    (tmp_path / "upload.txt").write_bytes(make())
+    capture = read_capture(tmp_path)
+    assert (capture.kind, capture.format, capture.scale_confidence, capture.up) == ("points", kind, "unknown", None)
+    cloud = capture.cloud
+    assert cloud is not None
+    assert cloud.rgb is not None
+    assert cloud.normals is not None
+    assert (cloud.xyz.dtype, cloud.rgb.dtype, cloud.normals.dtype) == (np.float64, np.uint8, np.float32)
+    np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)
+    np.testing.assert_array_equal(cloud.rgb, RGB)
+    np.testing.assert_allclose(cloud.normals, NORMALS, atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las_is_z_up_and_keeps_its_colours(suffix: str, tmp_path: Path) -> None:
+    captures.save_las(tmp_path / f"scan{suffix}", XYZ, RGB)
+    capture = read_capture(tmp_path / f"scan{suffix}")
+    assert capture.cloud is not None
+    assert capture.format == "las"
+    np.testing.assert_array_equal(capture.up, [0, 0, 1])
+    np.testing.assert_allclose(capture.cloud.xyz, XYZ, atol=1e-4)
+    np.testing.assert_array_equal(capture.cloud.rgb, RGB)
+
+
+def test_georeferenced_las_is_moved_near_the_origin(tmp_path: Path) -> None:
+    far = np.array([691_000.0, 5_336_000.0, 500.0])
+    captures.save_las(tmp_path / "utm.las", XYZ + far, RGB)
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert np.abs(capture.cloud.xyz).max() < 10
+    assert "georeferenced" in capture.warnings[0]
+    np.testing.assert_allclose(np.ptp(capture.cloud.xyz, axis=0), np.ptp(XYZ, axis=0), atol=3e-4)
+
+
+def test_empty_pixels_of_an_organised_pcd_are_no_fault(tmp_path: Path) -> None:
+    holes = XYZ.copy()
+    holes[::2] = np.nan
+    (tmp_path / "kinect.pcd").write_bytes(captures.pcd_bytes(holes, RGB, NORMALS, height=20))
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert len(capture.cloud.xyz) == len(XYZ) // 2
+    np.testing.assert_array_equal(capture.cloud.rgb, RGB[1::2])
+
+
+def test_a_few_bad_points_are_dropped_with_a_warning(tmp_path: Path) -> None:
+    bad = XYZ.copy()
+    bad[:10, 1], bad[10:20, 2] = np.nan, 1e30
+    (tmp_path / "scan.ply").write_bytes(captures.ply_bytes(bad, RGB))
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert len(capture.cloud.xyz) == len(XYZ) - 20
+    np.testing.assert_array_equal(capture.cloud.rgb, RGB[20:])
+    assert "20 of 500" in capture.warnings[0]
+
+
+@given(data=st.binary(max_size=600) | st.lists(st.sampled_from([b"abc", b"abcabcabc", b"\0" * 300])).map(b"".join))
+@settings(deadline=None)
+def test_lzf_round_trip(data: bytes) -> None:
+    assert lzf_decompress(captures.lzf_compress(data), len(data)) == data
+
+
+def test_several_clouds_read_the_largest_and_say_so(tmp_path: Path) -> None:
+    (tmp_path / "small.ply").write_bytes(captures.ply_bytes(XYZ[:200]))
+    (tmp_path / "large.ply").write_bytes(captures.ply_bytes(XYZ))
+    (tmp_path / "LICENCE-LICENSE").write_text("Permission is hereby granted\n")
+    (tmp_path / "SOURCE.json").write_text('{"repo": "nowhere"}')
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert len(capture.cloud.xyz) == len(XYZ)
+    assert "small.ply" in capture.warnings[0]
+
+
+def hemisphere() -> trimesh.Trimesh:
+    """An open surface: 642 vertices of the unit sphere's upper half, in metres, Y up."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    keep = ball.triangles_center[:, 1] > 0
+    return trimesh.Trimesh(ball.vertices, ball.faces[keep], process=False)
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "stl", "glb", "ply"])
+def test_a_mesh_is_sampled_evenly_on_its_surface(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "upload.bin").write_bytes(as_bytes(hemisphere().export(file_type=kind)))
+    capture = read_capture(tmp_path)
+    cloud = capture.cloud
+    assert cloud is not None
+    assert capture.format == kind
+    assert cloud.xyz.shape == (SAMPLES, 3)
+    lengths = np.linalg.norm(cloud.xyz, axis=1)
+    assert lengths.max() <= 1 + 1e-6
+    assert lengths.min() > 0.98  # the flat triangles lie that far inside the sphere
+    assert cloud.xyz[:, 1].mean() == pytest.approx(0.5, abs=0.02)  # Archimedes: height is uniform on a sphere
+    assert cloud.normals is not None
+    assert np.abs((cloud.normals * cloud.xyz / lengths[:, None]).sum(1)).min() > 0.98
+    metric = ("metric", [0, 1, 0]) if kind == "glb" else ("unknown", None)
+    assert (capture.scale_confidence, None if capture.up is None else capture.up.tolist()) == metric
+
+
+def as_bytes(exported: str | bytes) -> bytes:
+    return exported.encode() if isinstance(exported, str) else exported
+
+
+def test_sampling_is_repeatable(tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(as_bytes(hemisphere().export(file_type="glb")))
+    first, second = read_capture(tmp_path).cloud, read_capture(tmp_path).cloud
+    assert first is not None
+    assert second is not None
+    np.testing.assert_array_equal(first.xyz, second.xyz)
+
+
+def test_quads_and_triangles_mix_in_one_ply(tmp_path: Path) -> None:
+    """Two quads and a triangle of areas 1, 1 and 1/2; a fifth of the points lies on the triangle."""
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 7\nproperty double x\nproperty double y\n"
+        "property double z\nelement face 3\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0], [3, 0, 0]], np.float64)
+    faces = b"".join(
+        bytes([len(face)]) + np.array(face, "<i4").tobytes() for face in ([0, 1, 2, 3], [1, 4, 5, 2], [4, 6, 5])
+    )
+    (tmp_path / "mixed.ply").write_bytes(head.encode() + corners.tobytes() + faces)
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    assert np.mean(cloud.xyz[:, 0] > 2) == pytest.approx(0.2, abs=0.01)
+    assert np.mean(cloud.xyz[:, 0] < 1) == pytest.approx(0.4, abs=0.01)
+
+
+def test_a_texture_colours_the_points_of_its_surface(tmp_path: Path) -> None:
+    """A unit square whose picture is red on the left, blue on the right, green along the upper edge."""
+    pixels = np.zeros((64, 64, 3), np.uint8)
+    pixels[:, :32, 0], pixels[:, 32:, 2] = 255, 255
+    pixels[:8] = [0, 255, 0]
+    Image.fromarray(pixels).save(tmp_path / "paint.png")
+    (tmp_path / "square.mtl").write_text("newmtl paint\nKd 1 1 1\nmap_Kd paint.png\n")
+    (tmp_path / "square.obj").write_text(
+        "mtllib square.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl paint\n"
+        "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    )
+    for name in ("square.obj", "square.glb"):
+        scene = trimesh.load(tmp_path / "square.obj", process=False)
+        if name.endswith(".glb"):
+            (tmp_path / name).write_bytes(as_bytes(scene.export(file_type="glb")))
+        cloud = read_capture(tmp_path / name).cloud
+        assert cloud is not None
+        assert cloud.rgb is not None
+        x, y = cloud.xyz[:, 0], cloud.xyz[:, 1]
+        inner = (np.abs(x - 0.5) > 0.03) & (np.abs(y - 0.875) > 0.03)
+        expected = np.where(x[:, None] < 0.5, [255, 0, 0], [0, 0, 255])
+        expected[y > 0.875] = [0, 255, 0]
+        np.testing.assert_array_equal(cloud.rgb[inner], expected[inner])
+
+
+def test_vertex_colours_are_interpolated(tmp_path: Path) -> None:
+    mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+    mesh.visual.vertex_colors = [[0, 0, 0, 255], [255, 0, 0, 255], [0, 255, 0, 255]]
+    (tmp_path / "t.ply").write_bytes(as_bytes(mesh.export(file_type="ply")))
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    assert cloud.rgb is not None
+    np.testing.assert_allclose(cloud.rgb[:, :2], 255 * cloud.xyz[:, :2], atol=1)
+
+
+def test_a_cloud_with_a_stray_face_stays_a_cloud(tmp_path: Path) -> None:
+    mesh = trimesh.Trimesh(XYZ, [[0, 1, 2]], process=False)
+    (tmp_path / "t.ply").write_bytes(as_bytes(mesh.export(file_type="ply")))
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)
+
+
+def test_nothing_heavy_is_imported_before_it_is_needed() -> None:
+    code = "import sys, services.edge.capture; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"cv2", "av", "trimesh", "laspy", "scipy", "lzfse", "PIL"} & set(loaded)
+
+
+def test_an_obj_without_faces_is_a_cloud(tmp_path: Path) -> None:
+    (tmp_path / "points.obj").write_text("\n".join(f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in XYZ))
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)
+
+
+def test_the_limit_of_points_is_named(tmp_path: Path) -> None:
+    """A sparse file of the right length costs no disk and is refused by its header."""
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {MAX_POINTS + 1}\n"
+    head += "property float x\nproperty float y\nproperty float z\nend_header\n"
+    with (tmp_path / "huge.ply").open("wb") as stream:
+        stream.write(head.encode())
+        stream.truncate(len(head) + 12 * (MAX_POINTS + 1))
+    with pytest.raises(Exception, match="20,000,001 points") as caught:
+        read_capture(tmp_path)
+    assert caught.value.code == "CAPTURE_TOO_LARGE"  # type: ignore[attr-defined]

@@ -1,0 +1,206 @@
+"""GLB files: Khronos finds nothing to say, and every byte means what glTF says it means."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.edge.mesh import Mesh, to_glb
+from services.edge.mesh.normals import split_flips, vertex_normals
+from tests import surfaces
+from tests.gltf.validator import Validator, validator  # noqa: F401 - a fixture is used by its name
+
+_TYPES = {5126: "<f4", 5123: "<u2", 5125: "<u4"}
+_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+
+
+@dataclass
+class Glb:
+    """A parsed file: the document, and its accessors as arrays."""
+
+    document: dict[str, Any]
+    binary: bytes
+
+    @classmethod
+    def of(cls, data: bytes) -> Glb:
+        magic, version, total, length, kind = struct.unpack_from("<4sIIII", data)
+        assert (magic, version, total, kind) == (b"glTF", 2, len(data), 0x4E4F534A)
+        return cls(json.loads(data[20 : 20 + length]), data[28 + length :])
+
+    @property
+    def primitive(self) -> dict[str, Any]:
+        ((primitive,),) = (mesh["primitives"] for mesh in self.document["meshes"])
+        return dict(primitive)
+
+    def accessor(self, number: int) -> np.ndarray[Any, Any]:
+        accessor = self.document["accessors"][number]
+        view = self.document["bufferViews"][accessor["bufferView"]]
+        width = _WIDTHS[accessor["type"]]
+        array = np.frombuffer(
+            self.binary, _TYPES[accessor["componentType"]], accessor["count"] * width, view["byteOffset"]
+        )
+        return array.reshape(-1, width) if width > 1 else array
+
+    def attribute(self, name: str) -> np.ndarray[Any, Any]:
+        return self.accessor(self.primitive["attributes"][name])
+
+    @property
+    def faces(self) -> np.ndarray[Any, Any]:
+        return self.accessor(self.primitive["indices"]).reshape(-1, 3)
+
+
+def coloured(mesh: Mesh, seed: int = 0) -> Mesh:
+    rng = np.random.default_rng(seed)
+    return replace(mesh, rgb=rng.integers(0, 256, (len(mesh.vertices), 3), dtype=np.uint8))
+
+
+def moebius(cells: int = 60) -> Mesh:
+    """A Möbius strip welded along its seam, so that no winding is consistent."""
+    u, v = np.meshgrid(np.arange(cells) / cells * 2 * np.pi, np.linspace(-0.4, 0.4, 7), indexing="ij")
+    radius = 1 + v * np.cos(u / 2)
+    vertices = np.stack([radius * np.cos(u), v * np.sin(u / 2), radius * np.sin(u)], axis=-1).reshape(-1, 3)
+    row, column = (part.ravel() for part in np.meshgrid(np.arange(cells), np.arange(6), indexing="ij"))
+
+    def vertex(step: int, across: int) -> Any:
+        last = row + step == cells
+        return np.where(last, (6 - column - across), (row + step) * 7 + column + across)
+
+    a, b, c, d = vertex(0, 0), vertex(1, 0), vertex(1, 1), vertex(0, 1)
+    return Mesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
+
+
+TRIANGLE = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+KINDS = {
+    "one triangle": TRIANGLE,
+    "plain": surfaces.hemisphere(),
+    "coloured": coloured(surfaces.hemisphere()),
+    "more than 65,535 vertices": coloured(surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(9 * u)], 300, 300)),
+    "one-sided": coloured(moebius()),
+    "far from the origin": replace(surfaces.disk(), vertices=surfaces.disk().vertices + np.array([1000.0, -500, 2000])),
+    "tiny": replace(surfaces.disk(), vertices=surfaces.disk().vertices * 1e-5),
+    "with degenerate and unused": Mesh(
+        np.concatenate([TRIANGLE.vertices, [[2.0, 0, 0], [9, 9, 9]]]), np.array([[0, 1, 2], [0, 1, 3], [1, 1, 2]])
+    ),
+}
+
+
+def test_khronos_finds_no_fault_with_any_kind(validator: Validator, tmp_path: Path) -> None:  # noqa: F811
+    files = [tmp_path / f"{number}.glb" for number in range(len(KINDS))]
+    for file, mesh in zip(files, KINDS.values(), strict=True):
+        file.write_bytes(to_glb(mesh))
+    for kind, verdict in zip(KINDS, validator(*files), strict=True):
+        assert (verdict.errors, verdict.warnings, verdict.infos) == (0, 0, 0), (kind, verdict.messages)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_draw_call_with_one_double_sided_material(kind: str) -> None:
+    glb = Glb.of(to_glb(KINDS[kind]))
+    (material,) = glb.document["materials"]
+    assert material["doubleSided"] is True
+    assert material["pbrMetallicRoughness"]["metallicFactor"] == 0
+    assert glb.primitive["material"] == 0
+    assert glb.document["asset"]["generator"].startswith("capture2vr ")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_normals_have_length_one_and_bounds_are_those_of_the_positions(kind: str) -> None:
+    glb = Glb.of(to_glb(KINDS[kind]))
+    assert np.allclose(np.linalg.norm(glb.attribute("NORMAL"), axis=1), 1, atol=1e-6)
+    accessor = glb.document["accessors"][glb.primitive["attributes"]["POSITION"]]
+    positions = glb.attribute("POSITION")
+    assert np.array_equal(np.float32(accessor["min"]), positions.min(axis=0))
+    assert np.array_equal(np.float32(accessor["max"]), positions.max(axis=0))
+
+
+def test_positions_and_faces_come_back_as_they_went_in() -> None:
+    mesh = surfaces.grid_with_holes()
+    glb = Glb.of(to_glb(mesh))
+    before, after = mesh.vertices[mesh.faces].astype(np.float32), glb.attribute("POSITION")[glb.faces]
+    assert np.array_equal(before, after)
+
+
+def test_colours_are_linear_light_in_sixteen_bits() -> None:
+    rgb = np.array([[0, 188, 255], [55, 13, 1], [128, 128, 128]], dtype=np.uint8)
+    glb = Glb.of(to_glb(replace(TRIANGLE, rgb=rgb)))
+    accessor = glb.document["accessors"][glb.primitive["attributes"]["COLOR_0"]]
+    assert accessor["normalized"] is True
+    light = glb.attribute("COLOR_0") / 65535
+    expected = [[0, 0.5028865, 1], [0.0382043, 0.0040247, 0.0003035], [0.2158605] * 3]  # IEC 61966-2-1
+    assert np.allclose(light[:, :3], expected, atol=1e-5)
+    assert (light[:, 3] == 1).all()
+
+
+def test_base_colour_is_white_under_colours_and_grey_without() -> None:
+    def base(mesh: Mesh) -> list[float]:
+        return list(Glb.of(to_glb(mesh)).document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"])
+
+    assert base(coloured(TRIANGLE)) == [1, 1, 1, 1]
+    assert base(TRIANGLE)[0] < 1
+    assert "COLOR_0" not in Glb.of(to_glb(TRIANGLE)).primitive["attributes"]
+
+
+@pytest.mark.parametrize(("kind", "component"), [("plain", 5123), ("more than 65,535 vertices", 5125)])
+def test_indices_are_as_short_as_they_can_be(kind: str, component: int) -> None:
+    glb = Glb.of(to_glb(KINDS[kind]))
+    assert glb.document["accessors"][glb.primitive["indices"]]["componentType"] == component
+
+
+def test_degenerate_triangles_and_unused_vertices_are_left_out() -> None:
+    glb = Glb.of(to_glb(KINDS["with degenerate and unused"]))
+    assert len(glb.faces) == 1
+    assert len(glb.attribute("POSITION")) == 3
+
+
+def test_a_mesh_without_area_is_refused() -> None:
+    with pytest.raises(ValueError, match="none of the 1 triangles"):
+        to_glb(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]])))
+
+
+def test_the_same_mesh_gives_the_same_bytes() -> None:
+    assert to_glb(KINDS["one-sided"]) == to_glb(KINDS["one-sided"])
+
+
+def test_normals_of_a_sphere_point_from_its_centre() -> None:
+    mesh = surfaces.hemisphere()
+    low, high = mesh.vertices[:, 2].min(), mesh.vertices[:, 2].max()
+    inner = (mesh.vertices[:, 2] > low + 0.05) & (mesh.vertices[:, 2] < high)  # the pole's spare copies have no face
+    outward = mesh.vertices - [0, 0, mesh.vertices[:, 2].min()]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    cosine = np.einsum("vx,vx->v", vertex_normals(mesh), outward)
+    assert np.abs(cosine[inner]).min() > 0.999
+    assert np.ptp(np.sign(cosine[inner])) == 0
+
+
+def test_each_corner_of_a_one_sided_strip_agrees_with_its_face() -> None:
+    """Otherwise a double-sided shader, which turns normals by the face's winding, shows a black seam."""
+    strip = split_flips(moebius())
+    assert len(strip.vertices) > len(moebius().vertices)
+    corners = strip.vertices[strip.faces]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    agreement = np.einsum(
+        "fcx,fx->fc", vertex_normals(strip)[strip.faces], flat / np.linalg.norm(flat, axis=1)[:, None]
+    )
+    assert agreement.min() > 0.9
+
+
+def test_splitting_leaves_an_oriented_mesh_alone() -> None:
+    mesh = surfaces.grid_with_holes()
+    assert split_flips(mesh) is mesh
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 60), st.integers(3, 12))
+def test_any_triangle_soup_has_unit_normals(seed: int, faces: int, vertices: int) -> None:
+    rng = np.random.default_rng(seed)
+    soup = Mesh(rng.normal(0, 1, (vertices, 3)).round(1), rng.integers(0, vertices, (faces, 3)))
+    for mesh in (soup, split_flips(soup)):
+        assert np.allclose(np.linalg.norm(vertex_normals(mesh), axis=1), 1)
+    assert np.array_equal(split_flips(soup).vertices[split_flips(soup).faces], soup.vertices[soup.faces])

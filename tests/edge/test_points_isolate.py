@@ -1,0 +1,138 @@
+"""Isolating the thing in the middle: the table and the clutter go, the thing and its loose parts stay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from services.edge.arrays import Floats
+from services.edge.capture import Capture, Cloud, read_capture
+from services.edge.errors import CaptureError
+from services.edge.points import Points, to_points
+from services.edge.points.plane import largest_plane
+from services.edge.points.upright import estimate_up
+from tests.edge.scenes import Sensor, film, look_at, orbit, plane, scene
+
+SENSOR = Sensor(noise_m=0.003, jitter_m=0.002, jitter_deg=0.1, flying=0.5)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def ball_on_table(clutter: bool = True) -> Floats:
+    """A cloud (N,3): sphere of radius 0.15 on a table 1.2 m wide, a box beside it."""
+    parts = [
+        trimesh.sample.sample_surface(plane(1.2, 1.2), 20_000, seed=1)[0],
+        trimesh.sample.sample_surface(trimesh.creation.icosphere(4, 0.15), 6_000, seed=2)[0] + [0, 0, 0.15],
+    ]
+    if clutter:
+        box = trimesh.creation.box((0.2, 0.2, 0.3))
+        parts.append(trimesh.sample.sample_surface(box, 5_000, seed=3)[0] + [0.48, 0.1, 0.15])
+    return np.concatenate(parts)
+
+
+def off_ball(xyz: Floats) -> Floats:
+    return np.abs(np.linalg.norm(xyz - [0, 0, 0.15], axis=1) - 0.15)
+
+
+def isolate(xyz: Floats, up: Floats | None = UP) -> Points:
+    return to_points(Capture("points", "ply", Cloud(xyz), up=up), isolate=True)
+
+
+@pytest.mark.parametrize("up", [UP, None], ids=["gravity known", "gravity unknown"])
+@pytest.mark.parametrize("turn_deg", [0.0, 130.0])
+def test_the_table_goes_and_the_ball_stays(up: Floats | None, turn_deg: float) -> None:
+    turn = trimesh.transformations.rotation_matrix(np.radians(turn_deg), [1, 2, 3])[:3, :3]
+    points = isolate(ball_on_table(clutter=False) @ turn.T, None if up is None else turn @ up)
+    assert np.percentile(off_ball(points.xyz @ turn), 99) < 0.01
+    assert len(points) > 0.9 * 6_000
+
+
+def test_clutter_goes() -> None:
+    points = isolate(ball_on_table())
+    assert off_ball(points.xyz).max() < 0.01
+    assert len(points) > 0.9 * 6_000
+
+
+def test_a_flat_thing_on_its_table_stays_with_a_warning() -> None:
+    cloth = trimesh.sample.sample_surface(plane(0.4, 0.3, z=0.003), 5_000, seed=1)[0]
+    table = trimesh.sample.sample_surface(plane(1.2, 1.2), 20_000, seed=2)[0]
+    both = np.concatenate([cloth, table])
+    points = isolate(both + np.random.default_rng(0).normal(0, 0.002, both.shape))
+    assert len(points) > 0.98 * 25_000
+    assert any("flat" in warning for warning in points.warnings)
+
+
+def test_a_garment_is_not_cut_down_to_its_folds() -> None:
+    rng = np.random.default_rng(0)
+    table = trimesh.sample.sample_surface(plane(1.2, 1.2), 20_000, seed=2)[0]
+    cloth = rng.uniform(-0.25, 0.25, (8_000, 3))
+    cloth[:, 2] = 0.005 + 0.015 * np.sin(20 * cloth[:, 0]) ** 2
+    points = isolate(np.concatenate([table, cloth]) + rng.normal(0, 0.002, (28_000, 3)))
+    assert len(points) > 0.98 * 28_000
+    assert any("flat" in warning for warning in points.warnings)
+
+
+def test_a_thing_without_a_table_stays_whole() -> None:
+    ball = ball_on_table(clutter=False)[20_000:]
+    points = isolate(ball, None)
+    assert len(points) > 0.999 * len(ball)
+    assert points.warnings
+
+
+def test_a_loose_part_close_by_stays() -> None:
+    button = trimesh.sample.sample_surface(trimesh.creation.icosphere(3, 0.02), 300, seed=5)[0] + [0, 0.185, 0.2]
+    points = isolate(np.concatenate([ball_on_table(), button]))
+    assert np.sum(points.xyz[:, 1] > 0.17) > 250
+
+
+def test_dust_is_a_named_error() -> None:
+    grains = np.random.default_rng(0).uniform(-1, 1, (40, 3))
+    dust = (grains[:, None] + 1e-3 * np.random.default_rng(1).normal(size=(40, 60, 3))).reshape(-1, 3)
+    with pytest.raises(CaptureError) as error:
+        isolate(dust, None)
+    assert error.value.code == "CAPTURE_NOTHING_LEFT"
+
+
+def test_filmed_ball_with_clutter() -> None:
+    box = trimesh.creation.box((0.2, 0.2, 0.3))
+    box.apply_translation([0.45, 0.1, 0.15])
+    ball = trimesh.creation.icosphere(5, 0.15)
+    ball.apply_translation([0, 0, 0.15])
+    world = scene((plane(1.2, 1.2), (150, 120, 90)), (ball, (200, 40, 40)), (box, (0, 0, 200)))
+    frames = film(world, orbit(10, radius=0.9, height=0.7, turn=0.5), sensor=SENSOR)
+    points = to_points(Capture("rgbd", "synthetic", frames=frames, scale_confidence="metric"), isolate=True)
+    assert np.percentile(off_ball(points.xyz), 99) < 0.012
+    assert np.ptp(points.xyz[:, 0]) > 0.25
+    assert len(points.xyz) == len(points.rgb if points.rgb is not None else []) == len(points.confidence)
+
+
+@pytest.mark.parametrize("normal", [[0, 0, 1.0], [0.6, 0, 0.8], [1.0, 0, 0]])
+def test_the_largest_plane_is_found_among_clutter(normal: list[float]) -> None:
+    rng = np.random.default_rng(0)
+    across = np.linalg.svd(np.array([normal]))[2][1:]
+    flat = rng.uniform(-1, 1, (3_000, 2)) @ across + 0.3 * np.array(normal)
+    found = largest_plane(np.concatenate([flat, rng.uniform(-1, 1, (6_000, 3))]), 0.01)
+    assert found is not None
+    assert abs(found.normal @ normal) > np.cos(np.radians(0.5))
+    assert abs(found.offset) == pytest.approx(0.3, abs=0.003)
+
+
+def test_no_plane_through_one_place() -> None:
+    assert largest_plane(np.zeros((10, 3)), 0.01) is None
+
+
+def test_up_without_any_floor_comes_from_the_cameras() -> None:
+    ball = trimesh.sample.sample_surface(trimesh.creation.icosphere(3, 0.2), 2_000, seed=1)[0]
+    walk = orbit(12, radius=1, height=0.8)
+    assert estimate_up(walk, ball) @ UP > np.cos(np.radians(1))
+    level = look_at((1, 0, 0), (0, 0, 0))[None]
+    assert estimate_up(level, ball) @ UP > np.cos(np.radians(1))
+
+
+@pytest.mark.data
+def test_a_lamp_is_taken_off_its_wall(data_dir: Path) -> None:
+    points = to_points(read_capture(data_dir / "cloud_room" / "fragment.pcd"), isolate=True)
+    assert 2_000 < len(points) < 8_000
+    assert np.ptp(points.xyz, axis=0).max() < 0.6

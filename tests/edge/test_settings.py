@@ -1,0 +1,91 @@
+"""Settings: frozen, complete, and a variable that means nothing is an error with its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import SecretStr, ValidationError
+from pydantic_settings import SettingsConfigDict
+
+from services.edge.settings import EdgeSettings
+from services.strict_settings import CommaList, SettingsError, StrictSettings
+
+
+class Sample(StrictSettings):
+    model_config = SettingsConfigDict(env_prefix="SAMPLE_")
+
+    workers: CommaList = ()
+    password: SecretStr = SecretStr("")
+    database_url: str = ""
+    size: int = 1
+
+
+def test_the_defaults_stay_on_this_machine() -> None:
+    settings = EdgeSettings()
+    assert settings.loopback
+    assert (settings.host, settings.port, settings.slots, settings.queue) == ("127.0.0.1", 50051, 1, 8)
+    assert not settings.reflection
+
+
+def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EDGE_SLOTS", "3")
+    monkeypatch.setenv("EDGE_SCRATCH", "/somewhere")
+    monkeypatch.setenv("EDGE_REFLECTION", "true")
+    monkeypatch.setenv("EDGE_HOST", "")  # compose passes unset variables as empty ones
+    settings = EdgeSettings()
+    assert (settings.slots, settings.scratch, settings.reflection) == (3, Path("/somewhere"), True)
+    assert settings.host == "127.0.0.1"
+
+
+def test_an_unknown_variable_is_named_with_the_one_that_was_meant(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EDGE_SLOT", "3")
+    with pytest.raises(SettingsError, match=r"EDGE_SLOT is no setting, did you mean EDGE_SLOTS\?"):
+        EdgeSettings()
+
+
+def test_an_unknown_variable_far_from_any_gets_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EDGE_XYZZY", "3")
+    with pytest.raises(SettingsError, match=r"EDGE_XYZZY is no setting; there are EDGE_DEVICE, .*EDGE_SLOTS"):
+        EdgeSettings()
+
+
+def test_other_services_variables_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GATEWAY_PORT", "1")
+    monkeypatch.setenv("EDGEWISE", "1")
+    EdgeSettings()
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [("PORT", "many"), ("PORT", "70000"), ("SLOTS", "0"), ("QUEUE", "-1"), ("DRAIN_S", "-1"), ("DRAIN_S", "nan")],
+)
+def test_a_value_that_does_not_fit_is_named_and_not_shown(
+    monkeypatch: pytest.MonkeyPatch, variable: str, value: str
+) -> None:
+    monkeypatch.setenv(f"EDGE_{variable}", value)
+    with pytest.raises(SettingsError, match=f"EDGE_{variable}: ") as error:
+        EdgeSettings()
+    assert value not in str(error.value).replace("(nan)", "")
+
+
+def test_settings_are_frozen() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        EdgeSettings().port = 1  # type: ignore[misc]
+
+
+def test_a_list_is_one_variable_with_commas(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SAMPLE_WORKERS", "a:1, b:2,")
+    assert Sample().workers == ("a:1", "b:2")
+
+
+def test_the_description_holds_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SAMPLE_PASSWORD", "hunter2")
+    monkeypatch.setenv("SAMPLE_DATABASE_URL", "postgresql://me:hunter2@db:5432/jobs")
+    assert Sample().describe() == {
+        "SAMPLE_WORKERS": "",
+        "SAMPLE_PASSWORD": "(set)",
+        "SAMPLE_DATABASE_URL": "postgresql://me:***@db:5432/jobs",
+        "SAMPLE_SIZE": 1,
+    }
+    assert Sample(password=SecretStr("")).describe()["SAMPLE_PASSWORD"] == "(unset)"

@@ -1,0 +1,210 @@
+"""Simplification: fewer triangles, the same openings, the same surface."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from services.edge.arrays import Floats
+from services.edge.mesh import Mesh, lods, simplify
+from services.edge.mesh.metrics import area, chamfer_l1, edge_faces, pieces
+from services.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer
+from tests import surfaces
+
+HAS_MESHOPTIMIZER = find_spec("meshoptimizer") is not None  # an extra: it needs a compiler
+COLLAPSES = [by_fast_simplification, *([by_meshoptimizer] if HAS_MESHOPTIMIZER else [])]
+
+
+def welded(mesh: Mesh) -> Mesh:
+    """The mesh with coinciding vertices made one, as an extraction gives it."""
+    vertices, corners = np.unique(mesh.vertices.round(9), axis=0, return_inverse=True)
+    faces = corners.ravel()[mesh.faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return Mesh(vertices, faces[whole])
+
+
+SURFACES = {
+    "disk": welded(surfaces.disk()),
+    "hemisphere": welded(surfaces.hemisphere()),
+    "cylinder": welded(
+        surfaces.patch(lambda u, v: [np.cos(6.283185307179586 * u), np.sin(6.283185307179586 * u), v], 96, 40)
+    ),
+    "grid with holes": surfaces.grid_with_holes(),
+    "two sheets": surfaces.two_sheets(),
+    "pleated skirt": welded(surfaces.pleated_skirt()),
+}
+
+
+def borders(mesh: Mesh) -> int:
+    edges = edge_faces(mesh.faces)
+    return pieces(edges.vertices[edges.faces == 1])
+
+
+def crowded(mesh: Mesh) -> int:
+    return int((edge_faces(mesh.faces).faces > 2).sum())
+
+
+def along_border(mesh: Mesh) -> Floats:
+    """Points of the border, 20 on each edge."""
+    edges = edge_faces(mesh.faces)
+    a, b = mesh.vertices[edges.vertices[edges.faces == 1].T]
+    share = np.linspace(0, 1, 20)[:, None, None]
+    return (a + share * (b - a)).reshape(-1, 3)
+
+
+def border_gap(a: Mesh, b: Mesh) -> float:
+    """Hausdorff distance of the borders."""
+    first, second = along_border(a), along_border(b)
+    return float(max(cKDTree(first).query(second)[0].max(), cKDTree(second).query(first)[0].max()))
+
+
+@pytest.mark.parametrize("collapse", COLLAPSES)
+@pytest.mark.parametrize("name", SURFACES)
+def test_the_openings_stay_where_they_are(name: str, collapse: Collapse) -> None:
+    mesh = SURFACES[name]
+    coarse = simplify(mesh, 2000, collapse=collapse)
+    assert len(coarse.faces) < len(mesh.faces)
+    assert borders(coarse) == borders(mesh)
+    assert border_gap(coarse, mesh) < 0.02
+    assert crowded(coarse) == 0
+    assert area(coarse) == pytest.approx(area(mesh), rel=0.02)
+
+
+@pytest.mark.skipif(not HAS_MESHOPTIMIZER, reason="only meshoptimizer thins borders out")
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("budget", [200, 1000, 4000])
+def test_the_budget_is_kept_and_nearly_used(name: str, budget: int) -> None:
+    coarse = simplify(SURFACES[name], budget)
+    assert 0.9 * budget <= len(coarse.faces) <= budget
+    assert borders(coarse) == borders(SURFACES[name])
+    assert crowded(coarse) == 0
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sampled_from(sorted(SURFACES)), st.integers(100, 3000), st.integers(0, 2**32 - 1))
+def test_noise_makes_no_pinches_and_closes_no_opening(name: str, budget: int, seed: int) -> None:
+    """What an extraction gives is bumpy at the scale of its cells."""
+    mesh = SURFACES[name]
+    rng = np.random.default_rng(seed)
+    rgb = rng.integers(0, 256, mesh.vertices.shape, dtype=np.uint8)
+    rough = Mesh(mesh.vertices + rng.normal(0, 0.002, mesh.vertices.shape), mesh.faces, rgb)
+    coarse = simplify(rough, budget)
+    assert borders(coarse) == borders(mesh)
+    assert crowded(coarse) == 0
+
+
+def test_the_surface_stays_where_it_is() -> None:
+    mesh = SURFACES["hemisphere"]
+    assert chamfer_l1(simplify(mesh, 2000), mesh, 20_000) == pytest.approx(
+        chamfer_l1(mesh, mesh, 20_000, seed=1), abs=1e-3
+    )
+
+
+@pytest.mark.parametrize("collapse", COLLAPSES)
+def test_jobs_side_by_side_do_not_mix(collapse: Collapse) -> None:
+    jobs = [(mesh, budget) for mesh in SURFACES.values() for budget in (900, 2500)]
+    alone = [simplify(mesh, budget, collapse=collapse) for mesh, budget in jobs]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda job: simplify(*job, collapse=collapse), jobs))
+    for one, other in zip(alone, together, strict=True):
+        assert np.array_equal(one.faces, other.faces)
+        assert np.array_equal(one.vertices, other.vertices)
+
+
+def test_no_vertex_is_left_without_a_face() -> None:
+    coarse = simplify(SURFACES["disk"], 500)
+    assert np.array_equal(np.unique(coarse.faces), np.arange(len(coarse.vertices)))
+
+
+def test_a_mesh_within_its_budget_is_returned_as_it_is() -> None:
+    mesh = SURFACES["disk"]
+    assert simplify(mesh, len(mesh.faces)) is mesh
+
+
+def test_a_budget_below_one_is_refused() -> None:
+    with pytest.raises(ValueError, match="budget of 0 faces"):
+        simplify(SURFACES["disk"], 0)
+
+
+@pytest.mark.parametrize("collapse", COLLAPSES)
+def test_colours_are_those_of_the_place(collapse: Collapse) -> None:
+    mesh = SURFACES["disk"]
+    left = mesh.vertices[:, 0] < 0
+    coarse = simplify(
+        replace(mesh, rgb=np.where(left[:, None], [200, 30, 30], [30, 30, 200]).astype(np.uint8)),
+        1500,
+        collapse=collapse,
+    )
+    assert coarse.rgb is not None
+    assert len(coarse.rgb) == len(coarse.vertices)
+    clear = np.abs(coarse.vertices[:, 0]) > 0.05
+    assert np.array_equal((coarse.rgb[:, 0] > 100)[clear], (coarse.vertices[:, 0] < 0)[clear])
+
+
+def test_a_few_shades_average_instead_of_one_winning() -> None:
+    """A vertex stands for all that were merged into it: noise must not survive as speckles."""
+    mesh = SURFACES["disk"]
+    rgb = np.random.default_rng(0).integers(60, 196, (len(mesh.vertices), 3)).astype(np.uint8)
+    coarse = simplify(replace(mesh, rgb=rgb), 1500)
+    assert coarse.rgb is not None
+    assert coarse.rgb.std() < 0.7 * rgb.std()
+
+
+@pytest.mark.skipif(not HAS_MESHOPTIMIZER, reason="only meshoptimizer looks at colours")
+def test_the_outline_of_a_print_stays_sharp() -> None:
+    """A painted circle on a flat disk: geometry alone would merge right across it."""
+    mesh = SURFACES["disk"]
+    inside = np.linalg.norm(mesh.vertices[:, :2], axis=1) < 0.25
+    printed = replace(mesh, rgb=np.where(inside[:, None], [240, 240, 240], [20, 20, 20]).astype(np.uint8))
+    coarse = simplify(printed, 1500)
+    assert coarse.rgb is not None
+    bright = coarse.rgb[coarse.faces].mean(axis=(1, 2))
+    centre = np.linalg.norm(coarse.vertices[coarse.faces].mean(axis=1), axis=1)
+    assert (bright[centre < 0.23] > 200).mean() > 0.95
+    assert (bright[centre > 0.27] < 60).mean() > 0.95
+
+
+def test_levels_of_a_small_mesh_start_with_itself_and_get_cheaper() -> None:
+    mesh = surfaces.two_sheets()  # 40,000 faces
+    levels = lods(mesh)
+    assert levels[0] is mesh
+    assert 22_000 < len(levels[1].faces) <= 25_000
+    assert 4_500 < len(levels[2].faces) <= 5_000
+
+
+def test_a_mesh_below_all_budgets_still_gets_cheaper_levels() -> None:
+    counts = [len(level.faces) for level in lods(welded(surfaces.patch(lambda u, v: [u, v, u * v], 40, 40)))]
+    assert counts[0] == 3200
+    assert counts[0] > counts[1] > counts[2] >= 100
+
+
+def test_a_single_triangle_has_three_equal_levels() -> None:
+    triangle = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    assert [len(level.faces) for level in lods(triangle)] == [1, 1, 1]
+
+
+def test_budgets_must_fall() -> None:
+    with pytest.raises(ValueError, match="must fall"):
+        lods(SURFACES["disk"], (5_000, 5_000))
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not HAS_MESHOPTIMIZER, reason="only meshoptimizer thins borders out")
+@pytest.mark.parametrize("budget", [10_000, 2_000, 500])
+def test_a_real_dress_keeps_neck_sleeves_and_hem(data_dir: Path, budget: int) -> None:
+    import trimesh
+
+    raw = trimesh.load(data_dir / "dress" / "dress-v17k-f34k.obj", force="mesh", process=False)
+    mesh = welded(Mesh(np.array(raw.vertices), np.array(raw.faces)))
+    coarse = simplify(mesh, budget)
+    assert len(coarse.faces) <= budget
+    assert borders(coarse) == borders(mesh)
+    assert crowded(coarse) <= crowded(mesh)

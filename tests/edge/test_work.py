@@ -1,0 +1,128 @@
+"""The real work behind the real wire: an archive goes in, versions of an asset come out of the store."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.edge.api import edge_pb2 as pb
+from services.edge.work import RealWork
+from services.storage.bundle import Bundle
+from services.storage.catalogue import entry
+from services.storage.memory import MemoryStore
+from services.storage.publish import publish
+from tests.edge.edge_client import Client, leftovers, upload, worker
+
+
+@pytest.fixture
+def scratch(tmp_path: Path) -> Path:
+    return tmp_path / "scratch"
+
+
+@pytest.fixture
+def store() -> MemoryStore:
+    return MemoryStore()
+
+
+@pytest.fixture
+async def client(store: MemoryStore, scratch: Path) -> AsyncIterator[Client]:
+    async with worker(RealWork(store), scratch, slots=1) as client:
+        yield client
+
+
+def archive(folder: Path, **files: bytes) -> bytes:
+    path = folder / "capture.zip"
+    with zipfile.ZipFile(path, "w") as packed:
+        for name, content in files.items():
+            packed.writestr(name.replace("__", "/").replace("_ply", ".ply"), content)
+    return path.read_bytes()
+
+
+def hemisphere_ply(count: int = 1000) -> bytes:
+    """Points of the upper half of a unit sphere: an open surface with a known size, 2 x 1 x 2."""
+    rng = np.random.default_rng(0)
+    xyz = rng.normal(size=(count, 3))
+    xyz /= np.linalg.norm(xyz, axis=1, keepdims=True)
+    xyz[:, 1] = np.abs(xyz[:, 1])
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    return head.encode() + xyz.astype("<f4").tobytes()
+
+
+async def test_points_become_an_asset(client: Client, store: MemoryStore, scratch: Path, tmp_path: Path) -> None:
+    sent = archive(tmp_path, dome_ply=hemisphere_ply())
+    events = await client.ended(sent, job="job_dome", asset_key="dome", label="Dome", preset="draft")
+    assert events[-1].HasField("finished"), events[-1]
+    assert {"VALIDATING", "FITTING", "EXTRACTING", "PUBLISHING"} <= events[-1].finished.seconds.keys()
+
+    fractions = [event.progress.fraction for event in events if event.HasField("progress")]
+    assert fractions == sorted(fractions)
+    published = [event.published for event in events if event.HasField("published")]
+    assert [(each.asset_key, each.version) for each in published] == [
+        ("dome", 1 + place) for place in range(len(published))
+    ]
+
+    asset = entry(store, "dome")
+    assert asset.manifest == published[-1].manifest
+    assert asset.document["label"] == "Dome"
+    assert asset.document["size_m"] == pytest.approx([2, 1, 2], rel=0.1)
+    assert json.loads(store.get(asset.manifest))["preset"] == "draft"
+    assert store.get(asset.document["lods"][0]["name"]).startswith(b"glTF")
+    assert leftovers(scratch) == []
+
+
+@pytest.mark.parametrize(
+    ("files", "code"),
+    [
+        ({"dome_ply": hemisphere_ply(20)}, "CAPTURE_TOO_FEW_POINTS"),
+        ({"..__escaped_ply": hemisphere_ply()}, "ARCHIVE_TRAVERSAL"),
+        ({"inner.zip": b"PK\x05\x06" + bytes(18)}, "ARCHIVE_NESTED"),
+        ({"dome_ply": hemisphere_ply()[:-100]}, "CAPTURE_TRUNCATED"),
+        ({}, "CAPTURE_EMPTY"),
+    ],
+)
+async def test_a_capture_at_fault_is_told_by_name(
+    client: Client, scratch: Path, tmp_path: Path, files: dict[str, bytes], code: str
+) -> None:
+    sent = archive(tmp_path, **files)
+    inspected = (await client.stub.Inspect(upload(sent))).failure
+    failed = (await client.ended(sent))[-1].failure
+    assert inspected.code == failed.code == code
+    assert not failed.retryable
+    assert str(tmp_path) not in f"{failed}{inspected}"
+    assert leftovers(scratch) == []
+
+
+async def test_what_is_no_archive_is_told_by_name(client: Client) -> None:
+    assert (await client.ended(b"no zip at all"))[-1].failure.code == "ARCHIVE_BROKEN"
+
+
+async def test_a_good_capture_is_described(client: Client, tmp_path: Path) -> None:
+    verdict = await client.stub.Inspect(upload(archive(tmp_path, dome_ply=hemisphere_ply())))
+    assert not verdict.HasField("failure")
+    assert (verdict.kind, verdict.format, verdict.points) == ("points", "ply", 1000)
+
+
+async def test_a_cancelled_job_publishes_nothing(client: Client, store: MemoryStore, tmp_path: Path) -> None:
+    call = client.reconstruct(archive(tmp_path, dome_ply=hemisphere_ply(40_000)), asset_key="dome")
+    events = aiter(call)
+    while (await anext(events)).progress.stage < pb.POINT_CLOUD:
+        pass
+    assert await client.cancel()
+    ending = [event async for event in call][-1]
+    assert ending.failure.code == "CANCELLED"
+    with pytest.raises(FileNotFoundError):
+        entry(store, "dome")
+
+
+async def test_an_outdated_lease_publishes_nothing(client: Client, store: MemoryStore, tmp_path: Path) -> None:
+    newer = Bundle(state="preview", files={"preview.png": b"newer"}, manifest={})
+    publish(newer, store, key="dome", job="job_1", fence=2)
+    ending = (await client.ended(archive(tmp_path, dome_ply=hemisphere_ply()), asset_key="dome", fence=1))[-1].failure
+    assert (ending.code, ending.retryable, ending.stage) == ("FENCE_STALE", False, pb.PUBLISHING)
+    assert entry(store, "dome").version == 1

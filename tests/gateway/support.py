@@ -1,0 +1,171 @@
+"""A gateway and its workers in this process: the real app, the real edge server, real publishing, and quick work."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import httpx
+import uvicorn
+from fastapi import FastAPI
+
+from services.edge.api import edge_pb2 as pb
+from services.edge.errors import EdgeError
+from services.edge.requests import JobRequest
+from services.edge.run import Say
+from services.edge.scratch import Scratch
+from services.edge.server import EdgeServer
+from services.edge.settings import EdgeSettings
+from services.gateway.app import create_app
+from services.gateway.settings import GatewaySettings
+from services.storage.bundle import Bundle
+from services.storage.memory import MemoryStore
+from services.storage.publish import publish
+from services.storage.store import Store
+
+TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
+SHORT = {"lease_s": 1.0, "silence_s": 6.0, "attach_for_s": 1.0, "retry_s": 0.05}
+
+
+class Making:
+    """Work whose capture says how it goes: {"steps": 3, "pause_s": 0.1, "fail": "CODE", "retryable": true, "wait": 1}
+
+
+    Publishes a preview before the last step and a refined version behind it, really, to `store`.
+    """
+
+    presets = ("draft", "fine")
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self.release = threading.Event()
+        self.runs: list[str] = []
+
+    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, say: Say) -> pb.Finished:
+        self.runs.append(request.job)
+        script = json.loads(archive.read_bytes())
+        steps = script.get("steps", 3)
+        for step in range(steps):
+            say(pb.Progress(stage=pb.FITTING, fraction=step / steps, losses={"distance": 1.0 / (step + 1)}))
+            threading.Event().wait(script.get("pause_s", 0.0))
+        while script.get("wait") and not self.release.wait(0.02):
+            say(pb.Progress(stage=pb.FITTING, fraction=0.9))
+        if "fail" in script:
+            raise EdgeError(script["fail"], "as it was told", file="a.ply", retryable=script.get("retryable", False))
+        for state in ("preview", "refined"):
+            bundle = Bundle(state=state, files={"mesh.ply": f"{request.job} {state}".encode()}, manifest={"lods": []})
+            made = publish(bundle, self._store, key=request.asset_key, job=request.job, fence=request.fence)
+            say(pb.Published(asset_key=made.key, version=made.version, state=made.state, manifest=made.manifest))
+        return pb.Finished(warnings=["looks odd"], seconds={"FITTING": 0.5})
+
+    def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
+        script = json.loads(archive.read_bytes())
+        if "fail" in script:
+            raise EdgeError(script["fail"], "as it was told", file="a.ply", hints=("hold still",))
+        return pb.Inspection(kind="points", format="ply", points=script.get("points", 7), warnings=["sparse"])
+
+
+@asynccontextmanager
+async def worker(work: Making, scratch: Path, *, port: int = 0, **settings: Any) -> AsyncIterator[int]:
+    """A listening worker; its port."""
+    hurry = asyncio.Event()
+    hurry.set()
+    place = Scratch(scratch)
+    with place.held():
+        server = EdgeServer(EdgeSettings(port=port, scratch=scratch, **settings), work, place)
+        bound = await server.start()
+        try:
+            yield bound
+        finally:
+            await server.drain(hurry)
+
+
+@asynccontextmanager
+async def gateway(data_dir: Path, store: Store, *ports: int, **settings: Any) -> AsyncIterator[httpx.AsyncClient]:
+    """A gateway that listens on a real socket; a client of it. Leaves runs alone when it goes, as a restart does."""
+    workers = tuple(f"127.0.0.1:{port}" for port in ports) or ("127.0.0.1:9",)
+    app = create_app(GatewaySettings(data_dir=data_dir, workers=workers, port=0, **{**SHORT, **settings}), store)
+    async with listening(app) as url, httpx.AsyncClient(base_url=url, timeout=10.0) as client:
+        yield client
+
+
+@asynccontextmanager
+async def listening(app: FastAPI) -> AsyncIterator[str]:
+    """The app behind uvicorn; its URL."""
+    config = uvicorn.Config(app, port=0, log_config=None, timeout_graceful_shutdown=1, ws="none")
+    server = uvicorn.Server(config)
+    # serve() would take this process's signal handlers.
+    task = asyncio.create_task(server._serve())
+    try:
+        async with asyncio.timeout(10):
+            while not server.started:
+                assert not task.done(), "the app did not start"
+                await asyncio.sleep(0.01)
+        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
+    finally:
+        server.should_exit = True
+        with suppress(asyncio.CancelledError):
+            await task
+
+
+def capture(store: Store, name: str = "cap_1", **script: Any) -> str:
+    """Store a capture for `Making`; its id."""
+    store.put(f"captures/{name}.zip", json.dumps(script).encode(), content_type="application/zip")
+    return name
+
+
+async def start(client: httpx.AsyncClient, capture_id: str, key: str = "dress", **fields: Any) -> str:
+    """Start a job; its id."""
+    answer = await client.post("/v1/jobs", json={"capture": capture_id, "asset_key": key, **fields})
+    assert answer.status_code == 202, answer.text
+    return str(answer.json()["id"])
+
+
+async def job_when(
+    client: httpx.AsyncClient, job: str, holds: Callable[[dict[str, Any]], bool], within_s: float = 15.0
+) -> dict[str, Any]:
+    """The job as soon as something holds of it."""
+    async with asyncio.timeout(within_s):
+        while not holds(found := (await client.get(f"/v1/jobs/{job}")).json()):
+            await asyncio.sleep(0.02)
+    return dict(found)
+
+
+async def ended(client: httpx.AsyncClient, job: str, within_s: float = 15.0) -> dict[str, Any]:
+    """The job at its end."""
+    return await job_when(client, job, lambda found: found["state"] in TERMINAL, within_s)
+
+
+async def events(client: httpx.AsyncClient, job: str, **headers: str) -> list[tuple[int, str, dict[str, Any]]]:
+    """(id, event, data) of the whole stream, to its end; heartbeats have id 0."""
+    told: list[tuple[int, str, dict[str, Any]]] = []
+    number, kind = 0, ""
+    async with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as answer:
+        assert answer.status_code == 200
+        async for line in answer.aiter_lines():
+            name, _, value = line.partition(": ")
+            match name:
+                case "id":
+                    number = int(value)
+                case "event":
+                    kind = value
+                case "data":
+                    told.append((number if kind != "heartbeat" else 0, kind, json.loads(value)))
+    return told
+
+
+async def until(holds: Callable[[], Awaitable[bool]], within_s: float = 10.0) -> None:
+    """Wait for a condition; a test that waits in vain fails here."""
+    async with asyncio.timeout(within_s):
+        while not await holds():
+            await asyncio.sleep(0.02)
+
+
+def memory() -> MemoryStore:
+    """A store that forgets."""
+    return MemoryStore()

@@ -1,0 +1,100 @@
+"""The app as a whole: health, pages, metrics, cross-origin calls, one gateway per folder, and nothing heavy in it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.gateway.instance import FolderInUse, instance
+from services.gateway.settings import GatewaySettings
+from services.strict_settings import SettingsError
+from tests.gateway.support import Making, capture, ended, gateway, memory, start, worker
+
+
+async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        assert (await client.get("/livez")).status_code == 200
+        answer = await client.get("/readyz")
+        assert answer.status_code == 503
+        checks = answer.json()["checks"]
+        assert {name: check["ok"] for name, check in checks.items()} == {
+            "store": True,
+            "database": True,
+            "workers": False,
+        }
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        assert (await client.get("/readyz")).json()["ready"] is True
+
+
+async def test_presets_are_those_of_the_workers(tmp_path: Path) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store, presets=("fast", "best")) as client:
+        assert (await client.get("/v1/presets")).json() == {"presets": ["fast", "best"], "default": "fast"}
+        assert (await client.get(f"/v1/jobs/{await start(client, capture(store))}")).json()["preset"] == "fast"
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "other", store, port) as client:
+        assert (await client.get("/v1/presets")).json() == {"presets": ["draft", "fine"], "default": "draft"}
+
+
+async def test_metrics_count_what_happened(tmp_path: Path) -> None:
+    store = memory()
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        await ended(client, await start(client, capture(store)))
+        await client.get("/v1/jobs/job_none")
+        page = (await client.get("/metrics")).text
+    for line in (
+        'capture2vr_http_requests_total{method="POST",route="/v1/jobs",status="202"} 1.0',
+        'capture2vr_http_requests_total{method="GET",route="/v1/jobs/{job}",status="404"} 1.0',
+        'capture2vr_jobs{state="SUCCEEDED"} 1.0',
+        'capture2vr_job_seconds_count{state="SUCCEEDED"} 1.0',
+        'capture2vr_stage_seconds_sum{stage="FITTING"} 0.5',
+        "capture2vr_queue_depth 0.0",
+    ):
+        assert line in page
+
+
+async def test_pages_run_only_what_is_ours(tmp_path: Path) -> None:
+    async with gateway(tmp_path / "gw", memory()) as client:
+        for address in ("/", "/view/dress"):
+            answer = await client.get(address)
+            assert answer.headers["content-type"].startswith("text/html")
+            policy = answer.headers["content-security-policy"]
+            assert "default-src 'none'" in policy
+            assert "'unsafe-inline'" not in policy.split("script-src")[1].split(";")[0]
+        assert (await client.get("/view/-bad")).status_code == 404
+        module = await client.get("/web/api.js")
+        assert module.headers["cache-control"] == "no-cache"
+        assert (await client.get("/web/api.js", headers={"If-None-Match": module.headers["etag"]})).status_code == 304
+
+
+async def test_other_origins_call_only_when_they_are_named(tmp_path: Path) -> None:
+    origin = {"Origin": "https://vr.example"}
+    async with gateway(tmp_path / "gw", memory()) as client:
+        assert "access-control-allow-origin" not in (await client.get("/v1/jobs", headers=origin)).headers
+    async with gateway(tmp_path / "gw", memory(), cors_origins=("https://vr.example",)) as client:
+        assert (await client.get("/v1/jobs", headers=origin)).headers["access-control-allow-origin"] == origin["Origin"]
+
+
+def test_a_folder_has_one_gateway_and_keeps_its_name(tmp_path: Path) -> None:
+    with instance(tmp_path) as name, pytest.raises(FolderInUse, match="another gateway"), instance(tmp_path):
+        pass
+    with instance(tmp_path) as again:
+        assert again == name
+
+
+def test_settings_name_their_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GATEWAY_WORKERS", "a:1, b:2")
+    assert GatewaySettings().workers == ("a:1", "b:2")
+    monkeypatch.setenv("GATEWAY_PROT", "1")
+    with pytest.raises(SettingsError, match="GATEWAY_PORT"):
+        GatewaySettings()
+
+
+def test_the_gateway_holds_no_geometry() -> None:
+    heavy = "{'torch', 'numpy', 'scipy', 'trimesh', 'cv2', 'av'}"
+    probe = f"import sys, services.gateway.app; print(sorted({heavy} & sys.modules.keys()))"
+    found = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"

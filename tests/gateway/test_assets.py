@@ -1,0 +1,258 @@
+"""GET /v1/assets and /v1/files: what clients find by a key, and how caches and players may ask for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.gateway.app import create_app
+from services.gateway.routes.ranges import UnsatisfiableError, matches, wanted_range
+from services.gateway.settings import GatewaySettings
+from services.storage.catalogue import entry
+from services.storage.local import LocalStore
+from services.storage.memory import MemoryStore
+from services.storage.publish import publish
+from services.storage.store import IMMUTABLE, Store
+from tests.storage.bundles import bundle
+
+
+def client(tmp_path: Path, store: Store, **settings: Any) -> httpx.AsyncClient:
+    app = create_app(GatewaySettings(data_dir=tmp_path / "data", workers=(), **settings), store)
+    return httpx.AsyncClient(transport=httpx.ASGITransport(app, raise_app_exceptions=False), base_url="http://gateway")
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory: pytest.TempPathFactory) -> LocalStore:
+    """For all tests of the module, because every put waits for the disk: they add to it, none changes what is there."""
+    store = LocalStore(tmp_path_factory.mktemp("objects"))
+    publish(bundle("preview"), store, key="dress", job="job_1")
+    publish(bundle("refined"), store, key="dress", job="job_1")
+    store.put("captures/cap_1.zip", b"private", content_type="application/zip")
+    return store
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, local: LocalStore) -> httpx.AsyncClient:
+    return client(tmp_path, local)
+
+
+async def test_the_entry_tells_where_every_file_is(gateway: httpx.AsyncClient, local: LocalStore) -> None:
+    answer = await gateway.get("/v1/assets/dress")
+    document = answer.json()
+    assert (document["version"], document["state"], document["label"]) == (2, "refined", "Dress")
+    assert answer.headers["cache-control"] == "no-cache"
+    assert answer.headers["access-control-allow-origin"] == "*"
+    for file in [document["manifest"], document["preview"], *document["lods"], *document["files"]]:
+        got = await gateway.get(file["url"])
+        assert (got.status_code, got.content) == (200, local.get(file["name"]))
+
+
+async def test_a_known_entry_is_not_sent_again_until_it_changes(tmp_path: Path) -> None:
+    store = MemoryStore()
+    publish(bundle(), store, key="dress", job="job_1")
+    gateway = client(tmp_path, store)
+    etag = (await gateway.get("/v1/assets/dress")).headers["etag"]
+    for given_tag in (etag, f"W/{etag}", f'"other", {etag}', "*"):
+        again = await gateway.get("/v1/assets/dress", headers={"If-None-Match": given_tag})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", etag)
+    publish(bundle(content="new"), store, key="dress", job="job_2")
+    changed = await gateway.get("/v1/assets/dress", headers={"If-None-Match": etag})
+    assert (changed.status_code, changed.json()["version"]) == (200, 2)
+
+
+async def test_unknown_and_impossible_keys(gateway: httpx.AsyncClient) -> None:
+    for path in ("nobody", "nobody/lod/0", "nobody/qr.svg"):
+        answer = await gateway.get(f"/v1/assets/{path}")
+        assert (answer.status_code, answer.json()["code"]) == (404, "ASSET_UNKNOWN")
+    for path in ("-dress", ".dress", "a%20b"):
+        answer = await gateway.get(f"/v1/assets/{path}")
+        assert (answer.status_code, answer.json()["code"]) == (422, "KEY_INVALID")
+
+
+async def test_a_level_of_detail_is_elsewhere(gateway: httpx.AsyncClient, local: LocalStore) -> None:
+    level = entry(local, "dress").document["lods"][1]
+    answer = await gateway.get("/v1/assets/dress/lod/1")
+    assert (answer.status_code, answer.headers["cache-control"]) == (307, "no-cache")
+    assert answer.headers["location"] == f"http://gateway/v1/files/{level['name']}"
+    assert (await gateway.get("/v1/assets/dress/lod/7")).json()["code"] == "LOD_UNKNOWN"
+    assert (await gateway.get("/v1/assets/dress/lod/x")).status_code == 422
+
+
+async def test_addresses_are_public_ones_where_there_are_any(tmp_path: Path, local: LocalStore) -> None:
+    behind = client(tmp_path, local, public_url="https://scan.example/")
+    assert (await behind.get("/v1/assets/dress")).json()["preview"]["url"].startswith("https://scan.example/v1/files/")
+    cdn = LocalStore(local.root, "https://cdn.example/objects")
+    through = client(tmp_path, cdn, public_url="https://scan.example/")
+    assert (
+        (await through.get("/v1/assets/dress/lod/0")).headers["location"].startswith("https://cdn.example/objects/as")
+    )
+
+
+async def test_assets_are_listed_in_pages(tmp_path: Path) -> None:
+    store = MemoryStore()
+    gateway = client(tmp_path, store)
+    assert (await gateway.get("/v1/assets")).json() == {"assets": [], "next": None}
+    keys = [f"k{n}" for n in range(5)]
+    for key in keys:
+        publish(bundle(label=""), store, key=key)
+    found: list[str] = []
+    after = ""
+    while after is not None:
+        answer = (await gateway.get("/v1/assets", params={"limit": 2, "after": after})).json()
+        found += [each["key"] for each in answer["assets"]]
+        after = answer["next"]
+    assert found == keys
+    first = (await gateway.get("/v1/assets")).json()["assets"][0]
+    assert (first["label"], first["version"], first["self"], first["view"]) == ("k0", 1, "/v1/assets/k0", "/view/k0")
+    for params in ({"limit": 0}, {"limit": 101}, {"after": "../x"}):
+        assert (await gateway.get("/v1/assets", params=params)).status_code == 422
+
+
+async def test_the_qr_code_is_that_of_the_viewer(tmp_path: Path, local: LocalStore) -> None:
+    here, there = client(tmp_path, local), client(tmp_path, local, public_url="https://scan.example")
+    mine, public = [await each.get("/v1/assets/dress/qr.svg") for each in (here, there)]
+    assert mine.headers["content-type"] == "image/svg+xml"
+    assert b"<svg" in mine.content
+    assert mine.content != public.content  # each holds its own address
+
+
+class TestFiles:
+    @pytest.fixture
+    def name(self, local: LocalStore) -> str:
+        return str(entry(local, "dress").document["lods"][0]["name"])
+
+    @pytest.fixture
+    def content(self, local: LocalStore, name: str) -> bytes:
+        return local.get(name)
+
+    async def test_whole(self, gateway: httpx.AsyncClient, name: str, content: bytes) -> None:
+        answer = await gateway.get(f"/v1/files/{name}")
+        assert (answer.status_code, answer.content) == (200, content)
+        assert answer.headers["content-type"] == "model/gltf-binary"
+        assert answer.headers["content-length"] == str(len(content))
+        assert answer.headers["cache-control"] == IMMUTABLE
+        assert answer.headers["accept-ranges"] == "bytes"
+        assert answer.headers["access-control-allow-origin"] == "*"
+        assert answer.headers["x-content-type-options"] == "nosniff"
+
+    async def test_head_is_get_without_a_body(self, gateway: httpx.AsyncClient, name: str) -> None:
+        get, head = await gateway.get(f"/v1/files/{name}"), await gateway.head(f"/v1/files/{name}")
+        assert (head.status_code, head.content) == (200, b"")
+        for header in ("etag", "content-length", "content-type", "cache-control"):
+            assert head.headers[header] == get.headers[header]
+
+    @pytest.mark.parametrize(("asked", "part"), [("0-3", slice(0, 4)), ("5-", slice(5, None)), ("-4", slice(-4, None))])
+    async def test_a_range(
+        self, gateway: httpx.AsyncClient, name: str, content: bytes, asked: str, part: slice
+    ) -> None:
+        answer = await gateway.get(f"/v1/files/{name}", headers={"Range": f"bytes={asked}"})
+        assert (answer.status_code, answer.content) == (206, content[part])
+        start = range(len(content))[part][0]
+        assert answer.headers["content-range"] == f"bytes {start}-{start + len(answer.content) - 1}/{len(content)}"
+        assert answer.headers["content-length"] == str(len(answer.content))
+
+    async def test_a_range_beyond_the_end(self, gateway: httpx.AsyncClient, name: str, content: bytes) -> None:
+        answer = await gateway.get(f"/v1/files/{name}", headers={"Range": f"bytes={len(content)}-"})
+        assert (answer.status_code, answer.json()["code"]) == (416, "RANGE_UNSATISFIABLE")
+        assert answer.headers["content-range"] == f"bytes */{len(content)}"
+
+    @pytest.mark.parametrize("asked", ["bytes=0-1,3-4", "bytes=x", "lines=0-1", "bytes=-", "bytes=5-2"])
+    async def test_what_is_no_single_range_gives_all(
+        self, gateway: httpx.AsyncClient, name: str, content: bytes, asked: str
+    ) -> None:
+        answer = await gateway.get(f"/v1/files/{name}", headers={"Range": asked})
+        assert (answer.status_code, answer.content) == (200, content)
+
+    async def test_if_range(self, gateway: httpx.AsyncClient, name: str, content: bytes) -> None:
+        etag = (await gateway.head(f"/v1/files/{name}")).headers["etag"]
+        same = await gateway.get(f"/v1/files/{name}", headers={"Range": "bytes=0-1", "If-Range": etag})
+        other = await gateway.get(f"/v1/files/{name}", headers={"Range": "bytes=0-1", "If-Range": '"other"'})
+        assert (same.status_code, same.content) == (206, content[:2])
+        assert (other.status_code, other.content) == (200, content)
+
+    async def test_if_none_match(self, gateway: httpx.AsyncClient, name: str) -> None:
+        etag = (await gateway.head(f"/v1/files/{name}")).headers["etag"]
+        answer = await gateway.get(f"/v1/files/{name}", headers={"If-None-Match": etag, "Range": "bytes=0-1"})
+        assert (answer.status_code, answer.content) == (304, b"")
+        assert answer.headers["cache-control"] == IMMUTABLE
+
+    async def test_a_large_file_in_parts_is_the_whole(self, gateway: httpx.AsyncClient, local: LocalStore) -> None:
+        content = bytes(range(256)) * 4096
+        local.put("assets/dress/big.bin", content, content_type="application/octet-stream")
+        url, step = "/v1/files/assets/dress/big.bin", 300_000
+        parts = [
+            (await gateway.get(url, headers={"Range": f"bytes={start}-{start + step - 1}"})).content
+            for start in range(0, len(content), step)
+        ]
+        assert b"".join(parts) == content
+        assert (await gateway.get(url)).content == content
+
+    async def test_the_catalogue_is_served_and_never_kept(self, gateway: httpx.AsyncClient, local: LocalStore) -> None:
+        answer = await gateway.get("/v1/files/catalog/dress.json")
+        assert answer.content == local.get("catalog/dress.json")
+        assert answer.headers["cache-control"] == "no-cache"
+        etag = {"If-None-Match": answer.headers["etag"]}
+        assert (await gateway.get("/v1/files/catalog/dress.json", headers=etag)).status_code == 304
+
+    @pytest.mark.parametrize(
+        "path",
+        [
+            "captures/cap_1.zip",
+            "alias/dress/latest.json",
+            "assets/../captures/cap_1.zip",
+            "assets/%2e%2e/captures/cap_1.zip",
+            "assets/..%2fcaptures/cap_1.zip",
+            "assets//etc/passwd",
+            "assets/dress",
+            "assets/dress/",
+            "assets/",
+            "assets/.meta/x",
+            ".meta/assets/dress",
+            ".tmp/x",
+            "assets/dress/none.glb",
+            "assets/%00",
+            "%2fetc%2fpasswd",
+            "",
+        ],
+    )
+    async def test_nothing_else_is_served(self, gateway: httpx.AsyncClient, path: str) -> None:
+        for method in ("GET", "HEAD"):
+            answer = await gateway.request(
+                method, httpx.URL("http://gateway").copy_with(raw_path=f"/v1/files/{path}".encode())
+            )
+            assert answer.status_code == 404
+            assert b"private" not in answer.content
+
+    async def test_a_store_elsewhere_serves_its_own_files(self, tmp_path: Path) -> None:
+        store = MemoryStore()
+        publish(bundle(), store, key="dress")
+        name = entry(store, "dress").document["lods"][0]["name"]
+        assert (await client(tmp_path, store).get(f"/v1/files/{name}")).status_code == 404
+
+
+@given(size=st.integers(0, 50), first=st.integers(0, 60), last=st.integers(0, 60))
+def test_a_range_is_the_slice_it_says(size: int, first: int, last: int) -> None:
+    content = bytes(range(size))
+    try:
+        part = wanted_range(f"bytes={first}-{last}", None, "tag", size)
+    except UnsatisfiableError:
+        assert first >= size
+        return
+    assert (part is None) == (last < first)
+    if part:
+        assert content[slice(*part)] == content[first : last + 1]
+
+
+@given(header=st.text(max_size=30))
+def test_no_header_breaks_the_parsers(header: str) -> None:
+    matches(header, "tag")
+    try:
+        part = wanted_range(header, header, "tag", 10)
+    except UnsatisfiableError:
+        return
+    assert part is None or 0 <= part[0] < part[1] <= 10

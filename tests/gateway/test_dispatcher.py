@@ -1,0 +1,143 @@
+"""Jobs and workers: a job is done once, wherever it ends up and whatever is lost on the way."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+from services.storage.catalogue import entry
+from services.storage.memory import MemoryStore
+from tests.gateway.support import Making, capture, ended, events, gateway, job_when, memory, start, worker
+
+
+async def test_a_job_succeeds_and_tells_of_it(tmp_path: Path) -> None:
+    store = memory()
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        job = await start(client, capture(store, steps=4), label="Dress", preset="fine")
+        done = await ended(client, job)
+        story = await events(client, job)
+    assert done["state"] == "SUCCEEDED"
+    assert (done["fraction"], done["attempts"], done["preset"], done["label"]) == (1.0, 1, "fine", "Dress")
+    assert (done["preview"]["version"], done["asset"]["version"]) == (1, 2)
+    assert done["warnings"] == ["looks odd"]
+    assert done["seconds"] == {"FITTING": 0.5}
+    assert entry(store, "dress").version == 2
+    assert [kind for _, kind, _ in story if kind != "progress"] == ["state", "state", "published", "published", "state"]
+
+
+async def test_a_failure_names_what_is_wrong(tmp_path: Path) -> None:
+    store = memory()
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        done = await ended(client, await start(client, capture(store, fail="CAPTURE_DEGENERATE")))
+    assert done["state"] == "FAILED"
+    assert (done["error"]["code"], done["error"]["file"], done["error"]["status"]) == (
+        "CAPTURE_DEGENERATE",
+        "a.ply",
+        422,
+    )
+
+
+async def test_a_retryable_failure_is_tried_again_but_not_for_ever(tmp_path: Path) -> None:
+    store, work = memory(), None
+    work = Making(store)
+    async with (
+        worker(work, tmp_path / "edge") as port,
+        gateway(tmp_path / "gw", store, port, max_attempts=3) as client,
+    ):
+        done = await ended(client, await start(client, capture(store, fail="STORE_UNAVAILABLE", retryable=True)))
+    assert (done["state"], done["attempts"], len(work.runs)) == ("FAILED", 3, 3)
+
+
+async def test_cancelling_a_running_job_frees_its_worker(tmp_path: Path) -> None:
+    store = memory()
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        job = await start(client, capture(store, wait=True))
+        await job_when(client, job, lambda found: found["fraction"] > 0)
+        answer = await client.post(f"/v1/jobs/{job}/cancel")
+        assert (answer.status_code, answer.json()["state"]) == (202, "CANCELLING")
+        assert (await ended(client, job))["state"] == "CANCELLED"
+        after = await start(client, capture(store, "cap_2"), "hat")
+        assert (await ended(client, after))["state"] == "SUCCEEDED"
+        assert (await client.post(f"/v1/jobs/{after}/cancel")).json()["state"] == "SUCCEEDED"
+
+
+async def test_a_waiting_job_is_cancelled_at_once(tmp_path: Path) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        job = await start(client, capture(store))
+        assert (await client.post(f"/v1/jobs/{job}/cancel")).json()["state"] == "CANCELLED"
+
+
+async def test_a_restarted_gateway_finds_its_runs_again(tmp_path: Path) -> None:
+    store = memory()
+    work = Making(store)
+    async with worker(work, tmp_path / "edge") as port:
+        async with gateway(tmp_path / "gw", store, port) as client:
+            job = await start(client, capture(store, wait=True))
+            before = await job_when(client, job, lambda found: found["fraction"] > 0)
+        work.release.set()
+        async with gateway(tmp_path / "gw", store, port) as client:
+            done = await ended(client, job)
+            story = await events(client, job)
+    assert (done["state"], done["attempts"], work.runs) == ("SUCCEEDED", 1, [job])
+    assert done["elapsed_s"] > before["elapsed_s"]
+    assert [number for number, _, _ in story] == list(range(1, len(story) + 1))
+
+
+async def test_a_lost_worker_costs_an_attempt_and_the_job_goes_elsewhere(tmp_path: Path) -> None:
+    store = memory()
+    first, second = Making(store), Making(store)
+    async with AsyncExitStack() as stays:
+        async with AsyncExitStack() as goes:
+            port = await goes.enter_async_context(worker(first, tmp_path / "first"))
+            other = await stays.enter_async_context(worker(second, tmp_path / "second", slots=1))
+            client = await stays.enter_async_context(gateway(tmp_path / "gw", store, port, other))
+            jobs = [await start(client, capture(store, f"cap_{n}", wait=True), f"key{n}") for n in range(2)]
+            for job in jobs:
+                await job_when(client, job, lambda found: found["fraction"] > 0)
+            assert len(first.runs) == len(second.runs) == 1  # the one with the shorter queue
+        second.release.set()
+        done = [await ended(client, job) for job in jobs]
+    assert [each["state"] for each in done] == ["SUCCEEDED", "SUCCEEDED"]
+    assert sorted(each["attempts"] for each in done) == [1, 2]
+    assert set(second.runs) == set(jobs)
+
+
+async def test_jobs_wait_until_there_is_a_worker(tmp_path: Path, unused_tcp_port: int) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store, unused_tcp_port) as client:
+        job = await start(client, capture(store))
+        await asyncio.sleep(0.7)
+        assert (await client.get(f"/v1/jobs/{job}")).json()["state"] == "QUEUED"
+        async with worker(Making(store), tmp_path / "edge", port=unused_tcp_port):
+            done = await ended(client, job)
+    assert (done["state"], done["attempts"]) == ("SUCCEEDED", 1)
+
+
+async def test_many_jobs_over_two_workers_are_each_done_once(tmp_path: Path) -> None:
+    store = MemoryStore()
+    works = Making(store), Making(store)
+    async with (
+        worker(works[0], tmp_path / "a", slots=2) as one,
+        worker(works[1], tmp_path / "b", slots=1) as two,
+        gateway(tmp_path / "gw", store, one, two) as client,
+    ):
+        name = capture(store, steps=2, pause_s=0.02)
+        jobs = [await start(client, name, f"key{n}") for n in range(20)]
+        done = [await ended(client, job) for job in jobs]
+    assert {each["state"] for each in done} == {"SUCCEEDED"}
+    assert sorted(works[0].runs + works[1].runs) == sorted(jobs)
+    assert works[1].runs
+    for job, number in zip(jobs, range(20), strict=True):
+        assert [version["job"] for version in entry(store, f"key{number}").versions] == [job, job]
+
+
+async def test_a_capture_that_vanished_fails_the_job(tmp_path: Path, unused_tcp_port: int) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store, unused_tcp_port) as client:
+        job = await start(client, capture(store))
+        store.delete("captures/cap_1.zip")
+        async with worker(Making(store), tmp_path / "edge", port=unused_tcp_port):
+            done = await ended(client, job)
+    assert (done["state"], done["error"]["code"]) == ("FAILED", "CAPTURE_UNKNOWN")

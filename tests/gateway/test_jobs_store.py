@@ -1,0 +1,156 @@
+"""Jobs on disk: what was answered is there, queues are first come first served, and a lease has one holder."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from services.gateway.errors import Problem
+from services.gateway.jobs.job import Job, Order, State
+from services.gateway.jobs.reports import Finished, Progressed, Published
+from services.gateway.jobs.store import JobStore
+from services.gateway.jobs.tables import metadata, open_engine
+from services.gateway.jobs.transitions import Change, Retry, StaleFence, cancel_requested, leased, reported, taken_over
+
+ORDER = Order("cap_1", "draft", "dress", "Dress", isolate=True)
+RETRY = Retry(3, 1.0)
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def url(tmp_path: Path, request: pytest.FixtureRequest) -> str:
+    """An empty database of each kind; Postgres where $CAPTURE2VR_TEST_POSTGRES is the URL of one to wipe."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'jobs.db'}"
+    found = os.environ.get("CAPTURE2VR_TEST_POSTGRES", "")
+    if not found:
+        pytest.skip("CAPTURE2VR_TEST_POSTGRES names no database")
+    engine = open_engine(found)
+    metadata.drop_all(engine)
+    engine.dispose()
+    return found
+
+
+@pytest.fixture
+def store(url: str) -> Iterator[JobStore]:
+    engine = open_engine(url)
+    yield JobStore(engine)
+    engine.dispose()
+
+
+def lease(now: float = 100.0, holder: str = "gw") -> partial[Change]:
+    return partial(leased, holder=holder, worker="w:1", now=now, lease_s=10)
+
+
+def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> None:
+    made = store.create(ORDER)
+    claimed = store.claim(made.created + 1, lease(made.created + 1))
+    assert claimed is not None
+    told = [
+        Progressed(1, "FITTING", 0.5, {"a": 1.0}),
+        Published(2, "dress", 1, "preview", "m"),
+        Finished(3, ("w",), {"FITTING": 2}),
+    ]
+    job = store.change(made.id, partial(reported, fence=1, reports=told, now=made.created + 5, retry=RETRY))
+    engine = open_engine(url)
+    again, events = JobStore(engine).since(made.id, 0)
+    engine.dispose()
+    assert again == job
+    assert again.state is State.SUCCEEDED
+    assert again.elapsed_s == pytest.approx(5)
+    assert [event.seq for event in events] == list(range(1, job.last_event + 1))
+
+
+def test_the_queue_is_first_come_first_served(store: JobStore) -> None:
+    jobs = [store.create(ORDER).id for _ in range(5)]
+    claimed = [store.claim(1e12, lease()) for _ in range(6)]
+    assert [job.id if job else None for job in claimed] == [*sorted(jobs), None]
+
+
+def test_a_job_is_claimed_by_one_of_many(store: JobStore, url: str) -> None:
+    for _ in range(20):
+        store.create(ORDER)
+    gate = threading.Barrier(4)
+
+    def claims(_: int) -> list[str]:
+        engine = open_engine(url)
+        mine = JobStore(engine)
+        gate.wait()
+        got = [job.id for _ in range(10) if (job := mine.claim(1e12, lease()))]
+        engine.dispose()
+        return got
+
+    with ThreadPoolExecutor(4) as pool:
+        got = [job for each in pool.map(claims, range(4)) for job in each]
+    assert len(got) == len(set(got)) == 20
+
+
+def test_an_idempotency_key_makes_one_job(store: JobStore) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(lambda _: store.create(ORDER, key="k", body_sha256="a").id, range(8)))
+    assert len(set(made)) == 1
+    with pytest.raises(Problem) as conflict:
+        store.create(ORDER, key="k", body_sha256="b")
+    assert (conflict.value.status, conflict.value.code) == (409, "IDEMPOTENCY_CONFLICT")
+
+
+def test_what_a_transition_refuses_leaves_no_trace(store: JobStore) -> None:
+    job = store.create(ORDER)
+    with pytest.raises(StaleFence):
+        store.change(job.id, partial(reported, fence=9, reports=[], now=0, retry=RETRY))
+    assert store.get(job.id) == job
+
+
+def test_a_lease_is_renewed_by_its_fence_only(store: JobStore) -> None:
+    job = store.create(ORDER)
+    store.claim(1e12, lease(holder="a"))
+    assert store.renew("a", 500.0, [(job.id, 1)]) == (set(), set())
+    assert store.renew("a", 500.0, [(job.id, 2)]) == ({job.id}, set())
+    assert store.renew("b", 500.0, [(job.id, 1)]) == ({job.id}, set())
+    store.change(job.id, partial(cancel_requested, now=5))
+    assert store.renew("a", 500.0, [(job.id, 1)]) == (set(), {job.id})
+    assert store.get(job.id).lease.until == 500.0
+
+
+def test_a_run_is_taken_over_when_its_lease_is_out_or_by_its_former_self(store: JobStore) -> None:
+    job = store.create(ORDER)
+    store.claim(1e12, lease(100.0, "a"))
+
+    def orphan(now: float, holder: str, ours: tuple[str, ...] = ()) -> Job | None:
+        return store.claim_orphan(now, holder, ours, partial(taken_over, holder="b", now=now, lease_s=10))
+
+    assert orphan(105.0, "") is None
+    assert orphan(105.0, "a", (job.id,)) is None
+    mine = orphan(105.0, "a")
+    assert mine is not None
+    assert (mine.lease.holder, mine.lease.fence, mine.lease.worker) == ("b", 2, "w:1")
+    assert orphan(114.0, "") is None
+    assert orphan(116.0, "") is not None
+
+
+def test_pages_are_newest_first_and_complete(store: JobStore) -> None:
+    jobs = [store.create(ORDER).id for _ in range(7)]
+    seen: list[str] = []
+    while page := store.page(limit=3, after=seen[-1] if seen else ""):
+        seen += [job.id for job in page]
+    assert seen == sorted(jobs, reverse=True)
+    assert store.counts()[State.QUEUED] == 7
+
+
+def test_others_news_are_heard(store: JobStore) -> None:
+    before = store.newest_event()
+    job = store.create(ORDER)
+    after, touched = store.touched(before)
+    assert touched == {job.id}
+    assert store.touched(after) == (after, set())
+
+
+def test_an_unknown_job_has_a_name(store: JobStore) -> None:
+    with pytest.raises(Problem) as unknown:
+        store.get("job_none")
+    assert (unknown.value.status, unknown.value.code) == (404, "JOB_UNKNOWN")

@@ -1,0 +1,156 @@
+"""kill -9 of worker and gateway by turns while 50 jobs run: in the end every job is done, and none twice."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from services.storage.catalogue import entry
+from services.storage.local import LocalStore
+from tests.gateway.support import capture
+
+_ROOT = Path(__file__).parents[2]
+_JOBS = 50
+_KILLS = 20
+_WITHIN_S = 110.0
+
+
+class Process:
+    """A service that is killed and comes back."""
+
+    def __init__(self, module: str, log: Path, **variables: object) -> None:
+        self._command = [sys.executable, "-m", module]
+        self._log = log
+        self._environment = {**os.environ, **{name: str(value) for name, value in variables.items()}}
+        self.start()
+
+    def start(self) -> None:
+        with self._log.open("ab") as log:
+            self._running = subprocess.Popen(self._command, cwd=_ROOT, env=self._environment, stdout=log, stderr=log)
+
+    def kill(self) -> None:
+        """As a power cut: no handler runs."""
+        self._running.kill()
+        self._running.wait()
+
+
+@contextmanager
+def _killed_at_the_end(*processes: Process) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+
+
+def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_factory: Callable[[], int]) -> None:
+    store = LocalStore(tmp_path / "objects")
+    edge_port, gateway_port = unused_tcp_port_factory(), unused_tcp_port_factory()
+    shared = {"STORAGE_ROOT": store.root, "OMP_NUM_THREADS": 1}
+    edge = Process(
+        "tests.gateway.making_worker",
+        tmp_path / "edge.log",
+        EDGE_PORT=edge_port,
+        EDGE_SLOTS=2,
+        EDGE_SCRATCH=tmp_path / "scratch",
+        **shared,
+    )
+    gateway = Process(
+        "services.gateway",
+        tmp_path / "gateway.log",
+        GATEWAY_PORT=gateway_port,
+        GATEWAY_DATA_DIR=tmp_path / "gateway",
+        GATEWAY_WORKERS=f"127.0.0.1:{edge_port}",
+        GATEWAY_LEASE_S=2,
+        GATEWAY_ATTACH_FOR_S=3,
+        GATEWAY_RETRY_S=0.1,
+        GATEWAY_MAX_ATTEMPTS=20,
+        **shared,
+    )
+    deadline = time.monotonic() + _WITHIN_S
+    chance = random.Random(7)
+    name = capture(store, steps=6, pause_s=0.1)
+    with (
+        _killed_at_the_end(edge, gateway),
+        httpx.Client(base_url=f"http://127.0.0.1:{gateway_port}", timeout=5.0) as client,
+    ):
+        jobs = {f"key{n}": _start(client, name, f"key{n}", deadline) for n in range(_JOBS)}
+        killed = 0.0
+        for kill in range(_KILLS):
+            _ask(client, partial(_somebody_works, since=killed), deadline)
+            time.sleep(chance.uniform(0.0, 0.6))  # anywhere: between upload and work, in the work, in the publishing
+            victim = (edge, gateway)[kill % 2]
+            victim.kill()
+            killed = time.time()
+            victim.start()
+        done = _ask(client, _all_ended, deadline)
+        stories = {job: _told(client, job) for job in jobs.values()}
+
+    assert {job["id"]: job["state"] for job in done} == dict.fromkeys(jobs.values(), "SUCCEEDED")
+    for key, job in jobs.items():
+        assert [(made["job"], made["state"]) for made in entry(store, key).versions] == [
+            (job, "preview"),
+            (job, "refined"),
+        ]
+        assert stories[job].count("SUCCEEDED") == 1
+    assert max(job["attempts"] for job in done) > 1, "no kill hit a job: the test proves nothing"
+
+
+def _start(client: httpx.Client, name: str, key: str, deadline: float) -> str:
+    """Start a job as a phone would: again under the same key until there is an answer."""
+    while True:
+        try:
+            body = {"capture": name, "asset_key": key}
+            answer = client.post("/v1/jobs", json=body, headers={"Idempotency-Key": key})
+            assert answer.status_code == 202, answer.text
+            return str(answer.json()["id"])
+        except httpx.TransportError:
+            assert time.monotonic() < deadline, "the gateway did not start"
+            time.sleep(0.05)
+
+
+def _ask(client: httpx.Client, holds: Callable[[list[dict[str, Any]]], bool], deadline: float) -> list[dict[str, Any]]:
+    """All jobs, as soon as something holds of them."""
+    jobs: list[dict[str, Any]] = []
+    while time.monotonic() < deadline:
+        try:
+            jobs = client.get("/v1/jobs", params={"limit": 200}).json()["jobs"]
+            if holds(jobs):
+                return jobs
+        except httpx.TransportError:
+            pass
+        time.sleep(0.05)
+    raise AssertionError(f"not within {_WITHIN_S:g} s: {[(job['state'], job['attempts']) for job in jobs]}")
+
+
+def _somebody_works(jobs: list[dict[str, Any]], since: float) -> bool:
+    """Whether a run has been heard of since the last kill: the next one is to hit a job, not a service that starts."""
+    return any(
+        job["state"] == "RUNNING" and job["stage"] and datetime.fromisoformat(job["updated"]).timestamp() > since
+        for job in jobs
+    )
+
+
+def _all_ended(jobs: list[dict[str, Any]]) -> bool:
+    return len(jobs) == _JOBS and all(job["state"] in {"SUCCEEDED", "FAILED", "CANCELLED"} for job in jobs)
+
+
+def _told(client: httpx.Client, job: str) -> list[str]:
+    """The states that the job's events tell of, in order; checks that no event is missing or told twice."""
+    lines = client.get(f"/v1/jobs/{job}/events").text.splitlines()
+    numbers = [int(line[4:]) for line in lines if line.startswith("id: ")]
+    assert numbers == list(range(1, len(numbers) + 1))
+    kinds = [line[7:] for line in lines if line.startswith("event: ")]
+    states = [line.split('"state": "')[1].split('"')[0] for line in lines if line.startswith("data: ")]
+    return [state for kind, state in zip(kinds, states, strict=True) if kind == "state"]

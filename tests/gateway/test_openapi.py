@@ -1,0 +1,69 @@
+"""The OpenAPI document holds: whatever fits it, or nearly fits it, is answered as it says."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import schemathesis
+import uvicorn
+from hypothesis import HealthCheck, given, settings
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from services.gateway.app import create_app
+from services.gateway.settings import GatewaySettings
+from tests.gateway.support import capture, memory
+
+
+_NOT_ASKED = {
+    "/v1/jobs/{job}/events",  # waits for the job's end
+    "/readyz",  # says 503 without a worker, as it should
+}
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
+    store = memory()
+    capture(store)
+    folder: Path = tmp_path_factory.mktemp("gateway")
+    app = create_app(GatewaySettings(data_dir=folder, workers=("127.0.0.1:9",)), store)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="none"))
+        thread = threading.Thread(target=server.run, args=([listening],))
+        thread.start()
+        yield schemathesis.openapi.from_url(f"http://127.0.0.1:{listening.getsockname()[1]}/openapi.json")
+        server.should_exit = True
+        thread.join()
+
+
+def test_answers_are_as_documented(api: schemathesis.BaseSchema) -> None:
+    for result in api.get_all_operations():
+        operation = result.ok()
+        if operation.path not in _NOT_ASKED:
+            _check(operation)
+
+
+def _check(operation: schemathesis.APIOperation) -> None:
+    # Schemathesis' own pytest plugin does not know this pytest; its strategies need no plugin.
+    @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(case=operation.as_strategy())
+    def holds(case: schemathesis.Case) -> None:
+        case.call_and_validate(
+            checks=[not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
+        )
+
+    holds()
+
+
+def test_every_route_says_what_it_is_for(api: schemathesis.BaseSchema) -> None:
+    for path, operations in api.raw_schema["paths"].items():
+        for method, operation in operations.items():
+            assert operation.get("description"), f"{method} {path}"

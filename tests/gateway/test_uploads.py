@@ -1,0 +1,390 @@
+"""POST /v1/captures: what is whole is stored as one archive; what is not is named, and nothing of it stays."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import grpc
+import httpx
+import pytest
+from fastapi import FastAPI
+from PIL import Image
+
+from services.edge.api import edge_pb2 as pb
+from services.edge.api import edge_pb2_grpc
+from services.gateway.app import create_app
+from services.gateway.settings import GatewaySettings
+from services.storage.archives import unpack
+from services.storage.bundle import sha256_hex
+from services.storage.memory import MemoryStore
+from services.storage.store import Head
+from tests.gateway import pictures
+
+BOUNDARY = "boundary"
+CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
+
+
+class Gateway:
+    """An app on a store in memory, without workers unless given some."""
+
+    def __init__(self, data_dir: Path, store: MemoryStore, **settings: Any) -> None:
+        self.store = store
+        self.data_dir = data_dir
+        self.app: FastAPI = create_app(GatewaySettings(data_dir=data_dir, **{"workers": (), **settings}), store)
+        transport = httpx.ASGITransport(self.app, raise_app_exceptions=False)
+        self.client = httpx.AsyncClient(transport=transport, base_url="http://gateway")
+
+    async def send(self, *files: tuple[str, bytes], name: str = "") -> httpx.Response:
+        parts = [("files", (file, content, "application/octet-stream")) for file, content in files]
+        return await self.client.post("/v1/captures", files=parts, data={"name": name} if name else None)
+
+    async def send_raw(self, body: bytes | AsyncIterator[bytes], **headers: str) -> httpx.Response:
+        return await self.client.post(
+            "/v1/captures", content=body, headers={"Content-Type": "application/zip"} | headers
+        )
+
+    def stored(self, capture: str, folder: Path) -> dict[str, bytes]:
+        """The files of a stored capture."""
+        self.store.fetch(f"captures/{capture}.zip", folder / "stored.zip")
+        files = unpack(folder / "stored.zip", folder / "stored")
+        return {file.relative_to(folder / "stored").as_posix(): file.read_bytes() for file in files}
+
+    def assert_empty(self) -> None:
+        assert self.store.list("") == []
+        assert list((self.data_dir / "uploads").rglob("*")) == []
+
+
+@pytest.fixture
+def gateway(tmp_path: Path) -> Gateway:
+    return Gateway(tmp_path / "data", MemoryStore())
+
+
+def zipped(**entries: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries.items():
+            archive.writestr(name.replace("__", "/"), content)
+    return buffer.getvalue()
+
+
+def assert_problem(answer: httpx.Response, status: int, code: str, file: str = "") -> dict[str, Any]:
+    assert answer.headers["content-type"] == "application/problem+json", answer.text
+    document: dict[str, Any] = answer.json()
+    assert (answer.status_code, document["code"], document.get("file", "")) == (status, code, file), document
+    assert document["detail"]
+    return document
+
+
+async def test_photos_become_one_archive_without_places(gateway: Gateway, tmp_path: Path) -> None:
+    photo, depth = pictures.jpeg(), pictures.png(pictures.picture(mode="I;16"))
+    answer = await gateway.send(("rgb/1.jpg", photo), ("depth/1.png", depth), ("poses.csv", b"0,0,0\n"), name="Dress")
+    receipt = answer.json()
+    assert answer.status_code == 201, receipt
+    assert receipt["capture"].startswith("cap_")
+    assert (receipt["name"], receipt["inspected"]) == ("Dress", False)
+    assert [file["file"] for file in receipt["files"]] == ["depth/1.png", "poses.csv", "rgb/1.jpg"]
+    assert {"GPSInfo", "BodySerialNumber"} <= set(receipt["files"][2]["stripped"])
+    assert receipt["files"][1]["stripped"] == []
+
+    stored = gateway.stored(receipt["capture"], tmp_path)
+    assert {file["file"]: (file["sha256"], file["bytes"]) for file in receipt["files"]} == {
+        name: (sha256_hex(content), len(content)) for name, content in stored.items()
+    }
+    assert pictures.PLACE not in b"".join(stored.values())
+    assert Image.open(io.BytesIO(stored["rgb/1.jpg"])).tobytes() == Image.open(io.BytesIO(photo)).tobytes()
+    archive = gateway.store.get(f"captures/{receipt['capture']}.zip")
+    assert (receipt["bytes"], receipt["sha256"]) == (len(archive), sha256_hex(archive))
+
+
+async def test_the_receipt_is_on_the_store_beside_the_archive(gateway: Gateway) -> None:
+    receipt = (await gateway.send(("a.ply", CLOUD))).json()
+    assert json.loads(gateway.store.get(f"captures/{receipt['capture']}.json")) == receipt
+    assert "private" in gateway.store.head(f"captures/{receipt['capture']}.zip").cache_control
+
+
+async def test_staging_is_empty_afterwards(gateway: Gateway) -> None:
+    assert (await gateway.send(("a.ply", CLOUD))).status_code == 201
+    assert list((gateway.data_dir / "uploads").iterdir()) == []
+
+
+@pytest.mark.parametrize("way", ["raw", "field", "r3d"])
+async def test_a_zip_is_unpacked_and_cleaned(gateway: Gateway, tmp_path: Path, way: str) -> None:
+    data = zipped(scan__metadata=b"{}", scan__rgbd__0=pictures.jpeg(), scan__rgbd__1=b"bvx2")
+    answer = await (gateway.send_raw(data) if way == "raw" else gateway.send((f"scan.{way}", data)))
+    assert answer.status_code == 201, answer.text
+    stored = gateway.stored(answer.json()["capture"], tmp_path)
+    assert pictures.PLACE not in b"".join(stored.values())
+    assert {"metadata", "rgbd/0"} <= stored.keys()
+
+
+async def test_equal_names_of_a_phones_camera_are_numbered(gateway: Gateway) -> None:
+    photos = [("image.jpg", pictures.jpeg(pictures.picture(32, 32 + n))) for n in range(3)]
+    answer = await gateway.send(*photos)
+    assert [file["file"] for file in answer.json()["files"]] == ["image-2.jpg", "image-3.jpg", "image.jpg"]
+
+
+@pytest.mark.parametrize(
+    ("given", "safe"),
+    [
+        ("../../etc/passwd.txt", "etc/passwd.txt"),
+        ("/abs/a.txt", "abs/a.txt"),
+        ("..\\..\\a.txt", "a.txt"),
+        ("C:\\scan\\a.txt", "a.txt"),
+        ("depth/0001.txt", "depth/0001.txt"),
+        ("a\x01b?*.txt", "a_b__.txt"),
+        ("Äpfel (1).txt", "Äpfel (1).txt"),
+        ("x" * 300 + ".txt", "x" * 146 + ".txt"),
+    ],
+)
+async def test_names_cannot_lead_anywhere(gateway: Gateway, given: str, safe: str) -> None:
+    body = (
+        f'--{BOUNDARY}\r\nContent-Disposition: form-data; name="files"; filename="'.encode()
+        + given.encode()
+        + f'"\r\n\r\n1 2 3\r\n--{BOUNDARY}--\r\n'.encode()
+    )
+    answer = await gateway.send_raw(body, **{"Content-Type": f"multipart/form-data; boundary={BOUNDARY}"})
+    assert answer.status_code == 201, answer.text
+    assert [file["file"] for file in answer.json()["files"]] == [safe]
+
+
+async def test_what_systems_add_is_dropped(gateway: Gateway) -> None:
+    answer = await gateway.send(("scan/.DS_Store", b"x"), ("scan/Thumbs.db", b"x"), ("scan/a.ply", CLOUD))
+    assert [file["file"] for file in answer.json()["files"]] == ["scan/a.ply"]
+
+
+async def test_files_that_no_capture_has_are_left_out_and_named(gateway: Gateway, tmp_path: Path) -> None:
+    answer = await gateway.send(("a.ply", CLOUD), ("virus.exe", b"MZ\x90\0" + bytes(100)))
+    receipt = answer.json()
+    assert [file["verdict"] for file in receipt["files"]] == ["ok", "left out: of no known format"]
+    assert set(gateway.stored(receipt["capture"], tmp_path)) == {"a.ply"}
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "code"),
+    [
+        ("a.jpg", pictures.jpeg()[:1500], "IMAGE_UNREADABLE"),
+        ("a.jpg", b"MZ\x90\0" + bytes(100), "IMAGE_UNREADABLE"),
+        ("a.jpg", b"", "IMAGE_UNREADABLE"),
+        ("a.png", pictures.png()[:600], "IMAGE_UNREADABLE"),
+        ("a.png", b"GIF89a" + bytes(50), "IMAGE_UNREADABLE"),
+        ("a.heic", pictures.heic()[:600], "IMAGE_UNREADABLE"),
+        ("a.webp", pictures.webp()[:600], "IMAGE_UNREADABLE"),
+        ("a.tiff", pictures.tiff()[:600], "IMAGE_UNREADABLE"),
+        ("a.exr", pictures.exr()[:40], "IMAGE_UNREADABLE"),
+        ("a.png", pictures.huge_png(60_000, 60_000), "IMAGE_TOO_LARGE"),
+        ("a.png", pictures.huge_png(100_001, 1000), "IMAGE_TOO_LARGE"),
+        ("a.png", pictures.huge_png(100, 100), "IMAGE_UNREADABLE"),
+        ("a.exr", pictures.exr(20_000, 20_000), "IMAGE_TOO_LARGE"),
+        ("a.mp4", pictures.film()[:150], "CAPTURE_UNREADABLE"),
+        ("b.zip", zipped(a=b"1"), "ARCHIVE_NESTED"),
+    ],
+)
+async def test_a_bad_file_is_refused_by_name(gateway: Gateway, file: str, content: bytes, code: str) -> None:
+    answer = await gateway.send(("0.ply", CLOUD), (file, content))
+    assert assert_problem(answer, 422, code, file)["hints"]
+    gateway.assert_empty()
+
+
+async def test_a_large_photo_is_refused_before_it_is_decoded(gateway: Gateway) -> None:
+    """A JPEG of a few hundred bytes that would be 4,000 megapixels."""
+    data = bytearray(pictures.jpeg())
+    frame = data.index(b"\xff\xc0")
+    data[frame + 5 : frame + 9] = b"\xfd\xe8\xfd\xe8"
+    assert_problem(await gateway.send(("a.jpg", bytes(data))), 422, "IMAGE_TOO_LARGE", "a.jpg")
+
+
+@pytest.mark.parametrize(
+    ("entries", "code", "file"),
+    [
+        ({"..__evil": b"1"}, "ARCHIVE_TRAVERSAL", "../evil"),
+        ({"a": b"1", "bomb": bytes(4 << 20)}, "ARCHIVE_BOMB", "bomb"),
+        ({"a": b"1", "b": zipped(c=b"1")}, "ARCHIVE_NESTED", "b"),
+    ],
+)
+async def test_a_hostile_zip_leaves_nothing(gateway: Gateway, entries: dict[str, bytes], code: str, file: str) -> None:
+    assert_problem(await gateway.send_raw(zipped(**entries)), 422, code, file)
+    gateway.assert_empty()
+
+
+async def test_a_cut_zip_is_broken(gateway: Gateway) -> None:
+    assert_problem(await gateway.send_raw(zipped(a=CLOUD)[:-30]), 422, "ARCHIVE_BROKEN")
+    assert_problem(await gateway.send_raw(b"no zip"), 422, "ARCHIVE_BROKEN")
+    gateway.assert_empty()
+
+
+async def test_an_upload_of_nothing_is_empty(gateway: Gateway) -> None:
+    assert_problem(await gateway.send_raw(b""), 422, "CAPTURE_EMPTY")
+    assert_problem(await gateway.send(("", b"")), 422, "CAPTURE_EMPTY")
+    assert_problem(await gateway.send(("a.ply", b"")), 422, "CAPTURE_EMPTY")
+    assert_problem(await gateway.send(("a.exe", b"MZ\0\1")), 422, "CAPTURE_UNKNOWN_FORMAT", "a.exe")
+    gateway.assert_empty()
+
+
+async def test_another_media_type_is_refused(gateway: Gateway) -> None:
+    for kind in ("application/json", "image/jpeg", "multipart/form-data"):
+        assert_problem(await gateway.send_raw(b"{}", **{"Content-Type": kind}), 415, "UPLOAD_MEDIA_TYPE")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"nothing of the kind",
+        b"--boundary\r\n",
+        b'--boundary\r\nContent-Disposition: form-data; name="files"; filename="a.ply"\r\n\r\nply',
+        b"--boundary\r\n\r\nno headers\r\n--boundary",
+    ],
+)
+async def test_a_malformed_form_is_refused(gateway: Gateway, body: bytes) -> None:
+    headers = {"Content-Type": f"multipart/form-data; boundary={BOUNDARY}"}
+    assert_problem(await gateway.send_raw(body, **headers), 400, "UPLOAD_MALFORMED")
+    gateway.assert_empty()
+
+
+async def test_a_boundary_in_many_pieces_is_still_one(gateway: Gateway, tmp_path: Path) -> None:
+    """Content that looks like a boundary, in chunks of a few bytes."""
+    content = b"ply\n\r\n--boundar\r\n--boundary-not\r\n" * 20
+    request = gateway.client.build_request("POST", "/v1/captures", files=[("files", ("a.ply", content))])
+    body = request.read()
+
+    async def dripping() -> AsyncIterator[bytes]:
+        for start in range(0, len(body), 7):
+            yield body[start : start + 7]
+
+    answer = await gateway.send_raw(dripping(), **{"Content-Type": request.headers["content-type"]})
+    assert answer.status_code == 201, answer.text
+    assert gateway.stored(answer.json()["capture"], tmp_path)["a.ply"] == content
+
+
+async def test_too_many_bytes_are_refused_declared_or_not(tmp_path: Path) -> None:
+    gateway = Gateway(tmp_path / "data", MemoryStore(), max_upload_bytes=10_000)
+
+    async def undeclared() -> AsyncIterator[bytes]:
+        for _ in range(100):
+            yield bytes(1000)
+
+    assert (await gateway.send_raw(undeclared())).status_code == 413
+    assert (await gateway.send(("a.ply", bytes(10_001)))).status_code == 413
+    gateway.assert_empty()
+
+
+async def test_too_many_files_are_refused(tmp_path: Path) -> None:
+    gateway = Gateway(tmp_path / "data", MemoryStore(), max_files=3)
+    files = [(f"{n}.txt", b"1") for n in range(4)]
+    assert_problem(await gateway.send(*files), 413, "UPLOAD_TOO_MANY_FILES")
+    assert (await gateway.send(*files[:3])).status_code == 201
+    many = zipped(**dict(files))
+    assert_problem(await gateway.send_raw(many), 413, "UPLOAD_TOO_MANY_FILES")
+
+
+async def test_a_client_that_leaves_leaves_nothing(gateway: Gateway) -> None:
+    messages = iter(
+        [
+            {"type": "http.request", "body": b"PK\x03\x04" + bytes(1 << 20), "more_body": True},
+            {"type": "http.disconnect"},
+        ]
+    )
+    sent: list[Any] = []
+
+    async def receive() -> Any:
+        return next(messages)
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    headers = [(b"content-type", b"application/zip"), (b"content-length", b"9000000")]
+    scope = {"type": "http", "method": "POST", "path": "/v1/captures", "query_string": b"", "headers": headers}
+    await gateway.app(scope | {"root_path": "", "scheme": "http", "http_version": "1.1"}, receive, send)
+    assert sent == []
+    gateway.assert_empty()
+
+
+class _FullStore(MemoryStore):
+    """A store that takes the archive and fails at the receipt."""
+
+    def put(self, name: str, *arguments: Any, **options: Any) -> Head:
+        if name.endswith(".json"):
+            raise OSError("the backend is gone")
+        return super().put(name, *arguments, **options)
+
+
+async def test_a_store_that_fails_keeps_nothing(tmp_path: Path) -> None:
+    gateway = Gateway(tmp_path / "data", _FullStore())
+    assert assert_problem(await gateway.send(("a.ply", CLOUD)), 503, "STORE_UNAVAILABLE")["retryable"]
+    gateway.assert_empty()
+
+
+class _Worker(edge_pb2_grpc.EdgeReconstructionServicer):
+    """A worker that answers every inspection with the same verdict, having read all of it."""
+
+    def __init__(self, verdict: pb.Inspection) -> None:
+        self.verdict = verdict
+        self.received = b""
+
+    async def GetWorker(self, request: Any, context: Any) -> pb.Worker:  # noqa: N802 - the wire's name
+        return pb.Worker(version="1", slots=1, free_slots=1)
+
+    async def Inspect(self, chunks: AsyncIterator[pb.Chunk], context: Any) -> pb.Inspection:  # noqa: N802
+        self.received = b"".join([chunk.data.data async for chunk in chunks])
+        return self.verdict
+
+
+@pytest.fixture
+def verdict() -> pb.Inspection:
+    return pb.Inspection(kind="points", format="ply", points=1000, warnings=["3 points dropped"])
+
+
+@pytest.fixture
+async def worker(verdict: pb.Inspection) -> AsyncIterator[tuple[_Worker, str]]:
+    servicer, server = _Worker(verdict), grpc.aio.server()
+    edge_pb2_grpc.add_EdgeReconstructionServicer_to_server(servicer, server)
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    yield servicer, f"127.0.0.1:{port}"
+    await server.stop(None)
+
+
+@pytest.fixture
+async def attended(tmp_path: Path, worker: tuple[_Worker, str]) -> AsyncIterator[Gateway]:
+    gateway = Gateway(tmp_path / "data", MemoryStore(), workers=(worker[1],))
+    yield gateway
+    await gateway.app.state.edge.close()
+
+
+async def test_a_workers_verdict_is_in_the_receipt(attended: Gateway, worker: tuple[_Worker, str]) -> None:
+    receipt = (await attended.send(("a.ply", CLOUD))).json()
+    assert receipt["inspected"]
+    assert (receipt["kind"], receipt["format"], receipt["points"]) == ("points", "ply", 1000)
+    assert receipt["warnings"] == ["3 points dropped"]
+    assert worker[0].received == attended.store.get(f"captures/{receipt['capture']}.zip")
+
+
+class TestRefused:
+    @pytest.fixture
+    def verdict(self) -> pb.Inspection:
+        failure = pb.Failure(code="CAPTURE_TOO_FEW_POINTS", message="only 3", file="a.ply", hints=["scan longer"])
+        return pb.Inspection(failure=failure)
+
+    async def test_a_capture_that_a_worker_refuses_is_not_kept(self, attended: Gateway) -> None:
+        document = assert_problem(await attended.send(("a.ply", CLOUD)), 422, "CAPTURE_TOO_FEW_POINTS", "a.ply")
+        assert document["hints"] == ["scan longer"]
+        attended.assert_empty()
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["phone_tof", "photos_fruit", "rgbd_livingroom", "dress", "cloud_room"])
+async def test_real_captures_are_taken(gateway: Gateway, data_dir: Path, name: str) -> None:
+    folder = data_dir / name
+    files = [
+        (path.relative_to(folder).as_posix(), path.read_bytes())
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.stat().st_size < 8_000_000
+    ]
+    answer = await gateway.send(*files)
+    assert answer.status_code == 201, answer.text
+    assert {file["verdict"] for file in answer.json()["files"]} == {"ok"}

@@ -1,0 +1,73 @@
+"""Bundles and a failing store for the tests of publishing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from services.storage.bundle import Bundle, State
+from services.storage.store import IMMUTABLE, Head, Store
+
+
+def bundle(state: State = "preview", content: str = "a", **manifest: object) -> Bundle:
+    """A bundle of two levels, a picture and a mesh, told apart by `content`."""
+    files = {name: f"{name} {state} {content}".encode() for name in ("lod0.glb", "lod1.glb", "preview.png", "mesh.ply")}
+    lods = [
+        {"file": f"lod{level}.glb", "level": level, "triangles": 100 >> level, "vertices": 60 >> level}
+        for level in (0, 1)
+    ]
+    facts = {"label": "Dress", "scale_confidence": "metric", "bounds_m": [[0, 0, 0], [1, 2, 3]], "size_m": [1, 2, 3]}
+    return Bundle(state=state, files=files, manifest={"lods": lods, "quality": {"triangles": 100}} | facts | manifest)
+
+
+class Crash(Exception):  # noqa: N818 - it reads as what it is
+    """The process that published is gone."""
+
+
+class CrashingStore:
+    """A store whose process dies at the n-th put: before the bytes are there, or just after."""
+
+    def __init__(self, inner: Store, at: int, *, after: bool) -> None:
+        self._inner = inner
+        self._left = at
+        self._after = after
+
+    def put(
+        self,
+        name: str,
+        data: bytes | Path,
+        *,
+        content_type: str,
+        cache_control: str = IMMUTABLE,
+        if_match: str | None = None,
+        if_absent: bool = False,
+    ) -> Head:
+        self._left -= 1
+        if self._left == 0 and not self._after:
+            raise Crash(name)
+        head = self._inner.put(
+            name, data, content_type=content_type, cache_control=cache_control, if_match=if_match, if_absent=if_absent
+        )
+        if self._left == 0:
+            raise Crash(name)
+        return head
+
+    def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
+        return self._inner.get(name, start=start, length=length)
+
+    def fetch(self, name: str, path: Path) -> None:
+        self._inner.fetch(name, path)
+
+    def head(self, name: str) -> Head:
+        return self._inner.head(name)
+
+    def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
+        return self._inner.list(prefix, after=after, limit=limit)
+
+    def delete(self, name: str) -> None:
+        self._inner.delete(name)
+
+    def url(self, name: str) -> str:
+        return self._inner.url(name)
+
+    def upload_url(self, name: str, *, expires_s: int) -> str:
+        return self._inner.upload_url(name, expires_s=expires_s)

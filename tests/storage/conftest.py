@@ -1,0 +1,45 @@
+"""Every store under one name: what a test says of `store` holds for all of them."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.storage.local import LocalStore
+from services.storage.memory import MemoryStore
+from services.storage.s3 import S3Store
+from services.storage.store import Store
+from tests.conftest import missing
+from tests.s3.server import S3Server, available, running
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[S3Server]:
+    if not available():
+        missing("a RADOS Gateway (radosgw, ceph-mon, ceph-osd)")
+    with running() as server:
+        yield server
+
+
+@pytest.fixture(params=["memory", "local", pytest.param("s3", marks=pytest.mark.s3)])
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Store:
+    if request.param == "memory":
+        return MemoryStore()
+    if request.param == "local":
+        return LocalStore(tmp_path / "objects", "http://gateway/v1/files")
+    return s3_store(request.getfixturevalue("s3_server"))
+
+
+def s3_store(server: S3Server, bucket: str = "") -> S3Store:
+    """A store on a bucket of its own."""
+    store = S3Store(
+        bucket=bucket or f"test-{uuid.uuid4().hex[:12]}",
+        access_key=server.access_key,
+        secret_key=server.secret_key,
+        endpoint=server.endpoint,
+    )
+    store.create_bucket()
+    return store

@@ -1,0 +1,231 @@
+"""Publishing: whole assets only, whatever crashes, races or repeats."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from services.storage.catalogue import Entry, alias_name, entry, list_keys, valid_key
+from services.storage.local import LocalStore
+from services.storage.memory import MemoryStore
+from services.storage.publish import StaleFence, publish
+from services.storage.store import IMMUTABLE, NO_CACHE, Store, list_all
+from tests.s3.server import S3Server
+from tests.storage.bundles import Crash, CrashingStore, bundle
+from tests.storage.conftest import s3_store
+
+PUTS = 4 + 1 + 1 + 1  # files, manifest, catalogue entry, alias
+
+
+def assert_whole(store: Store, present: Entry) -> None:
+    """Everything that the entry refers to is there, byte for byte, and so is every earlier version."""
+    for file in [*present.document["files"], *present.document["lods"], present.document["manifest"]]:
+        content = store.get(file["name"])
+        assert hashlib.sha256(content).hexdigest() == file["sha256"]
+        assert len(content) == file["bytes"]
+        assert file["sha256"] in file["name"]
+    for version in present.versions:
+        assert json.loads(store.get(version["manifest"]))["key"] == present.key
+
+
+def alias(store: Store, key: str) -> dict[str, object]:
+    return dict(json.loads(store.get(alias_name(key))))
+
+
+def test_the_first_publication_is_version_one(store: Store) -> None:
+    asset = publish(bundle(), store, key="dress", job="job_1")
+    present = entry(store, "dress")
+    assert (asset.key, asset.version, asset.state) == ("dress", 1, "preview")
+    assert (present.version, present.state, present.manifest) == (1, "preview", asset.manifest)
+    assert alias(store, "dress") == {"version": 1, "manifest": asset.manifest}
+    assert present.document["label"] == "Dress"
+    assert present.document["preview"]["file"] == "preview.png"
+    assert_whole(store, present)
+
+
+def test_refined_replaces_the_preview_under_the_same_key(store: Store) -> None:
+    publish(bundle("preview"), store, key="dress", job="job_1")
+    asset = publish(bundle("refined"), store, key="dress", job="job_1")
+    present = entry(store, "dress")
+    assert (asset.version, present.version, present.state) == (2, 2, "refined")
+    assert [(each["version"], each["state"]) for each in present.versions] == [(1, "preview"), (2, "refined")]
+    assert alias(store, "dress")["version"] == 2
+    assert_whole(store, present)
+
+
+def test_levels_come_finest_first_with_their_counts_and_places() -> None:
+    store = MemoryStore()
+    publish(bundle(), store, key="dress")
+    levels = entry(store, "dress").document["lods"]
+    assert [(each["level"], each["triangles"], each["vertices"]) for each in levels] == [(0, 100, 60), (1, 50, 30)]
+    assert all(store.head(each["name"]).size == each["bytes"] for each in levels)
+
+
+def test_files_are_immutable_and_pointers_are_not(store: Store) -> None:
+    publish(bundle(), store, key="dress")
+    for listed in list_all(store, ""):
+        expected = IMMUTABLE if listed.name.startswith("assets/") else NO_CACHE
+        assert store.head(listed.name).cache_control == expected
+    lod = entry(store, "dress").document["lods"][0]
+    assert store.head(lod["name"]).content_type == "model/gltf-binary"
+
+
+@pytest.mark.parametrize("job", ["job_1", ""])
+def test_publishing_twice_adds_nothing(store: Store, job: str) -> None:
+    first = publish(bundle(), store, key="dress", job=job)
+    before = {head.name: head.etag for head in list_all(store, "")}
+    assert publish(bundle(), store, key="dress", job=job) == first
+    assert {head.name: head.etag for head in list_all(store, "")} == before
+
+
+def test_a_repeated_job_keeps_its_first_result() -> None:
+    """A job that ran twice may come to other bytes; clients that hold version 1 must not see it change."""
+    store = MemoryStore()
+    first = publish(bundle(content="a"), store, key="dress", job="job_1")
+    assert publish(bundle(content="b"), store, key="dress", job="job_1") == first
+    assert len(entry(store, "dress").versions) == 1
+
+
+def test_a_late_preview_does_not_hide_its_refined_version() -> None:
+    store = MemoryStore()
+    refined = publish(bundle("refined"), store, key="dress", job="job_1")
+    assert publish(bundle("preview"), store, key="dress", job="job_1") == refined
+    assert entry(store, "dress").state == "refined"
+
+
+def test_known_bytes_are_not_sent_again() -> None:
+    store = MemoryStore()
+    publish(bundle(), store, key="dress", job="job_1")
+    again = CrashingStore(store, at=1, after=False)  # dies at the first put, which must be that of the manifest
+    with pytest.raises(Crash, match="manifest"):
+        publish(bundle(label="Other"), again, key="dress", job="job_2")
+
+
+@pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
+@pytest.mark.parametrize("at", range(1, PUTS + 1))
+def test_a_crash_at_any_put_leaves_a_whole_asset_and_a_rerun_completes(store: Store, at: int, after: bool) -> None:
+    publish(bundle(content="old"), store, key="dress", job="job_1")
+    crashing = CrashingStore(store, at=at, after=after)
+    with pytest.raises(Crash):
+        publish(bundle(content="new"), crashing, key="dress", job="job_2")
+
+    present = entry(store, "dress")
+    assert present.version in (1, 2)
+    assert alias(store, "dress")["version"] in (1, present.version)
+    assert_whole(store, present)
+
+    asset = publish(bundle(content="new"), store, key="dress", job="job_2")
+    present = entry(store, "dress")
+    assert (asset.version, present.version, len(present.versions)) == (2, 2, 2)
+    assert alias(store, "dress") == {"version": 2, "manifest": asset.manifest}
+    assert_whole(store, present)
+
+
+def test_a_crash_at_the_very_first_publication_leaves_no_asset() -> None:
+    for at in range(1, PUTS - 1):
+        store = MemoryStore()
+        with pytest.raises(Crash):
+            publish(bundle(), CrashingStore(store, at=at, after=True), key="dress", job="job_1")
+        with pytest.raises(FileNotFoundError):
+            entry(store, "dress")
+
+
+def test_a_lower_fence_is_refused(store: Store) -> None:
+    publish(bundle("preview"), store, key="dress", job="job_1", fence=2)
+    with pytest.raises(StaleFence, match="fence 1 is void"):
+        publish(bundle("refined"), store, key="dress", job="job_1", fence=1)
+    assert entry(store, "dress").version == 1
+
+
+def test_a_repeat_under_a_higher_fence_shuts_the_lower_out() -> None:
+    store = MemoryStore()
+    first = publish(bundle("preview"), store, key="dress", job="job_1", fence=1)
+    assert publish(bundle("preview"), store, key="dress", job="job_1", fence=2) == first
+    with pytest.raises(StaleFence):
+        publish(bundle("refined"), store, key="dress", job="job_1", fence=1)
+
+
+def test_fences_of_other_jobs_do_not_count() -> None:
+    store = MemoryStore()
+    publish(bundle(content="a"), store, key="dress", job="job_1", fence=9)
+    assert publish(bundle(content="b"), store, key="dress", job="job_2", fence=1).version == 2
+
+
+def test_rival_publishers_lose_no_version(store: Store) -> None:
+    def one(number: int) -> int:
+        return publish(bundle(content=str(number)), store, key="dress", job=f"job_{number}").version
+
+    with ThreadPoolExecutor(6) as pool:
+        versions = sorted(pool.map(one, range(12)))
+    assert versions == list(range(1, 13))
+    present = entry(store, "dress")
+    assert {each["job"] for each in present.versions} == {f"job_{number}" for number in range(12)}
+    assert alias(store, "dress") == {"version": 12, "manifest": present.manifest}
+    assert_whole(store, present)
+
+
+def _publish_some(store: Store, process: int) -> None:
+    for number in range(3):
+        publish(bundle(content=f"{process} {number}"), store, key="dress", job=f"job_{process}_{number}")
+
+
+def _publish_local(root: Path, process: int) -> None:
+    _publish_some(LocalStore(root), process)
+
+
+def _publish_s3(server: S3Server, bucket: str, process: int) -> None:
+    _publish_some(s3_store(server, bucket), process)
+
+
+def _in_processes(target: object, *arguments: object) -> None:
+    context = multiprocessing.get_context("spawn")
+    processes = [context.Process(target=target, args=(*arguments, number)) for number in range(3)]  # type: ignore[arg-type]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0, 0, 0]
+
+
+def test_rival_processes_share_a_local_root(tmp_path: Path) -> None:
+    _in_processes(_publish_local, tmp_path)
+    present = entry(LocalStore(tmp_path), "dress")
+    assert sorted(each["version"] for each in present.versions) == list(range(1, 10))
+    assert len({each["job"] for each in present.versions}) == 9
+
+
+@pytest.mark.s3
+def test_rival_processes_share_a_bucket(s3_server: S3Server) -> None:
+    s3_store(s3_server, "rivals")
+    _in_processes(_publish_s3, s3_server, "rivals")
+    present = entry(s3_store(s3_server, "rivals"), "dress")
+    assert sorted(each["version"] for each in present.versions) == list(range(1, 10))
+    assert len({each["job"] for each in present.versions}) == 9
+
+
+@pytest.mark.parametrize("key", ["a", "0", "dress", "Dress-2.blue_x", "x" * 100])
+def test_valid_keys(key: str) -> None:
+    assert valid_key(key)
+
+
+@pytest.mark.parametrize("key", ["", ".a", "-a", "a/b", "a b", "ä", "x" * 101, "a\n", "../a"])
+def test_invalid_keys_are_refused_everywhere(key: str) -> None:
+    store = MemoryStore()
+    assert not valid_key(key)
+    with pytest.raises(ValueError, match="no asset key"):
+        publish(bundle(), store, key=key)
+    with pytest.raises(ValueError, match="no asset key"):
+        entry(store, key)
+
+
+def test_keys_are_listed_in_pages(store: Store) -> None:
+    for key in ("c", "a", "b"):
+        publish(bundle(), store, key=key)
+    assert list_keys(store) == ["a", "b", "c"]
+    assert list_keys(store, limit=2) == ["a", "b"]
+    assert list_keys(store, after="b") == ["c"]

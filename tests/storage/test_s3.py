@@ -1,0 +1,94 @@
+"""What only a real S3 service can show: credentials, policies, presigned addresses, foreign errors."""
+
+from __future__ import annotations
+
+import uuid
+
+import httpx
+import pytest
+
+from services.storage.bucket import read_policy
+from services.storage.s3 import S3Store
+from services.storage.store import Store
+from tests.s3.server import S3Server
+from tests.storage.conftest import s3_store
+
+pytestmark = pytest.mark.s3
+TEXT = "text/plain"
+
+
+@pytest.fixture
+def bucket() -> str:
+    return f"test-{uuid.uuid4().hex[:12]}"
+
+
+def test_anybody_reads_assets_and_nothing_else(s3_server: S3Server, bucket: str) -> None:
+    store = s3_store(s3_server, bucket)
+    store.set_policy(read_policy(bucket))
+    for name in ("assets/a/lod0.glb", "captures/c.zip", "catalog/a.json"):
+        store.put(name, b"12345", content_type=TEXT)
+    answer = httpx.get(store.url("assets/a/lod0.glb"), headers={"Range": "bytes=1-2"})
+    assert (answer.status_code, answer.content) == (206, b"23")
+    assert "immutable" in answer.headers["cache-control"]
+    for name in ("captures/c.zip", "catalog/a.json", "assets/a/absent", ""):
+        address = f"{s3_server.endpoint}/{bucket}/{name}"
+        assert httpx.get(address).status_code == 403
+    assert httpx.put(store.url("assets/a/mine"), content=b"x").status_code == 403
+
+
+def test_presigned_addresses_are_for_the_public_host(s3_server: S3Server, bucket: str) -> None:
+    s3_store(s3_server, bucket)
+    store = S3Store(
+        bucket=bucket,
+        access_key=s3_server.access_key,
+        secret_key=s3_server.secret_key,
+        endpoint=s3_server.endpoint,
+        public_endpoint=s3_server.endpoint.replace("127.0.0.1", "localhost"),
+    )
+    url = store.upload_url("captures/a.zip", expires_s=60)
+    assert url.startswith(s3_server.endpoint.replace("127.0.0.1", "localhost"))
+    assert httpx.put(url, content=b"1").status_code == 200
+    assert httpx.put(url.replace("localhost", "127.0.0.1"), content=b"2").status_code == 403
+    assert store.get("captures/a.zip") == b"1"
+
+
+def test_a_cdn_stands_before_the_names(s3_server: S3Server) -> None:
+    store = S3Store(bucket="b-1", endpoint=s3_server.endpoint, base_url="https://cdn.example/")
+    assert store.url("assets/a/b.glb") == "https://cdn.example/assets/a/b.glb"
+
+
+def test_wrong_credentials_are_a_permission_error(s3_server: S3Server, bucket: str) -> None:
+    s3_store(s3_server, bucket)
+    stranger = S3Store(bucket=bucket, access_key="nobody", secret_key="wrong", endpoint=s3_server.endpoint)
+    assert_every_call_raises(stranger, PermissionError)
+
+
+def test_a_missing_bucket_is_an_os_error_and_not_a_missing_object(s3_server: S3Server) -> None:
+    keys = {"access_key": s3_server.access_key, "secret_key": s3_server.secret_key}
+    store = S3Store(bucket="no-such-bucket", endpoint=s3_server.endpoint, **keys)
+    for call in (lambda: store.get("a"), lambda: store.list(""), lambda: store.put("a", b"1", content_type=TEXT)):
+        with pytest.raises(OSError, match="bucket") as caught:
+            call()
+        assert not isinstance(caught.value, FileNotFoundError)
+
+
+def test_nobody_there_is_an_os_error() -> None:
+    store = S3Store(bucket="bucket", access_key="a", secret_key="b", endpoint="http://127.0.0.1:9")
+    with pytest.raises(OSError, match="cannot be reached") as caught:
+        store.get("a")
+    assert caught.value.__suppress_context__
+
+
+def assert_every_call_raises(store: Store, error: type[Exception]) -> None:
+    for call in (
+        lambda: store.get("a"),
+        lambda: store.head("a"),
+        lambda: store.list(""),
+        lambda: store.put("a", b"1", content_type=TEXT),
+    ):
+        with pytest.raises(error):
+            call()
+
+
+def test_creating_a_bucket_twice_is_no_error(s3_server: S3Server, bucket: str) -> None:
+    s3_store(s3_server, bucket).create_bucket()

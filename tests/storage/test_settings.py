@@ -1,0 +1,40 @@
+"""Which store a service gets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from services.storage.local import LocalStore
+from services.storage.s3 import S3Store
+from services.storage.settings import StorageSettings, open_store
+from services.strict_settings import SettingsError
+
+
+def test_a_folder_is_the_default(tmp_path: Path) -> None:
+    store = open_store(StorageSettings(root=tmp_path))
+    assert isinstance(store, LocalStore)
+    assert store.url("assets/a") == "/v1/files/assets/a"
+
+
+def test_s3_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    variables = {
+        "KIND": "s3",
+        "ENDPOINT": "http://minio:9000",
+        "PUBLIC_ENDPOINT": "https://s3.example",
+        "BUCKET": "things",
+    }
+    for name, value in (variables | {"ACCESS_KEY": "key", "SECRET_KEY": "very secret"}).items():
+        monkeypatch.setenv(f"STORAGE_{name}", value)
+    settings = StorageSettings()
+    store = open_store(settings)
+    assert isinstance(store, S3Store)
+    assert store.url("assets/a") == "https://s3.example/things/assets/a"
+    assert store.upload_url("a", expires_s=60).startswith("https://s3.example/things/a?")
+    assert "very secret" not in str(settings.describe())
+
+
+def test_half_a_pair_of_keys_is_an_error() -> None:
+    with pytest.raises(SettingsError, match="STORAGE_SECRET_KEY"):
+        open_store(StorageSettings(kind="s3", access_key="key"))

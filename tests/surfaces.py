@@ -1,0 +1,152 @@
+"""Open surfaces in closed form, as meshes and as random point samples, in the unit frame.
+
+Every maker returns a `Mesh` whose bounding box is centred at 0 with longest side 1. `sampled` draws what a scanner
+would: uniform random points of the surface, so the spacing varies as it does in life.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from services.edge.arrays import Floats
+from services.edge.mesh.metrics import sample
+from services.edge.mesh.nouns import Mesh
+
+
+def sampled(mesh: Mesh, count: int, *, noise: float = 0.0, outliers: float = 0.0, seed: int = 0) -> Floats:
+    """(count,3) points of the surface, plus Gaussian noise (standard deviation per axis) and a share of outliers.
+
+    Outliers are uniform in the bounding box grown by a tenth.
+    """
+    rng = np.random.default_rng(seed)
+    xyz = sample(mesh, count, rng).xyz
+    xyz = xyz + rng.normal(0, 1, xyz.shape) * noise
+    stray = rng.random(count) < outliers
+    low, high = mesh.vertices.min(0) - 0.05, mesh.vertices.max(0) + 0.05
+    xyz[stray] = rng.uniform(low, high, (int(stray.sum()), 3))
+    return xyz
+
+
+def unit(vertices: Floats, faces: np.ndarray) -> Mesh:
+    """The mesh in its unit frame."""
+    low, high = vertices.min(0), vertices.max(0)
+    return Mesh((vertices - (low + high) / 2) / (high - low).max(), np.asarray(faces, np.int64))
+
+
+def read_unit(path: Path) -> Mesh:
+    """A mesh file, its parts merged, in its unit frame."""
+    loaded = trimesh.load_mesh(path, process=False)
+    whole = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+    return unit(np.asarray(whole.vertices), whole.faces)
+
+
+def patch(shape: Callable[[Floats, Floats], list[Floats]], u_cells: int, v_cells: int) -> Mesh:
+    """The surface (u,v) in [0,1]² -> [x,y,z], on a regular grid of triangles."""
+    u, v = np.meshgrid(np.linspace(0, 1, u_cells + 1), np.linspace(0, 1, v_cells + 1), indexing="ij")
+    vertices = np.stack(np.broadcast_arrays(*shape(u, v)), axis=-1).reshape(-1, 3).astype(np.float64)
+    corner = np.arange((u_cells + 1) * (v_cells + 1)).reshape(u_cells + 1, v_cells + 1)
+    a, b, c, d = (corner[i : i + u_cells, j : j + v_cells].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return unit(vertices, faces)
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    """Several surfaces as one, in its unit frame."""
+    starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
+    faces = np.concatenate([m.faces + start for m, start in zip(meshes, starts, strict=True)])
+    return unit(np.concatenate([m.vertices for m in meshes]), faces)
+
+
+def moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
+    """The mesh, shifted."""
+    return Mesh(mesh.vertices + np.array(by), mesh.faces)
+
+
+def sphere() -> Mesh:
+    """Radius ½, closed but for the seam of its own grid."""
+    return patch(lambda u, v: _on_sphere(2 * np.pi * u, np.pi * v), 192, 96)
+
+
+def hemisphere() -> Mesh:
+    """The upper half of a sphere, open below: one border."""
+    return patch(lambda u, v: _on_sphere(2 * np.pi * u, np.pi / 2 * v), 192, 64)
+
+
+def disk() -> Mesh:
+    """Flat, radius ½: one border."""
+    return patch(lambda u, v: [v * np.cos(2 * np.pi * u), v * np.sin(2 * np.pi * u), 0 * u], 192, 64)
+
+
+def cylinder() -> Mesh:
+    """An open tube of radius ¼ and height 1: two borders."""
+    return patch(lambda u, v: [np.cos(2 * np.pi * u) / 4, np.sin(2 * np.pi * u) / 4, v], 192, 4)
+
+
+def mobius() -> Mesh:
+    """One border, one side: no winding is consistent all round."""
+
+    def shape(u: Floats, v: Floats) -> list[Floats]:
+        turn, across = 2 * np.pi * u, (v - 0.5) * 0.8
+        radius = 1 + across * np.cos(turn / 2)
+        return [radius * np.cos(turn), radius * np.sin(turn), across * np.sin(turn / 2)]
+
+    return patch(shape, 400, 32)
+
+
+def two_sheets(apart: float = 0.06) -> Mesh:
+    """Two parallel wavy sheets, `apart` in the unit frame."""
+    sheet = patch(lambda u, v: [u, v, 0.05 * np.sin(4 * u) * np.cos(3 * v)], 100, 100)
+    return joined(moved(sheet, (0, 0, -apart / 2)), moved(sheet, (0, 0, apart / 2)))
+
+
+def smooth_sheet() -> Mesh:
+    """A square of cloth with gentle waves."""
+    return patch(lambda u, v: [u, v, 0.08 * np.sin(5 * u + 1) * np.cos(4 * v) + 0.03 * np.sin(9 * v)], 160, 160)
+
+
+def pleated_sheet() -> Mesh:
+    """A square with ten pleats, 0.05 high, crest to crest 0.1."""
+    return patch(lambda u, v: [u, v, 0.025 * np.sin(20 * np.pi * u) * (0.6 + 0.4 * v)], 400, 80)
+
+
+def pleated_skirt() -> Mesh:
+    """A flared tube with nine pleats that deepen towards the hem; open at waist and hem."""
+
+    def shape(u: Floats, v: Floats) -> list[Floats]:
+        turn = 2 * np.pi * u
+        radius = 0.18 + 0.2 * v + 0.035 * v * np.sin(9 * turn)
+        return [radius * np.cos(turn), radius * np.sin(turn), -0.9 * v]
+
+    return patch(shape, 560, 80)
+
+
+def bumpy_sheet() -> Mesh:
+    """A square covered with bumps of two sizes."""
+
+    def shape(u: Floats, v: Floats) -> list[Floats]:
+        return [u, v, 0.03 * np.sin(13 * u) * np.sin(11 * v) + 0.01 * np.sin(37 * u + 2) * np.sin(31 * v)]
+
+    return patch(shape, 240, 240)
+
+
+def corner() -> Mesh:
+    """Three faces of a cube that meet: three creases and a corner."""
+    face = patch(lambda u, v: [u, v, 0 * u], 20, 20).vertices + np.array([0.5, 0.5, 0])
+    faces = patch(lambda u, v: [u, v, 0 * u], 20, 20).faces
+    return joined(*(Mesh(np.roll(face, turn, axis=1), faces) for turn in range(3)))
+
+
+def grid_with_holes() -> Mesh:
+    """A flat square of 8 × 8 cells with 3 × 3 of them missing: ten borders."""
+    mesh = patch(lambda u, v: [u, v, 0 * u], 56, 56)
+    cell = np.floor((mesh.vertices[mesh.faces].mean(1)[:, :2] + 0.5) * 7).astype(int)
+    hole = (cell % 2 == 1).all(axis=1)
+    return Mesh(mesh.vertices, mesh.faces[~hole])
+
+
+def _on_sphere(turn: Floats, tilt: Floats) -> list[Floats]:
+    return [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]

@@ -1,0 +1,118 @@
+"""The capture page, by what a person clicks."""
+
+from __future__ import annotations
+
+import json
+import re
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+from services.cli.up import Stack
+from tests.web.pictures import difference, drawn
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def bowl(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A coloured bowl of 6,000 points, 20 cm wide, as a phone's scanning app would export it."""
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(6000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[:, 1] = -np.abs(direction[:, 1])
+    xyz, rgb = direction * 0.1, ((direction * 0.5 + 0.5) * 255).astype(int)
+    path = tmp_path_factory.mktemp("captures") / "blue_bowl.ply"
+    header = ["ply", "format ascii 1.0", f"element vertex {len(xyz)}"]
+    header += [f"property float {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue")]
+    rows = [" ".join(map(str, [*p, *c])) for p, c in zip(xyz.round(6), rgb, strict=True)]
+    path.write_text("\n".join([*header, "end_header", *rows]) + "\n")
+    return path
+
+
+def _choose(page: Page, path: Path) -> None:
+    with page.expect_file_chooser() as chooser:
+        page.get_by_text("Choose files").click()
+    chooser.value.set_files(path)
+
+
+def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> None:
+    page.goto(stack.url)
+    expect(page.get_by_role("button", name="Send")).to_be_disabled()
+    _choose(page, bowl)
+    expect(page.locator("#chosen")).to_contain_text("1 file")
+    expect(page.locator("#name")).to_have_value("blue bowl")
+    page.locator("#name").fill("My blue bowl")
+    expect(page.locator("#key")).to_have_text("My-blue-bowl")
+    page.get_by_role("button", name="Send").click()
+
+    expect(page.locator("body")).to_have_attribute("data-state", "done")
+    expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
+    canvas = page.locator("#preview")
+    canvas.scroll_into_view_if_needed()
+    page.wait_for_timeout(500)
+    first = canvas.screenshot()
+    assert drawn(first) > 0.1
+    page.wait_for_timeout(1500)
+    assert difference(first, canvas.screenshot()) > 0.01, "the preview does not turn"
+    expect(page.locator("#link")).to_have_text(f"{stack.url}/view/My-blue-bowl")
+    page.wait_for_function("document.getElementById('qr').naturalWidth > 0")
+
+    page.get_by_role("link", name="View", exact=True).click()
+    expect(page).to_have_url(f"{stack.url}/view/My-blue-bowl")
+    expect(page.locator("#label")).to_have_text("My blue bowl")
+    assert drawn(page.locator("#stage").screenshot()) > 0.03
+
+
+def test_a_reloaded_page_goes_on_watching(page: Page, stack: Stack, bowl: Path) -> None:
+    page.goto(stack.url)
+    _choose(page, bowl)
+    page.get_by_role("button", name="Send").click()
+    page.wait_for_url("**/#job=*")
+    page.reload()
+    expect(page.locator("body")).to_have_attribute("data-state", "done")
+
+
+def test_what_is_no_capture_is_told_with_its_name(page: Page, stack: Stack, tmp_path: Path) -> None:
+    bad = tmp_path / "not-a-scan.ply"
+    bad.write_text("this is a shopping list\n" * 100)
+    page.goto(stack.url)
+    _choose(page, bad)
+    page.get_by_role("button", name="Send").click()
+    trouble = page.get_by_role("alert")
+    expect(trouble).to_be_visible()
+    expect(trouble).to_contain_text("not-a-scan.ply")
+    page.get_by_role("button", name="Choose again").click()
+    expect(page.locator("body")).to_have_attribute("data-state", "choosing")
+
+
+def test_a_name_from_any_script_cannot_break_the_key(page: Page, stack: Stack, bowl: Path) -> None:
+    page.goto(stack.url)
+    _choose(page, bowl)
+    page.locator("#name").fill("Éléphant / ../ 象 <b>")
+    expect(page.locator("#key")).to_have_text("Elephant-..-b")
+    page.locator("#name").fill("象")
+    expect(page.get_by_role("button", name="Send")).to_be_disabled()
+
+
+def test_photos_can_be_taken_and_the_page_fits_a_phone(page: Page, stack: Stack) -> None:
+    page.goto(stack.url)
+    photos = page.locator("#photos")
+    assert photos.get_attribute("capture") == "environment"
+    assert photos.get_attribute("accept") == "image/*"
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_an_asset_made_here_is_in_the_catalogue(page: Page, stack: Stack, bowl: Path) -> None:
+    page.goto(stack.url)
+    _choose(page, bowl)
+    page.locator("#name").fill("catalogued")
+    page.get_by_role("button", name="Send").click()
+    expect(page.locator("body")).to_have_attribute("data-state", "done")
+    with urllib.request.urlopen(f"{stack.url}/v1/assets/catalogued") as answer:
+        entry = json.load(answer)
+    assert entry["label"] == "catalogued"
+    assert max(entry["size_m"]) == pytest.approx(0.2, abs=0.01)

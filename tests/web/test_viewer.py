@@ -1,0 +1,123 @@
+"""The viewer, on a screen and in an emulated headset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import BrowserContext, Page, expect
+
+from services.cli.up import Stack
+from services.edge.capture.nouns import Capture, Cloud
+from services.edge.pipeline import reconstruct
+from services.edge.preset import load_preset
+from services.storage.bundle import Bundle
+from services.storage.local import LocalStore
+from services.storage.publish import publish
+from tests.web.pictures import drawn
+
+pytestmark = pytest.mark.browser
+KEY = "bowl"
+
+
+@pytest.fixture(scope="module")
+def store(stack: Stack) -> LocalStore:
+    """The store that the running gateway serves."""
+    return LocalStore(stack.store_root)
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    """A bowl of one metre, made by the product."""
+    direction = np.random.default_rng(0).normal(size=(20_000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[:, 1] = -np.abs(direction[:, 1])
+    rgb = ((direction * 0.5 + 0.5) * 255).astype(np.uint8)
+    capture = Capture("points", "ply", Cloud(direction * 0.5, rgb), scale_confidence="metric")
+    steps = reconstruct(capture, load_preset("draft"), label="Bowl")
+    return next(step for step in steps if isinstance(step, Bundle))
+
+
+@pytest.fixture(autouse=True)
+def published(store: LocalStore, bundle: Bundle) -> Iterator[None]:
+    """At least one version of the bowl stands in the catalogue."""
+    publish(bundle, store, key=KEY, job="first")
+    yield
+
+
+def test_all_levels_come_and_distance_chooses_among_them(page: Page, stack: Stack) -> None:
+    page.goto(f"{stack.url}/view/{KEY}")
+    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    expect(page.locator("body")).to_have_attribute("data-lod", "0")
+    assert drawn(page.locator("#stage").screenshot()) > 0.05
+    page.mouse.move(195, 400)
+    for _ in range(60):
+        page.mouse.wheel(0, 400)
+    expect(page.locator("body")).to_have_attribute("data-lod", "2")
+
+
+def test_the_person_reads_name_size_and_state(page: Page, stack: Stack) -> None:
+    page.goto(f"{stack.url}/view/{KEY}")
+    expect(page.locator("#label")).to_have_text("Bowl")
+    expect(page.locator("#said")).to_contain_text("50 cm")
+    expect(page.locator("#said")).to_contain_text("triangles")
+
+
+def test_an_unknown_key_is_said_not_shown(page: Page, stack: Stack) -> None:
+    page.goto(f"{stack.url}/view/nothing-here")
+    expect(page.locator("body")).to_have_attribute("data-state", "error")
+    expect(page.locator("#said")).to_contain_text("nothing-here")
+
+
+def test_a_refined_version_replaces_the_preview_while_it_is_shown(
+    page: Page, stack: Stack, store: LocalStore, bundle: Bundle
+) -> None:
+    publish(bundle, store, key="growing", job="a")
+    page.goto(f"{stack.url}/view/growing")
+    expect(page.locator("body")).to_have_attribute("data-state", "preview")
+    publish(Bundle(state="refined", files=bundle.files, manifest=bundle.manifest), store, key="growing", job="a")
+    expect(page.locator("body")).to_have_attribute("data-state", "refined")
+    expect(page.locator("body")).to_have_attribute("data-version", "2")
+    assert drawn(page.locator("#stage").screenshot()) > 0.05
+
+
+@pytest.fixture
+def headset(context: BrowserContext, iwer: Path, page: Page) -> Page:
+    """The page in an emulated Quest 3 whose wearer stands at the origin, eyes at 1.6 m."""
+    context.add_init_script(path=iwer)
+    context.add_init_script(
+        """
+        const device = new IWER.XRDevice(IWER.metaQuest3);
+        device.installRuntime({ forceInstall: true });
+        device.position.set(0, 1.6, 0);
+        device.stereoEnabled = true;
+        window.xrDevice = device;
+        """
+    )
+    return page
+
+
+def test_in_vr_it_stands_ahead_at_true_size(headset: Page, stack: Stack) -> None:
+    headset.goto(f"{stack.url}/view/{KEY}")
+    expect(headset.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    headset.get_by_role("button", name="Enter VR").click()
+    expect(headset.locator("body")).to_have_attribute("data-xr", "on")
+    headset.wait_for_function("document.body.dataset.placed")
+    x, y, z = map(float, headset.locator("body").get_attribute("data-placed").split())
+    assert (x**2 + z**2) ** 0.5 == pytest.approx(1.5, abs=0.02)
+    assert y == pytest.approx(1.6 * 0.75 - 0.25, abs=0.02), "a half-metre bowl is lifted to a comfortable height"
+    headset.wait_for_timeout(500)
+    shot = headset.screenshot()
+    assert drawn(shot) > 0.02
+    headset.evaluate("xrDevice.activeSession.end()")
+    expect(headset.locator("body")).to_have_attribute("data-xr", "off")
+
+
+def test_without_a_headset_the_page_says_how_to_get_there(page: Page, stack: Stack) -> None:
+    page.goto(f"{stack.url}/view/{KEY}")
+    expect(page.get_by_role("button", name="Enter VR")).to_be_hidden()
+    page.get_by_text("Open in a headset").click()
+    expect(page.locator("#address")).to_have_text(f"{stack.url}/view/{KEY}")
+    page.wait_for_function("document.getElementById('qr').naturalWidth > 0")
