@@ -21,7 +21,7 @@ from services.edge.field.denoise import denoise
 from services.edge.field.local import local_field
 from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
 from services.edge.mesh.spacing import auto_resolution
-from services.edge.points import Points, UnitFrame, to_points, unit_frame
+from services.edge.points import Points, UnitFrame, at_most, to_points, unit_frame
 from services.edge.preset import Preset
 from services.storage.bundle import Bundle, State
 
@@ -73,6 +73,7 @@ def reconstruct(
     yield _starts("POINT_CLOUD", f"reading {capture.format}")
     with clock("POINT_CLOUD"):
         points = to_points(capture, isolate=isolate, tick=_inside("POINT_CLOUD", watch))
+        points = at_most(points, preset.most_points)
 
     yield _starts("FITTING", f"{len(points):,} points")
     with clock("FITTING"):
@@ -96,7 +97,7 @@ def _bundle(
     watch: Watch,
 ) -> Iterator[Progress | Bundle]:
     """Mesh a field and pack it: the same for the preview and for a trained field."""
-    resolution = preset.resolution or auto_resolution(xyz_unit)
+    resolution = preset.resolution or auto_resolution(xyz_unit, high=preset.finest)
     yield _starts("EXTRACTING", f"{resolution} cells along the longest side")
     with clock("EXTRACTING"):
         tick = _inside("EXTRACTING", watch)

@@ -6,12 +6,12 @@ import asyncio
 import json
 import logging
 import socket
-import sys
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 import uvicorn
 from fastapi import FastAPI
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.middleware.cors import CORSMiddleware
 
 import services
@@ -24,16 +24,13 @@ from services.gateway.jobs.dispatcher import Dispatcher
 from services.gateway.jobs.store import JobStore
 from services.gateway.jobs.tables import open_engine
 from services.gateway.jobs.transitions import Retry
-from services.logs import configure
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import Around
 from services.gateway.routes import assets, captures, health, jobs, pages
 from services.gateway.settings import GatewaySettings
+from services.logs import configure
 from services.storage.store import Store
 
-# Threads that hash and clean uploads hold the interpreter for this long at a time (5 ms by default), each before the event
-# loop has its turn: with 32 phones uploading, that is what everybody else waits for.
-_SWITCH_S = 0.0005
 _GRACE_S = 5  # that answers under way get when the gateway is told to stop
 
 _log = logging.getLogger(__name__)
@@ -116,11 +113,11 @@ def _report_death(task: asyncio.Task[None]) -> None:
 def serve(settings: GatewaySettings, store: Store) -> int:
     """Serve until SIGTERM or SIGINT; the process's exit status: 0, or 1 when it could not start."""
     configure(settings.log_level)
-    sys.setswitchinterval(_SWITCH_S)
     try:
         with instance(settings.data_dir):
-            listening = socket.create_server((settings.host, settings.port))
-    except (FolderInUse, OSError) as error:
+            open_engine(settings.database).dispose()
+        listening = _listen(settings)
+    except (FolderInUse, OSError, SQLAlchemyError, ImportError) as error:  # ImportError: the database's driver
         _log.error("cannot start: %s", error)
         return 1
     with listening:
@@ -135,6 +132,16 @@ def serve(settings: GatewaySettings, store: Store) -> int:
         server = uvicorn.Server(config)
         server.run(sockets=[listening])
     return 0 if server.started else 1
+
+
+def _listen(settings: GatewaySettings) -> socket.socket:
+    """Raises OSError."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    listening = socket.create_server((settings.host, settings.port), family=family)
+    # asyncio does this for sockets that it opens itself only. Without it every answer of two segments, head and body,
+    # waits 40 ms for the client's delayed acknowledgement.
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listening
 
 
 def _announce(settings: GatewaySettings, port: int) -> None:

@@ -16,8 +16,8 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from services.gateway.errors import Problem, unexpected
-from services.logs import request_id
 from services.gateway.metrics import Metrics
+from services.logs import request_id
 
 _JSON_BYTES = 64 << 10  # a job request has a few hundred bytes
 _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and headers of some thousand files

@@ -6,6 +6,7 @@ order of a matrix puts the sphere's points elsewhere.
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 import zipfile
@@ -16,6 +17,9 @@ import av
 import cv2
 import lzfse
 import numpy as np
+import trimesh
+
+from services.edge.capture.nouns import Frame
 
 CENTRE = np.array([0.4, -0.3, 1.2])  # metres, off the origin so that a mirrored world shows
 RADIUS_M = 0.25
@@ -381,3 +385,29 @@ def save_las(path: Path, xyz: np.ndarray, rgb: np.ndarray) -> None:
     las.x, las.y, las.z = xyz.astype(np.float64).T
     las.red, las.green, las.blue = rgb.astype(np.uint16).T * 257
     las.write(str(path))
+
+
+def npy_bytes(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def hemisphere() -> trimesh.Trimesh:
+    """An open surface: 642 vertices of the unit sphere's upper half, in metres, Y up."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    keep = ball.triangles_center[:, 1] > 0
+    return trimesh.Trimesh(ball.vertices, ball.faces[keep], process=False)
+
+
+def as_bytes(exported: str | bytes) -> bytes:
+    return exported.encode() if isinstance(exported, str) else exported
+
+
+def back_project(frame: Frame) -> np.ndarray:
+    """(N,3) world points of the known depth."""
+    depth_m, camera = frame.load_depth_m(), frame.intrinsics
+    v, u = np.nonzero(depth_m)
+    z = depth_m[v, u]
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
+    return points @ frame.camera_to_world[:3, :3].T + frame.camera_to_world[:3, 3]

@@ -21,8 +21,8 @@ from services.edge.capture import read_capture
 from services.edge.capture.images import MAX_PIXELS, header_size
 from services.edge.errors import CaptureError
 from tests.edge import captures
-from tests.edge.test_capture_clouds import NORMALS, RGB, XYZ, as_bytes, hemisphere, npy_bytes
 
+XYZ, RGB, NORMALS = captures.sphere()
 LINE = np.outer(np.linspace(0, 1, 300), [1.0, 2.0, 3.0]).astype(np.float32)
 
 
@@ -38,6 +38,10 @@ def las_bytes(suffix: str) -> bytes:
         path = Path(folder) / f"scan{suffix}"
         captures.save_las(path, XYZ, RGB)
         return path.read_bytes()
+
+
+def hemisphere_bytes(kind: str) -> bytes:
+    return captures.as_bytes(captures.hemisphere().export(file_type=kind))
 
 
 def hostile_laz() -> bytes:
@@ -93,16 +97,16 @@ SINGLE: dict[str, tuple[str, str, Callable[[], bytes]]] = {
     "cut LAZ": ("CAPTURE_TRUNCATED", "scan.laz", lambda: las_bytes(".laz")[:-200]),
     "LAZ of 2^31 chunks": ("CAPTURE_UNREADABLE", "scan.laz", hostile_laz),
     "LAS header alone": ("CAPTURE_TRUNCATED", "scan.las", lambda: las_bytes(".las")[:100]),
-    "cut npy": ("CAPTURE_TRUNCATED", "scan.npy", lambda: npy_bytes(XYZ)[:-4]),
+    "cut npy": ("CAPTURE_TRUNCATED", "scan.npy", lambda: captures.npy_bytes(XYZ)[:-4]),
     "npy of 10^12 points": (
         "CAPTURE_TRUNCATED",
         "scan.npy",
         lambda: broken_npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 3)}"),
     ),
-    "pickled npy": ("CAPTURE_UNREADABLE", "scan.npy", lambda: npy_bytes(np.array([{"a": 1}] * 300, object))),
+    "pickled npy": ("CAPTURE_UNREADABLE", "scan.npy", lambda: captures.npy_bytes(np.array([{"a": 1}] * 300, object))),
     "a pickle": ("CAPTURE_UNREADABLE", "scan.npy", lambda: pickle.dumps(XYZ)),
-    "npy of text": ("CAPTURE_UNREADABLE", "scan.npy", lambda: npy_bytes(np.array(["one", "two"]))),
-    "npy of a vector": ("CAPTURE_UNREADABLE", "scan.npy", lambda: npy_bytes(np.arange(300.0))),
+    "npy of text": ("CAPTURE_UNREADABLE", "scan.npy", lambda: captures.npy_bytes(np.array(["one", "two"]))),
+    "npy of a vector": ("CAPTURE_UNREADABLE", "scan.npy", lambda: captures.npy_bytes(np.arange(300.0))),
     "NaN": ("CAPTURE_NOT_FINITE", "scan.ply", lambda: captures.ply_bytes(np.where(XYZ > 0, np.nan, XYZ))),
     "1e30": ("CAPTURE_NOT_FINITE", "scan.ply", lambda: captures.ply_bytes(XYZ * np.float32(1e30))),
     "12 points": ("CAPTURE_TOO_FEW_POINTS", "scan.ply", lambda: captures.ply_bytes(XYZ[:12])),
@@ -125,7 +129,7 @@ SINGLE: dict[str, tuple[str, str, Callable[[], bytes]]] = {
     ),
     "OBJ with a face of vertices that are not there": ("CAPTURE_UNREADABLE", "a.obj", lambda: b"v 0 0 0\nf 1 2 3\n"),
     "OFF of 10^12": ("CAPTURE_TRUNCATED", "a.off", lambda: b"OFF\n1000000000000 3 0\n0 0 0\n"),
-    "cut GLB": ("CAPTURE_TRUNCATED", "a.glb", lambda: as_bytes(hemisphere().export(file_type="glb"))[:-100]),
+    "cut GLB": ("CAPTURE_TRUNCATED", "a.glb", lambda: hemisphere_bytes("glb")[:-100]),
     "glTF without its buffer": (
         "CAPTURE_UNREADABLE",
         "a.gltf",
@@ -238,6 +242,21 @@ RECORDINGS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
         lambda folder: [cut(f"depth/0000{index}.png", 200)(folder) for index in (0, 1)],
     ),
     "a depth image of text": ("open3d", "IMAGE_UNREADABLE", write("depth/00000.png", b"not a picture")),
+    "the last of two depth images broken": (
+        "open3d",
+        "IMAGE_UNREADABLE",
+        lambda folder: [
+            remove(
+                *(
+                    f"{kind}/0000{index}{end}"
+                    for kind, end in (("depth", ".png"), ("color", ".jpg"))
+                    for index in (2, 3)
+                )
+            )(folder),
+            write("trajectory.log", b"\n".join((folder / "trajectory.log").read_bytes().splitlines()[:10]))(folder),
+            write("depth/00001.png", png_header(captures.WIDTH, captures.HEIGHT))(folder),
+        ],
+    ),
     "a header without pixels": ("open3d", "IMAGE_UNREADABLE", write("depth/00000.png", png_header(64, 48))),
     "depth that is black": (
         "open3d",
@@ -385,16 +404,16 @@ def test_the_pixel_limit_is_read_from_the_header() -> None:
 VALID = {
     "ply": captures.ply_bytes(XYZ, RGB, NORMALS),
     "ply ascii": captures.ply_bytes(XYZ, RGB, form="ascii"),
-    "mesh ply": as_bytes(hemisphere().export(file_type="ply")),
+    "mesh ply": hemisphere_bytes("ply"),
     "pcd": captures.pcd_bytes(XYZ, RGB, NORMALS),
     "pcd lzf": captures.pcd_bytes(XYZ, RGB, NORMALS, form="binary_compressed"),
-    "npy": npy_bytes(XYZ),
+    "npy": captures.npy_bytes(XYZ),
     "las": las_bytes(".las"),
     "xyz": b"".join(b"%f %f %f\n" % tuple(row) for row in XYZ.tolist()),
-    "obj": as_bytes(hemisphere().export(file_type="obj")),
-    "off": as_bytes(hemisphere().export(file_type="off")),
-    "stl": as_bytes(hemisphere().export(file_type="stl")),
-    "glb": as_bytes(hemisphere().export(file_type="glb")),
+    "obj": hemisphere_bytes("obj"),
+    "off": hemisphere_bytes("off"),
+    "stl": hemisphere_bytes("stl"),
+    "glb": hemisphere_bytes("glb"),
 }
 
 
@@ -447,6 +466,35 @@ def test_damaged_recordings_are_read_or_named(kind: str, tmp_path: Path) -> None
         path.write_bytes(bytes(damaged))
         reads_or_names(folder)
         path.write_bytes(whole)
+
+
+ODD = (None, "x", "", [], {}, [[]], True, -1, 0, 0.5, 1e308, float("nan"), float("-inf"), 10**400, "../x", ["a"] * 16)
+
+
+def odd_leaf(tree: object, rng: np.random.Generator) -> object:
+    """The tree with one value, at a random depth, replaced by an odd one, or taken away."""
+    if isinstance(tree, dict) and tree and rng.random() < 0.9:
+        key = list(tree)[rng.integers(len(tree))]
+        if rng.random() < 0.1:
+            return {name: value for name, value in tree.items() if name != key}
+        return tree | {key: odd_leaf(tree[key], rng)}
+    if isinstance(tree, list) and tree and rng.random() < 0.9:
+        at = int(rng.integers(len(tree)))
+        return [*tree[:at], odd_leaf(tree[at], rng), *tree[at + 1 :]]
+    return ODD[rng.integers(len(ODD))]
+
+
+@pytest.mark.parametrize("kind", ["open3d", "tum", "nerfstudio", "record3d", "polycam", "3dscannerapp"])
+def test_odd_values_in_metadata_are_read_or_named(kind: str, tmp_path: Path) -> None:
+    folder = captures.RGBD[kind](tmp_path)
+    files = [*folder.rglob("*.json"), *folder.rglob("metadata")]
+    rng = np.random.default_rng(2)
+    for _ in range(40):
+        path = files[rng.integers(len(files))]
+        whole = path.read_text()
+        path.write_text(json.dumps(odd_leaf(json.loads(whole), rng)))
+        reads_or_names(folder)
+        path.write_text(whole)
 
 
 def test_npy_fuzz_never_unpickles(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,12 +23,6 @@ from tests.edge import captures
 XYZ, RGB, NORMALS = captures.sphere()
 
 
-def npy_bytes(array: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    return buffer.getvalue()
-
-
 def rows(*columns: np.ndarray, separator: str = " ", head: str = "") -> bytes:
     table = np.hstack(columns).tolist()
     return (head + "\n".join(separator.join(f"{value:.9g}" for value in row) for row in table) + "\n").encode()
@@ -47,7 +40,7 @@ CLOUDS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "CSV with names": ("xyz", lambda: rows(XYZ, RGB, NORMALS, separator=",", head="X,Y,Z,R,G,B,nx,ny,nz\n")),
     "semicolons": ("xyz", lambda: rows(XYZ, RGB, NORMALS, separator=";").replace(b".", b",")),
     "CloudCompare": ("xyz", lambda: rows(XYZ, RGB, NORMALS, head="//X Y Z R G B Nx Ny Nz\n")),
-    "NumPy": ("npy", lambda: npy_bytes(np.hstack([XYZ, RGB, NORMALS]))),
+    "NumPy": ("npy", lambda: captures.npy_bytes(np.hstack([XYZ, RGB, NORMALS]))),
 }
 
 
@@ -127,16 +120,9 @@ def test_several_clouds_read_the_largest_and_say_so(tmp_path: Path) -> None:
     assert "small.ply" in capture.warnings[0]
 
 
-def hemisphere() -> trimesh.Trimesh:
-    """An open surface: 642 vertices of the unit sphere's upper half, in metres, Y up."""
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    keep = ball.triangles_center[:, 1] > 0
-    return trimesh.Trimesh(ball.vertices, ball.faces[keep], process=False)
-
-
 @pytest.mark.parametrize("kind", ["obj", "off", "stl", "glb", "ply"])
 def test_a_mesh_is_sampled_evenly_on_its_surface(kind: str, tmp_path: Path) -> None:
-    (tmp_path / "upload.bin").write_bytes(as_bytes(hemisphere().export(file_type=kind)))
+    (tmp_path / "upload.bin").write_bytes(captures.as_bytes(captures.hemisphere().export(file_type=kind)))
     capture = read_capture(tmp_path)
     cloud = capture.cloud
     assert cloud is not None
@@ -152,12 +138,8 @@ def test_a_mesh_is_sampled_evenly_on_its_surface(kind: str, tmp_path: Path) -> N
     assert (capture.scale_confidence, None if capture.up is None else capture.up.tolist()) == metric
 
 
-def as_bytes(exported: str | bytes) -> bytes:
-    return exported.encode() if isinstance(exported, str) else exported
-
-
 def test_sampling_is_repeatable(tmp_path: Path) -> None:
-    (tmp_path / "a.glb").write_bytes(as_bytes(hemisphere().export(file_type="glb")))
+    (tmp_path / "a.glb").write_bytes(captures.as_bytes(captures.hemisphere().export(file_type="glb")))
     first, second = read_capture(tmp_path).cloud, read_capture(tmp_path).cloud
     assert first is not None
     assert second is not None
@@ -195,7 +177,7 @@ def test_a_texture_colours_the_points_of_its_surface(tmp_path: Path) -> None:
     for name in ("square.obj", "square.glb"):
         scene = trimesh.load(tmp_path / "square.obj", process=False)
         if name.endswith(".glb"):
-            (tmp_path / name).write_bytes(as_bytes(scene.export(file_type="glb")))
+            (tmp_path / name).write_bytes(captures.as_bytes(scene.export(file_type="glb")))
         cloud = read_capture(tmp_path / name).cloud
         assert cloud is not None
         assert cloud.rgb is not None
@@ -209,7 +191,7 @@ def test_a_texture_colours_the_points_of_its_surface(tmp_path: Path) -> None:
 def test_vertex_colours_are_interpolated(tmp_path: Path) -> None:
     mesh = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
     mesh.visual.vertex_colors = [[0, 0, 0, 255], [255, 0, 0, 255], [0, 255, 0, 255]]
-    (tmp_path / "t.ply").write_bytes(as_bytes(mesh.export(file_type="ply")))
+    (tmp_path / "t.ply").write_bytes(captures.as_bytes(mesh.export(file_type="ply")))
     cloud = read_capture(tmp_path).cloud
     assert cloud is not None
     assert cloud.rgb is not None
@@ -218,7 +200,7 @@ def test_vertex_colours_are_interpolated(tmp_path: Path) -> None:
 
 def test_a_cloud_with_a_stray_face_stays_a_cloud(tmp_path: Path) -> None:
     mesh = trimesh.Trimesh(XYZ, [[0, 1, 2]], process=False)
-    (tmp_path / "t.ply").write_bytes(as_bytes(mesh.export(file_type="ply")))
+    (tmp_path / "t.ply").write_bytes(captures.as_bytes(mesh.export(file_type="ply")))
     cloud = read_capture(tmp_path).cloud
     assert cloud is not None
     np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)

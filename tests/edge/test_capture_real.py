@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from services.edge.capture import Cloud, read_capture
 from services.edge.capture.surface import SAMPLES
 from services.edge.errors import CaptureError
-from tests.edge.test_capture_rgbd import back_project
+from tests.edge import captures
 
 pytestmark = pytest.mark.data
 
@@ -79,7 +79,7 @@ def test_frames_of_the_living_room_agree(data_dir: Path) -> None:
     assert (capture.format, len(capture.frames), capture.warnings) == ("open3d", 5, ())
     assert capture.up is not None
     assert capture.up[1] > 0.99
-    first, last = back_project(capture.frames[0])[::31], back_project(capture.frames[-1])
+    first, last = captures.back_project(capture.frames[0])[::31], captures.back_project(capture.frames[-1])
     gaps_m = cKDTree(last).query(first)[0]
     assert np.median(gaps_m) < 0.006
 

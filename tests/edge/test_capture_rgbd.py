@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.capture import Capture, Frame, read_capture
+from services.edge.capture import Capture, read_capture
 from services.edge.capture.video import VideoFrames
 from services.edge.errors import CaptureError
 from tests.edge import captures
@@ -26,20 +26,11 @@ def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     return request.param, read_capture(captures.RGBD[request.param](folder))
 
 
-def back_project(frame: Frame) -> np.ndarray:
-    """(N,3) world points of the known depth."""
-    depth_m, camera = frame.load_depth_m(), frame.intrinsics
-    v, u = np.nonzero(depth_m)
-    z = depth_m[v, u]
-    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
-    return points @ frame.camera_to_world[:3, :3].T + frame.camera_to_world[:3, 3]
-
-
 def test_every_back_projected_point_lies_on_the_sphere(recording: tuple[str, Capture]) -> None:
     _, capture = recording
     assert len(capture.frames) == 4
     for frame in capture.frames:
-        points = back_project(frame)
+        points = captures.back_project(frame)
         assert len(points) > 300
         assert np.abs(np.linalg.norm(points - captures.CENTRE, axis=1) - captures.RADIUS_M).max() < _HALF_STEP_M
 
@@ -145,7 +136,7 @@ def test_lens_distortion_is_taken_out_of_depth(tmp_path: Path) -> None:
     tree = json.loads((folder / "transforms.json").read_text())
     (folder / "transforms.json").write_text(json.dumps(tree | {"k1": k1, "camera_model": "OPENCV"}))
     frame = read_capture(folder).frames[0]
-    points = back_project(frame)
+    points = captures.back_project(frame)
     off = np.abs(np.linalg.norm(points - captures.CENTRE, axis=1) - captures.RADIUS_M)
     assert np.median(off) < 0.004  # depth is looked up to the nearest pixel, twice: 17 mm apart on the sphere
     assert frame.load_rgb is not None
@@ -213,7 +204,9 @@ def test_stray_without_video_has_no_colours(tmp_path: Path) -> None:
     capture = read_capture(folder)
     assert capture.frames[0].load_rgb is None
     assert "rgb.mp4" in capture.warnings[0]
-    assert np.abs(np.linalg.norm(back_project(capture.frames[0]) - captures.CENTRE, axis=1) - 0.25).max() < 0.003
+    assert (
+        np.abs(np.linalg.norm(captures.back_project(capture.frames[0]) - captures.CENTRE, axis=1) - 0.25).max() < 0.003
+    )
 
 
 @pytest.mark.parametrize("name", ["open3d", "stray", "polycam", "3dscannerapp", "depth16"])

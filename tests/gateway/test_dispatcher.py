@@ -141,3 +141,36 @@ async def test_a_capture_that_vanished_fails_the_job(tmp_path: Path, unused_tcp_
         async with worker(Making(store), tmp_path / "edge", port=unused_tcp_port):
             done = await ended(client, job)
     assert (done["state"], done["error"]["code"]) == ("FAILED", "CAPTURE_UNKNOWN")
+
+
+async def test_two_gateways_share_a_database_and_one_takes_over_from_the_other(tmp_path: Path) -> None:
+    store = memory()
+    work = Making(store)
+    shared = {"database_url": f"sqlite:///{tmp_path / 'jobs.db'}"}
+    async with (
+        worker(work, tmp_path / "edge") as port,
+        gateway(tmp_path / "survivor", store, port, **shared) as survivor,
+    ):
+        async with gateway(tmp_path / "victim", store, port, **shared) as victim:
+            job = await start(victim, capture(store, wait=True))
+            await job_when(survivor, job, lambda found: found["fraction"] > 0.5)
+        listening = asyncio.create_task(events(survivor, job))
+        work.release.set()
+        done = await ended(survivor, job)
+        story = await listening
+    assert (done["state"], done["attempts"], work.runs) == ("SUCCEEDED", 1, [job])
+    assert [kind for _, kind, _ in story].count("published") == 2
+
+
+async def test_a_cancellation_reaches_the_gateway_that_runs_the_job(tmp_path: Path) -> None:
+    store = memory()
+    shared = {"database_url": f"sqlite:///{tmp_path / 'jobs.db'}"}
+    async with (
+        worker(Making(store), tmp_path / "edge") as port,
+        gateway(tmp_path / "runs", store, port, **shared) as runs,
+    ):
+        job = await start(runs, capture(store, wait=True))
+        await job_when(runs, job, lambda found: found["fraction"] > 0.5)
+        async with gateway(tmp_path / "asks", store, port, **shared) as asks:
+            await asks.post(f"/v1/jobs/{job}/cancel")
+            assert (await ended(asks, job))["state"] == "CANCELLED"

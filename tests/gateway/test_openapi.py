@@ -22,7 +22,6 @@ from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
 from tests.gateway.support import capture, memory
 
-
 _NOT_ASKED = {
     "/v1/jobs/{job}/events",  # waits for the job's end
     "/readyz",  # says 503 without a worker, as it should

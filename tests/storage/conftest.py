@@ -11,7 +11,7 @@ import pytest
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
 from services.storage.s3 import S3Store
-from services.storage.store import Store
+from services.storage.store import Store, list_all
 from tests.conftest import missing
 from tests.s3.server import S3Server, available, running
 
@@ -24,13 +24,27 @@ def s3_server() -> Iterator[S3Server]:
         yield server
 
 
+@pytest.fixture(scope="session")
+def shared_bucket(s3_server: S3Server) -> S3Store:
+    """One bucket for all tests of the contract: to make one takes longer than to empty it."""
+    return s3_store(s3_server)
+
+
 @pytest.fixture(params=["memory", "local", pytest.param("s3", marks=pytest.mark.s3)])
-def store(request: pytest.FixtureRequest, tmp_path: Path) -> Store:
-    if request.param == "memory":
-        return MemoryStore()
-    if request.param == "local":
-        return LocalStore(tmp_path / "objects", "http://gateway/v1/files")
-    return s3_store(request.getfixturevalue("s3_server"))
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    """An empty store of each kind."""
+    if request.param == "s3":
+        bucket: S3Store = request.getfixturevalue("shared_bucket")
+        yield bucket
+        for head in list_all(bucket, ""):
+            bucket.delete(head.name)
+    else:
+        yield near_store(request.param, tmp_path)
+
+
+def near_store(kind: str, folder: Path) -> Store:
+    """A store that answers within a millisecond, for tests of what is the same for all."""
+    return MemoryStore() if kind == "memory" else LocalStore(folder / "objects", "http://gateway/v1/files")
 
 
 def s3_store(server: S3Server, bucket: str = "") -> S3Store:

@@ -17,7 +17,7 @@ from services.storage.publish import StaleFence, publish
 from services.storage.store import IMMUTABLE, NO_CACHE, Store, list_all
 from tests.s3.server import S3Server
 from tests.storage.bundles import Crash, CrashingStore, bundle
-from tests.storage.conftest import s3_store
+from tests.storage.conftest import near_store, s3_store
 
 PUTS = 4 + 1 + 1 + 1  # files, manifest, catalogue entry, alias
 
@@ -108,21 +108,33 @@ def test_known_bytes_are_not_sent_again() -> None:
 
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
 @pytest.mark.parametrize("at", range(1, PUTS + 1))
-def test_a_crash_at_any_put_leaves_a_whole_asset_and_a_rerun_completes(store: Store, at: int, after: bool) -> None:
-    publish(bundle(content="old"), store, key="dress", job="job_1")
-    crashing = CrashingStore(store, at=at, after=after)
-    with pytest.raises(Crash):
-        publish(bundle(content="new"), crashing, key="dress", job="job_2")
+@pytest.mark.parametrize("kind", ["memory", "local"])
+def test_a_crash_at_any_put_leaves_a_whole_asset(kind: str, tmp_path: Path, at: int, after: bool) -> None:
+    crash_and_run_again(near_store(kind, tmp_path), "dress", at, after=after)
 
-    present = entry(store, "dress")
+
+@pytest.mark.s3
+def test_a_crash_at_the_puts_that_matter_leaves_a_whole_asset_on_s3(s3_server: S3Server) -> None:
+    store = s3_store(s3_server)
+    for at in range(PUTS - 2, PUTS + 1):
+        crash_and_run_again(store, f"dress-{at}", at, after=True)
+
+
+def crash_and_run_again(store: Store, key: str, at: int, *, after: bool) -> None:
+    """Whatever put the process dies at, a whole asset is there, and the next run completes the new one."""
+    publish(bundle(content="old"), store, key=key, job="job_1")
+    with pytest.raises(Crash):
+        publish(bundle(content="new"), CrashingStore(store, at=at, after=after), key=key, job="job_2")
+
+    present = entry(store, key)
     assert present.version in (1, 2)
-    assert alias(store, "dress")["version"] in (1, present.version)
+    assert alias(store, key)["version"] in (1, present.version)
     assert_whole(store, present)
 
-    asset = publish(bundle(content="new"), store, key="dress", job="job_2")
-    present = entry(store, "dress")
+    asset = publish(bundle(content="new"), store, key=key, job="job_2")
+    present = entry(store, key)
     assert (asset.version, present.version, len(present.versions)) == (2, 2, 2)
-    assert alias(store, "dress") == {"version": 2, "manifest": asset.manifest}
+    assert alias(store, key) == {"version": 2, "manifest": asset.manifest}
     assert_whole(store, present)
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from services.edge.capture import depth16, nerfstudio, polycam, record3d, scanner3d, stray, tum
 from services.edge.capture.cloud import cloud_format, read_cloud
 from services.edge.capture.files import Folder, open_folder, reading, unreadable
@@ -34,7 +36,8 @@ def read_capture(folder: Path) -> Capture:
     Poses, intrinsics, counts, image headers and the first and last depth image are checked here; images load lazily.
     Raises CaptureError, naming the file, the reason and what to do.
     """
-    with reading(folder.name, "capture"):
+    # Values that overflow or are no numbers are judged once they are read; on the way they are no event.
+    with np.errstate(all="ignore"), reading(folder.name, "capture"):
         if not folder.exists():
             raise CaptureError("CAPTURE_EMPTY", "there is no such file or folder", file=folder.name)
         if folder.is_dir():

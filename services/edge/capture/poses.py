@@ -53,7 +53,7 @@ def checked_pose(matrix: Floats, *, axes: Axes, file: str) -> Floats:
     pose[: len(matrix)] = matrix
     if not np.isfinite(pose).all():
         raise bad_pose(file, "has a pose that is not finite, or whose quaternion has no length")
-    if np.abs(pose[:3, 3]).max() > MAX_DISTANCE or np.abs(pose[3] - [0, 0, 0, 1]).max() > ORTHONORMAL_TOLERANCE:
+    if np.abs(pose[:3]).max() > MAX_DISTANCE or np.abs(pose[3] - [0, 0, 0, 1]).max() > ORTHONORMAL_TOLERANCE:
         raise bad_pose(file, "has a pose that is no camera-to-world matrix")
     pose[:3, :3] = _nearest_rotation(pose[:3, :3], file)
     pose[3] = [0, 0, 0, 1]

@@ -165,19 +165,19 @@ def _check_sizes(frames: Sequence[Frame]) -> None:
 
 def _check_depth(frames: Sequence[Frame], file: str) -> None:
     """Decode the first and last depth image, and the middle one when those are empty."""
-    measured = False
-    for index in dict.fromkeys((0, len(frames) - 1, len(frames) // 2)):
-        if index == len(frames) // 2 and measured:
-            break
-        frame = frames[index]
-        depth_m = frame.load_depth_m()
-        if depth_m.shape != (frame.intrinsics.height, frame.intrinsics.width):
-            what = f"decodes to {depth_m.shape[1]} x {depth_m.shape[0]}, not what its header says"
-            raise CaptureError("IMAGE_UNREADABLE", what, file=frame.name)
-        measured = measured or bool((depth_m > 0).any())
-    if not measured:
+    measured = [_measures(frames[index]) for index in {0, len(frames) - 1}]
+    if not any(measured) and not _measures(frames[len(frames) // 2]):
         hint = ("keep the thing within the sensor's range, 0.3 to 5 m",)
         raise CaptureError("CAPTURE_EMPTY", "its depth images hold no depth", file=file, hints=hint)
+
+
+def _measures(frame: Frame) -> bool:
+    """Whether the depth image, which must decode to the size in its header, knows any depth."""
+    depth_m = frame.load_depth_m()
+    if depth_m.shape != (frame.intrinsics.height, frame.intrinsics.width):
+        what = f"decodes to {depth_m.shape[1]} x {depth_m.shape[0]}, not what its header says"
+        raise CaptureError("IMAGE_UNREADABLE", what, file=frame.name)
+    return bool((depth_m > 0).any())
 
 
 def _unit_warning(frames: Sequence[Frame]) -> tuple[str, ...]:

@@ -13,8 +13,6 @@ from services.edge.arrays import Bytes
 from services.edge.capture.files import reading
 from services.edge.capture.images import broken_image, check_pixels
 
-_AHEAD = 120  # frames; decoding on is cheaper than opening anew, whose nearest key frame lies up to 4 s back
-
 
 @dataclass(frozen=True, slots=True)
 class VideoColour:
@@ -36,7 +34,7 @@ class VideoColour:
 
 
 class VideoFrames:
-    """Frame `index` of a video, counted in display order; asking in rising order decodes every frame once.
+    """Frame `index` of a video, counted in display order; ask in rising order: going back decodes from the start.
 
     Safe to use from several threads. Raises IMAGE_UNREADABLE for a video that ends before the frame.
     """
@@ -58,7 +56,7 @@ class VideoFrames:
     def rgb(self, index: int) -> Bytes:
         """(H,W,3) uint8 sRGB as stored, not turned by the container's rotation: the intrinsics mean the sensor."""
         with self._lock, reading(self.file, "video"):
-            if self._frames is None or not self._next <= index <= self._next + _AHEAD:
+            if self._frames is None or index < self._next:
                 self._frames, self._next = self._start(), 0
             for frame in self._frames:
                 self._next += 1

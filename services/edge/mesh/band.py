@@ -11,12 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick
+from services.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick, no_tick
 from services.edge.mesh.grid import CORNERS, STEP, Grid, find, without
 from services.edge.mesh.spacing import point_spacing
 
 SLAB = 1 << 16  # queries between two ticks: some 0.2 s of the local field on one core
-NEAR_ZERO = 1.75  # crossing: the two distances of an edge may add up to this many edges (1 on a plane, √3 across a fold)
+NEAR_ZERO = (
+    1.75  # crossing: the two distances of an edge may add up to this many edges (1 on a plane, √3 across a fold)
+)
 TOUCHING = 0.25  # edges: two ends this near the surface see only their noise, so where they point proves nothing
 WALK_SPACINGS = 3.0  # the walk ends this many local spacings (and 2 cells) away from the points: no far sheets
 
@@ -58,7 +60,7 @@ def walk(distance: DistanceFn, near: Floats, grid: Grid, tick: Tick) -> Band:
     seen, frontier, left = np.empty(0, np.int64), seeds, 1.0
     while len(frontier):
         # How many rounds will follow is unknown; each takes half of what is left of the bar.
-        band = _grow(band, distance, grid, frontier, lambda part, left=left: tick(1 - left + part * left / 2))
+        band = _grow(band, distance, grid, frontier, part_of(tick, 1 - left, 1 - left / 2))
         seen, left = np.union1d(seen, frontier), left / 2
         grown, active = _across(band, grid, frontier)
         if frontier is seeds:
@@ -80,6 +82,11 @@ def evaluate(distance: DistanceFn, xyz: Floats, tick: Tick) -> tuple[Floats, Flo
         d[part], g[part] = distance(xyz[part])
     length = np.linalg.norm(g, axis=1, keepdims=True)
     return d, np.divide(g, length, out=np.zeros_like(g), where=length > 0)
+
+
+def part_of(tick: Tick, start: float, end: float) -> Tick:
+    """A tick whose 0…1 is start…end of another."""
+    return lambda fraction: tick(start + fraction * (end - start))
 
 
 def _grow(band: Band, distance: DistanceFn, grid: Grid, cells: Ints, tick: Tick) -> Band:
@@ -106,12 +113,12 @@ def _across(band: Band, grid: Grid, cells: Ints) -> tuple[Ints, Bools]:
                 if other != axis:
                     crossed[:, other, int(bool(a & bit))] |= cut
     steps = np.stack([-STEP, STEP], axis=1)
-    return (cells[:, None, None] + steps)[crossed], crossed.any(axis=(1, 2))
+    return (cells[:, None, None] + steps)[crossed], np.asarray(crossed.any(axis=(1, 2)))
 
 
 def _pulled_cells(distance: DistanceFn, xyz: Floats, grid: Grid) -> Ints:
     """Where the surface is for points that lie off it by more than a cell: the cells of their pulled copies."""
     if len(xyz) == 0:
         return np.empty(0, np.int64)
-    d, g = evaluate(distance, xyz, lambda fraction: None)
+    d, g = evaluate(distance, xyz, no_tick)
     return grid.cells_of(xyz - d[:, None] * g)

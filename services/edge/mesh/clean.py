@@ -30,6 +30,7 @@ from services.edge.mesh.topology import (
 SPECK = 15.0  # squared spacings, so points: a piece with fewer is noise, not surface
 PIN_HOLE = 12.0  # spacings around: no wider than 4; the trimming opens again what is a hole
 AFTER = 0.9  # of the pin-hole's length once real holes are cut: the smallest of those are 11 spacings around
+SEAM_ROUNDS, SEAM_STEP = 6, 0.7
 TEAR = 3.0  # spacings across: what lies further apart is not joined
 OVERHANG = 0.25  # spacings: the alpha shape of random points ends about this much inside the true border
 SMOOTH = ((0.5, -0.53),) * 5  # Taubin's pairs: take noise and the saw-teeth of borders off without shrinking
@@ -70,8 +71,25 @@ def clean(
 def _mended(mesh: Mesh, spacing: Floats, tree: cKDTree, pin_hole: float, tear: float) -> Mesh:
     """The mesh without pin-holes and tears."""
     local = _spacing_at(mesh.vertices, spacing, tree)
-    mesh = to_manifold(zip_tears(fill_holes(mesh, pin_hole * local), tear * local))
+    mesh = _settle_seams(mesh, zip_tears(fill_holes(mesh, pin_hole * local), tear * local))
     return fill_holes(mesh, pin_hole * _spacing_at(mesh.vertices, spacing, tree))
+
+
+def _settle_seams(before: Mesh, after: Mesh) -> Mesh:
+    """The mended mesh as a manifold, its former border vertices moved in between their neighbours.
+
+    A border overshoots by up to a spacing, so a seam of two of them would stand up as a ridge.
+    """
+    seam = np.zeros(len(after.vertices), bool)
+    seam[border_edges(before.faces)] = True
+    seam[border_edges(after.faces)] = False
+    ends = edges_of(after.faces).ends
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    ends = ends[seam[ends[:, 0]]]
+    vertices = after.vertices
+    for _ in range(SEAM_ROUNDS):
+        vertices = vertices + SEAM_STEP * _towards(vertices, ends)
+    return to_manifold(Mesh(vertices, after.faces))
 
 
 def _trim(mesh: Mesh, near: Floats, spacing: Floats, tree: cKDTree, most: float) -> Mesh:
@@ -86,7 +104,7 @@ def _trim(mesh: Mesh, near: Floats, spacing: Floats, tree: cKDTree, most: float)
 
 
 def _regions(faces: Ints, chosen: Bools, areas: Floats) -> tuple[Bools, Floats]:
-    """For the connected regions of chosen vertices: (V,) those that reach a border, and (V,) the area of each's region."""
+    """Connected regions of chosen vertices: (V,) those whose region reaches a border, and (V,) their region's area."""
     corners = chosen[faces]
     region, count = vertex_pieces(faces[corners.all(axis=1)], len(chosen))
     some = np.flatnonzero(corners.any(axis=1))
@@ -112,7 +130,7 @@ def _without_specks(mesh: Mesh, spacing: Floats, tree: cKDTree, least: float) ->
     middle = mesh.vertices[mesh.faces].mean(axis=1)
     points = np.bincount(piece, _areas(mesh) / np.square(_spacing_at(middle, spacing, tree)))
     kept: Bools = (points >= least) | (points == points.max(initial=0))
-    return compact(mesh, kept[piece])
+    return compact(mesh, np.flatnonzero(kept[piece]))
 
 
 def _smooth(mesh: Mesh) -> Mesh:
@@ -122,12 +140,17 @@ def _smooth(mesh: Mesh) -> Mesh:
     on_border[border] = True
     ends = np.concatenate([border, edges[~on_border[edges[:, 0]]], edges[~on_border[edges[:, 1]]][:, ::-1]])
     ends = np.concatenate([ends, border[:, ::-1]])  # rows: a vertex, and a neighbour that it follows
-    count = np.maximum(np.bincount(ends[:, 0], minlength=len(mesh.vertices)), 1)[:, None]
-    vertices = mesh.vertices.copy()
+    vertices = mesh.vertices
     for step in (share for pair in SMOOTH for share in pair):
-        sums = [np.bincount(ends[:, 0], vertices[ends[:, 1], axis], len(vertices)) for axis in range(3)]
-        vertices += step * (np.stack(sums, axis=1) / count - vertices)
+        vertices = vertices + step * _towards(vertices, ends)
     return Mesh(vertices, mesh.faces)
+
+
+def _towards(vertices: Floats, ends: Ints) -> Floats:
+    """(V,3) from each vertex to the mean of those it follows; (L,2) rows of follower and followed."""
+    count = np.bincount(ends[:, 0], minlength=len(vertices))[:, None]
+    sums = [np.bincount(ends[:, 0], vertices[ends[:, 1], axis], len(vertices)) for axis in range(3)]
+    return np.where(count > 0, np.stack(sums, axis=1) / np.maximum(count, 1) - vertices, 0)
 
 
 def _areas(mesh: Mesh) -> Floats:
@@ -146,4 +169,3 @@ def _normals_at(mesh: Mesh, near: Floats) -> Floats:
     """(N,3) normal of the nearest vertex to each point, sign arbitrary."""
     normals: Floats = vertex_normals(mesh)[cKDTree(mesh.vertices).query(near, workers=-1)[1]]
     return normals
-

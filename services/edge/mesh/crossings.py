@@ -22,7 +22,7 @@ UNSURE_COS = 0.5  # an uncrossed edge may be turned only where its gradients par
 
 @dataclass(frozen=True, slots=True)
 class Crossings:
-    """Crossed edges: corner (E,) key of the lower end, axis (E,), xyz (E,3) of the crossing, normal (E,3) along +axis."""
+    """Crossed edges: corner (E,) key of the lower end, axis (E,), xyz (E,3) of the crossing, normal (E,3) to +axis."""
 
     corner: Ints
     axis: Ints

@@ -5,8 +5,8 @@ sides. On each grid face the crossed edges are joined in pairs; a pair is a line
 joins the two quads' corners on both sides of the face. The joined corners of a cell are one vertex.
 
 A side is thus shared by two quads at most and the corners around a vertex form one fan or one ring: a manifold with
-boundary by construction, where two layers in a cell get a vertex each, and no sign is needed. Only two lines of one face
-that end at the same two vertices still coincide; `clean` parts those.
+boundary by construction, where two layers in a cell get a vertex each, and no sign is needed. Only two lines of one
+face that end at the same two vertices still coincide; `clean` parts those.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _links(crossings: Crossings, face_keys: Ints) -> Ints:
     keys = face_keys.ravel()[order]
     start = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])) if len(keys) else np.empty(0, np.int64)
     size = np.diff(np.append(start, len(keys)))
-    links = [np.empty((0, 2), np.int64)]
+    links: list[Ints] = [np.empty((0, 2), np.int64)]
     for members in PAIRINGS:
         rows = order[start[size == members][:, None] + np.arange(members)]  # (G,members) into face_keys.ravel()
         best = _best_pairing(crossings, rows // 4, members)
@@ -90,7 +90,8 @@ def _best_pairing(crossings: Crossings, edges: Ints, members: int) -> Ints:
         cost = sum(_bend(crossings, edges[:, a], edges[:, b]) for a, b in pairs)
         through = sum((crossings.axis[edges[:, a]] == crossings.axis[edges[:, b]]) for a, b in pairs)
         costs.append(cost + np.where(through == 2, np.inf, 0.0))
-    return np.argmin(np.stack(costs, axis=1), axis=1)
+    best: Ints = np.argmin(np.stack(costs, axis=1), axis=1)
+    return best
 
 
 def _bend(crossings: Crossings, a: Ints, b: Ints) -> Floats:
@@ -112,7 +113,7 @@ def triangles(vertices: Floats, quads: Ints, normals: Floats) -> Ints:
 
 
 def _agreement(vertices: Floats, pairs: Ints, normals: Floats) -> Floats:
-    """(E,2,3) pairs of triangles -> (E,) the smaller cosine to the edge's normal, less a little for a long diagonal."""
+    """(E,2,3) pairs of triangles -> (E,) the smaller cosine to the edge's normal."""
     corners = vertices[pairs]
     cross = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
     length = np.linalg.norm(cross, axis=2)

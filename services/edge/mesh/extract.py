@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick
-from services.edge.mesh.band import evaluate, walk
+from services.edge.mesh.band import evaluate, part_of, walk
 from services.edge.mesh.crossings import find_crossings
 from services.edge.mesh.dual import connect, triangles
 from services.edge.mesh.grid import grid_around
@@ -37,12 +37,12 @@ def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick =
     """
     near = np.asarray(near, np.float64)
     grid = grid_around(near, resolution)
-    band = walk(distance, near, grid, lambda part: tick(WALK_SHARE * part))
+    band = walk(distance, near, grid, part_of(tick, 0, WALK_SHARE))
     crossings = find_crossings(band, grid)
     del band
     quads, vertex = connect(crossings)
     vertices = _mean_by(vertex, np.repeat(crossings.xyz, 4, axis=0))
-    vertices = _settle(distance, vertices, quads, grid.side, lambda part: tick(WALK_SHARE + (1 - WALK_SHARE) * part))
+    vertices = _settle(distance, vertices, quads, grid.side, part_of(tick, WALK_SHARE, 1))
     tick(1.0)
     return Mesh(vertices, triangles(vertices, quads, crossings.normal))
 
@@ -51,7 +51,7 @@ def _settle(distance: DistanceFn, vertices: Floats, quads: Ints, side: float, ti
     """Vertices on the zero set, evenly spread."""
     ends = np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)])
     for turn in range(PULLS):
-        f, g = evaluate(distance, vertices, lambda part, turn=turn: tick((turn + part) / PULLS))
+        f, g = evaluate(distance, vertices, part_of(tick, turn / PULLS, (turn + 1) / PULLS))
         vertices = vertices - np.minimum(f, PULL_MOST * side)[:, None] * g
         if turn + 1 < PULLS:
             vertices = vertices + RELAX * _inside_surface(_towards_neighbours(vertices, ends), g)
@@ -69,7 +69,8 @@ def _towards_neighbours(vertices: Floats, ends: Ints) -> Floats:
 
 def _inside_surface(moves: Floats, normals: Floats) -> Floats:
     """Moves (V,3) without their share along the unit normals."""
-    return moves - np.einsum("vx,vx->v", moves, normals)[:, None] * normals
+    inside: Floats = moves - np.einsum("vx,vx->v", moves, normals)[:, None] * normals
+    return inside
 
 
 def _mean_by(group: Ints, values: Floats) -> Floats:

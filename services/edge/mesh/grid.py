@@ -42,7 +42,7 @@ class Grid:
 
 
 def grid_around(near: Floats, resolution: int) -> Grid:
-    """A grid with `resolution` cells along the longest side of the points' box. Raises ValueError for none or a point."""
+    """A grid with `resolution` cells along the longest side of the points' box. Raises ValueError if they have none."""
     if resolution < 1:
         raise ValueError(f"a grid needs at least 1 cell along its longest side, not {resolution}")
     low, high = near.min(axis=0), near.max(axis=0)
@@ -64,4 +64,5 @@ def find(sorted_keys: Ints, wanted: Ints) -> Ints:
 def without(keys: Ints, sorted_known: Ints) -> Ints:
     """The keys, sorted and once each, that are not among the known."""
     keys = np.unique(keys)
-    return keys[find(sorted_known, keys) == len(sorted_known)]
+    new: Ints = keys[find(sorted_known, keys) == len(sorted_known)]
+    return new

@@ -11,9 +11,13 @@ import heapq
 import numpy as np
 
 from services.edge.arrays import Floats, Ints
+from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.topology import border_loops
 
+# An ear at an outer corner would lie back on the faces beside it. At a fold, where both sheets overshoot and pass each
+# other, the ear that joins them leans back too, but stands off the faces by more than this.
+STANDS_OFF = float(np.cos(np.radians(35)))
 BLUNTEST = float(np.cos(np.radians(150)))  # an ear opens by less: the saw-teeth of a straight border stay as they are
 
 
@@ -41,8 +45,8 @@ def zip_tears(mesh: Mesh, chord: Floats) -> Mesh:
 
     May leave edges of three faces where two tears meet: `to_manifold` is due before and after.
     """
-    inward = _inward(mesh)
-    ears = [ear for loop in border_loops(mesh.faces) for ear in _zip(mesh.vertices, inward, loop, chord)]
+    inward, normals = _inward(mesh), _some_normals(mesh)
+    ears = [ear for loop in border_loops(mesh.faces) for ear in _zip(mesh.vertices, normals, inward, loop, chord)]
     if not ears:
         return mesh
     return Mesh(mesh.vertices, np.concatenate([mesh.faces, np.array(ears)]))
@@ -55,7 +59,16 @@ def _inward(mesh: Mesh) -> Floats:
     return np.stack([np.bincount(corner, away[:, axis], len(mesh.vertices)) for axis in range(3)], axis=1)
 
 
-def _zip(vertices: Floats, inward: Floats, loop: Ints, chord: Floats) -> list[tuple[int, int, int]]:
+def _some_normals(mesh: Mesh) -> Floats:
+    """(V,3) unit normal of one of the faces at each vertex, whatever the winding."""
+    normals = face_normals(mesh.vertices, mesh.faces)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)
+    some = np.zeros_like(mesh.vertices)
+    some[mesh.faces] = normals[:, None]
+    return some
+
+
+def _zip(vertices: Floats, normals: Floats, inward: Floats, loop: Ints, chord: Floats) -> list[tuple[int, int, int]]:
     """Ears of one border loop, shortest chord first. `inward` is kept up to date with the ears."""
     place = {v: vertices[v] for v in loop.tolist()}
     after = dict(zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True))
@@ -67,7 +80,12 @@ def _zip(vertices: Floats, inward: Floats, loop: Ints, chord: Floats) -> list[tu
         to_a, to_b = place[a] - place[v], place[b] - place[v]
         length = float(np.linalg.norm(to_b - to_a))
         blunt = to_a @ to_b < BLUNTEST * float(np.linalg.norm(to_a) * np.linalg.norm(to_b))
-        if length < chord[v] and not blunt and (to_a + to_b) @ inward[v] < 0:
+        ear = to_a + to_b
+        if length >= chord[v] or blunt:
+            return
+        across = np.cross(to_a, to_b)
+        flat = abs(float(across @ normals[v])) > STANDS_OFF * float(np.linalg.norm(across))
+        if not (flat and ear @ inward[v] > 0):
             heapq.heappush(heap, (length, a, v, b))
 
     for v in after:

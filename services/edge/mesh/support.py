@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import Bools, Floats, Ints
 
 DISC = 2.0  # R in spacings
-HOLE_DISC = 1.5
+HOLE_DISC = 1.5  # the largest empty one among 10,000 random points has 2.2, so holes must be weighed by area as well
 NEIGHBOURS = 40  # reaches 3.6 spacings: past the far rim of an empty disc there is nothing to see
 DIRECTIONS = 24  # 15° apart: m is then off by 0.02 R at most
 CENTRES = (0.5, 1.0)  # of R away from v: the rim for borders, the middle for small holes
@@ -38,9 +38,7 @@ def layer_spacing(near: Floats, normals: Floats, tree: cKDTree) -> Floats:
     return np.maximum(spacing, 0.1 * float(np.median(spacing)))
 
 
-def overhang(
-    vertices: Floats, normals: Floats, near: Floats, spacing: Floats, tree: cKDTree
-) -> tuple[Floats, Floats]:
+def overhang(vertices: Floats, normals: Floats, near: Floats, spacing: Floats, tree: cKDTree) -> tuple[Floats, Floats]:
     """(V,) m(v) in spacings for borders and for holes, clipped to [−1, 2].
 
     Borders count the points of the vertex's own layer, so that cloth may end above other cloth. Holes count all points

@@ -1,4 +1,4 @@
-"""Which faces meet along which edges, and what follows from that: borders, pieces, winding, and cutting to a manifold."""
+"""Which faces meet along which edges, and what follows: borders, pieces, winding, cutting to a manifold."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ class Edges:
 
     def halves(self, size: int) -> Ints:
         """(K,size) half-edges of the edges with that many faces."""
-        return self.order[self.start[self.size == size][:, None] + np.arange(size)]
+        rows: Ints = self.order[self.start[self.size == size][:, None] + np.arange(size)]
+        return rows
 
 
 def edges_of(faces: Ints) -> Edges:
@@ -145,7 +146,7 @@ def _bends(mesh: Mesh, adjacent: Ints) -> Floats:
 
 
 def _flips(adjacent: Ints, bend: Floats, count: int) -> Bools:
-    """(F,) faces to turn over, so that neighbours agree along the flattest spanning tree: a seam follows sharp bends."""
+    """(F,) faces to turn over so that neighbours agree along the flattest spanning tree: seams follow sharp bends."""
     piece = _labels(adjacent[:, :2], count)
     root = np.unique(piece, return_index=True)[1]
     # One more node joins the roots, so that a single walk reaches every piece.

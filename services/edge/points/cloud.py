@@ -7,10 +7,10 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats, Tick, no_tick
 from services.edge.capture.nouns import Capture, ScaleConfidence
 from services.edge.errors import CaptureError
-from services.edge.points.colour import to_linear, to_srgb
-from services.edge.points.grid import sum_groups, voxel_keys
+from services.edge.points.grid import voxel_keys
 from services.edge.points.nouns import Points
 from services.edge.points.outliers import inliers
+from services.edge.points.thin import thin, thin_to
 
 MAX_POINTS = 1_000_000
 """Points kept of a cloud: the neighbour searches of a larger one take minutes, and the finest mesh shows no more."""
@@ -41,7 +41,7 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
     xyz, rgb = _distinct(xyz - origin, rgb)
     if voxel is not None:
         xyz, rgb = thin(xyz, rgb, voxel)
-    xyz, rgb = _thin_to_limit(xyz, rgb)
+    xyz, rgb = thin_to(xyz, rgb, MAX_POINTS)
     _require_points(read, len(xyz))
     tick(0.1)
     keep = inliers(xyz, lambda fraction: tick(0.1 + 0.9 * fraction))
@@ -62,31 +62,12 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
     )
 
 
-def thin(xyz: Floats, rgb: Bytes | None, voxel: float) -> tuple[Floats, Bytes | None]:
-    """One point per voxel: the mean of its points, coloured with the mean of their light."""
-    ones = np.ones((len(xyz), 1))
-    light = np.zeros((len(xyz), 0)) if rgb is None else to_linear(rgb)
-    _, sums = sum_groups(voxel_keys(xyz, voxel), np.concatenate([ones, xyz, light], axis=1))
-    means = sums[:, 1:] / sums[:, :1]
-    return means[:, :3], None if rgb is None else to_srgb(means[:, 3:])
-
-
 def _distinct(xyz: Floats, rgb: Bytes | None) -> tuple[Floats, Bytes | None]:
     """The first of all points that coincide, in the files' order."""
     size = float(xyz.max(initial=0))
     _, first = np.unique(voxel_keys(xyz, max(size * _SAME, 1e-300)), return_index=True)
     first = np.sort(first)
     return xyz[first], None if rgb is None else rgb[first]
-
-
-def _thin_to_limit(xyz: Floats, rgb: Bytes | None) -> tuple[Floats, Bytes | None]:
-    voxel = float(xyz.max(initial=0)) / MAX_POINTS**0.5
-    while len(xyz) > MAX_POINTS:
-        count = len(np.unique(voxel_keys(xyz, voxel)))
-        if count <= MAX_POINTS:
-            return thin(xyz, rgb, voxel)
-        voxel *= 1.05 * (count / MAX_POINTS) ** 0.5
-    return xyz, rgb
 
 
 def _scale(capture: Capture, xyz: Floats) -> tuple[float, ScaleConfidence, tuple[str, ...]]:

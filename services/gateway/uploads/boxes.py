@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from services.gateway.uploads.cleaned import Buffer, UnreadableError, blank
+from services.gateway.uploads.cleaned import MOST_PARTS, Buffer, UnreadableError, blank
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,11 @@ class Box:
 def boxes(data: Buffer, start: int, end: int) -> Iterator[Box]:
     """The boxes side by side in a range. Raises UnreadableError when one leaves it."""
     at = start
-    while at + 8 <= end:
+    for count in itertools.count():
+        if at + 8 > end:
+            return
+        if count > MOST_PARTS:
+            raise UnreadableError(f"the file has more than {MOST_PARTS:,} boxes side by side")
         size, kind = struct.unpack_from(">I4s", data, at)
         body = at + 8
         if size == 1:

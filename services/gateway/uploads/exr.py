@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, unique
+from services.gateway.uploads.cleaned import MOST_PARTS, Buffer, Cleaned, UnreadableError, blank, is_blank, unique
 
 _REMOVED = {b"owner", b"comments", b"longitude", b"latitude", b"altitude", b"utcOffset", b"cameraSerialNumber"}
 _REMOVED |= {b"lensSerialNumber", b"cameraUuid", b"cameraLabel", b"xmp"}
@@ -16,7 +16,7 @@ def clean(data: Buffer) -> Cleaned:
     """Metadata in place. Raises UnreadableError."""
     removed: list[str] = []
     for name, start, stop in _attributes(data):
-        if name in _REMOVED and any(data[start:stop]):
+        if name in _REMOVED and not is_blank(data, start, stop):
             blank(data, start, stop)
             removed.append(name.decode())
     return Cleaned(unique(removed), len(data))
@@ -34,7 +34,7 @@ def size(data: Buffer) -> tuple[int, int]:
 def _attributes(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
     """(name, first and end byte of the value) of the first part's header."""
     at = 8
-    while True:
+    for _ in range(MOST_PARTS):
         name, at = _word(data, at)
         if not name:
             return
@@ -46,6 +46,7 @@ def _attributes(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
             raise UnreadableError(f"the EXR is cut short within its attribute {name!r}")
         yield name, at + 4, at + 4 + length
         at += 4 + length
+    raise UnreadableError("the EXR's header does not end")
 
 
 def _word(data: Buffer, at: int) -> tuple[bytes, int]:

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 
 from services.gateway.uploads import video
 from services.gateway.uploads.boxes import Box, boxes, find, release
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, unique
+from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank_all, is_blank, metadata, unique
 from services.gateway.uploads.exif import cleaned_exif
 
 _KEPT = {b"ftyp", b"meta", b"mdat", b"moov"}
 _MOST_ITEMS = 10_000  # tiles of a 100-megapixel photo are about 400
+_MOST_METADATA = 64  # blocks; two per picture of a short burst
+_MOST_EXTENTS = 64  # pieces of one item; writers make one, rarely some
 
 Extent = tuple[int, int]
 """First and end byte in the file."""
@@ -29,7 +31,7 @@ def clean(data: Buffer) -> Cleaned:
             elif box.kind == b"moov":
                 video.clean_box(data, box, removed)
             elif box.kind not in _KEPT:
-                removed += [box.kind.decode("latin-1")] if any(data[box.body : box.end]) else []
+                removed += [] if is_blank(data, box.body, box.end) else [box.kind.decode("latin-1")]
                 release(data, box)
         if meta is None:
             raise UnreadableError("the HEIF file has no index")
@@ -42,20 +44,20 @@ def clean(data: Buffer) -> Cleaned:
 def _clean_items(data: Buffer, meta: Box) -> list[str]:
     inner = Box(b"meta", meta.start, meta.body + 4, meta.end)  # behind version and flags
     kinds = _item_kinds(data, inner)
-    removed: list[str] = []
-    for item, extents in _item_extents(data, inner).items():
-        kind = kinds.get(item, b"")
-        if kind == b"Exif":
-            removed += _clean_exif(data, extents)
-        elif kind in (b"mime", b"uri "):
-            removed += ["XMP"] if any(any(data[start:end]) for start, end in extents) else []
-            for start, end in extents:
-                blank(data, start, end)
+    places = _item_extents(data, inner)
+    exif = [extents for item, extents in places.items() if kinds.get(item) == b"Exif"]
+    other = [extent for item, extents in places.items() if kinds.get(item) in (b"mime", b"uri ") for extent in extents]
+    if len(exif) + len(other) > _MOST_METADATA:
+        raise UnreadableError(f"the HEIF file has {len(exif) + len(other):,} blocks of metadata")
+    removed = [name for extents in exif for name in _clean_exif(data, extents)]
+    if not all(is_blank(data, start, end) for start, end in other):
+        removed.append("XMP")
+        blank_all(data, other)
     return removed
 
 
 def _clean_exif(data: Buffer, extents: Sequence[Extent]) -> Sequence[str]:
-    content = b"".join(data[start:end] for start, end in extents)
+    content = b"".join(metadata(data, start, end) for start, end in extents[:_MOST_EXTENTS])
     if len(content) < 4:
         return ()
     header = 4 + struct.unpack_from(">I", content)[0]  # the item begins with the offset of the TIFF header
@@ -116,8 +118,10 @@ def _item_extents(data: Buffer, meta: Box) -> dict[int, list[Extent]]:
         base = reader.take(base_size)
         if method == 1 and store is not None:
             base += store.body
-        extents = []
+        extents: list[Extent] = []
         for _ in range(reader.take(2)):
+            if len(extents) > _MOST_EXTENTS:
+                raise UnreadableError(f"the HEIF file has item {item} in more than {_MOST_EXTENTS} pieces")
             reader.take(index_size if version else 0)
             start = base + reader.take(offset_size)
             end = start + reader.take(length_size)

@@ -6,7 +6,7 @@ import re
 import struct
 from collections.abc import Iterator
 
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, unique
+from services.gateway.uploads.cleaned import MOST_PARTS, Buffer, Cleaned, UnreadableError, blank, is_blank, unique
 from services.gateway.uploads.exif import cleaned_exif
 
 _SCAN, _END, _COMMENT = 0xDA, 0xD9, 0xFE
@@ -34,7 +34,7 @@ def clean(data: Buffer) -> Cleaned:
         if marker == 0xE1 and data[start : start + 6] == _EXIF:
             data[start + 6 : end], names = cleaned_exif(bytes(data[start + 6 : end]))
             removed += names
-        elif _is_metadata(data, marker, start) and any(data[start:end]):
+        elif _is_metadata(data, marker, start) and not is_blank(data, start, end):
             removed.append(_name(data, marker, start))
             blank(data, start, end)
     if end < len(data):
@@ -50,9 +50,9 @@ def is_progressive(data: Buffer) -> bool:
 def _segments(data: Buffer) -> Iterator[tuple[int, int, int]]:
     """(marker, first and end byte of its payload), the end marker last. Raises UnreadableError."""
     at = 2
-    while True:
+    for _ in range(MOST_PARTS):
         if at + 2 > len(data):
-            raise UnreadableError("the JPEG is cut short: it has no end marker")
+            break
         marker = data[at + 1]
         if data[at] != 0xFF:
             raise UnreadableError(f"the JPEG has no marker where one must be, at byte {at:,}")
@@ -67,6 +67,7 @@ def _segments(data: Buffer) -> Iterator[tuple[int, int, int]]:
             end = at + 2 + _length(data, at + 2)
             yield marker, at + 4, end
             at = _next_marker(data, end) if marker == _SCAN else end
+    raise UnreadableError("the JPEG is cut short: it has no end marker")
 
 
 def _length(data: Buffer, at: int) -> int:

@@ -28,10 +28,15 @@ def _safe_segment(part: str) -> str:
     return (cut + ending) or "_"
 
 
-def unique_name(name: str, taken: set[str]) -> str:
-    """The name, numbered if it is taken: a phone's camera calls every picture `image.jpg`. Case does not count."""
-    path, number = PurePosixPath(name), 2
+def unique_name(name: str, taken: dict[str, int]) -> str:
+    """The name, numbered if it is taken: a phone's camera calls every picture `image.jpg`. Case does not count.
+
+    `taken` holds, by name, the number to try next; the answer is entered there.
+    """
+    path, wanted = PurePosixPath(name), name.casefold()
     while name.casefold() in taken:
+        number = taken[wanted]
+        taken[wanted] += 1
         name = str(path.with_name(f"{path.stem}-{number}{path.suffix}"))
-        number += 1
+    taken[name.casefold()] = 2
     return name

@@ -6,7 +6,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, unique
+from services.gateway.uploads.cleaned import MOST_PARTS, Buffer, Cleaned, UnreadableError, checksum, metadata, unique
 from services.gateway.uploads.exif import cleaned_exif
 
 _KEPT = {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"mDCV", b"cLLI"}
@@ -24,11 +24,11 @@ def clean(data: Buffer) -> Cleaned:
     for kind, start, stop in _chunks(data):
         end = stop + 4
         if kind == b"eXIf":
-            block, names = cleaned_exif(bytes(data[start:stop]))
+            block, names = cleaned_exif(metadata(data, start, stop))
             _rewrite(data, kind, start, block)
             removed += names
         elif kind not in _KEPT and kind != _SHELL:
-            _rewrite(data, _SHELL, start, bytes(stop - start))
+            _rewrite(data, _SHELL, start, bytes(len(metadata(data, start, stop))))
             removed.append(_NAMES.get(kind, kind.decode("latin-1")))
     if end < len(data):
         removed.append("Trailer")
@@ -40,17 +40,23 @@ def check_pixels(data: Buffer) -> None:
     inflater, size = zlib.decompressobj(), 0
     expected = _raw_bytes(data)
     try:
-        for kind, start, stop in _chunks(data):
-            packed = bytes(data[start:stop]) if kind == b"IDAT" else b""
+        for packed in _pixel_blocks(data):
             while packed and not inflater.eof:
                 size += len(inflater.decompress(packed, _INFLATE_BYTES))
                 packed = inflater.unconsumed_tail
-                if size > 2 * expected:  # interlacing adds a few bytes per row, never this much
+                if size > 2 * expected + _INFLATE_BYTES:  # filters and interlacing add some bytes per row
                     raise UnreadableError("the PNG holds more pixels than its header says")
     except zlib.error as error:
         raise UnreadableError(f"the PNG's pixels are damaged: {error}") from None
     if size < expected:
         raise UnreadableError(f"the PNG is cut short: {size:,} of {expected:,} bytes of pixels are there")
+
+
+def _pixel_blocks(data: Buffer) -> Iterator[bytes]:
+    for kind, start, stop in _chunks(data):
+        if kind == b"IDAT":
+            for at in range(start, stop, _INFLATE_BYTES):
+                yield bytes(data[at : min(at + _INFLATE_BYTES, stop)])
 
 
 def _raw_bytes(data: Buffer) -> int:
@@ -62,19 +68,20 @@ def _raw_bytes(data: Buffer) -> int:
 def _chunks(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
     """(type, first and end byte of its content), IEND last. Raises UnreadableError."""
     at = 8
-    while True:
+    for _ in range(MOST_PARTS):
         if at + 12 > len(data):
-            raise UnreadableError("the PNG is cut short: it has no end")
+            break
         length, kind = struct.unpack_from(">I4s", data, at)
         start, stop = at + 8, at + 8 + length
         if stop + 4 > len(data):
             raise UnreadableError(f"the PNG is cut short within its chunk {kind!r}")
-        if zlib.crc32(data[start - 4 : stop]) != struct.unpack_from(">I", data, stop)[0]:
+        if checksum(data, start - 4, stop) != struct.unpack_from(">I", data, stop)[0]:
             raise UnreadableError(f"the PNG's chunk {kind!r} is damaged: wrong checksum")
         yield kind, start, stop
         if kind == b"IEND":
             return
         at = stop + 4
+    raise UnreadableError("the PNG is cut short: it has no end")
 
 
 def _rewrite(data: Buffer, kind: bytes, start: int, content: bytes) -> None:

@@ -95,7 +95,7 @@ class _Files:
     def __init__(self, received: Received, limits: UploadLimits) -> None:
         self.received = received
         self._limits = limits
-        self._taken: set[str] = set()
+        self._taken: dict[str, int] = {}
         self._file: BinaryIO | None = None
 
     def open(self, name: str) -> None:
@@ -108,7 +108,6 @@ class _Files:
             self._file = path.open("xb")
         except (FileExistsError, NotADirectoryError, IsADirectoryError):
             raise Problem(400, "UPLOAD_NAMES", "a file and a folder have the same name", file=name) from None
-        self._taken.add(name.casefold())
         self.received.files.append(name)
 
     def write(self, data: bytes) -> None:
@@ -149,6 +148,8 @@ class _Multipart:
     def __init__(self, boundary: bytes, received: Received, limits: UploadLimits) -> None:
         self.received = received
         self._files = _Files(received, limits)
+        self._limits = limits
+        self._parts, self._most_parts = 0, limits.files + _MOST_FIELDS
         self._headers: dict[str, bytes] = {}
         self._header_name = self._header_value = b""
         self._text: bytearray | None = None
@@ -190,6 +191,9 @@ class _Multipart:
 
     def _on_part_begin(self) -> None:
         self._headers = {}
+        self._parts += 1
+        if self._parts > self._most_parts:
+            raise too_many_files(self._limits)
 
     def _on_header_field(self, data: bytes, start: int, end: int) -> None:
         self._header_name += data[start:end]
@@ -216,7 +220,7 @@ class _Multipart:
             self._files.write(data[start:end])
             return
         self._text += data[start:end]
-        if len(self._text) > _FIELD_BYTES or len(self.received.fields) >= _MOST_FIELDS:
+        if len(self._text) > _FIELD_BYTES:
             raise Problem(413, "UPLOAD_FIELD_TOO_LARGE", f"a text field may have {_FIELD_BYTES:,} bytes")
 
     def _on_part_end(self) -> None:

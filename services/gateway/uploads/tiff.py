@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
+from collections.abc import Iterator
 
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, unique
+from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank_all, unique
 from services.gateway.uploads.exif import BrokenExifError, byte_order, field_bytes, tag_name
 
 # Here what goes is listed: a TIFF's directory also says where its pixels are, in more ways than a list would cover.
@@ -26,26 +28,30 @@ _REMOVED = {
 }
 _REMOVED |= {0x9C9B, 0x9C9C, 0x9C9D, 0x9C9E, 0x9C9F, 0x927C, 0x9286}
 _DIRECTORIES = {0x8769, 0x8825}  # tags whose value is a directory of its own: Exif, GPS
+_DEEPEST = 2  # directories within directories: Exif holds GPS at most
+_MOST_VALUES = 10_000  # of metadata; real files have some hundred
 _MOST_PAGES = 64  # a loop of directories must end
 
 
 def clean(data: Buffer) -> Cleaned:
     """Metadata in place. Raises UnreadableError where a directory leads nowhere."""
     removed: list[str] = []
+    ranges: list[tuple[int, int]] = []
     try:
         order = byte_order(bytes(data[:4]))
         offset = struct.unpack_from(order + "I", data, 4)[0]
         for _ in range(_MOST_PAGES):
             if offset == 0:
                 break
-            offset = _clean_directory(data, order, offset, removed)
+            offset = _clean_directory(data, order, offset, removed, ranges)
     except (struct.error, BrokenExifError) as error:
         raise UnreadableError(f"the TIFF is damaged or cut short: {error}") from None
+    blank_all(data, ranges)
     return Cleaned(unique(removed), len(data))
 
 
-def _clean_directory(data: Buffer, order: str, offset: int, removed: list[str]) -> int:
-    """Close the gaps that removed entries leave; the offset of the next directory."""
+def _clean_directory(data: Buffer, order: str, offset: int, removed: list[str], ranges: list[tuple[int, int]]) -> int:
+    """Close the gaps that removed entries leave, note where their values are; the offset of the next directory."""
     count = struct.unpack_from(order + "H", data, offset)[0]
     end = offset + 2 + 12 * count
     next_offset = int(struct.unpack_from(order + "I", data, end)[0])
@@ -54,7 +60,9 @@ def _clean_directory(data: Buffer, order: str, offset: int, removed: list[str]) 
         tag = struct.unpack_from(order + "H", data, at)[0]
         if tag in _REMOVED:
             removed.append(tag_name(tag))
-            _blank_value(data, order, at, nested=tag in _DIRECTORIES)
+            ranges += itertools.islice(_value_ranges(data, order, at, depth=0), _MOST_VALUES + 1)
+            if len(ranges) > _MOST_VALUES:
+                raise UnreadableError(f"the TIFF has more than {_MOST_VALUES:,} values of metadata")
         else:
             kept += data[at : at + 12]
     struct.pack_into(order + "H", data, offset, len(kept) // 12)
@@ -63,19 +71,20 @@ def _clean_directory(data: Buffer, order: str, offset: int, removed: list[str]) 
     return next_offset
 
 
-def _blank_value(data: Buffer, order: str, at: int, *, nested: bool) -> None:
-    _, kind, number, pointer = struct.unpack_from(order + "HHII", data, at)
+def _value_ranges(data: Buffer, order: str, at: int, *, depth: int) -> Iterator[tuple[int, int]]:
+    """First and end byte of what an entry points at, and of all that its directory points at, if it is one."""
+    tag, kind, number, pointer = struct.unpack_from(order + "HHII", data, at)
     size = field_bytes(kind, number)
     if size > 4:
-        _blank_within(data, pointer, size)
-    elif nested:
-        count = struct.unpack_from(order + "H", data, pointer)[0]
+        yield _within(data, pointer, size)
+    elif tag in _DIRECTORIES and depth < _DEEPEST:
+        count = min(struct.unpack_from(order + "H", data, pointer)[0], _MOST_VALUES)
         for inner in range(pointer + 2, pointer + 2 + 12 * count, 12):
-            _blank_value(data, order, inner, nested=struct.unpack_from(order + "H", data, inner)[0] in _DIRECTORIES)
-        _blank_within(data, pointer, 2 + 12 * count)
+            yield from _value_ranges(data, order, inner, depth=depth + 1)
+        yield _within(data, pointer, 2 + 12 * count)
 
 
-def _blank_within(data: Buffer, start: int, size: int) -> None:
+def _within(data: Buffer, start: int, size: int) -> tuple[int, int]:
     if start + size > len(data):
         raise UnreadableError("the TIFF is damaged: a value ends outside of the file")
-    blank(data, start, start + size)
+    return start, start + size

@@ -11,12 +11,14 @@ import struct
 from collections.abc import Iterator
 
 from services.gateway.uploads.boxes import Box, boxes, find, release
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, unique
+from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, blank_all, unique
 
 _METADATA = {b"udta", b"meta", b"uuid"}
 _UNUSED = {b"free", b"skip"}
 _CONTAINERS = {b"moov", b"trak", b"mdia", b"minf", b"moof", b"traf"}
 _KEPT_TRACKS = {b"vide", b"auxv", b"pict", b"soun", b"tmcd"}
+_DEEPEST = 8  # moov, trak, mdia, minf are the deepest that films have
+_MOST_TRACKS = 32  # of metadata; phones write up to eight
 _MOST_ENTRIES = 1_000_000  # of one table: nine hours at 30 Hz
 _KEY = re.compile(rb"com\.[A-Za-z0-9.-]+")
 
@@ -35,8 +37,10 @@ def clean(data: Buffer) -> Cleaned:
     return Cleaned(unique(removed), len(data))
 
 
-def clean_box(data: Buffer, box: Box, removed: list[str]) -> None:
+def clean_box(data: Buffer, box: Box, removed: list[str], depth: int = 0) -> None:
     """One box and those within it."""
+    if depth > _DEEPEST:
+        raise UnreadableError("the film's index is damaged: its boxes are nested without end")
     if box.kind in _METADATA:
         removed += _names(data, box)
         release(data, box)
@@ -44,12 +48,13 @@ def clean_box(data: Buffer, box: Box, removed: list[str]) -> None:
         blank(data, box.body, box.end)
     elif box.kind == b"trak" and _handler(data, box) not in _KEPT_TRACKS:
         removed.append(f"track {_handler(data, box).decode('latin-1')}")
-        for start, end in _samples(data, box):
-            blank(data, start, end)
+        if sum(name.startswith("track ") for name in removed) > _MOST_TRACKS:
+            raise UnreadableError(f"the film has more than {_MOST_TRACKS} tracks of metadata")
+        blank_all(data, _samples(data, box))
         release(data, box)
     elif box.kind in _CONTAINERS:
         for child in list(boxes(data, box.body, box.end)):
-            clean_box(data, child, removed)
+            clean_box(data, child, removed, depth + 1)
 
 
 def _names(data: Buffer, box: Box) -> list[str]:

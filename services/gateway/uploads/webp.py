@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import struct
 
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, unique
+from services.gateway.uploads.cleaned import (
+    MOST_PARTS,
+    Buffer,
+    Cleaned,
+    UnreadableError,
+    blank,
+    is_blank,
+    metadata,
+    unique,
+)
 from services.gateway.uploads.exif import cleaned_exif
 
 _KEPT = {b"VP8 ", b"VP8L", b"VP8X", b"ALPH", b"ANIM", b"ANMF", b"ICCP"}
@@ -17,14 +26,16 @@ def clean(data: Buffer) -> Cleaned:
         raise UnreadableError(f"the WebP is cut short: {len(data):,} of {end:,} bytes are there")
     removed: list[str] = []
     at = 12
-    while at + 8 <= end:
+    for _ in range(MOST_PARTS):
+        if at + 8 > end:
+            break
         kind, length = struct.unpack_from("<4sI", data, at)
         start, stop = at + 8, at + 8 + length
         if stop > end:
             raise UnreadableError(f"the WebP's chunk {kind!r} ends outside of the file")
         if kind == b"EXIF":
             removed += _clean_exif(data, start, stop)
-        elif kind not in _KEPT and any(data[start:stop]):
+        elif kind not in _KEPT and not is_blank(data, start, stop):
             blank(data, start, stop)
             removed.append(kind.decode("latin-1").strip())
         at = stop + length % 2
@@ -36,5 +47,5 @@ def clean(data: Buffer) -> Cleaned:
 def _clean_exif(data: Buffer, start: int, stop: int) -> tuple[str, ...]:
     if data[start : start + 6] == b"Exif\0\0":  # some writers keep JPEG's prefix
         start += 6
-    data[start:stop], removed = cleaned_exif(bytes(data[start:stop]))
+    data[start:stop], removed = cleaned_exif(metadata(data, start, stop))
     return removed
