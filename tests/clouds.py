@@ -9,7 +9,9 @@ import numpy as np
 
 def write_ply(path: Path, xyz: np.ndarray, rgb: np.ndarray | None = None) -> Path:
     """A binary PLY of (N,3) points with optional (N,3) uint8 colours, as scanning apps export them."""
-    fields = [(axis, "<f8") for axis in "xyz"] + ([(c, "u1") for c in ("red", "green", "blue")] if rgb is not None else [])
+    fields = [(axis, "<f8") for axis in "xyz"] + (
+        [(c, "u1") for c in ("red", "green", "blue")] if rgb is not None else []
+    )
     rows = np.empty(len(xyz), dtype=fields)
     for axis, column in zip("xyz", np.asarray(xyz).T, strict=True):
         rows[axis] = column

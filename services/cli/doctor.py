@@ -97,7 +97,8 @@ def _storage() -> Iterator[Finding]:
     except Exception as error:  # noqa: BLE001 - whatever is wrong is exactly what the person wants to read
         yield Finding("storage", "bad", str(error))
     else:
-        yield Finding("storage", "ok", settings.describe())
+        where = settings.root if settings.kind == "local" else f"{settings.endpoint or 'AWS'}, bucket {settings.bucket}"
+        yield Finding("storage", "ok", f"{settings.kind}: {where}")
 
 
 def _gateway(url: str) -> Iterator[Finding]:

@@ -17,9 +17,9 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.nouns import Intrinsics
 from services.edge.mesh import Mesh
-from services.edge.mesh.colour import to_linear, to_srgb
 from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
 from services.edge.mesh.rays import Hits, Scene, open_sky, pinhole
+from services.edge.srgb import to_linear, to_srgb
 from services.storage.archives import pack
 
 DEPTH = Intrinsics(fx=212.0, fy=212.0, cx=127.5, cy=95.5, width=256, height=192)  # a LiDAR phone's: 62° × 49°

@@ -26,9 +26,7 @@ class EdgeSettings(StrictSettings):
     )
     device: str = Field("cpu", min_length=1, description="What GetWorker reports and fields are trained on.")
     reflection: bool = Field(False, description="Answer gRPC reflection (grpcurl); for development.")
-    log_level: str = Field(
-        "INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$", description="How much is logged."
-    )
+    log_level: str = Field("INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$", description="How much is logged.")
     drain_s: float = Field(30.0, ge=0, le=3600, description="Seconds that running jobs get after SIGTERM.")
     max_capture_bytes: int = Field(4 << 30, ge=1, description="Largest capture archive taken, in bytes.")
 

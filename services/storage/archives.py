@@ -103,15 +103,20 @@ def unpack(archive: Path, into: Path, limits: Limits = DEFAULT) -> list[Path]:
     return sorted(into / path for path in paths)
 
 
-def pack(folder: Path, archive: Path) -> None:
-    """Zip a folder without compressing (phones' files are compressed already): the same files give the same bytes."""
+def pack(source: Path, archive: Path) -> None:
+    """Zip a folder's files, or one file, without compressing (phones' files are compressed already).
+
+    The same files give the same bytes.
+    """
+    paths = [source] if source.is_file() else sorted(path for path in source.rglob("*") if path.is_file())
+    root = source.parent if source.is_file() else source
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as target:
-        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-            info = zipfile.ZipInfo(path.relative_to(folder).as_posix(), _EPOCH)
+        for path in paths:
+            info = zipfile.ZipInfo(path.relative_to(root).as_posix(), _EPOCH)
             info.external_attr = 0o644 << 16
             info.file_size = path.stat().st_size  # zipfile decides by it whether the entry needs 64-bit sizes
-            with path.open("rb") as source, target.open(info, "w") as sink:
-                shutil.copyfileobj(source, sink, _BLOCK_BYTES)
+            with path.open("rb") as content, target.open(info, "w") as sink:
+                shutil.copyfileobj(content, sink, _BLOCK_BYTES)
 
 
 def is_zip(path: Path) -> bool:

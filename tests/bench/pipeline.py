@@ -36,7 +36,10 @@ def room(points: int) -> Capture:
     """A furnished room of 5 × 4 × 2.6 m as a scanner sees it from inside, σ = 2 mm."""
     rng = np.random.default_rng(0)
     boxes = [((0, 0, 0), (5, 4, 2.6))]
-    boxes += [((x, y, 0), (w, d, h)) for x, y, w, d, h in [(0.3, 0.3, 2, 0.9, 0.8), (3, 2.5, 1.6, 1, 0.74), (4.2, 0, 0.8, 0.5, 2)]]
+    boxes += [
+        ((x, y, 0), (w, d, h))
+        for x, y, w, d, h in [(0.3, 0.3, 2, 0.9, 0.8), (3, 2.5, 1.6, 1, 0.74), (4.2, 0, 0.8, 0.5, 2)]
+    ]
     corners, edges = [], []
     for low, size in boxes:
         for axis in range(3):
@@ -91,7 +94,11 @@ def main(arguments: list[str]) -> None:
     for name in CASES:
         if arguments and arguments[0] not in name:
             continue
-        command = [sys.executable, "-c", f"import json; from tests.bench.pipeline import one; print(json.dumps(one({name!r})))"]
+        command = [
+            sys.executable,
+            "-c",
+            f"import json; from tests.bench.pipeline import one; print(json.dumps(one({name!r})))",
+        ]
         row = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
         stages = " | ".join(f"{row['seconds'].get(stage, 0):.2f}" for stage in _STAGES)
         quality = row["quality"]

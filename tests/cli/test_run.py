@@ -160,7 +160,8 @@ def test_a_bomb_of_zeros_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize(
-    "capture", ["cloud_room/fragment.pcd", "rgbd_livingroom", "phone_tof", "dress/dress-v17k-f34k.obj", "car", "milktruck"]
+    "capture",
+    ["cloud_room/fragment.pcd", "rgbd_livingroom", "phone_tof", "dress/dress-v17k-f34k.obj", "car", "milktruck"],
 )
 def test_real_captures_become_assets(capture: str, data_dir: Path, tmp_path: Path) -> None:
     result = capture2vr("run", data_dir / capture, "-o", tmp_path / "out")

@@ -17,7 +17,7 @@ from services.edge.capture.depth import known_depth
 from services.edge.capture.files import number_order
 from services.edge.capture.images import header_size
 from services.edge.capture.nouns import Intrinsics
-from services.edge.capture.poses import checked_pose, mean_up, pose_from_quaternion
+from services.edge.capture.poses import checked_pose, pose_from_quaternion
 from services.edge.capture.shots import checked_intrinsics
 from services.edge.errors import CaptureError
 
@@ -66,13 +66,6 @@ def test_what_is_no_pose_is_named(matrix: np.ndarray) -> None:
     with pytest.raises(CaptureError) as caught:
         checked_pose(matrix, axes="opencv", file="f")
     assert caught.value.code == "CAPTURE_BAD_POSE"
-
-
-def test_mean_up_is_up_for_cameras_that_look_around() -> None:
-    poses = [np.eye(4) for _ in range(3)]
-    for pose, angle in zip(poses, (0, 120, 240), strict=True):
-        pose[:3, :3] = Rotation.from_euler("YX", [angle, 20], degrees=True).as_matrix() @ np.diag([1.0, -1, -1])
-    np.testing.assert_allclose(mean_up(poses), [0, 1, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -77,8 +77,7 @@ def test_frames_of_the_living_room_agree(data_dir: Path) -> None:
     """Five frames a few centimetres apart see the same walls: with a wrong axis or scale they would not."""
     capture = read_capture(data_dir / "rgbd_livingroom")
     assert (capture.format, len(capture.frames), capture.warnings) == ("open3d", 5, ())
-    assert capture.up is not None
-    assert capture.up[1] > 0.99
+    assert capture.up is None
     first, last = captures.back_project(capture.frames[0])[::31], captures.back_project(capture.frames[-1])
     gaps_m = cKDTree(last).query(first)[0]
     assert np.median(gaps_m) < 0.006

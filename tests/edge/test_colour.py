@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.edge.mesh import Mesh, carry_colours
-from services.edge.mesh.colour import to_linear, to_srgb
+from services.edge.srgb import to_linear, to_srgb
 from tests import surfaces
 
 MESH = surfaces.grid_with_holes()

@@ -52,7 +52,7 @@ def test_clean_clouds_are_left_alone(surface: Maker, count: int, seed: int) -> N
 def test_noise_is_taken_off(surface: Maker, sigma: float, seed: int) -> None:
     points = surfaces.sampled(surface(), 4_000, noise=sigma, seed=seed)
     before, after = _gap(points, surface()), _gap(denoise(points), surface())
-    assert after < 0.55 * before
+    assert after < 0.6 * before
 
 
 @pytest.mark.parametrize(("surface", "sigma"), NOISY)
@@ -68,6 +68,12 @@ def test_noise_finer_than_its_neighbourhoods_is_measured_too() -> None:
     points = surfaces.sampled(surfaces.disk(), 30_000, noise=0.01, seed=0)
     noise = noise_level(points, cKDTree(points))
     assert np.median(noise.sigma) == pytest.approx(0.01, rel=0.25)
+
+
+def test_large_clouds_share_their_fits() -> None:
+    # More points than fits: those without one of their own take that of a neighbour.
+    points = surfaces.sampled(surfaces.disk(), 45_000, noise=0.004, seed=0)
+    assert np.abs(denoise(points)[:, 2]).mean() < 0.3 * np.abs(points[:, 2]).mean()
 
 
 def test_noisy_layers_stay_apart() -> None:

@@ -85,7 +85,9 @@ def test_it_stops_where_it_is_told_to(stage: str) -> None:
 
 
 def test_the_same_capture_gives_the_same_bytes() -> None:
-    first, second = ([step for step in reconstruct(_bowl(), load_preset("draft")) if isinstance(step, Bundle)][0] for _ in "ab")
+    first, second = (
+        [step for step in reconstruct(_bowl(), load_preset("draft")) if isinstance(step, Bundle)][0] for _ in "ab"
+    )
     assert first.files["mesh.ply"] == second.files["mesh.ply"]
     assert first.files["lod2.glb"] == second.files["lod2.glb"]
 

@@ -15,9 +15,9 @@ from services.edge.arrays import Bytes, Floats
 from services.edge.capture import Capture, Cloud, read_capture
 from services.edge.errors import CaptureError
 from services.edge.points import to_points, unit_frame
-from services.edge.points.thin import thin
 from services.edge.points.grid import cell_keys, key_cells, sum_groups
 from services.edge.points.outliers import connected, inliers
+from services.edge.points.thin import thin
 
 
 def cloud(xyz: Floats, rgb: Bytes | None = None) -> Capture:

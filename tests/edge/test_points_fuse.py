@@ -14,9 +14,9 @@ from services.edge.arrays import Floats
 from services.edge.capture import Capture, Frame, read_capture
 from services.edge.errors import Cancelled, CaptureError
 from services.edge.points import to_points
-from services.edge.points.colour import to_linear, to_srgb
 from services.edge.points.fuse import fuse
 from services.edge.points.grid import Samples, VoxelGrid
+from services.edge.srgb import to_linear, to_srgb
 from tests.edge.scenes import KINECT, PHONE, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
 
 CLEAN = Sensor()

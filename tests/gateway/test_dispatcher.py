@@ -85,7 +85,7 @@ async def test_a_restarted_gateway_finds_its_runs_again(tmp_path: Path) -> None:
     assert [number for number, _, _ in story] == list(range(1, len(story) + 1))
 
 
-async def test_a_lost_worker_costs_an_attempt_and_the_job_goes_elsewhere(tmp_path: Path) -> None:
+async def test_a_worker_that_shuts_down_hands_its_jobs_to_another(tmp_path: Path) -> None:
     store = memory()
     first, second = Making(store), Making(store)
     async with AsyncExitStack() as stays:
@@ -100,7 +100,7 @@ async def test_a_lost_worker_costs_an_attempt_and_the_job_goes_elsewhere(tmp_pat
         second.release.set()
         done = [await ended(client, job) for job in jobs]
     assert [each["state"] for each in done] == ["SUCCEEDED", "SUCCEEDED"]
-    assert sorted(each["attempts"] for each in done) == [1, 2]
+    assert [each["attempts"] for each in done] == [1, 1]  # being replaced is no failure of the job's
     assert set(second.runs) == set(jobs)
 
 

@@ -42,7 +42,11 @@ reports = st.one_of(
         Published, seqs, st.just("dress"), st.integers(1, 3), st.sampled_from(["preview", "refined"]), st.just("m")
     ),
     st.builds(
-        Failed, seqs, st.sampled_from(["CAPTURE_EMPTY", "CANCELLED", "INTERNAL"]), st.just("m"), retryable=st.booleans()
+        Failed,
+        seqs,
+        st.sampled_from(["CAPTURE_EMPTY", "CANCELLED", "INTERNAL", "WORKER_DRAINING"]),
+        st.just("m"),
+        retryable=st.booleans(),
     ),
     st.builds(Finished, seqs, warnings=st.just(("w",))),
 )

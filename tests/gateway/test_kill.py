@@ -18,6 +18,7 @@ import httpx
 
 from services.storage.catalogue import entry
 from services.storage.local import LocalStore
+from tests.gateway import support
 from tests.gateway.support import capture
 
 _ROOT = Path(__file__).parents[2]
@@ -105,6 +106,31 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
         ]
         assert stories[job].count("SUCCEEDED") == 1
     assert max(job["attempts"] for job in done) > 1, "no kill hit a job: the test proves nothing"
+
+
+async def test_a_job_that_kills_its_workers_fails_by_name(tmp_path: Path, unused_tcp_port: int) -> None:
+    store = LocalStore(tmp_path / "objects")
+    edge = Process(
+        "tests.gateway.making_worker",
+        tmp_path / "edge.log",
+        EDGE_PORT=unused_tcp_port,
+        EDGE_SCRATCH=tmp_path / "scratch",
+        STORAGE_ROOT=store.root,
+    )
+    with _killed_at_the_end(edge):
+        async with support.gateway(tmp_path / "gw", store, unused_tcp_port, max_attempts=2) as client:
+            job = await support.start(client, capture(store, wait=1))
+            for attempt in (1, 2):
+                await support.job_when(client, job, partial(_works, attempt=attempt), within_s=30)
+                edge.kill()
+                edge.start()
+            done = await support.ended(client, job, within_s=30)
+    assert (done["state"], done["attempts"], done["error"]["code"]) == ("FAILED", 2, "WORKER_LOST")
+    assert done["error"]["retryable"]
+
+
+def _works(job: dict[str, Any], attempt: int) -> bool:
+    return job["state"] == "RUNNING" and job["attempts"] == attempt and job["fraction"] > 0
 
 
 def _start(client: httpx.Client, name: str, key: str, deadline: float) -> str:

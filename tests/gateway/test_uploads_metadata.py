@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -212,3 +213,26 @@ def test_big_endian_exif_is_understood() -> None:
     kept.load(b"Exif\0\0" + after)
     assert "GPSInfo" in removed
     assert kept[ORIENTATION] == 6
+
+
+def test_an_index_without_end_is_refused_at_once() -> None:
+    nested = b""
+    for _ in range(2000):
+        nested = pictures.box(b"moov", nested)
+    boxes = pictures.box(b"moov", pictures.box(b"abcd") * 110_000)
+    tracks = pictures.box(b"moov", pictures.box(b"trak", pictures.handler(b"meta")) * 40)
+    entry = struct.pack("<HHII", 0x8769, 4, 1, 8)
+    directories = b"II*\0\x08\0\0\0" + struct.pack("<H", 60_000) + entry * 60_000 + bytes(4)
+    segments = b"\xff\xd8" + b"\xff\xfe\0\x02" * 110_000
+    for clean, data in ((video.clean, nested), (video.clean, boxes), (video.clean, tracks)):
+        with pytest.raises(UnreadableError):
+            clean(bytearray(data))
+    for clean, data in ((tiff.clean, directories), (jpeg.clean, segments)):
+        with pytest.raises(UnreadableError):
+            clean(bytearray(data))
+
+
+def test_a_directory_that_leads_to_itself_ends() -> None:
+    entries = struct.pack("<HHIIHHII", 0x8769, 4, 1, 8, 0x8825, 4, 1, 8)
+    loop = b"II*\0\x08\0\0\0" + struct.pack("<H", 2) + entries + struct.pack("<I", 8)
+    assert "GPSInfo" in cleaned(tiff.clean, loop)[1]

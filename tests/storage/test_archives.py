@@ -317,3 +317,9 @@ def test_pack_is_deterministic(tmp_path: Path) -> None:
         archives.append((tmp_path / f"{number}.zip").read_bytes())
     assert archives[0] == archives[1]
     assert is_zip(tmp_path / "0.zip")
+
+
+def test_one_file_is_packed_under_its_name(tmp_path: Path) -> None:
+    (tmp_path / "leaf.ply").write_bytes(b"ply")
+    pack(tmp_path / "leaf.ply", tmp_path / "a.zip")
+    assert names(tmp_path / "into", unpack(tmp_path / "a.zip", tmp_path / "into")) == ["leaf.ply"]

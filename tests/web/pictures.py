@@ -6,6 +6,7 @@ import io
 
 import numpy as np
 from PIL import Image
+from playwright.sync_api import Page
 
 
 def drawn(png: bytes) -> float:
@@ -18,3 +19,9 @@ def difference(first: bytes, second: bytes) -> float:
     """Share of pixels that changed between two pictures of one size."""
     one, two = (np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int) for png in (first, second))
     return float((np.abs(one - two).max(axis=2) > 12).mean())
+
+
+def expect_picture(page: Page, selector: str) -> None:
+    """The <img> has loaded and is a picture. (The page's security policy forbids to wait by a string of code.)"""
+    decoded = page.locator(selector).evaluate("image => image.decode().then(() => image.naturalWidth)")
+    assert decoded > 0

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from services.cli.up import Stack
-from tests.web.pictures import difference, drawn
+from tests.web.pictures import difference, drawn, expect_picture
 
 pytestmark = pytest.mark.browser
 
@@ -59,7 +59,7 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     page.wait_for_timeout(1500)
     assert difference(first, canvas.screenshot()) > 0.01, "the preview does not turn"
     expect(page.locator("#link")).to_have_text(f"{stack.url}/view/My-blue-bowl")
-    page.wait_for_function("document.getElementById('qr').naturalWidth > 0")
+    expect_picture(page, "#qr")
 
     page.get_by_role("link", name="View", exact=True).click()
     expect(page).to_have_url(f"{stack.url}/view/My-blue-bowl")

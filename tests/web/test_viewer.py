@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
 from services.storage.local import LocalStore
 from services.storage.publish import publish
-from tests.web.pictures import drawn
+from tests.web.pictures import drawn, expect_picture
 
 pytestmark = pytest.mark.browser
 KEY = "bowl"
@@ -41,10 +41,9 @@ def bundle() -> Bundle:
 
 
 @pytest.fixture(autouse=True)
-def published(store: LocalStore, bundle: Bundle) -> Iterator[None]:
+def published(store: LocalStore, bundle: Bundle) -> None:
     """At least one version of the bowl stands in the catalogue."""
     publish(bundle, store, key=KEY, job="first")
-    yield
 
 
 def test_all_levels_come_and_distance_chooses_among_them(page: Page, stack: Stack) -> None:
@@ -104,7 +103,7 @@ def test_in_vr_it_stands_ahead_at_true_size(headset: Page, stack: Stack) -> None
     expect(headset.locator("body")).to_have_attribute("data-loaded", "2 1 0")
     headset.get_by_role("button", name="Enter VR").click()
     expect(headset.locator("body")).to_have_attribute("data-xr", "on")
-    headset.wait_for_function("document.body.dataset.placed")
+    expect(headset.locator("body")).to_have_attribute("data-placed", re.compile(r".+"))
     x, y, z = map(float, headset.locator("body").get_attribute("data-placed").split())
     assert (x**2 + z**2) ** 0.5 == pytest.approx(1.5, abs=0.02)
     assert y == pytest.approx(1.6 * 0.75 - 0.25, abs=0.02), "a half-metre bowl is lifted to a comfortable height"
@@ -120,4 +119,4 @@ def test_without_a_headset_the_page_says_how_to_get_there(page: Page, stack: Sta
     expect(page.get_by_role("button", name="Enter VR")).to_be_hidden()
     page.get_by_text("Open in a headset").click()
     expect(page.locator("#address")).to_have_text(f"{stack.url}/view/{KEY}")
-    page.wait_for_function("document.getElementById('qr').naturalWidth > 0")
+    expect_picture(page, "#qr")

@@ -71,11 +71,3 @@ def _nearest_rotation(rotation: Floats, file: str) -> Floats:
     u, _, vt = np.linalg.svd(rotation)
     nearest: Floats = u @ vt
     return nearest
-
-
-def mean_up(poses: list[Floats]) -> Floats:
-    """(3,) unit vector: the mean of the cameras' up (-Y in OpenCV axes), for worlds that gravity did not align."""
-    up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
-    length = float(np.linalg.norm(up))
-    upward: Floats = up / length if length > 1e-6 else -poses[0][:3, 1]
-    return upward

@@ -11,7 +11,7 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.depth import ColourSource, DepthSource
 from services.edge.capture.nouns import Capture, Frame, Intrinsics
-from services.edge.capture.poses import Axes, checked_pose, mean_up
+from services.edge.capture.poses import Axes, checked_pose
 from services.edge.errors import CaptureError
 
 MAX_BAD_SHARE = 0.1  # of the frames whose pose or depth may be broken; they are dropped with a warning
@@ -69,7 +69,7 @@ def rgbd_capture(
 ) -> Capture:
     """Check every pose, camera and depth header, decode the first and the last depth image, and make the capture.
 
-    kind  the format's name; up (3,) in the world of the poses, or None: estimated from the cameras;
+    kind  the format's name; up (3,) in the world of the poses, or None where the format does not tell;
     file  names the recording in errors that concern all of it.
     """
     if not shots:
@@ -77,13 +77,12 @@ def rgbd_capture(
     frames, dropped = _sound_frames(shots, axes)
     _check_sizes(frames)
     _check_depth(frames, file)
-    upward = mean_up([frame.camera_to_world for frame in frames]) if up is None else up
     return Capture(
         "rgbd",
         kind,
         frames=tuple(frames),
         scale_confidence="metric",
-        up=upward,
+        up=up,
         warnings=(*warnings, *dropped, *_unit_warning(frames)),
     )
 

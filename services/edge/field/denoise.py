@@ -32,6 +32,9 @@ FARTHEST = 4.0  # in σ: what lies farther from its surface than this is a stray
 WIDER = 1.05  # of the farthest neighbour's distance: it keeps a tenth of the weight
 # The weights cut the tails: Gaussian noise σ shows a weighted deviation of σ·c/√(1+c²), c = REACH.
 _SEEN = REACH / np.sqrt(1 + REACH * REACH)
+ANCHORS = 40_000  # points with a fit of their own: 3 s; in larger clouds the others take the sheet of one beside them
+FIT_SHARE = 0.95  # of the time
+_SEED = 0
 CHUNK = 1_024  # points at once: 161 neighbours × 6 terms × 8 B are 8 MB
 
 
@@ -45,12 +48,25 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Quadrics at points: normal (N,3), height along it (N,), standard error (N,), residual over the noise's (N,)."""
+    """Quadrics at points, seen from each: normal (N,3), coefficients (N,6) in units of radius (N,) across; at the point
+    its standard error (N,); and the residuals over those that the noise explains (N,)."""
 
     normal: Floats
-    height: Floats
+    coefficients: Floats
+    radius: Floats
     error: Floats
     excess: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Sheets:
+    """The quadric that won at each anchor: as in `Fit`, with the anchors' places (M,3) and noise (M,)."""
+
+    anchor: Floats
+    normal: Floats
+    coefficients: Floats
+    radius: Floats
+    sigma: Floats
 
 
 def denoise(xyz_unit: Floats, tick: Tick = no_tick) -> Floats:
@@ -64,36 +80,62 @@ def denoise(xyz_unit: Floats, tick: Tick = no_tick) -> Floats:
     tree = cKDTree(xyz)
     noise = noise_level(xyz, tree)
     noisy = np.flatnonzero(noise.share > 0)
+    if len(noisy) == 0:
+        return xyz
+    anchors = np.sort(np.random.default_rng(_SEED).permutation(noisy)[:ANCHORS])
+    sheets = _sheets(anchors, xyz, tree, noise, lambda part: tick(part * FIT_SHARE))
+    near = cKDTree(sheets.anchor)
     smooth = xyz.copy()
 
     def work(part: slice) -> None:
         index = noisy[part]
-        smooth[index] += _moves(index, xyz, tree, noise)
+        _, candidates = near.query(xyz[index], k=[1] if len(anchors) == len(noisy) else [1, 2, 3])
+        smooth[index] += noise.share[index, None] * _moves(xyz[index], candidates, sheets)
 
-    in_threads(work, slices(len(noisy), CHUNK), tick)
+    in_threads(work, slices(len(noisy), CHUNK * 16), lambda part: tick(FIT_SHARE + part * (1 - FIT_SHARE)))
     return smooth
 
 
-def _moves(index: Ints, xyz: Floats, tree: cKDTree, noise: Noise) -> Floats:
-    """The way each of the points goes (M,3)."""
-    sigma = noise.sigma[index]
-    move = np.zeros((len(index), 3))
-    low, high = np.full(len(index), -np.inf), np.full(len(index), np.inf)
-    alive, start = np.arange(len(index)), None
-    for k in (k for k in NEIGHBOURS if k < len(xyz)):
-        fit = _fit(xyz[index[alive]], k, xyz, tree, sigma[alive], start)
-        bottom = np.maximum(low[alive], fit.height - AGREE * fit.error)
-        top = np.minimum(high[alive], fit.height + AGREE * fit.error)
-        # The least neighbourhood is taken as it is: there is nothing smaller to fall back on.
-        agrees = ((bottom <= top) & (fit.excess < EXCESS)) | (k == NEIGHBOURS[0])
-        alive, bottom, top = alive[agrees], bottom[agrees], top[agrees]
-        start = Start(fit.normal[agrees], fit.height[agrees])
-        move[alive] = start.height[:, None] * start.normal
-        low[alive], high[alive] = bottom, top
-        if len(alive) == 0:
-            break
-    stray = np.linalg.norm(move, axis=1) > FARTHEST * sigma
-    return np.where(stray, 0, noise.share[index])[:, None] * move
+def _moves(points: Floats, candidates: Ints, sheets: Sheets) -> Floats:
+    """The way of each point (P,3) onto the nearest of its candidate sheets (P,C); none for a stray."""
+    relative = points[:, None] - sheets.anchor[candidates]
+    flat = candidates.ravel()
+    normal, radius = sheets.normal[flat], sheets.radius[flat]
+    terms = monomials(relative.reshape(-1, 1, 3) / radius[:, None, None], *tangents(normal))[:, 0]
+    sheet = np.einsum("na,na->n", terms, sheets.coefficients[flat])
+    height = np.einsum("nx,nx->n", relative.reshape(-1, 3), normal) - sheet
+    height = np.where(np.abs(height) > FARTHEST * sheets.sigma[flat], 0, height).reshape(candidates.shape)
+    nearest = np.arange(len(points)), np.abs(height).argmin(axis=1)
+    move: Floats = -height[nearest][:, None] * sheets.normal[candidates[nearest]]
+    return move
+
+
+def _sheets(index: Ints, xyz: Floats, tree: cKDTree, noise: Noise, tick: Tick) -> Sheets:
+    """At each anchor the quadric of the largest neighbourhood that agrees with all smaller ones."""
+    count = len(index)
+    won = Sheets(xyz[index], np.empty((count, 3)), np.empty((count, 6)), np.empty(count), noise.sigma[index])
+
+    def work(part: slice) -> None:
+        alive = np.arange(part.start, part.stop)
+        low, high = np.full(count, -np.inf), np.full(count, np.inf)
+        start = None
+        for k in (k for k in NEIGHBOURS if k < len(xyz)):
+            fit = _fit(won.anchor[alive], k, xyz, tree, won.sigma[alive], start)
+            height = fit.coefficients[:, 0]
+            bottom = np.maximum(low[alive], height - AGREE * fit.error)
+            top = np.minimum(high[alive], height + AGREE * fit.error)
+            # The least neighbourhood is taken as it is: there is nothing smaller to fall back on.
+            agrees = ((bottom <= top) & (fit.excess < EXCESS)) | (k == NEIGHBOURS[0])
+            alive = alive[agrees]
+            low[alive], high[alive] = bottom[agrees], top[agrees]
+            won.normal[alive], won.coefficients[alive] = fit.normal[agrees], fit.coefficients[agrees]
+            won.radius[alive] = fit.radius[agrees]
+            start = Start(fit.normal[agrees], height[agrees])
+            if len(alive) == 0:
+                break
+
+    in_threads(work, slices(count, CHUNK), tick)
+    return won
 
 
 def _fit(points: Floats, k: int, xyz: Floats, tree: cKDTree, sigma: Floats, start: Start | None) -> Fit:
@@ -119,7 +161,8 @@ def _fit(points: Floats, k: int, xyz: Floats, tree: cKDTree, sigma: Floats, star
     variance = (weights * np.square(residual)).sum(axis=1) / (weights.sum(axis=1) + TINY)
     return Fit(
         normal,
-        height=coefficients[:, 0],
+        coefficients,
+        radius[:, 0],
         error=sigma * np.linalg.norm(influence, axis=1),
         excess=np.sqrt(variance) / (_SEEN * sigma),
     )

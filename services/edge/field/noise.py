@@ -89,7 +89,7 @@ def _residuals(xyz: Floats, tree: cKDTree, probes: Ints, neighbours: int) -> tup
         spacing[part] = rank_spacing(distance[:, : SPACING_RANK + 1])
         residual[part] = _deviation(relative, radius[part])
 
-    in_threads(measure, slices(len(probes), CHUNK * SCALES[0] // neighbours // 4))
+    in_threads(measure, slices(len(probes), CHUNK * SCALES[0] // neighbours))
     return residual, radius, spacing
 
 

@@ -34,7 +34,7 @@ ON_PLANE = 0.15  # in spacings: a neighbour as far off a plane as this is hardly
 JUDGE, REFINE = 0.63, 0.88  # per spacing: how fast a neighbour's say falls with its distance
 ROUNDS = 3
 LAYER = 0.6  # in spacings: how far off a plane a neighbour may lie before it counts as another layer's
-CHUNK = 16_384  # points at once: 16 neighbours × 3 × 8 B keep the arrays at 6 MB, near the cache
+CHUNK = 2_048  # points at once: 17 neighbours × 15 hypotheses × 4 B keep the arrays at 2 MB, in the cache
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,9 +56,10 @@ def clean(
     wound alike where that is possible, and is empty when nothing of the mesh is backed by points.
     """
     near = np.asarray(near, np.float64)
-    mesh = orient(to_manifold(mesh))
+    mesh = to_manifold(mesh)
     if len(mesh.faces) == 0:
         return compact(mesh)
+    mesh = orient(mesh)
     tree = cKDTree(near)
     spacing = layer_spacing(near, _normals_at(mesh, near), tree)
     mesh = _without_specks(mesh, spacing, tree, speck)

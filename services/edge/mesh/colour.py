@@ -1,7 +1,4 @@
-"""Colours: from the captured points to the mesh, and between sRGB and linear light.
-
-Averages are taken in linear light: the mean of sRGB codes is too dark where dark and bright meet (IEC 61966-2-1).
-"""
+"""Colours: from the captured points to the mesh, averaged in linear light."""
 
 from __future__ import annotations
 
@@ -12,23 +9,10 @@ from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bytes, Floats
 from services.edge.mesh.nouns import Mesh
+from services.edge.srgb import to_linear, to_srgb
 
 _NEIGHBOURS = 6  # about one ring of a surface sample: smooths the noise of single pixels without washing out a print
 _NEAR = 0.05  # a neighbour this share of the nearest spacing away counts as "here": bounds the weight 1/d² at d = 0
-
-
-def to_linear(rgb: Bytes) -> Floats:
-    """(...,3) uint8 sRGB -> float32 linear light in [0,1]."""
-    linear: Floats = _LINEAR_OF_CODE[rgb]
-    return linear
-
-
-def to_srgb(linear: Floats) -> Bytes:
-    """(...,3) linear light, clipped to [0,1] -> uint8 sRGB, rounded."""
-    light = np.clip(linear, 0.0, 1.0)
-    code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
-    srgb: Bytes = np.rint(255.0 * code).astype(np.uint8)
-    return srgb
 
 
 def carry_colours(mesh: Mesh, xyz: Floats, rgb: Bytes) -> Mesh:
@@ -45,13 +29,3 @@ def carry_colours(mesh: Mesh, xyz: Floats, rgb: Bytes) -> Mesh:
     weight /= weight.sum(axis=1, keepdims=True)
     blended = np.einsum("vk,vkc->vc", weight, to_linear(rgb)[index])
     return replace(mesh, rgb=to_srgb(blended))
-
-
-def _linear_of_code() -> Floats:
-    """(256,) linear light of every sRGB code."""
-    code = np.arange(256) / 255.0
-    linear: Floats = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    return linear
-
-
-_LINEAR_OF_CODE = _linear_of_code()

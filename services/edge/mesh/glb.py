@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 import services
 from services.edge.arrays import Bytes, Floats
-from services.edge.mesh.colour import to_linear
 from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
 from services.edge.mesh.nouns import Mesh
+from services.edge.srgb import to_linear
 
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125  # component types, by OpenGL's numbers
 _VERTICES, _INDICES = 34962, 34963  # buffer view targets

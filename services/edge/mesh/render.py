@@ -15,10 +15,10 @@ from typing import TypeVar
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.mesh.colour import to_linear, to_srgb
 from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.rays import LIFT, Scene, open_sky, pinhole
+from services.edge.srgb import to_linear, to_srgb
 
 _AZIMUTHS = (25.0, 115.0, 205.0, 295.0)  # degrees about Y from +Z: front, right, back, left, each turned to show depth
 _ELEVATION = 15.0  # degrees: high enough to look into an open neck, low enough to see under a hem

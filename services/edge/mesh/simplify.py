@@ -18,9 +18,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh.colour import to_linear, to_srgb
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.topology import border_edges, compact, edges_of, to_manifold
+from services.edge.srgb import to_linear, to_srgb
 
 BUDGETS = (100_000, 25_000, 5_000)  # triangles: what a standalone headset draws near, across a room, and far off
 _FEWEST = 100  # faces under which a mesh is not worth a coarser level

@@ -15,11 +15,11 @@ import numpy as np
 
 from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick
 from services.edge.capture.nouns import Frame
-from services.edge.points.colour import to_linear, to_srgb
 from services.edge.points.depth import DepthView, read_view
 from services.edge.points.grid import Samples, VoxelGrid, voxel_keys
 from services.edge.points.survey import MIN_PIXELS, survey_frames, too_few
 from services.edge.points.views import Verdict, cross_examine
+from services.edge.srgb import to_linear, to_srgb
 
 MAX_POINTS = 1_500_000
 """Voxels kept at most; the voxel grows beyond. About 100 MB of sums."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.points.colour import to_linear, to_srgb
 from services.edge.points.grid import sum_groups, voxel_keys
 from services.edge.points.nouns import Points
+from services.edge.srgb import to_linear, to_srgb
 
 
 def thin(xyz: Floats, rgb: Bytes | None, voxel: float) -> tuple[Floats, Bytes | None]:

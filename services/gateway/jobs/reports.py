@@ -9,6 +9,10 @@ CANCELLED = "CANCELLED"
 """Code of the failure that a cancelled run ends with."""
 
 
+DRAINING = "WORKER_DRAINING"
+"""Code of the failure with which a worker that shuts down hands its runs back."""
+
+
 @dataclass(frozen=True, slots=True)
 class Progressed:
     """How far the run is: `fraction` of the whole job in [0,1], `eta_s` seconds left (0: unknown)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -19,6 +20,9 @@ from services.gateway.jobs.transitions import RUNS, Change, accepted
 
 _EVENTS_AT_ONCE = 500  # a replay of hours in pieces of about 100 kB
 _RUNS = [state.value for state in RUNS]
+
+
+JOB_ID = re.compile(r"job_[0-9a-f]{32}")
 
 
 def new_job_id(now: float) -> str:
@@ -139,7 +143,8 @@ def _ready(now: float) -> sa.Select[Any]:
 
 
 def _get(db: Connection, select: sa.Select[Any], job: str) -> Job:
-    row = db.execute(select.where(jobs.c.id == job)).first()
+    # What cannot be an id is not asked for: it comes from a URL, and Postgres refuses some characters in any text.
+    row = db.execute(select.where(jobs.c.id == job)).first() if JOB_ID.fullmatch(job) else None
     if row is None:
         raise Problem(404, "JOB_UNKNOWN", f"there is no job {job}", hints=("GET /v1/jobs lists them",))
     return job_of(row)

@@ -17,7 +17,7 @@ from typing import Any
 
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Event, Job, Lease, Order, State
-from services.gateway.jobs.reports import CANCELLED, Beat, Failed, Finished, Progressed, Published, Report
+from services.gateway.jobs.reports import CANCELLED, DRAINING, Beat, Failed, Finished, Progressed, Published, Report
 
 NEXT: dict[State, frozenset[State]] = {
     State.QUEUED: frozenset({State.RUNNING, State.CANCELLED}),
@@ -160,8 +160,10 @@ def _finished(job: Job, report: Finished, now: float) -> Change:
 
 
 def _failed(job: Job, report: Failed, now: float, retry: Retry) -> Change:
+    if report.code == DRAINING:  # a worker that is replaced must not cost the job an attempt
+        return turned_away(job, job.lease.fence, now=now, pause_s=retry.pause_s)
     why = problem_of(report)
-    # A run that was stopped although nobody here asked for it (its worker shuts down) is a lost run.
+    # A run that was stopped although nobody here asked for it is a lost run.
     if _unwanted(job) or report.retryable or report.code == CANCELLED:
         return set_back(job, job.lease.fence, why, now=now, retry=retry)
     return _enter(replace(job, lease=_freed(job.lease), error=why.document()), State.FAILED, now)

@@ -17,7 +17,7 @@ from services.gateway.errors import Problem
 from services.gateway.jobs.desk import Desk
 from services.gateway.jobs.job import Event, Job
 from services.gateway.jobs.source import capture_bytes
-from services.gateway.jobs.store import JobStore
+from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.jobs.transitions import cancel_requested
 from services.gateway.metrics import Metrics
 from services.gateway.schemas import JobPage, JobRequest, JobView, Presets, problems
@@ -59,7 +59,9 @@ async def create(
 async def page(
     request: Request,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    after: Annotated[str, Query(max_length=64, description="Only jobs older than this one.")] = "",
+    after: Annotated[
+        str, Query(pattern=f"^({JOB_ID.pattern})?$", description="Only jobs older than this one: a page's `next`.")
+    ] = "",
 ) -> JobPage:
     """Jobs, newest first."""
     now = time.time()

@@ -44,6 +44,7 @@ _NAMES = {
     0x8298: "Copyright",
     0x83BB: "IPTC",
     0x8649: "Photoshop",
+    0x8769: "Exif",
     0x8825: "GPSInfo",
     0x9010: "OffsetTime",
     0x9011: "OffsetTimeOriginal",
@@ -132,7 +133,7 @@ def _directory(block: bytes, order: str, offset: int, kept: set[int]) -> _Direct
     count = struct.unpack_from(order + "H", block, offset)[0]
     if count > _MOST_ENTRIES:
         raise BrokenExifError(f"{count} entries")
-    found = _Directory()
+    found, total = _Directory(), 0
     for at in range(offset + 2, offset + 2 + 12 * count, 12):
         tag, kind, number, pointer = struct.unpack_from(order + "HHII", block, at)
         if tag not in kept:
@@ -140,7 +141,8 @@ def _directory(block: bytes, order: str, offset: int, kept: set[int]) -> _Direct
             continue
         size = field_bytes(kind, number)
         start = at + 8 if size <= 4 else pointer
-        if start + size > len(block):
+        total += size
+        if start + size > len(block) or total > len(block):  # values that overlap must not add up to gigabytes
             raise BrokenExifError(f"{tag_name(tag)} ends outside of the block")
         found.fields.append(_Field(tag, kind, number, bytes(block[start : start + size])))
     end = offset + 2 + 12 * count

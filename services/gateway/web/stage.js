@@ -32,7 +32,7 @@ export function makeStage(canvas) {
 export function frame(camera, size) {
   const radius = Math.max(0.05, Math.hypot(size[0], size[1], size[2]) / 2);
   const half = Math.min(camera.fov, camera.fov * camera.aspect) / 2;
-  const distance = (radius / Math.sin(THREE.MathUtils.degToRad(half))) * 1.05;
+  const distance = (radius / Math.sin(THREE.MathUtils.degToRad(half))) * 0.9; // the sphere around a thing is larger than the thing
   const target = new THREE.Vector3(0, size[1] / 2, 0);
   camera.position.set(0.35, 0.3, 0.9).normalize().multiplyScalar(distance).add(target);
   camera.near = radius / 50;

@@ -1,0 +1,211 @@
+"""Cleaning: the whole way from points to a mesh has the truth's topology, and each step keeps its promise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.edge.arrays import DistanceFn, Floats
+from services.edge.field import local_field
+from services.edge.mesh.clean import clean
+from services.edge.mesh.clip import clip
+from services.edge.mesh.extract import extract
+from services.edge.mesh.holes import fill_holes, zip_tears
+from services.edge.mesh.metrics import area, compare
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.topology import border_edges, border_loops, edges_of, orient, pieces_of, to_manifold
+from tests import surfaces
+
+TETRAHEDRON = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
+
+
+def meshed(truth: Mesh, points: int, resolution: int, seed: int = 0) -> Mesh:
+    near = surfaces.sampled(truth, points, seed=seed)
+    return clean(extract(local_field(near), near, resolution=resolution), near)
+
+
+def worst_edge(faces: np.ndarray) -> int:
+    return int(edges_of(faces).size.max(initial=0))
+
+
+def flips(mesh: Mesh) -> int:
+    """Edges that two faces walk in the same direction."""
+    half = edges_of(mesh.faces).halves(2)
+    return int((mesh.faces.ravel()[half[:, 0]] == mesh.faces.ravel()[half[:, 1]]).sum())
+
+
+@pytest.mark.parametrize(
+    ("make", "components", "loops"),
+    [
+        (surfaces.sphere, 1, 0),
+        (surfaces.hemisphere, 1, 1),
+        (surfaces.disk, 1, 1),
+        (surfaces.cylinder, 1, 2),
+        (surfaces.mobius, 1, 1),
+        (surfaces.two_sheets, 2, 2),
+        (surfaces.smooth_sheet, 1, 1),
+        (surfaces.grid_with_holes, 1, 10),
+    ],
+)
+def test_random_points_come_back_with_the_topology_of_the_truth(
+    make: Callable[[], Mesh], components: int, loops: int
+) -> None:
+    mesh = meshed(make(), 10_000, 88)
+    quality = compare(mesh, make(), 30_000)
+    assert (quality.components, quality.boundary_loops, quality.non_manifold_edges) == (components, loops, 0)
+    assert quality.chamfer_l1 < 1.1 * quality.floor
+    assert quality.area_ratio == pytest.approx(1, abs=0.03)
+    assert (flips(mesh) > 0) == (make is surfaces.mobius)
+
+
+@pytest.mark.parametrize("points", [1_000, 40_000])
+def test_the_same_numbers_serve_any_density(points: int) -> None:
+    quality = compare(meshed(surfaces.hemisphere(), points, 64), surfaces.hemisphere(), 20_000)
+    assert (quality.components, quality.boundary_loops, quality.non_manifold_edges) == (1, 1, 0)
+
+
+def test_no_hole_is_punched_where_the_points_grow_sparse() -> None:
+    """Half of the disk has a fifth of the points: a fixed distance would tear one half or let the other overshoot."""
+    near = surfaces.sampled(surfaces.disk(), 20_000)
+    rng = np.random.default_rng(1)
+    near = near[(near[:, 0] > 0) | (rng.random(len(near)) < 0.2)]
+    mesh = clean(extract(local_field(near), near, resolution=96), near)
+    quality = compare(mesh, surfaces.disk(), 20_000)
+    assert (quality.components, quality.boundary_loops) == (1, 1)
+    assert quality.area_ratio == pytest.approx(1, abs=0.03)
+
+
+def test_what_no_points_back_is_trimmed_and_specks_go() -> None:
+    near = surfaces.sampled(surfaces.disk(), 5_000)
+    wide = surfaces.patch(lambda u, v: [u, v, 0 * u], 150, 150)
+    far = surfaces.moved(Mesh(surfaces.disk().vertices * 0.01, surfaces.disk().faces), (0, 0, 0.4))
+    both = Mesh(
+        np.concatenate([wide.vertices * 1.2, far.vertices]),
+        np.concatenate([wide.faces, far.faces + len(wide.vertices)]),
+    )
+    mesh = clean(both, near)
+    assert len(np.unique(pieces_of(mesh.faces))) == 1
+    assert np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1]).max() < 0.52
+    assert area(mesh) == pytest.approx(np.pi / 4, rel=0.03)
+
+
+def test_an_empty_mesh_stays_empty() -> None:
+    empty = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+    assert len(clean(empty, surfaces.sampled(surfaces.disk(), 100)).faces) == 0
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_any_soup_is_cut_to_a_manifold_without_losing_area(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    soup = Mesh(rng.random((8, 3)), rng.integers(0, 8, (24, 3)))
+    proper = (np.diff(np.sort(soup.faces, axis=1), axis=1) > 0).all(axis=1)
+    whole = Mesh(soup.vertices, soup.faces[proper])
+    mesh = to_manifold(whole)
+    assert worst_edge(mesh.faces) <= 2
+    assert area(mesh) == pytest.approx(area(whole), rel=0.2)  # the cut vertices draw back a little
+    ends, uses = np.unique(border_edges(mesh.faces), return_counts=True)
+    assert (uses == 2).all()
+    assert sum(len(loop) for loop in border_loops(mesh.faces)) == len(ends)
+
+
+def test_two_tetrahedra_on_one_edge_and_two_on_one_vertex_are_parted() -> None:
+    rng = np.random.default_rng(0)
+    on_edge = Mesh(rng.random((6, 3)), np.concatenate([TETRAHEDRON, np.array([0, 1, 4, 5])[TETRAHEDRON]]))
+    assert worst_edge(on_edge.faces) == 4
+    assert worst_edge(to_manifold(on_edge).faces) == 2
+    on_vertex = Mesh(rng.random((7, 3)), np.concatenate([TETRAHEDRON, np.array([0, 4, 5, 6])[TETRAHEDRON]]))
+    assert len(to_manifold(on_vertex).vertices) == 8
+
+
+def test_orient_winds_alike_and_closed_pieces_outwards() -> None:
+    ball = extract(*_ball(), resolution=24)
+    rng = np.random.default_rng(0)
+    turned = np.where((rng.random(len(ball.faces)) < 0.5)[:, None], ball.faces[:, ::-1], ball.faces)
+    mesh = orient(Mesh(ball.vertices, turned))
+    corners = mesh.vertices[mesh.faces]
+    outward = np.einsum(
+        "fx,fx->f", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 0]
+    )
+    assert flips(mesh) == 0
+    assert (outward > 0).all()
+
+
+def test_a_mobius_strip_keeps_a_single_short_seam() -> None:
+    strip = to_manifold(_welded(surfaces.mobius()))
+    assert 0 < flips(orient(strip)) < 40  # across 32 cells
+
+
+def test_clip_follows_the_level_through_faces() -> None:
+    sheet = surfaces.patch(lambda u, v: [u, v, 0 * u], 40, 40)
+    distance = np.hypot(sheet.vertices[:, 0], sheet.vertices[:, 1])
+    mesh = to_manifold(clip(sheet, distance - 0.3))
+    rim = np.unique(border_edges(mesh.faces))
+    assert area(mesh) == pytest.approx(np.pi * 0.09, rel=0.02)
+    assert np.abs(np.hypot(*mesh.vertices[rim, :2].T) - 0.3).max() < 0.01  # a cut near a vertex snaps to it
+    assert worst_edge(mesh.faces) == 2
+    assert len(clip(sheet, distance + 1).faces) == 0
+    assert len(clip(sheet, distance - 1).faces) == len(sheet.faces)
+
+
+def test_pin_holes_close_and_real_holes_stay() -> None:
+    sheet = surfaces.patch(lambda u, v: [u, v, 0 * u], 40, 40)
+    middle = sheet.vertices[sheet.faces].mean(axis=1)[:, :2]
+    small = np.linalg.norm(middle - [0.2, 0.2], axis=1) < 0.04
+    large = np.linalg.norm(middle - [-0.2, -0.2], axis=1) < 0.15
+    torn = to_manifold(Mesh(sheet.vertices, sheet.faces[~small & ~large]))
+    assert len(border_loops(torn.faces)) == 3
+    filled = fill_holes(torn, np.full(len(torn.vertices), 0.5))
+    assert len(border_loops(filled.faces)) == 2
+    assert area(filled) == pytest.approx(area(sheet) - 0.15**2 * np.pi, rel=0.02)
+
+
+def test_a_tear_along_a_fold_is_zipped_and_outer_corners_are_not() -> None:
+    folded = surfaces.patch(lambda u, v: [u, v, np.abs(u - 0.5)], 60, 60)
+    middle = folded.vertices[folded.faces].mean(axis=1)
+    tear = (np.abs(middle[:, 0]) < 0.04) & (np.abs(middle[:, 1]) < 0.3)
+    torn = to_manifold(Mesh(folded.vertices, folded.faces[~tear]))
+    mesh = to_manifold(zip_tears(torn, np.full(len(torn.vertices), 0.15)))
+    assert len(border_loops(torn.faces)) == 2
+    assert len(border_loops(mesh.faces)) == 1
+    assert area(mesh) == pytest.approx(area(folded), rel=0.03)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("file", "points", "resolution", "most", "pieces"),
+    [
+        ("dress/dress-v17k-f34k.obj", 10_000, 112, 0.0034, 20),
+        ("tshirt_folded/tshirt1900-folding-triFolded.obj", 10_000, 112, 0.0043, 75),
+        ("car/vehicle_example.gltf", 10_000, 112, 0.0038, 31),
+        ("moebius/moebius-160-10.ply", 10_000, 112, 0.00115, 1),
+        ("open_surfaces/hemisphere.obj", 10_000, 112, 0.0022, 1),
+    ],
+)
+def test_real_shapes_beat_the_best_known_figures(
+    data_dir: Path, file: str, points: int, resolution: int, most: float, pieces: int
+) -> None:
+    truth = surfaces.read_unit(data_dir / file)
+    quality = compare(meshed(truth, points, resolution, seed=1), truth)
+    assert quality.chamfer_l1 < most
+    assert quality.components <= pieces
+    assert quality.non_manifold_edges <= 1e-3 * quality.edges
+
+
+def _ball() -> tuple[DistanceFn, Floats]:
+    def distance(q: Floats) -> tuple[Floats, Floats]:
+        away = np.linalg.norm(q, axis=1)
+        return np.abs(away - 0.5), q / away[:, None] * np.sign(away - 0.5)[:, None]
+
+    return distance, surfaces.sampled(surfaces.sphere(), 3_000)
+
+
+def _welded(mesh: Mesh) -> Mesh:
+    """One vertex for every place, to 1e-9 of the unit frame."""
+    places, index = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
+    return Mesh(places, index.ravel()[mesh.faces])
