@@ -125,6 +125,10 @@ def _dark_png(side: int) -> bytes:
     return buffer.getvalue()
 
 
+def _no_poses(folder: Path) -> None:
+    (folder / "trajectory.log").unlink()
+
+
 def _few_poses(folder: Path) -> None:
     lines = (folder / "trajectory.log").read_text().splitlines()
     (folder / "trajectory.log").write_text("\n".join(lines[:10]) + "\n")
@@ -156,6 +160,9 @@ BAD: dict[str, Bad] = {
     "a PNG of 60,000 × 60,000": Bad(
         "IMAGE_TOO_LARGE", "a.png", one("a.png", lambda: pictures.huge_png(60_000, 60_000))
     ),
+    "a JPEG's beginning named .txt": Bad(
+        "IMAGE_UNREADABLE", "photo.txt", one("photo.txt", lambda: b"\xff\xd8\xff\xe0 not really")
+    ),
     "HTML named .jpg": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: HTML)),
     "a truncated JPEG": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: pictures.jpeg()[:1500])),
     "a CMYK JPEG alone": Bad("CAPTURE_UNKNOWN_FORMAT", "a.jpg", one("a.jpg", lambda: _picture("CMYK", "JPEG"))),
@@ -163,10 +170,10 @@ BAD: dict[str, Bad] = {
     "a GIF": Bad("CAPTURE_UNKNOWN_FORMAT", "a.gif", one("a.gif", lambda: _picture("P", "GIF"))),
     "a cut film": Bad("CAPTURE_UNREADABLE", "a.mp4", one("a.mp4", lambda: pictures.film()[:150])),
     # recordings
-    "depth without poses": Bad("CAPTURE_NO_POSES", "", recording(lambda folder: (folder / "trajectory.log").unlink())),
+    "depth without poses": Bad("CAPTURE_NO_POSES", "depth", recording(_no_poses)),
     "fewer poses than images": Bad("CAPTURE_COUNT_MISMATCH", "trajectory.log", recording(_few_poses)),
     "fewer depth images than colours": Bad(
-        "CAPTURE_COUNT_MISMATCH", "", recording(lambda folder: (folder / "depth/00002.png").unlink())
+        "CAPTURE_COUNT_MISMATCH", "trajectory.log", recording(lambda folder: (folder / "depth/00002.png").unlink())
     ),
     "a gigantic depth image": Bad(
         "IMAGE_TOO_LARGE",

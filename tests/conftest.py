@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.s3.server import S3Server, available, running
 
 _IN_CI = os.environ.get("CI") == "true"
 
@@ -29,3 +32,12 @@ def data_dir() -> Path:
     if not folder.is_dir():
         missing(f"the test data ({folder})")
     return folder
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[S3Server]:
+    """One real S3 server for the whole session."""
+    if not available():
+        missing("a RADOS Gateway (radosgw, ceph-mon, ceph-osd)")
+    with running() as server:
+        yield server

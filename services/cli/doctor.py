@@ -12,6 +12,7 @@ from pathlib import Path
 
 import httpx
 from rich.table import Table
+from rich.text import Text
 
 from services.cli.progress import console
 
@@ -38,9 +39,9 @@ def examine(gateway: str) -> int:
     table = Table()
     for column in ("", "what", "found"):
         table.add_column(column, overflow="fold")
-    marks = {"ok": "[green]ok[/green]", "note": "[yellow]note[/yellow]", "bad": "[red]bad[/red]"}
+    styles = {"ok": "green", "note": "yellow", "bad": "red"}
     for finding in findings:
-        table.add_row(marks[finding.grade], finding.what, finding.said)
+        table.add_row(Text(finding.grade, styles[finding.grade]), finding.what, finding.said)
     console.print(table)
     return int(any(finding.grade == "bad" for finding in findings))
 

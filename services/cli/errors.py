@@ -13,12 +13,20 @@ class BadInput(Exception):  # noqa: N818 - it reads as what it is
 
 def sentence(message: str, *, file: str | None = None, hints: tuple[str, ...] = ()) -> str:
     """File, reason and what to do on one line."""
-    said = f"{file}: {message}" if file and file not in message else message
+    said = f"{file}: {message}" if file and not message.startswith(file) else message
     return f"{said} ({'; '.join(hints)})" if hints else said
 
 
-def answer_of(response: httpx.Response) -> Any:
-    """The JSON of a good answer. A problem document becomes `BadInput` with its detail, file and hints."""
+def plain(text: str) -> str:
+    """The text on one line: file names may hold line ends, terminal controls and bytes that are no text."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
+
+
+def answer_of(response: httpx.Response, *, file: str = "") -> Any:
+    """The JSON of a good answer. A problem document becomes `BadInput` with its detail, file and hints.
+
+    file  what was sent, for a problem that blames no file in it
+    """
     if response.is_success:
         return response.json()
     try:
@@ -27,4 +35,5 @@ def answer_of(response: httpx.Response) -> Any:
         problem = {}
     if not isinstance(problem, dict) or "detail" not in problem:
         raise BadInput(f"{response.request.url} answered {response.status_code} {response.reason_phrase}")
-    raise BadInput(sentence(problem["detail"], file=problem.get("file"), hints=tuple(problem.get("hints") or ())))
+    blamed = problem.get("file") or file
+    raise BadInput(sentence(problem["detail"], file=blamed, hints=tuple(problem.get("hints") or ())))

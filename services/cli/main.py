@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import services
-from services.cli.errors import BadInput
+from services.cli.errors import BadInput, plain
 
 app = typer.Typer(
     help="Point a phone at a thing; a minute later it stands in a VR headset.",
@@ -124,7 +124,7 @@ def main() -> None:
     try:
         app()
     except BadInput as error:
-        typer.echo(f"capture2vr: {error}", err=True)
+        typer.echo(f"capture2vr: {plain(str(error))}", err=True)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -15,7 +15,7 @@ from rich.progress import Progress as Bar
 from rich.progress import TaskID
 
 from services.cli.errors import BadInput, answer_of
-from services.cli.progress import console, stage_bar
+from services.cli.progress import console, stage_bar, warn
 from services.storage.archives import pack
 
 _CHUNK_BYTES = 256 << 10
@@ -55,7 +55,8 @@ def upload(client: httpx.Client, source: Path, bar: Bar, task: TaskID) -> Any:
             pack(source, archive)
         size = archive.stat().st_size
         headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
-        return answer_of(client.post("/v1/captures", content=_chunks(archive, size, bar, task), headers=headers))
+        answer = client.post("/v1/captures", content=_chunks(archive, size, bar, task), headers=headers)
+        return answer_of(answer, file=source.name)
 
 
 def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
@@ -105,6 +106,6 @@ def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:
         error = job.get("error") or {}
         raise BadInput(error.get("detail") or f"the job ended as {job['state']}")
     for warning in job.get("warnings") or []:
-        console.print(f"[yellow]warning[/yellow] {warning}")
+        warn(warning)
     console.print(f"done in {job['elapsed_s']:.1f} s: {gateway}/view/{job['asset_key']}")
     return job

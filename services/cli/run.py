@@ -6,17 +6,16 @@ import json
 import re
 import shutil
 import tempfile
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from services.cli.errors import BadInput, sentence
-from services.cli.progress import console, stage_bar
+from services.cli.errors import BadInput, plain, sentence
+from services.cli.progress import console, stage_bar, warn
 from services.edge.errors import EdgeError
 from services.edge.pipeline import Progress, reconstruct
 from services.edge.preset import Preset, load_preset
-from services.storage.archives import ArchiveError, unpack
+from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
 from services.storage.catalogue import valid_key
 from services.storage.local import LocalStore
@@ -36,7 +35,7 @@ def run_capture(source: Path, out: Path, *, preset: str, resolution: int, isolat
         chosen = load_preset(preset)
         chosen = replace(chosen, resolution=resolution or chosen.resolution)
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            _reconstruct_into(out, opened(source, Path(scratch)), chosen, isolate, key, label=source.stem)
+            _reconstruct_into(out, opened(source, Path(scratch)), chosen, isolate, key, label=plain(source.stem))
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_told(error, source)) from error
 
@@ -51,7 +50,8 @@ def opened(source: Path, scratch: Path) -> Path:
     """The capture's folder or file: an archive is unpacked into `scratch` first."""
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
-    if source.is_file() and zipfile.is_zipfile(source) and source.suffix.lower() not in {".npz", ".r3d"}:
+    # Record3D's archive is read as it is; another file's name promises an archive whatever its bytes are.
+    if source.is_file() and source.suffix.lower() != ".r3d" and (source.suffix.lower() == ".zip" or is_zip(source)):
         unpack(source, scratch / "capture")
         return scratch / "capture"
     return source
@@ -104,7 +104,7 @@ def _print_result(out: Path, report: dict[str, Any]) -> None:
     )
     console.print(f"LODs {lods} triangles; {sum(seconds.values()):.1f} s in all")
     for warning in report["warnings"]:
-        console.print(f"[yellow]warning[/yellow] {warning}")
+        warn(warning)
     console.print(f"look at {out / 'preview.png'}; figures in {out / 'report.json'}")
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import httpx
 
 from services.cli.errors import BadInput
-from services.cli.progress import console
+from services.cli.progress import console, warn
 
 _READY_S = 60.0  # a cold start on a busy two-core machine takes 3 s
 _STOP_S = 15.0  # the worker drains within EDGE_DRAIN_S, set below
@@ -36,9 +36,7 @@ def serve_together(host: str, port: int, data: Path) -> int:
         console.print(f"API            {stack.url}/openapi.json")
         console.print(f"data           {data.resolve()}")
         if host not in {"127.0.0.1", "localhost", "::1"}:
-            console.print(
-                "[yellow]open to the network without access keys: whoever reaches this port can use it[/yellow]"
-            )
+            warn("open to the network without access keys: whoever reaches this port can use it")
         while not stop.wait(0.5):
             stack.mend()
     return 0
@@ -92,7 +90,7 @@ class Stack:
         self._restarts += 1
         if self._restarts > _RESTARTS:
             raise BadInput(f"the {dead[0]} keeps dying; see {self._logs / dead[0]}.log")
-        console.print(f"[yellow]{dead[0]} ended with {self._children[dead[0]].returncode}; starting it again[/yellow]")
+        warn(f"{dead[0]} ended with {self._children[dead[0]].returncode}; starting it again")
         time.sleep(_RESTART_PAUSE_S)
         self.start()
 

@@ -30,8 +30,35 @@ class EdgeError(Exception):
         self.retryable = retryable
 
 
+_WHAT_TO_DO = {
+    "CAPTURE_EMPTY": "choose the files again, and look whether there is anything in them",
+    "CAPTURE_TRUNCATED": "copy or export the file again",
+    "CAPTURE_NOT_FINITE": "export the capture again, in metres",
+    "CAPTURE_TOO_FEW_POINTS": "walk around the thing and scan it again",
+    "CAPTURE_DEGENERATE": "walk around the thing and scan it again",
+    "CAPTURE_TOO_LARGE": "send fewer frames, or a thinner cloud",
+    "CAPTURE_NO_POSES": "send the file with the camera's poses too",
+    "CAPTURE_COUNT_MISMATCH": "send the whole recording, every file of it",
+    "CAPTURE_BAD_INTRINSICS": "send the camera's own intrinsics, for the size of its images",
+    "IMAGE_TOO_LARGE": "send smaller pictures",
+}
+_OTHERWISE = "export the capture again"
+
+
 class CaptureError(EdgeError):
-    """The capture itself is at fault; the person who made it can mend it."""
+    """The capture itself is at fault; the person who made it can mend it, so there always is a hint."""
+
+    def __init__(
+        self,
+        code: str,
+        message: str,
+        *,
+        file: str | None = None,
+        hints: tuple[str, ...] = (),
+        retryable: bool = False,
+    ) -> None:
+        hints = hints or (_WHAT_TO_DO.get(code, _OTHERWISE),)
+        super().__init__(code, message, file=file, hints=hints, retryable=retryable)
 
 
 class Cancelled(Exception):  # noqa: N818 - not an error: somebody asked for it

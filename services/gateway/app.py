@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import signal
 import socket
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
@@ -130,6 +131,9 @@ def serve(settings: GatewaySettings, store: Store) -> int:
             server_header=False,
         )
         server = uvicorn.Server(config)
+        # The server raises the signal that stopped it once more when it is done: being told to stop is no failure.
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: None)
         server.run(sockets=[listening])
     return 0 if server.started else 1
 

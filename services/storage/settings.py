@@ -18,7 +18,6 @@ class StorageSettings(StrictSettings):
 
     public_endpoint  the S3 service as clients reach it; presigned URLs are signed for this host
     base_url         what stands before an object's name in the URLs that clients get: a CDN, or the gateway's /v1/files
-    create_bucket    make the bucket at the start when it is absent
     """
 
     model_config = SettingsConfigDict(env_prefix="STORAGE_")
@@ -32,11 +31,10 @@ class StorageSettings(StrictSettings):
     region: str = "us-east-1"
     access_key: SecretStr = SecretStr("")
     secret_key: SecretStr = SecretStr("")
-    create_bucket: bool = False
 
 
 def open_store(settings: StorageSettings) -> Store:
-    """The store of these settings. Raises SettingsError for half a pair of keys, OSError when it cannot be reached."""
+    """The store of these settings; it connects when it is first used. Raises SettingsError for half a pair of keys."""
     if settings.kind == "local":
         return LocalStore(settings.root, settings.base_url or "/v1/files")
     access, secret = settings.access_key.get_secret_value(), settings.secret_key.get_secret_value()
@@ -48,7 +46,7 @@ def open_store(settings: StorageSettings) -> Store:
 def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:
     from services.storage.s3 import S3Store  # boto3 takes 0.2 s to import, which a local store need not pay
 
-    store = S3Store(
+    return S3Store(
         bucket=settings.bucket,
         access_key=access,
         secret_key=secret,
@@ -57,6 +55,3 @@ def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:
         region=settings.region,
         base_url=settings.base_url,
     )
-    if settings.create_bucket:
-        store.create_bucket()
-    return store

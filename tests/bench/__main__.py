@@ -1,4 +1,4 @@
-"""`python -m tests.bench NAME`: the tables of tests/bench/README.md. Timings are of this machine: compare within one run."""
+"""`python -m tests.bench NAME`: the tables of tests/bench/README.md. Compare timings within one run only."""
 
 from __future__ import annotations
 

@@ -103,61 +103,6 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     assert (tmp_path / "out" / "mesh.ply").read_bytes() == (out / "mesh.ply").read_bytes()
 
 
-def _cloud(points: np.ndarray) -> str:
-    return "\n".join(" ".join(map(str, point)) for point in points)
-
-
-_SPIRAL = np.c_[np.cos(np.arange(500)), np.sin(np.arange(500)), np.arange(500) / 500]
-
-BAD = {
-    "empty.ply": (b"", "empty"),
-    "list.ply": (b"this is a shopping list\n" * 50, ""),
-    "few.xyz": (_cloud(_SPIRAL[:12]).encode(), "12"),
-    "nan.xyz": (_cloud(np.where(_SPIRAL > 0.5, np.nan, _SPIRAL)).encode(), ""),
-    "huge.xyz": (_cloud(np.where(_SPIRAL > 0.5, 1e30, _SPIRAL)).encode(), ""),
-    "one.xyz": (_cloud(np.ones((1000, 3))).encode(), ""),
-    "line.xyz": (_cloud(np.outer(np.arange(500), [1.0, 2.0, 3.0])).encode(), "line"),
-    "photo.txt": (b"\xff\xd8\xff\xe0 not really", ""),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_ends_with_one_sentence_and_leaves_nothing(name: str, tmp_path: Path) -> None:
-    content, word = BAD[name]
-    (tmp_path / name).write_bytes(content)
-    result = capture2vr("run", tmp_path / name, "-o", tmp_path / "out")
-    assert result.returncode == 2
-    said = [line for line in result.stderr.strip().splitlines() if line.startswith("capture2vr:")]
-    assert len(said) == 1
-    assert name in said[0]
-    assert word in said[0]
-    assert "Traceback" not in result.stderr
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_unknown_preset_is_told_with_the_known_ones(bowl: Path, tmp_path: Path) -> None:
-    result = capture2vr("run", bowl, "-o", tmp_path / "out", "--preset", "magic")
-    assert result.returncode == 2
-    assert "magic" in result.stderr
-    assert "draft" in result.stderr
-
-
-def test_a_missing_file_and_a_bad_key_are_told(bowl: Path, tmp_path: Path) -> None:
-    assert capture2vr("run", tmp_path / "nowhere.ply", "-o", tmp_path / "out").returncode == 2
-    bad_key = capture2vr("run", bowl, "-o", tmp_path / "out", "--key", "../escape")
-    assert bad_key.returncode == 2
-    assert "../escape" in bad_key.stderr
-
-
-def test_a_bomb_of_zeros_is_refused(tmp_path: Path) -> None:
-    archive = tmp_path / "bomb.zip"
-    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as zipped:
-        zipped.writestr("cloud.xyz", b"\0" * 50_000_000)
-    result = capture2vr("run", archive, "-o", tmp_path / "out")
-    assert result.returncode == 2
-    assert "bomb.zip" in result.stderr
-
-
 @pytest.mark.data
 @pytest.mark.parametrize(
     "capture",

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.edge.arrays import DistanceFn, Floats
+from services.edge.errors import Cancelled
 from services.edge.field import local_field
 from services.edge.mesh.clean import clean
 from services.edge.mesh.clip import clip
@@ -92,6 +93,20 @@ def test_what_no_points_back_is_trimmed_and_specks_go() -> None:
     assert len(np.unique(pieces_of(mesh.faces))) == 1
     assert np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1]).max() < 0.52
     assert area(mesh) == pytest.approx(np.pi / 4, rel=0.03)
+
+
+def test_tick_rises_to_one_and_cancels() -> None:
+    near = surfaces.sampled(surfaces.disk(), 1_000)
+    raw, heard = extract(local_field(near), near, resolution=32), list[float]()
+    clean(raw, near, tick=heard.append)
+    assert heard == sorted(heard)
+    assert (heard[0], heard[-1]) == (0, 1)
+
+    def stop(fraction: float) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        clean(raw, near, tick=stop)
 
 
 def test_an_empty_mesh_stays_empty() -> None:

@@ -27,6 +27,7 @@ CLEAN = [
     (surfaces.two_sheets, 3_000),
     (surfaces.two_sheets, 1_000),
     (surfaces.pleated_sheet, 3_000),
+    (surfaces.pleated_sheet, 1_000),
     (surfaces.pleated_skirt, 1_000),
     (surfaces.grid_with_holes, 2_000),
 ]

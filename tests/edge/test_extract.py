@@ -114,7 +114,7 @@ def test_layers_closer_than_a_cell_stay_manifold(cells_apart: float) -> None:
         return np.minimum(inner[0], outer[0]), np.where(nearer[:, None], inner[1], outer[1])
 
     mesh = extract(shell, near, resolution=48)
-    assert counts(mesh)[2] <= 1e-2 * len(mesh.faces)
+    assert counts(mesh)[2] <= 2e-2 * len(mesh.faces)
     assert counts(to_manifold(mesh))[2] == 0
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import httpx
 import pytest
 
 from services.gateway.instance import FolderInUse, instance
@@ -98,3 +100,19 @@ def test_the_gateway_holds_no_geometry() -> None:
     probe = f"import sys, services.gateway.app; print(sorted({heavy} & sys.modules.keys()))"
     found = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_a_gateway_starts_and_stops_when_told(tmp_path: Path, unused_tcp_port: int) -> None:
+    command = [sys.executable, "-m", "services.gateway"]
+    settings = {"GATEWAY_PORT": str(unused_tcp_port), "GATEWAY_DATA_DIR": str(tmp_path / "gw")}
+    environment = {**os.environ, **settings, "STORAGE_ROOT": str(tmp_path / "objects")}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stderr is not None
+        for line in running.stderr:
+            if "listening on" in line:
+                break
+        assert httpx.get(f"http://127.0.0.1:{unused_tcp_port}/livez", timeout=20).text == "ok\n"
+        second = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (second.returncode, "another gateway" in second.stderr) == (1, True)
+        running.terminate()
+        assert running.wait(timeout=20) == 0

@@ -12,16 +12,7 @@ from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
 from services.storage.s3 import S3Store
 from services.storage.store import Store, list_all
-from tests.conftest import missing
-from tests.s3.server import S3Server, available, running
-
-
-@pytest.fixture(scope="session")
-def s3_server() -> Iterator[S3Server]:
-    if not available():
-        missing("a RADOS Gateway (radosgw, ceph-mon, ceph-osd)")
-    with running() as server:
-        yield server
+from tests.s3.server import S3Server
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,8 @@ from services.edge.arrays import Floats
 _TINY = 1e-30  # keeps 0/0 from a set without extent finite; far below any squared distance in the unit frame
 
 
-def smallest_eigen(matrices: Floats) -> tuple[Floats, Floats]:
-    """(N,3,3) symmetric -> unit eigenvectors of the smallest eigenvalue (N,3), all eigenvalues ascending (N,3).
+def smallest_eigenvectors(matrices: Floats) -> Floats:
+    """(N,3,3) symmetric -> unit eigenvectors of the smallest eigenvalue (N,3).
 
     float64 throughout: the cubic loses half the digits. A matrix whose smallest eigenvalue is double has no single
     answer, and gets one of the many or zeros.
@@ -29,10 +29,8 @@ def smallest_eigen(matrices: Floats) -> tuple[Floats, Floats]:
     a, b, c, xy, xz, yz = (entry / scale for entry in (a, b, c, xy, xz, yz))
     half_det = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / 2
     angle = np.arccos(np.clip(half_det, -1, 1)) / 3
-    low, high = 2 * np.cos(angle + 2 * np.pi / 3), 2 * np.cos(angle)
-    vectors = _null_vectors(a - low, b - low, c - low, xy, xz, yz)
-    values = mean[:, None] + scale[:, None] * np.stack([low, -low - high, high], axis=1)
-    return vectors, values
+    low = 2 * np.cos(angle + 2 * np.pi / 3)
+    return _null_vectors(a - low, b - low, c - low, xy, xz, yz)
 
 
 def _null_vectors(a: Floats, b: Floats, c: Floats, xy: Floats, xz: Floats, yz: Floats) -> Floats:

@@ -8,7 +8,8 @@ crowd just above it:
     √(q₀₅/q₂₀) of χ² with 7 degrees of freedom = 0.75         measured on noisy clouds 0.63–0.80
     folded, layered, pleated or sparse clouds without noise    measured 0.00–0.55
 
-The crowding says whether it is noise, the lowest 5 % says how much.
+The crowding says whether it is noise, the lowest 5 % says how much. Folds too sparsely sampled to leave anything flat
+crowd as well, but their level grows with the neighbourhood, which that of noise does not.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ BLOB = 0.2  # noise / radius above which a neighbourhood is a ball, not a sheet:
 LOW, NEXT = 0.05, 0.20  # quantiles of a region's residuals
 CROWDED = (0.45, 0.65)  # q₀₅/q₂₀ of the residuals at SCALES[0]: geometry below, noise above, in between by degrees
 MATTERS = (0.03, 0.08)  # noise in spacings: the blend of eight planes hides less than this by itself
+GROWS = (2.2, 3.0)  # the level from 24 neighbours over that from 12: noise alone 1.1, noisy folds 1.8, sparse folds 4
 PROBES = 40_000  # residuals in all: 1 s; more would only sharpen a quantile
 REGION = 1_000  # probes a region: its 5 % quantile then rests on 50 of them, ±8 %
 PROBES_PER_REGION = 250  # regions overlap fourfold, so the level changes gently from one to the next
@@ -62,18 +64,22 @@ def _levels(xyz: Floats, tree: cKDTree, probes: Ints, members: Ints) -> tuple[Fl
     """Regions' member probes (R,M) -> sigma and share (R,), from the least scale that sees a sheet, not a ball."""
     sigma: Floats = np.zeros(len(members))
     share: Floats = np.zeros(len(members))
+    first = sigma
     open_ = np.ones(len(members), bool)
     for neighbours in (scale for scale in SCALES if scale < len(xyz)):
         residual, radius, spacing = _residuals(xyz, tree, probes, neighbours)
         low, following = np.quantile(residual[members], (LOW, NEXT), axis=1)
         freedom = neighbours + 1 - QUADRIC
         found = low / np.sqrt(chdtri(freedom, 1 - LOW) / freedom)
+        if neighbours == SCALES[1]:
+            share *= 1 - _ramp(found / (first + TINY), GROWS)
         sigma[open_] = found[open_]
         if neighbours == SCALES[0]:
+            first = found
             share = _ramp(low / (following + TINY), CROWDED)
             share *= _ramp(sigma / np.median(spacing[members], axis=1), MATTERS)
         open_ &= (sigma > BLOB * np.median(radius[members], axis=1)) & (share > 0)
-        if not open_.any():
+        if not open_.any() and (neighbours > SCALES[0] or not share.any()):
             break
     return sigma, share
 
@@ -95,7 +101,7 @@ def _residuals(xyz: Floats, tree: cKDTree, probes: Ints, neighbours: int) -> tup
 
 def _deviation(relative: Floats, radius: Floats) -> Floats:
     """relative (N,K,3) -> unbiased standard deviation across the least-squares quadric (N,)."""
-    normal, _, mean = weighted_pca(relative, np.ones(relative.shape[:2]))
+    normal, mean = weighted_pca(relative, np.ones(relative.shape[:2]))
     terms = monomials(relative / radius[:, None, None], *tangents(normal))
     height = np.einsum("nkx,nx->nk", relative - mean[:, None], normal)
     gram = np.matmul(terms.transpose(0, 2, 1), terms) + TINY * np.eye(QUADRIC)

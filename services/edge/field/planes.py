@@ -55,6 +55,7 @@ def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None) -> Pla
         distance, index = tree.query(xyz[part], k=min(NEIGHBOURS + 1, len(xyz)))
         spacing[part] = rank_spacing(distance)
         if normals is None:
+            distance = distance.astype(xyz.dtype)
             fitted[part] = _normals(xyz[index] - xyz[part, None], distance, spacing[part])
 
     in_threads(fit, slices(len(xyz), CHUNK))
@@ -92,7 +93,7 @@ def _normals(relative: Floats, distance: Floats, spacing: Floats) -> Floats:
     for _ in range(ROUNDS):
         offset = np.einsum("nkx,nx->nk", relative, normals)
         same_layer = np.exp(-np.square(offset / (LAYER * spacing[:, None])))
-        normals, _, _ = weighted_pca(relative, near * same_layer)
+        normals, _ = weighted_pca(relative, near * same_layer)
     return normals
 
 
@@ -103,8 +104,9 @@ def _best_hypothesis(relative: Floats, near: Floats, spacing: Floats) -> Floats:
         return weighted_pca(relative, near)[0]
     normals = np.cross(relative[:, first], relative[:, second])
     normals /= np.linalg.norm(normals, axis=2, keepdims=True) + TINY
-    offset = np.einsum("nkx,nhx->nkh", relative, normals) / (ON_PLANE * spacing[:, None, None])
-    score = np.einsum("nk,nkh->nh", near, np.exp(-np.square(offset)))
+    # matmul, not einsum: 1.3 ms against 4.8 ms a chunk.
+    offset = np.matmul(relative, normals.transpose(0, 2, 1)) / (ON_PLANE * spacing[:, None, None])
+    score = np.matmul(near[:, None], np.exp(-np.square(offset)))[:, 0]
     best: Floats = normals[np.arange(len(normals)), score.argmax(axis=1)]
     return best
 

@@ -9,21 +9,20 @@ from __future__ import annotations
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.field.eigen import smallest_eigen
+from services.edge.field.eigen import smallest_eigenvectors
 
 QUADRIC = 6  # coefficients of a quadric height function
 TINY = 1e-12  # squared unit-frame lengths below float32's resolution: keeps duplicates from dividing by 0
 _RIDGE = 1e-6  # of the weights' sum: a set on a line, or of fewer than 6 points, still has one answer
 
 
-def weighted_pca(relative: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
-    """-> normals (N,3), eigenvalues ascending (N,3), weighted means (N,3)."""
+def weighted_pca(relative: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """-> normals (N,3) of either sign, weighted means (N,3)."""
     total = weights.sum(axis=1) + TINY
     mean = np.einsum("nk,nkx->nx", weights, relative) / total[:, None]
     centred = relative - mean[:, None]
     covariance = np.matmul((centred * weights[..., None]).transpose(0, 2, 1), centred) / total[:, None, None]
-    normals, values = smallest_eigen(covariance)
-    return normals, values, mean
+    return smallest_eigenvectors(covariance), mean
 
 
 def tangents(normal: Floats) -> tuple[Floats, Floats]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Floats, Ints
+from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from services.edge.mesh.band import part_of
 from services.edge.mesh.clip import clip
 from services.edge.mesh.holes import fill_holes, zip_tears
 from services.edge.mesh.normals import face_normals, vertex_normals
@@ -30,7 +31,7 @@ from services.edge.mesh.topology import (
 SPECK = 15.0  # squared spacings, so points: a piece with fewer is noise, not surface
 PIN_HOLE = 12.0  # spacings around: no wider than 4; the trimming opens again what is a hole
 AFTER = 0.9  # of the pin-hole's length once real holes are cut: the smallest of those are 11 spacings around
-SEAM_ROUNDS, SEAM_STEP = 6, 0.7
+SEAM_ROUNDS, SEAM_STEP = 6, 0.7  # brings a ridge of a spacing's height down to the faces beside it
 TEAR = 3.0  # spacings across: what lies further apart is not joined
 OVERHANG = 0.25  # spacings: the alpha shape of random points ends about this much inside the true border
 SMOOTH = ((0.5, -0.53),) * 5  # Taubin's pairs: take noise and the saw-teeth of borders off without shrinking
@@ -49,24 +50,31 @@ def clean(
     pin_hole: float = PIN_HOLE,
     tear: float = TEAR,
     overhang_most: float = OVERHANG,
+    tick: Tick = no_tick,
 ) -> Mesh:
     """Trim, mend and wind a mesh by the points (N,3) near it; both in one frame.
 
-    speck in points, pin_hole and overhang_most in local spacings. The result has no edge with more than two faces, is
+    speck in points; pin_hole, tear and overhang_most in local spacings. `tick` is called between the steps with the
+    fraction done and may raise `Cancelled`. The result has no edge with more than two faces, is
     wound alike where that is possible, and is empty when nothing of the mesh is backed by points.
     """
     near = np.asarray(near, np.float64)
+    tick(0)
     mesh = to_manifold(mesh)
     if len(mesh.faces) == 0:
         return compact(mesh)
     mesh = orient(mesh)
+    tick(0.2)
     tree = cKDTree(near)
     spacing = layer_spacing(near, _normals_at(mesh, near), tree)
     mesh = _without_specks(mesh, spacing, tree, speck)
-    mesh = _mended(mesh, spacing, tree, pin_hole, tear)
-    mesh = to_manifold(_trim(orient(mesh), near, spacing, tree, overhang_most))
+    mesh = orient(_mended(mesh, spacing, tree, pin_hole, tear))
+    mesh = to_manifold(_trim(mesh, near, spacing, tree, overhang_most, part_of(tick, 0.4, 0.8)))
+    tick(0.8)
     mesh = _mended(_without_specks(mesh, spacing, tree, speck), spacing, tree, AFTER * pin_hole, tear)
-    return orient(compact(_smooth(mesh)))
+    mesh = orient(compact(_smooth(mesh)))
+    tick(1)
+    return mesh
 
 
 def _mended(mesh: Mesh, spacing: Floats, tree: cKDTree, pin_hole: float, tear: float) -> Mesh:
@@ -93,11 +101,11 @@ def _settle_seams(before: Mesh, after: Mesh) -> Mesh:
     return to_manifold(Mesh(vertices, after.faces))
 
 
-def _trim(mesh: Mesh, near: Floats, spacing: Floats, tree: cKDTree, most: float) -> Mesh:
+def _trim(mesh: Mesh, near: Floats, spacing: Floats, tree: cKDTree, most: float, tick: Tick) -> Mesh:
     """Cut off what hangs over the points by more than `most` spacings, and cut out holes."""
-    border, hole = overhang(mesh.vertices, vertex_normals(mesh), near, spacing, tree)
+    border, hole = overhang(mesh.vertices, vertex_normals(mesh), near, spacing, tree, tick)
     border, hole = _averaged(mesh.faces, border - most, 2), _averaged(mesh.faces, hole, 2)
-    areas = _areas(mesh) / np.square(_spacing_at(mesh.vertices[mesh.faces].mean(axis=1), spacing, tree))
+    areas = _areas(mesh) / np.square(_spacing_at(mesh.vertices, spacing, tree)[mesh.faces[:, 0]])
     outer, _ = _regions(mesh.faces, border > 0, areas)
     inner, area = _regions(mesh.faces, hole > 0, areas)
     level = np.where(outer | (border <= 0), border, -KEPT)
@@ -128,8 +136,7 @@ def _averaged(faces: Ints, values: Floats, times: int) -> Floats:
 def _without_specks(mesh: Mesh, spacing: Floats, tree: cKDTree, least: float) -> Mesh:
     """Drop pieces that could not hold `least` points; never the largest."""
     piece = pieces_of(mesh.faces)
-    middle = mesh.vertices[mesh.faces].mean(axis=1)
-    points = np.bincount(piece, _areas(mesh) / np.square(_spacing_at(middle, spacing, tree)))
+    points = np.bincount(piece, _areas(mesh) / np.square(_spacing_at(mesh.vertices, spacing, tree)[mesh.faces[:, 0]]))
     kept: Bools = (points >= least) | (points == points.max(initial=0))
     return compact(mesh, np.flatnonzero(kept[piece]))
 

@@ -40,6 +40,7 @@ def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick =
     band = walk(distance, near, grid, part_of(tick, 0, WALK_SHARE))
     crossings = find_crossings(band, grid)
     del band
+    tick(WALK_SHARE)
     quads, vertex = connect(crossings)
     vertices = _mean_by(vertex, np.repeat(crossings.xyz, 4, axis=0))
     vertices = _settle(distance, vertices, quads, grid.side, part_of(tick, WALK_SHARE, 1))

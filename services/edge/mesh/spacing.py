@@ -11,11 +11,14 @@ from services.edge.arrays import Floats
 # to stay on one layer of cloth and enough to tell the spacing to about a fifth.
 NEIGHBOURS = 8
 
-CELLS_PER_SPACING = 1.5
+CELLS_PER_SPACING = 1.5  # folds gain up to here (10,000 points: 88 to 128 cells); beyond, only the vertices grow
 
 
 def point_spacing(near: Floats, tree: cKDTree | None = None) -> Floats:
-    """(N,3) points -> (N,) local spacing 1/√density. Copies of one point do not make it 0."""
+    """(N,3) points -> (N,) local spacing 1/√density. Copies of one point do not make it 0.
+
+    Raises ValueError for fewer than 2 points.
+    """
     tree = tree or cKDTree(near)
     k = min(NEIGHBOURS, len(near) - 1)
     if k < 1:

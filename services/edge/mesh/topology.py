@@ -42,7 +42,7 @@ def edges_of(faces: Ints) -> Edges:
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     stride = int(faces.max(initial=0)) + 1
     keys = ends[:, 0] * stride + ends[:, 1]
-    order = np.argsort(keys, kind="stable")
+    order = np.argsort(keys)
     start = np.flatnonzero(np.diff(keys[order], prepend=-1))
     return Edges(order, start, np.diff(np.append(start, len(order))), ends[order[start]])
 

@@ -1,0 +1,138 @@
+"""The edge cache of deploy/nginx.conf in front of a real S3 server whose bucket was made by services.storage.bucket."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from services.cli.up import free_port
+from services.storage.s3 import S3Store
+from tests.conftest import missing
+from tests.s3.server import S3Server
+
+pytestmark = pytest.mark.s3
+
+CONF = Path(__file__).parents[2] / "deploy" / "nginx.conf"
+BUCKET = "capture2vr"  # the name that the configuration knows
+CONTENT = os.urandom(3 << 20)  # three slices
+NAME = f"assets/thing/lod0.{hashlib.sha256(CONTENT).hexdigest()}.glb"
+
+
+@pytest.fixture(scope="module")
+def bucket(s3_server: S3Server) -> S3Store:
+    """The bucket as `python -m services.storage.bucket` leaves it, run twice, with an asset and a capture in it."""
+    environment = {
+        **os.environ,
+        "STORAGE_KIND": "s3",
+        "STORAGE_ENDPOINT": s3_server.endpoint,
+        "STORAGE_BUCKET": BUCKET,
+        "STORAGE_ACCESS_KEY": s3_server.access_key,
+        "STORAGE_SECRET_KEY": s3_server.secret_key,
+    }
+    for _ in range(2):
+        subprocess.run([sys.executable, "-m", "services.storage.bucket"], env=environment, check=True)
+    store = S3Store(
+        bucket=BUCKET,
+        access_key=s3_server.access_key,
+        secret_key=s3_server.secret_key,
+        endpoint=s3_server.endpoint,
+    )
+    store.put(NAME, CONTENT, content_type="model/gltf-binary")
+    store.put("captures/private.zip", b"private", content_type="application/zip")
+    return store
+
+
+def _nginx() -> str:
+    if shutil.which("nginx") is None and os.geteuid() == 0:
+        install = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "nginx-core"]
+        subprocess.run(install, env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"}, capture_output=True)
+    found = shutil.which("nginx")
+    if found is None:
+        missing("nginx")
+    return str(found)
+
+
+@pytest.fixture(scope="module")
+def cdn(bucket: S3Store, s3_server: S3Server, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """nginx with the deployed configuration; only addresses and folders are this machine's."""
+    folder, port = tmp_path_factory.mktemp("nginx"), free_port()
+    origin = s3_server.endpoint.removeprefix("http://")
+    conf = CONF.read_text()
+    for deployed, here in [
+        ("pid /tmp/nginx.pid", f"pid {folder}/nginx.pid"),
+        ("/var/cache/nginx", str(folder)),
+        ("/dev/stdout", f"{folder}/access.log"),
+        ("/dev/stderr", f"{folder}/error.log"),
+        ("http://minio:9000", s3_server.endpoint),
+        ("Host minio:9000", f"Host {origin}"),
+        ("listen 8080", f"listen 127.0.0.1:{port}"),
+    ]:
+        assert deployed in conf
+        conf = conf.replace(deployed, here)
+    (folder / "nginx.conf").write_text(conf)
+    folder.chmod(0o777)  # nginx's workers are another user
+    for parent in folder.parents[:2]:
+        parent.chmod(0o755)
+    child = subprocess.Popen([_nginx(), "-c", folder / "nginx.conf", "-g", "daemon off;"])
+    try:
+        _wait_for(f"http://127.0.0.1:{port}/healthz")
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        child.terminate()
+        child.wait(10)
+
+
+def _wait_for(url: str) -> None:
+    for _ in range(100):
+        try:
+            if httpx.get(url).is_success:
+                return
+        except httpx.TransportError:
+            time.sleep(0.1)
+    raise AssertionError(f"{url} does not answer")
+
+
+def test_an_asset_is_whole_then_cached_and_immutable(cdn: str) -> None:
+    first = httpx.get(f"{cdn}/{NAME}")
+    assert first.status_code == 200
+    assert first.content == CONTENT
+    assert "immutable" in first.headers["Cache-Control"]
+    assert first.headers["Access-Control-Allow-Origin"] == "*"
+    second = httpx.get(f"{cdn}/{NAME}")
+    assert second.content == CONTENT
+    assert second.headers["X-Cache"] == "HIT"
+
+
+def test_a_range_comes_from_the_cache(cdn: str) -> None:
+    httpx.get(f"{cdn}/{NAME}")
+    part = httpx.get(f"{cdn}/{NAME}", headers={"Range": "bytes=1500000-1500099"})
+    assert part.status_code == 206
+    assert part.content == CONTENT[1500000:1500100]
+    assert part.headers["X-Cache"] == "HIT"
+
+
+@pytest.mark.parametrize(
+    "path", ["assets/thing/absent.glb", "assets/../captures/private.zip", "assets/%2e%2e/captures/private.zip"]
+)
+def test_what_is_absent_or_private_is_a_plain_404(cdn: str, path: str) -> None:
+    answer = httpx.Client().send(httpx.Request("GET", httpx.URL(f"{cdn}/").copy_with(raw_path=f"/{path}".encode())))
+    # A path that leaves /assets/ goes to the gateway, which is not running here.
+    assert answer.status_code == (404 if "absent" in path else 502)
+    assert b"private" not in answer.content
+
+
+def test_nobody_reads_captures_or_lists_the_bucket(bucket: S3Store, s3_server: S3Server) -> None:
+    home = f"{s3_server.endpoint}/{BUCKET}"
+    assert httpx.get(f"{home}/{NAME}").status_code == 200
+    assert httpx.get(f"{home}/captures/private.zip").status_code == 403
+    assert httpx.get(f"{home}?list-type=2").status_code == 403
+    assert httpx.put(f"{home}/assets/thing/mine.glb", content=b"x").status_code == 403

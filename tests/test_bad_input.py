@@ -1,0 +1,435 @@
+"""What bad input gets from the whole product: a reason that names the file and says what to do; nothing stays."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from services.cli import main as command_line
+from services.cli.up import running
+from services.storage.local import LocalStore
+from services.storage.publish import publish
+from tests.bad_captures import BAD, EMOJI, HTML, zipped
+from tests.clouds import write_ply
+from tests.edge import captures
+from tests.storage.bundles import bundle
+
+PATIENCE_S = 30.0  # what hangs fails here; bad input is answered within a second on an idle machine
+PROBLEM = "application/problem+json"
+JSON = {"Content-Type": "application/json"}
+ZIP = {"Content-Type": "application/zip"}
+FORM = {"Content-Type": "multipart/form-data; boundary=b0"}
+END = b"--b0--\r\n"
+
+
+@dataclass(frozen=True)
+class Product:
+    """Gateway, worker and store, running; `file` is the address of a published one."""
+
+    url: str
+    data: Path
+    client: httpx.Client
+    file: str
+
+    def kept(self) -> set[str]:
+        """The files that uploads and jobs leave: staged, in the worker's scratch, on the store."""
+        roots = [self.data / "gateway" / "uploads", self.data / "scratch", self.data / "store"]
+        return {str(path) for root in roots for path in root.rglob("*") if ".locks" not in path.parts}
+
+    def logged(self) -> str:
+        return "".join(path.read_text(errors="replace") for path in (self.data / "logs").iterdir())
+
+
+@pytest.fixture(scope="module")
+def product(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Product]:
+    data = tmp_path_factory.mktemp("bad") / "data"
+    with running("127.0.0.1", 0, data) as stack, httpx.Client(base_url=stack.url, timeout=PATIENCE_S) as client:
+        publish(bundle(), LocalStore(stack.store_root), key="dress")
+        name = client.get("/v1/assets/dress").json()["files"][0]["name"]
+        client.post("/v1/captures")  # makes the staging folder
+        yield Product(stack.url, data, client, f"/v1/files/{name}")
+
+
+@pytest.fixture
+def nothing_stays(product: Product) -> Iterator[None]:
+    """What the test is refused leaves no file, no job and no traceback, and the product goes on."""
+    before, said = product.kept(), len(product.logged())
+    yield
+    deadline = time.monotonic() + 5  # the worker's thread leaves its folder just after its answer
+    while product.kept() != before and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert product.kept() == before
+    assert "Traceback" not in product.logged()[said:]
+    assert product.client.get("/v1/jobs").json()["jobs"] == []
+
+
+def problem_of(answer: httpx.Response) -> dict[str, Any]:
+    """The problem document, once it is one that a person can act upon."""
+    assert 400 <= answer.status_code < 500, answer.text
+    assert answer.headers["content-type"] == PROBLEM, answer.text
+    document: dict[str, Any] = answer.json()
+    assert document["status"] == answer.status_code
+    assert document["detail"]
+    assert "Traceback" not in answer.text
+    assert all(document["hints"]), document
+    assert document["hints"], document
+    return document
+
+
+def parts_of(source: Path) -> list[tuple[str, tuple[str, bytes]]]:
+    """The form that a browser sends for a file or a folder."""
+    paths = [path for path in sorted(source.rglob("*")) if path.is_file()] if source.is_dir() else [source]
+    root = source if source.is_dir() else source.parent
+    return [("files", (path.relative_to(root).as_posix(), path.read_bytes())) for path in paths]
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", BAD)
+def test_an_upload_is_refused(name: str, product: Product, tmp_path: Path) -> None:
+    bad = BAD[name]
+    answer = product.client.post("/v1/captures", files=parts_of(bad.make(tmp_path)))
+    document = problem_of(answer)
+    assert (document["code"], document.get("file", "")) == (bad.code, bad.file), document
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", [name for name in BAD if " zip" in name])
+def test_so_is_the_bare_archive(name: str, product: Product, tmp_path: Path) -> None:
+    """As a raw body, where the archive has no name."""
+    bad = BAD[name]
+    body = bad.make(tmp_path).read_bytes()
+    document = problem_of(product.client.post("/v1/captures", content=body, headers=ZIP))
+    assert document["code"] == bad.code, document
+
+
+@dataclass(frozen=True)
+class Said:
+    """Exit code, and the lines that begin as the last word does."""
+
+    code: int
+    lines: list[str]
+
+
+Run = Callable[..., Said]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """`capture2vr run` in this process, with a folder for temporary files that must be empty afterwards."""
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+
+    def run(*arguments: object) -> Said:
+        monkeypatch.setattr(sys, "argv", ["capture2vr", "run", *map(str, arguments), "-o", str(tmp_path / "out")])
+        with pytest.raises(SystemExit) as left:
+            command_line.main()
+        assert not (tmp_path / "out").exists()
+        assert list(temporary.iterdir()) == []
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert "Traceback" not in said.err
+        return Said(left.value.code, [line for line in said.err.splitlines() if line.startswith("capture2vr: ")])
+
+    return run
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_the_command_line_says_it_in_one_sentence(name: str, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    source = BAD[name].make(tmp_path / "in")
+    said = run(source)
+    assert said.code == 2
+    (line,) = said.lines
+    assert source.name in line
+    assert BAD[name].file in line
+    assert re.search(r" \(.+\)$", line), f"nothing to do about it: {line}"
+
+
+@pytest.mark.parametrize("name", ["an empty file", "a zip with ../"])
+def test_as_a_process_of_its_own(name: str, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    source = BAD[name].make(tmp_path / "in")
+    command = [sys.executable, "-m", "services.cli", "run", str(source), "-o", str(tmp_path / "out")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert result.returncode == 2
+    assert len([line for line in result.stderr.splitlines() if line.startswith("capture2vr: ")]) == 1
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.ply"], ["nowhere.ply"]),
+        (["good.ply", "--preset", "magic"], ["magic", "draft"]),
+        (["good.ply", "--key", "../escape"], ["../escape"]),
+        (["good.ply", "--key", "a b"], ["a b"]),
+        (["bell\a\nring.ply"], ["ring.ply"]),
+        ([b"caf\xe9.ply".decode("utf-8", "surrogateescape")], [".ply"]),
+    ],
+)
+def test_bad_arguments_too(
+    arguments: list[str], words: list[str], run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_ply(tmp_path / "good.ply", np.random.default_rng(0).normal(size=(500, 3)))
+    said = run(*arguments)
+    assert said.code == 2
+    (line,) = said.lines
+    assert line.isprintable()
+    assert all(word in line for word in words)
+
+
+def part(file: str, content: bytes = b"ply\n") -> bytes:
+    """A file of a form."""
+    disposition = f'form-data; name="files"; filename="{file}"'
+    return f"--b0\r\nContent-Disposition: {disposition}\r\n\r\n".encode() + content + b"\r\n"
+
+
+def field(name: str, content: bytes) -> bytes:
+    """A text field of a form."""
+    return f'--b0\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n'.encode() + content + b"\r\n"
+
+
+UPLOADS: dict[str, tuple[Mapping[str, str | bytes], bytes, str]] = {
+    "no media type": ({}, b"x", "UPLOAD_MEDIA_TYPE"),
+    "JSON": (JSON, b"{}", "UPLOAD_MEDIA_TYPE"),
+    "a bare picture": ({"Content-Type": "image/png"}, b"\x89PNG\r\n\x1a\n", "UPLOAD_MEDIA_TYPE"),
+    "a form without boundary": ({"Content-Type": "multipart/form-data"}, b"x", "UPLOAD_MEDIA_TYPE"),
+    "a boundary of 300 letters": (
+        {"Content-Type": "multipart/form-data; boundary=" + "x" * 300},
+        b"x",
+        "UPLOAD_MALFORMED",
+    ),
+    "a boundary of other letters": (
+        {"Content-Type": b"multipart/form-data; boundary=\xff\xe4"},
+        b"x",
+        "UPLOAD_MALFORMED",
+    ),
+    "an empty body": (ZIP, b"", "CAPTURE_EMPTY"),
+    "an empty form body": (FORM, b"", "UPLOAD_MALFORMED"),
+    "an empty form": (FORM, END, "CAPTURE_EMPTY"),
+    "a form without an end": (FORM, part("a.ply"), "UPLOAD_MALFORMED"),
+    "a file without a name": (FORM, part("") + END, "CAPTURE_EMPTY"),
+    "a file named ..": (FORM, part("..") + END, "CAPTURE_EMPTY"),
+    "text where files belong": (FORM, field("files", b"1 2 3") + END, "CAPTURE_EMPTY"),
+    "a name of 5,000 letters": (FORM, part("x" * 5000 + ".ply") + END, "UPLOAD_MALFORMED"),
+    "a path of 3,000 folders": (FORM, part("a/" * 3000 + "b.ply") + END, "UPLOAD_MALFORMED"),
+    "a folder that is a file": (FORM, part("a.ply") + part("a.ply/b.ply") + END, "UPLOAD_NAMES"),
+    "a header of 200 kB": (FORM, b"--b0\r\nA: " + b"x" * 200_000 + b"\r\n\r\n\r\n" + END, "UPLOAD_MALFORMED"),
+    "5,000 headers": (FORM, b"--b0\r\n" + b"A: x\r\n" * 5000 + b"\r\n\r\n" + END, "UPLOAD_MALFORMED"),
+    "a text field of 5 kB": (FORM, field("name", b"x" * 5000) + END, "UPLOAD_FIELD_TOO_LARGE"),
+    "6,000 files": (FORM, b"".join(part(f"{n}.txt", b"1") for n in range(6000)) + END, "UPLOAD_TOO_MANY_FILES"),
+    "a body that gzip should open": ({**ZIP, "Content-Encoding": "gzip"}, b"\x1f\x8b\x08", "ARCHIVE_BROKEN"),
+}
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", UPLOADS)
+def test_an_odd_request_to_upload_is_refused(name: str, product: Product) -> None:
+    headers, body, code = UPLOADS[name]
+    document = problem_of(product.client.post("/v1/captures", headers=dict(headers), content=body))
+    assert document["code"] == code, document
+
+
+def test_names_in_any_script_are_kept(product: Product) -> None:
+    xyz, _, _ = captures.sphere()
+    answer = product.client.post("/v1/captures", files=[("files", (EMOJI, captures.ply_bytes(xyz)))])
+    assert answer.status_code == 201, answer.text
+    assert [file["file"] for file in answer.json()["files"]] == [EMOJI]
+
+
+def job(**changes: object) -> bytes:
+    """An order of an unknown capture."""
+    return json.dumps({"capture": "cap_unknown", "asset_key": "dress"} | changes).encode()
+
+
+JOBS: dict[str, tuple[bytes, int, str]] = {
+    "no body": (b"", 422, "REQUEST_INVALID"),
+    "half a document": (b"{", 422, "REQUEST_INVALID"),
+    "a list": (b"[]", 422, "REQUEST_INVALID"),
+    "null": (b"null", 422, "REQUEST_INVALID"),
+    "NaN": (b"NaN", 422, "REQUEST_INVALID"),
+    "UTF-16": (job().decode().encode("utf-16"), 400, "BAD_REQUEST"),
+    "60,000 brackets": (b"[" * 60_000, 400, "BAD_REQUEST"),
+    "a number of 5,000 digits": (b'{"capture": ' + b"1" * 5000 + b"}", 400, "BAD_REQUEST"),
+    "a megabyte": (job(label="x" * 1_000_000), 413, "REQUEST_TOO_LARGE"),
+    "half a character": (b'{"capture": "\\ud800", "asset_key": "dress"}', 422, "REQUEST_INVALID"),
+    "a number for a capture": (job(capture=1), 422, "REQUEST_INVALID"),
+    "a list for a preset": (job(preset=["draft"]), 422, "REQUEST_INVALID"),
+    "a word for a flag": (job(isolate="maybe"), 422, "REQUEST_INVALID"),
+    "an unknown field": (job(colour="red"), 422, "REQUEST_INVALID"),
+    "a label of 300 letters": (job(label="x" * 300), 422, "REQUEST_INVALID"),
+    "an unknown preset": (job(preset="magic"), 422, "PRESET_UNKNOWN"),
+    "an unknown capture": (job(), 404, "CAPTURE_UNKNOWN"),
+    "a capture that is a path": (job(capture="../../etc/passwd"), 404, "CAPTURE_UNKNOWN"),
+    "a capture of 0 bytes": (job(capture="\0"), 404, "CAPTURE_UNKNOWN"),
+    "no key": (job(asset_key=""), 422, "KEY_INVALID"),
+    "a key with a slash": (job(asset_key="a/b"), 422, "KEY_INVALID"),
+    "a key of dots": (job(asset_key=".."), 422, "KEY_INVALID"),
+    "a key that leads out": (job(asset_key="../x"), 422, "KEY_INVALID"),
+    "a key of 101 letters": (job(asset_key="x" * 101), 422, "KEY_INVALID"),
+    "a key of a picture": (job(asset_key="🪑"), 422, "KEY_INVALID"),
+    "a key with a line's end": (job(asset_key="a\n"), 422, "KEY_INVALID"),
+}
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", JOBS)
+def test_an_order_that_makes_no_sense_is_refused(name: str, product: Product) -> None:
+    body, status, code = JOBS[name]
+    document = problem_of(product.client.post("/v1/jobs", content=body, headers=JSON))
+    assert (document["status"], document["code"]) == (status, code), document
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("headers", [{}, {"Content-Type": "text/plain"}, {"Content-Type": "multipart/form-data"}])
+def test_an_order_that_is_not_sent_as_json_is_told_so(headers: dict[str, str], product: Product) -> None:
+    document = problem_of(product.client.post("/v1/jobs", content=job(), headers=headers))
+    assert (document["status"], document["code"]) == (415, "REQUEST_MEDIA_TYPE")
+    assert "application/json" in document["detail"]
+
+
+@pytest.mark.parametrize("key", ["a b", "k" * 201, "käse".encode()])
+def test_an_odd_idempotency_key_is_refused(key: str, product: Product) -> None:
+    answer = product.client.post("/v1/jobs", content=job(), headers={**JSON, "Idempotency-Key": key})
+    assert problem_of(answer)["code"] == "REQUEST_INVALID"
+
+
+GETS: dict[str, tuple[str, str]] = {
+    "an unknown job": ("/v1/jobs/job_unknown", "JOB_UNKNOWN"),
+    "its events": ("/v1/jobs/job_unknown/events", "JOB_UNKNOWN"),
+    "a job of 0 bytes": ("/v1/jobs/%00", "JOB_UNKNOWN"),
+    "a job that is no text": ("/v1/jobs/%ff%fe", "JOB_UNKNOWN"),
+    "a job of 9,000 letters": ("/v1/jobs/" + "x" * 9000, "JOB_UNKNOWN"),
+    "a job that leads out": ("/v1/jobs/..%2f..%2fetc", "NOT_FOUND"),
+    "no jobs a page": ("/v1/jobs?limit=0", "REQUEST_INVALID"),
+    "a page of words": ("/v1/jobs?limit=many", "REQUEST_INVALID"),
+    "a page behind nothing": ("/v1/jobs?after=%00", "REQUEST_INVALID"),
+    "events before the first": ("/v1/jobs/job_unknown/events?after=-1", "REQUEST_INVALID"),
+    "an unknown asset": ("/v1/assets/unknown", "ASSET_UNKNOWN"),
+    "an asset that leads out": ("/v1/assets/%2e%2e", "KEY_INVALID"),
+    "an asset in a folder": ("/v1/assets/a%2fb", "NOT_FOUND"),
+    "an asset of 300 letters": ("/v1/assets/" + "x" * 300, "REQUEST_INVALID"),
+    "an asset of 0 bytes": ("/v1/assets/%00", "KEY_INVALID"),
+    "an unknown asset's level": ("/v1/assets/unknown/lod/0", "ASSET_UNKNOWN"),
+    "an unknown level": ("/v1/assets/dress/lod/9", "LOD_UNKNOWN"),
+    "a level of letters": ("/v1/assets/dress/lod/x", "REQUEST_INVALID"),
+    "an unknown asset's QR code": ("/v1/assets/unknown/qr.svg", "ASSET_UNKNOWN"),
+    "assets behind a path": ("/v1/assets?after=../x", "KEY_INVALID"),
+    "an unknown file": ("/v1/files/assets/unknown", "FILE_UNKNOWN"),
+    "a folder": ("/v1/files/assets/dress", "FILE_UNKNOWN"),
+    "somebody's capture": ("/v1/files/captures/x.zip", "FILE_UNKNOWN"),
+    "a file that leads out": ("/v1/files/assets/%2e%2e/%2e%2e/gateway/jobs.db", "FILE_UNKNOWN"),
+    "a file of 0 bytes": ("/v1/files/assets/a%00b", "FILE_UNKNOWN"),
+    "a file of 300 letters": ("/v1/files/assets/" + "y" * 300, "FILE_UNKNOWN"),
+    "a viewer of nothing": ("/view/%2e%2e", "KEY_INVALID"),
+    "no page": ("/nowhere", "NOT_FOUND"),
+    "no module": ("/web/nowhere.js", "NOT_FOUND"),
+    "a module that leads out": ("/web/%2e%2e/app.py", "NOT_FOUND"),
+    "a module of 0 bytes": ("/web/%00", "NOT_FOUND"),
+    "a module of 300 letters": ("/web/" + "x" * 300, "NOT_FOUND"),
+}
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", GETS)
+def test_what_is_not_there_is_said(name: str, product: Product) -> None:
+    path, code = GETS[name]
+    assert problem_of(product.client.get(path))["code"] == code
+
+
+@pytest.mark.parametrize("number", ["abc", "-1", "1.5", "9" * 30, "\N{ARABIC-INDIC DIGIT ONE}".encode()])
+def test_a_malformed_last_event_id_is_refused(number: str, product: Product) -> None:
+    answer = product.client.get("/v1/jobs/job_unknown/events", headers={"Last-Event-ID": number})
+    assert problem_of(answer)["code"] == "REQUEST_INVALID"
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        *("potato", "bytes", "bytes=", "bytes=-", "bytes=abc", "bytes=5-2", "bytes=--1", "bytes=0-1,3-4", "lines=0-1"),
+        *("bytes=" + "9" * 5000 + "-", "bytes=-" + "9" * 5000, "bytes=0-" + "9" * 5000, "bytes=\u0661-".encode()),
+    ],
+)
+def test_what_is_no_range_gives_the_whole_file_or_416(wanted: str, product: Product) -> None:
+    """RFC 9110, 14.2: a malformed Range is ignored; one behind the end is 416."""
+    whole = product.client.get(product.file).content
+    answer = product.client.get(product.file, headers={"Range": wanted})
+    if answer.status_code == 416:
+        assert problem_of(answer)["code"] == "RANGE_UNSATISFIABLE"
+        assert answer.headers["content-range"] == f"bytes */{len(whole)}"
+    else:
+        assert answer.status_code in (200, 206)
+        assert answer.content == whole
+
+
+PATHS = ["/", "/view/dress", "/v1/captures", "/v1/jobs", "/v1/jobs/x", "/v1/jobs/x/events", "/v1/jobs/x/cancel"]
+PATHS += ["/v1/presets", "/v1/assets", "/v1/assets/dress", "/v1/assets/dress/lod/0", "/v1/assets/dress/qr.svg"]
+PATHS += ["/livez", "/readyz", "/metrics", "/openapi.json", "/web/nowhere.js"]
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("path", PATHS)
+def test_other_methods_are_refused_or_harmless(path: str, product: Product) -> None:
+    for method in ("OPTIONS", "PUT", "DELETE", "PATCH", "TRACE", "BREW"):
+        assert problem_of(product.client.request(method, path))["code"] in ("METHOD_NOT_ALLOWED", "NOT_FOUND")
+    head = product.client.head(path)
+    assert head.status_code in (200, 404, 405)
+    assert head.content == b""
+
+
+def talk(product: Product, request: bytes, *, leave: bool) -> bytes:
+    """Send bytes and hear the answer to its end; `leave` hangs up at once."""
+    host, port = product.url.removeprefix("http://").split(":")
+    heard = b""
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as connection:
+        connection.sendall(request)
+        while not leave and (block := connection.recv(65536)):
+            heard += block
+    return heard
+
+
+def upload(length: object, body: bytes, *extra: str) -> bytes:
+    lines = ["POST /v1/captures HTTP/1.1", "Host: x", "Content-Type: application/zip", f"Content-Length: {length}"]
+    return "\r\n".join([*lines, *extra, "", ""]).encode() + body
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("sent", [0, 4, 3_000_000])
+def test_an_upload_that_breaks_off_leaves_nothing(sent: int, product: Product) -> None:
+    archive = b"PK\x03\x04" + bytes(4_000_000)
+    talk(product, upload(len(archive), archive[:sent]), leave=True)
+    assert product.client.get("/readyz").is_success
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize(
+    ("length", "status"), [(10, 422), (10**12, 413), (-1, 400), ("ten", 400), ("5, 7", 400), (10**30, 400)]
+)
+def test_a_length_that_lies_is_refused(length: object, status: int, product: Product) -> None:
+    body = zipped({"scan.ply": HTML})
+    answer = talk(product, upload(length, body, "Connection: close"), leave=False)
+    assert answer.startswith(f"HTTP/1.1 {status} ".encode())
+    assert b"Traceback" not in answer
+
+
+def test_the_product_goes_on(product: Product) -> None:
+    """After all of this. The gateway's first process still serves: a crash would have closed its connections."""
+    assert product.client.get("/readyz").json()["ready"]
+    assert "Traceback" not in product.logged()
