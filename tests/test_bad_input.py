@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import socket
 import subprocess
@@ -134,7 +135,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
 
     def run(*arguments: object) -> Said:
-        monkeypatch.setattr(sys, "argv", ["capture2vr", "run", *map(str, arguments), "-o", str(tmp_path / "out")])
+        monkeypatch.setattr(sys, "argv", ["capture2vr", "run", "-o", str(tmp_path / "out"), *map(str, arguments)])
         with pytest.raises(SystemExit) as left:
             command_line.main()
         assert not (tmp_path / "out").exists()
@@ -178,6 +179,10 @@ def test_as_a_process_of_its_own(name: str, tmp_path: Path) -> None:
         (["good.ply", "--preset", "magic"], ["magic", "draft"]),
         (["good.ply", "--key", "../escape"], ["../escape"]),
         (["good.ply", "--key", "a b"], ["a b"]),
+        (["pipe.ply"], ["pipe.ply"]),
+        (["x" * 300 + ".ply"], ["x" * 300]),
+        (["good.ply", "-o", "good.ply"], ["good.ply"]),
+        (["good.ply", "-o", "good.ply/out"], ["good.ply"]),
         (["bell\a\nring.ply"], ["ring.ply"]),
         ([b"caf\xe9.ply".decode("utf-8", "surrogateescape")], [".ply"]),
     ],
@@ -187,6 +192,7 @@ def test_bad_arguments_too(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_ply(tmp_path / "good.ply", np.random.default_rng(0).normal(size=(500, 3)))
+    os.mkfifo(tmp_path / "pipe.ply")
     said = run(*arguments)
     assert said.code == 2
     (line,) = said.lines

@@ -120,11 +120,14 @@ def version() -> None:
 
 
 def main() -> None:
-    """Entry point: bad input ends with one sentence on stderr and exit code 2, never with a traceback."""
+    """Entry point: bad input ends with one sentence on stderr and exit code 2, without a traceback."""
     try:
         app()
     except BadInput as error:
         typer.echo(f"capture2vr: {plain(str(error))}", err=True)
+        sys.exit(2)
+    except OSError as error:  # a disk that is full, a file that may not be read
+        typer.echo(f"capture2vr: {plain(str(error.filename or ''))}: {error.strerror or error}", err=True)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

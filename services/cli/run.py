@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import tempfile
@@ -29,8 +30,7 @@ def run_capture(source: Path, out: Path, *, preset: str, resolution: int, isolat
         raise BadInput(
             f"'{key}' is no asset key: use 1 to 100 letters, digits, '.', '_' or '-', a letter or digit first"
         )
-    if out.exists() and not out.is_dir():
-        raise BadInput(f"{out} is a file; name a folder with -o")
+    _check_writable(out)
     try:
         chosen = load_preset(preset)
         chosen = replace(chosen, resolution=resolution or chosen.resolution)
@@ -46,10 +46,21 @@ def key_from(source: Path) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("._-")[:100] or "capture"
 
 
+def _check_writable(out: Path) -> None:
+    """Find out before the work, not after it."""
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise BadInput(f"{there} is a file; name a folder with -o")
+    if not os.access(there, os.W_OK):
+        raise BadInput(f"{there} cannot be written to; name another folder with -o")
+
+
 def opened(source: Path, scratch: Path) -> Path:
     """The capture's folder or file: an archive is unpacked into `scratch` first."""
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
+    if not source.is_file() and not source.is_dir():
+        raise BadInput(f"{source} is neither a file nor a folder")  # reading a pipe or a device may never end
     # Record3D's archive is read as it is; another file's name promises an archive whatever its bytes are.
     if source.is_file() and source.suffix.lower() != ".r3d" and (source.suffix.lower() == ".zip" or is_zip(source)):
         unpack(source, scratch / "capture")
