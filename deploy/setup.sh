@@ -41,6 +41,8 @@ tests() {
   have node || packages+=(nodejs npm)
   have radosgw || packages+=(radosgw ceph-mon ceph-osd ceph-common)
   have curl || packages+=(curl)
+  compgen -G '/usr/lib/postgresql/*/bin/postgres' >/dev/null || packages+=(postgresql)
+  have nginx || packages+=(nginx-core)
   have git || packages+=(git)
   [[ ${#packages[@]} == 0 ]] || apt_install "the test suite" "${packages[@]}" ||
     echo "setup: tests that need them will be skipped" >&2

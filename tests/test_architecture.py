@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from services.cli.main import app
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -50,3 +52,10 @@ def test_the_page_libraries_name_only_files_that_are_there() -> None:
 
 def test_no_folder_of_protos_is_a_package() -> None:
     assert list((ROOT / "proto").rglob("__init__.py")) == []
+
+
+def test_every_command_that_the_readme_names_exists() -> None:
+    named = set(re.findall(r"capture2vr (\w+)", (ROOT / "README.md").read_text()))
+    commands = {command.callback.__name__ for command in app.registered_commands if command.callback}
+    assert named - commands == set()
+    assert {"run", "up", "push", "pull", "doctor"} <= named

@@ -7,11 +7,14 @@ import signal
 import threading
 from pathlib import Path
 
+import httpx
+
+from services.cli.errors import answer_of
 from services.cli.progress import console
 from services.cli.pull import pull_asset
 from services.cli.push import push_capture
 from services.cli.run import key_from
-from services.cli.up import Stack, running
+from services.cli.up import DEFAULT_PORT, Stack, is_free, running
 
 _KEY = "demo-garment"
 
@@ -21,15 +24,24 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     out.mkdir(parents=True, exist_ok=True)
     key = key_from(capture) if capture else _KEY
     source = capture or _simulated(out)
-    with running("127.0.0.1", 0, out / "data") as stack:
+    with running("127.0.0.1", _port(), out / "data") as stack:
         job = push_capture(source, stack.url, key=key, preset="", label=key, isolate=capture is None)
         pull_asset(key, out / "asset", stack.url, cache=out / "cache")
-        (out / "report.json").write_text(json.dumps(job, indent=2) + "\n")
+        entry = answer_of(httpx.get(f"{stack.url}/v1/assets/{key}"))
+        manifest = answer_of(httpx.get(f"{stack.url}{entry['manifest']['url']}"))
+        (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")
         console.print(f"picture  {out / 'asset' / 'preview.png'}")
         console.print(f"report   {out / 'report.json'}")
         console.print(f"viewer   {stack.url}/view/{key}")
         if keep:
             _serve_until_interrupted(stack)
+        else:
+            console.print(f"to look at it: capture2vr up --data {out / 'data'}")
+
+
+def _port() -> int:
+    """The usual port, so that `up` serves the same address afterwards; any free one where it is taken."""
+    return DEFAULT_PORT if is_free("127.0.0.1", DEFAULT_PORT) else 0
 
 
 def _simulated(out: Path) -> Path:

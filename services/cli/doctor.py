@@ -105,7 +105,7 @@ def _storage() -> Iterator[Finding]:
 def _gateway(url: str) -> Iterator[Finding]:
     try:
         answer = httpx.get(f"{url}/readyz", timeout=2.0)
-    except httpx.TransportError:
+    except (httpx.TransportError, httpx.InvalidURL):
         yield Finding("gateway", "note", f"nothing answers at {url}; start one with: capture2vr up")
         return
     yield Finding("gateway", "ok" if answer.is_success else "bad", f"{url}: {answer.text[:200]}")

@@ -97,12 +97,14 @@ def gateway() -> None:
 def demo(
     capture: Annotated[Path | None, typer.Argument(help="Your own capture; a simulated one otherwise.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("demo"),
-    keep: Annotated[bool, typer.Option("--keep/--stop", help="Keep serving the viewer until interrupted.")] = True,
+    keep: Annotated[
+        bool | None, typer.Option("--keep/--stop", help="Go on serving the viewer; in a terminal that is the default.")
+    ] = None,
 ) -> None:
     """Everything once, on this machine, without a network: phone, gateway, worker, store, viewer."""
     from services.cli.demo import run_demo
 
-    run_demo(capture, out, keep=keep)
+    run_demo(capture, out, keep=sys.stdout.isatty() if keep is None else keep)
 
 
 @app.command()

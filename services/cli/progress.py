@@ -1,26 +1,49 @@
-"""The progress bar that every command shows."""
+"""How far the work is: a bar in a terminal, a line per stage in a log."""
 
 from __future__ import annotations
+
+from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-console = Console(stderr=True, markup=False)  # what is printed holds file names, which may have brackets in them
+console = Console(stderr=True, soft_wrap=True)
+
+
+class StageBar:
+    """`with StageBar() as bar: bar.show("FITTING", 0.4, "10,000 points")`"""
+
+    def __init__(self) -> None:
+        self._stage = ""
+        self._bar = Progress(
+            TextColumn("{task.description:<12}", style="bold", markup=False),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[message]}", markup=False),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=1.0, message="")
+
+    def show(self, stage: str, fraction: float, message: str = "") -> None:
+        """The stage, the share of the whole in [0,1], and what the stage says of itself."""
+        self._bar.update(self._task, description=stage, completed=fraction, message=message)
+        if stage != self._stage and not console.is_terminal:
+            console.print(f"{stage:<12} {fraction:4.0%}  {message}".rstrip(), highlight=False, markup=False)
+        self._stage = stage
+
+    def __enter__(self) -> StageBar:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
 
 
 def warn(text: str) -> None:
     """A line that begins with a yellow "warning"."""
     console.print(Text("warning ", style="yellow").append(text, style="default"))
-
-
-def stage_bar() -> Progress:
-    """A bar with the stage's name, percentage, elapsed time and what the stage says of itself."""
-    return Progress(
-        TextColumn("{task.description:<12}", style="bold", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[message]}", markup=False),
-        console=console,
-    )

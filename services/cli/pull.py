@@ -27,7 +27,7 @@ def pull_asset(key: str, out: Path, gateway: str, *, cache: Path | None) -> None
             entry = answer_of(client.get(f"/v1/assets/{key}"))
             out.mkdir(parents=True, exist_ok=True)
             rows = [(item, _fetch(client, item, out, cache)) for item in entry["files"]]
-    except httpx.TransportError as error:
+    except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     console.print(_table(key, entry, rows))
 

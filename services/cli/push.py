@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from rich.progress import Progress as Bar
-from rich.progress import TaskID
 
 from services.cli.errors import BadInput, answer_of
-from services.cli.progress import console, stage_bar, warn
-from services.storage.archives import pack
+from services.cli.progress import StageBar, console, warn
+from services.storage.archives import is_zip, pack
 
 _CHUNK_BYTES = 256 << 10
 _TIMEOUT = httpx.Timeout(30.0, read=60.0)  # the gateway says something at least every 15 s while a job runs
@@ -30,9 +28,8 @@ def push_capture(source: Path, gateway: str, *, key: str, preset: str, label: st
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
     try:
-        with httpx.Client(base_url=gateway, timeout=_TIMEOUT) as client, stage_bar() as bar:
-            task = bar.add_task("UPLOADING", total=1.0, message=source.name)
-            capture = upload(client, source, bar, task)
+        with httpx.Client(base_url=gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
+            capture = upload(client, source, bar)
             request = {"capture": capture["capture"], "asset_key": key, "label": label or key, "isolate": isolate}
             if preset:
                 request["preset"] = preset
@@ -40,22 +37,22 @@ def push_capture(source: Path, gateway: str, *, key: str, preset: str, label: st
             job = answer_of(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
             for state in follow(client, job["id"]):
                 job = state
-                bar.update(task, description=job["stage"] or job["state"], completed=job["fraction"], message="")
-    except httpx.TransportError as error:
+                bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "")
+    except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     return _outcome(job, gateway)
 
 
-def upload(client: httpx.Client, source: Path, bar: Bar, task: TaskID) -> Any:
+def upload(client: httpx.Client, source: Path, bar: StageBar) -> Any:
     """POST the capture as one zip, made on the way where the source is not one already."""
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
         archive = source
-        if not _is_zip(source):
+        if not (source.is_file() and is_zip(source)):
             archive = Path(scratch) / "capture.zip"
             pack(source, archive)
         size = archive.stat().st_size
         headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
-        answer = client.post("/v1/captures", content=_chunks(archive, size, bar, task), headers=headers)
+        answer = client.post("/v1/captures", content=_chunks(archive, size, bar), headers=headers)
         return answer_of(answer, file=source.name)
 
 
@@ -85,20 +82,14 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
         time.sleep(_RECONNECT_S)
 
 
-def _chunks(archive: Path, size: int, bar: Bar, task: TaskID) -> Iterator[bytes]:
+def _chunks(archive: Path, size: int, bar: StageBar) -> Iterator[bytes]:
     sent = 0
+    bar.show("UPLOADING", 0.0, f"{size / 1e6:.1f} MB")
     with archive.open("rb") as file:
         while chunk := file.read(_CHUNK_BYTES):
             yield chunk
             sent += len(chunk)
-            bar.update(task, completed=sent / size, message=f"{sent / 1e6:.1f} of {size / 1e6:.1f} MB")
-
-
-def _is_zip(source: Path) -> bool:
-    if not source.is_file():
-        return False
-    with source.open("rb") as file:
-        return file.read(4) == b"PK\x03\x04"
+            bar.show("UPLOADING", sent / size, f"{sent / 1e6:.1f} of {size / 1e6:.1f} MB")
 
 
 def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:

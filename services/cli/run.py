@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from services.cli.errors import BadInput, plain, sentence
-from services.cli.progress import console, stage_bar, warn
+from services.cli.progress import StageBar, console, warn
 from services.edge.errors import EdgeError
 from services.edge.pipeline import Progress, reconstruct
 from services.edge.preset import Preset, load_preset
@@ -71,19 +71,19 @@ def opened(source: Path, scratch: Path) -> Path:
 def _reconstruct_into(out: Path, folder: Path, preset: Preset, isolate: bool, key: str, label: str) -> None:
     from services.edge.capture import read_capture
 
-    with stage_bar() as bar:
-        task = bar.add_task("VALIDATING", total=1.0, message="")
+    with StageBar() as bar:
 
         def show(progress: Progress) -> None:
-            bar.update(task, description=progress.stage, completed=progress.fraction, message=progress.message)
+            bar.show(progress.stage, progress.fraction, progress.message)
 
+        bar.show("VALIDATING", 0.0)
         capture = read_capture(folder)
         for step in reconstruct(capture, preset, isolate=isolate, label=label, watch=show):
             if isinstance(step, Bundle):
                 report = _write(out, step, key)
             else:
                 show(step)
-        bar.update(task, description="DONE", completed=1.0, message="")
+        bar.show("DONE", 1.0)
     _print_result(out, report)
 
 
@@ -121,4 +121,4 @@ def _print_result(out: Path, report: dict[str, Any]) -> None:
 
 def _told(error: EdgeError | ArchiveError, source: Path) -> str:
     file = f"{source.name}/{error.file}" if error.file and error.file != source.name else source.name
-    return sentence(error.message, file=file, hints=tuple(getattr(error, "hints", ())))
+    return sentence(error.message, file=file, hints=error.hints)

@@ -18,6 +18,7 @@ import httpx
 from services.cli.errors import BadInput
 from services.cli.progress import console, warn
 
+DEFAULT_PORT = 8080
 _READY_S = 60.0  # a cold start on a busy two-core machine takes 3 s
 _STOP_S = 15.0  # the worker drains within EDGE_DRAIN_S, set below
 _DRAIN_S = 10
@@ -129,6 +130,15 @@ def free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
+
+
+def is_free(host: str, port: int) -> bool:
+    """Whether one could listen there."""
+    try:
+        _check_free(host, port)
+    except BadInput:
+        return False
+    return True
 
 
 def _check_free(host: str, port: int) -> None:

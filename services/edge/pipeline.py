@@ -20,6 +20,7 @@ from services.edge.errors import EdgeError
 from services.edge.field.denoise import denoise
 from services.edge.field.local import local_field
 from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
+from services.edge.mesh.band import part_of
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.points import Points, UnitFrame, at_most, to_points, unit_frame
 from services.edge.preset import Preset
@@ -35,6 +36,7 @@ STAGE_STARTS = {
     "PACKING": 0.80,
     "PUBLISHING": 0.95,
 }
+EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,9 @@ def _bundle(
     yield _starts("EXTRACTING", f"{resolution} cells along the longest side")
     with clock("EXTRACTING"):
         tick = _inside("EXTRACTING", watch)
-        mesh_unit = clean(extract(distance, xyz_unit, resolution=resolution, tick=tick), xyz_unit)
+        raw = extract(distance, xyz_unit, resolution=resolution, tick=part_of(tick, 0, EXTRACT_SHARE))
+        mesh_unit = clean(raw, xyz_unit, tick=part_of(tick, EXTRACT_SHARE, 1))
+        del raw
     if len(mesh_unit.faces) == 0:
         raise EdgeError(
             "EXTRACTION_EMPTY",

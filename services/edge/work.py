@@ -66,7 +66,7 @@ def _capture_of(archive: Path, scratch: Path) -> Capture:
     try:
         unpack(archive, folder)
     except ArchiveError as error:
-        raise CaptureError(error.code, error.message, file=error.file) from None
+        raise CaptureError(error.code, error.message, file=error.file, hints=error.hints) from None
     return read_capture(folder)
 
 

@@ -199,6 +199,8 @@ async def _upload(
     offset = 0
     try:
         await call.write(pb.Chunk(header=header))
+        # The worker admits the upload by its metadata. A refusal that overtook a write would reach us as INTERNAL.
+        await call.initial_metadata()
         try:
             async for block in data:
                 digest.update(block)

@@ -17,6 +17,9 @@ from starlette.exceptions import HTTPException
 
 MEDIA_TYPE = "application/problem+json"
 
+_SEE = ("see /openapi.json",)
+_AGAIN = ("try again in a moment",)
+
 _log = logging.getLogger(__name__)
 
 
@@ -30,7 +33,7 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
     retryable  whether the same request may succeed later
     stage      of the job in which it happened, or ""
     file       of the capture that it concerns, or ""
-    hints      what the person can do about it
+    hints      what the person can do about it; to try again, unless said otherwise, where that may help
     headers    of the answer, e.g. Retry-After
     """
 
@@ -55,7 +58,7 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
         self.retryable = retryable
         self.stage = stage
         self.file = file
-        self.hints = hints
+        self.hints = hints or (_AGAIN if retryable else ())
         self.headers = headers or {}
 
     def document(self) -> dict[str, Any]:
@@ -105,11 +108,20 @@ async def _on_http_exception(_: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     status = HTTPStatus(error.status_code)
     detail = error.detail if isinstance(error.detail, str) else status.phrase
-    return Problem(status.value, status.name, detail, headers=dict(error.headers or {})).response()
+    return Problem(status.value, status.name, detail, hints=_SEE, headers=dict(error.headers or {})).response()
 
 
-async def _on_invalid_request(_: Request, error: Exception) -> JSONResponse:
+async def _on_invalid_request(request: Request, error: Exception) -> JSONResponse:
     """Names every field at fault and why; the values are not repeated, they may be anything."""
     assert isinstance(error, RequestValidationError)
+    if any(fault["loc"] == ("body",) for fault in error.errors()) and not _is_json(request):
+        detail = "the body must be JSON, sent as Content-Type: application/json"
+        return Problem(415, "REQUEST_MEDIA_TYPE", detail, hints=_SEE).response()
     faults = tuple(f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}" for fault in error.errors())
-    return Problem(422, "REQUEST_INVALID", "; ".join(faults), hints=("see /openapi.json",)).response()
+    return Problem(422, "REQUEST_INVALID", "; ".join(faults), hints=_SEE).response()
+
+
+def _is_json(request: Request) -> bool:
+    """Whether the body is said to be JSON: any other is not looked into."""
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    return media_type == "application/json" or media_type.endswith("+json")

@@ -129,4 +129,5 @@ def _declared(headers: Headers) -> int:
 
 
 def _too_large(limit: int) -> Problem:
-    return Problem(413, "REQUEST_TOO_LARGE", f"the request's body may have {limit:,} bytes")
+    detail = f"the request's body may have {limit:,} bytes"
+    return Problem(413, "REQUEST_TOO_LARGE", detail, hints=("send less at once",))

@@ -69,14 +69,27 @@ class Limits:
 DEFAULT = Limits()
 
 
+_WHAT_TO_DO = {
+    "ARCHIVE_TRAVERSAL": "zip the files again, as plain files in one folder",
+    "ARCHIVE_BOMB": "send the files themselves, or zip them without compression",
+    "ARCHIVE_NESTED": "unpack the inner archive and zip its files",
+    "ARCHIVE_TOO_MANY_ENTRIES": "send fewer frames, for example every second one",
+    "ARCHIVE_BROKEN": "zip the files again, without a password, and send all of it",
+}
+
+
 class ArchiveError(Exception):
-    """The archive is hostile or broken. code: ARCHIVE_...; message: one sentence; file: the entry at fault or None."""
+    """The archive is hostile or broken.
+
+    code: ARCHIVE_...; message: one sentence; file: the entry at fault or None; hints: what the person can do about it
+    """
 
     def __init__(self, code: str, message: str, file: str | None = None) -> None:
         super().__init__(f"{file}: {message}" if file else message)
         self.code = code
         self.message = message
         self.file = file
+        self.hints = (_WHAT_TO_DO[code],)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +125,16 @@ def pack(source: Path, archive: Path) -> None:
     root = source.parent if source.is_file() else source
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as target:
         for path in paths:
-            info = zipfile.ZipInfo(path.relative_to(root).as_posix(), _EPOCH)
+            info = zipfile.ZipInfo(_unicode(path.relative_to(root)), _EPOCH)
             info.external_attr = 0o644 << 16
             info.file_size = path.stat().st_size  # zipfile decides by it whether the entry needs 64-bit sizes
             with path.open("rb") as content, target.open(info, "w") as sink:
                 shutil.copyfileobj(content, sink, _BLOCK_BYTES)
+
+
+def _unicode(path: Path) -> str:
+    """The path as a zip can hold it: bytes of a name that are no UTF-8 become replacement characters."""
+    return path.as_posix().encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def is_zip(path: Path) -> bool:
@@ -272,7 +290,7 @@ def _check_growth(entry: _Entry, size: int, total: int, limits: Limits, archive_
 def _check_not_nested(path: Path, name: str) -> None:
     with path.open("rb") as file:
         if _is_archive(file):
-            raise ArchiveError("ARCHIVE_NESTED", "an archive inside the archive; upload it by itself", name)
+            raise ArchiveError("ARCHIVE_NESTED", "an archive inside the archive", name)
 
 
 def _is_archive(file: BinaryIO) -> bool:

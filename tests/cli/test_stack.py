@@ -131,5 +131,14 @@ def test_the_demo_ends_with_picture_report_and_viewer(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert "/view/demo-garment" in result.stderr
     report = json.loads((tmp_path / "demo" / "report.json").read_text())
-    assert report["state"] == "SUCCEEDED"
+    assert report["job"]["state"] == "SUCCEEDED"
+    assert report["asset"]["quality"]["components"] == 1
+    assert report["asset"]["scale_confidence"] == "metric"
+    stages = [line.split()[0] for line in result.stderr.splitlines() if "%" in line]
+    assert [stage for stage in ("UPLOADING", "POINT_CLOUD", "EXTRACTING", "PACKING") if stage in stages] == [
+        "UPLOADING",
+        "POINT_CLOUD",
+        "EXTRACTING",
+        "PACKING",
+    ]
     assert (tmp_path / "demo" / "asset" / "preview.png").stat().st_size > 10_000

@@ -161,6 +161,8 @@ def test_a_bad_file_has_its_code(name: str, tmp_path: Path) -> None:
             read_capture(place)
         assert (caught.value.code, caught.value.file) == (code, file)
         assert caught.value.message
+        assert all(caught.value.hints)
+        assert caught.value.hints
         assert not caught.value.retryable
 
 
@@ -356,6 +358,7 @@ def test_a_bad_recording_has_its_code(name: str, tmp_path: Path) -> None:
         read_capture(folder)
     assert caught.value.code == code
     assert caught.value.message
+    assert caught.value.hints
 
 
 def test_an_unpacking_bomb_in_an_r3d_is_refused(tmp_path: Path) -> None:

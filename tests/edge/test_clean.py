@@ -15,11 +15,13 @@ from services.edge.errors import Cancelled
 from services.edge.field import local_field
 from services.edge.mesh.clean import clean
 from services.edge.mesh.clip import clip
+from services.edge.mesh.edges import border_edges, border_loops, edges_of
 from services.edge.mesh.extract import extract
 from services.edge.mesh.holes import fill_holes, zip_tears
+from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.metrics import area, compare
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import border_edges, border_loops, edges_of, orient, pieces_of, to_manifold
+from services.edge.mesh.topology import orient, pieces_of
 from tests import surfaces
 
 TETRAHEDRON = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])

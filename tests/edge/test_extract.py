@@ -17,9 +17,9 @@ from services.edge.mesh.crossings import find_crossings
 from services.edge.mesh.dual import connect
 from services.edge.mesh.extract import extract
 from services.edge.mesh.grid import SIDE, STEP, find, grid_around
+from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.metrics import Mesh, chamfer_l1, edge_faces, pieces
 from services.edge.mesh.spacing import auto_resolution, point_spacing
-from services.edge.mesh.topology import to_manifold
 from tests import surfaces
 
 

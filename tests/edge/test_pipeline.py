@@ -74,7 +74,7 @@ def test_the_resolution_of_a_preset_is_obeyed() -> None:
     assert fine.manifest["quality"]["triangles"] > 4 * coarse.manifest["quality"]["triangles"]
 
 
-@pytest.mark.parametrize("stage", ["FITTING", "EXTRACTING", "PACKING"])
+@pytest.mark.parametrize("stage", ["POINT_CLOUD", "EXTRACTING", "PACKING"])
 def test_it_stops_where_it_is_told_to(stage: str) -> None:
     def stop(progress: Progress) -> None:
         if progress.stage == stage:

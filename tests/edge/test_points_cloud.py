@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture import Capture, Cloud, read_capture
 from services.edge.errors import CaptureError
-from services.edge.points import to_points, unit_frame
+from services.edge.points import Points, at_most, to_points, unit_frame
 from services.edge.points.grid import cell_keys, key_cells, sum_groups
 from services.edge.points.outliers import connected, inliers
 from services.edge.points.thin import thin
@@ -225,3 +225,15 @@ def test_real_dress_survives_strays(data_dir: Path) -> None:
     strays = np.random.default_rng(0).uniform(*dress.bounds, (500, 3))
     kept = cKDTree(to_points(cloud(np.concatenate([xyz, strays]))).xyz)
     assert np.mean(kept.query(xyz)[0] < 1e-9) > 0.998
+
+
+@given(st.integers(200, 3000), st.integers(100, 1000))
+def test_at_most_is_at_most_and_keeps_the_extent(count: int, most: int) -> None:
+    xyz = np.random.default_rng(count).random((count, 3)) * [1.0, 2.0, 0.001]
+    points = Points(xyz, None, np.ones(count, np.float32), 1.0, "metric", None)
+    fewer = at_most(points, most)
+    assert len(fewer) <= most
+    assert len(fewer.confidence) == len(fewer)
+    assert len(fewer) == count if count <= most else len(fewer) > most / 8
+    assert np.ptp(fewer.xyz, axis=0)[1] > 1.5
+    assert bool(fewer.warnings) == (count > most)

@@ -221,3 +221,23 @@ def test_a_real_dress_keeps_neck_sleeves_and_hem(data_dir: Path, budget: int) ->
     assert len(coarse.faces) <= budget
     assert borders(coarse) == borders(mesh)
     assert crowded(coarse) <= crowded(mesh)
+
+
+def perforated(holes: int = 24, cells: int = 6) -> Mesh:
+    """A square sheet with `holes` × `holes` square openings, each in a block of `cells` × `cells` quads."""
+    side = holes * cells
+    sheet = surfaces.patch(lambda u, v: [u, v, 0 * u], side, side)
+    row, column = np.divmod(np.arange(len(sheet.faces)) // 2, side)
+    opening = ((row % cells) // 2 == 1) & ((column % cells) // 2 == 1)
+    return welded(Mesh(sheet.vertices, sheet.faces[~opening]))
+
+
+@pytest.mark.parametrize("collapse", COLLAPSES)
+def test_a_budget_that_cannot_hold_all_openings_wins_over_them(collapse: Collapse) -> None:
+    mesh = perforated()
+    openings = 24 * 24
+    budget = 2 * openings  # an opening needs more than two faces around it
+    coarse = simplify(mesh, budget, collapse=collapse)
+    assert len(coarse.faces) <= budget
+    assert (edge_faces(coarse.faces).faces <= 2).all()
+    assert chamfer_l1(coarse, mesh, samples=5_000) < 0.05

@@ -18,6 +18,7 @@ from services.gateway.settings import GatewaySettings
 from services.storage.memory import MemoryStore
 from tests.gateway.support import capture, gateway, listening, memory
 
+JSON = {"Content-Type": "application/json"}
 _SECRET = "/home/somebody/secret-4711"
 
 
@@ -43,7 +44,7 @@ async def test_what_the_framework_refuses(client: httpx.AsyncClient) -> None:
     assert problem(await client.get("/web/nowhere.js")) == (404, "NOT_FOUND")
     assert problem(await client.get("/web/../app.py")) == (404, "NOT_FOUND")
     assert problem(await client.delete("/v1/jobs")) == (405, "METHOD_NOT_ALLOWED")
-    assert problem(await client.post("/v1/jobs", content=b"{")) == (422, "REQUEST_INVALID")
+    assert problem(await client.post("/v1/jobs", content=b"{", headers=JSON)) == (422, "REQUEST_INVALID")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -17,19 +16,30 @@ from services.gateway.jobs.reports import Finished, Progressed, Published
 from services.gateway.jobs.store import JobStore
 from services.gateway.jobs.tables import metadata, open_engine
 from services.gateway.jobs.transitions import Change, Retry, StaleFence, cancel_requested, leased, reported, taken_over
+from tests.conftest import missing
+from tests.postgres import programs, running
 
 ORDER = Order("cap_1", "draft", "dress", "Dress", isolate=True)
 RETRY = Retry(3, 1.0)
 
 
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[str]:
+    """The URL of a real Postgres."""
+    found = programs()
+    if found is None:
+        missing("a Postgres server")
+    assert found is not None
+    with running(found) as url:
+        yield url
+
+
 @pytest.fixture(params=["sqlite", "postgres"])
 def url(tmp_path: Path, request: pytest.FixtureRequest) -> str:
-    """An empty database of each kind; Postgres where $CAPTURE2VR_TEST_POSTGRES is the URL of one to wipe."""
+    """An empty database of each kind."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path / 'jobs.db'}"
-    found = os.environ.get("CAPTURE2VR_TEST_POSTGRES", "")
-    if not found:
-        pytest.skip("CAPTURE2VR_TEST_POSTGRES names no database")
+    found: str = request.getfixturevalue("postgres")
     engine = open_engine(found)
     metadata.drop_all(engine)
     engine.dispose()

@@ -220,7 +220,7 @@ async def test_a_cut_zip_is_broken(gateway: Gateway) -> None:
 async def test_an_upload_of_nothing_is_empty(gateway: Gateway) -> None:
     assert_problem(await gateway.send_raw(b""), 422, "CAPTURE_EMPTY")
     assert_problem(await gateway.send(("", b"")), 422, "CAPTURE_EMPTY")
-    assert_problem(await gateway.send(("a.ply", b"")), 422, "CAPTURE_EMPTY")
+    assert_problem(await gateway.send(("a.ply", b"")), 422, "CAPTURE_EMPTY", "a.ply")
     assert_problem(await gateway.send(("a.exe", b"MZ\0\1")), 422, "CAPTURE_UNKNOWN_FORMAT", "a.exe")
     gateway.assert_empty()
 
@@ -330,6 +330,7 @@ class _Worker(edge_pb2_grpc.EdgeReconstructionServicer):
         return pb.Worker(version="1", slots=1, free_slots=1)
 
     async def Inspect(self, chunks: AsyncIterator[pb.Chunk], context: Any) -> pb.Inspection:  # noqa: N802
+        await context.send_initial_metadata(())  # admits the upload, as edge.proto has it
         self.received = b"".join([chunk.data.data async for chunk in chunks])
         return self.verdict
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import os
 import stat
 import struct
 import tarfile
@@ -35,6 +36,7 @@ def assert_refused(code: str, archive: Path, limits: Limits | None = None) -> Ar
     with pytest.raises(ArchiveError) as caught:
         unpack(archive, archive.parent / "into", limits or Limits())
     assert caught.value.code == code, caught.value
+    assert caught.value.hints
     assert sorted(archive.parent.rglob("*")) == before
     return caught.value
 
@@ -50,6 +52,13 @@ def test_files_come_out_as_they_went_in(tmp_path: Path) -> None:
     files = unpack(archive, tmp_path / "into")
     assert names(tmp_path / "into", files) == ["a.json", "b/1.jpg", "b/2.jpg"]
     assert (tmp_path / "into" / "b" / "1.jpg").read_bytes() == JPEG + b"1"
+
+
+def test_a_name_that_is_no_unicode_is_packed_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / os.fsdecode(b"caf\xe9.ply")).write_bytes(b"ply\n")
+    pack(tmp_path / "in", tmp_path / "a.zip")
+    assert names(tmp_path / "into", unpack(tmp_path / "a.zip", tmp_path / "into")) == ["caf\ufffd.ply"]
 
 
 def test_an_empty_folder_may_be_there_already(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (tum.matches, tum.read),  # last: any folder called "depth" is enough for it
 )
 _CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf")
+_ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
 _PHOTO_MAGIC = (b"\xff\xd8\xff", b"\x89PNG", b"II*\0", b"MM\0*", b"RIFF")
 # Tables of numbers that belong to a recording and are no clouds.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
@@ -107,8 +108,10 @@ def _not_found(folder: Folder) -> CaptureError:
             file=only,
             hints=("scan with a LiDAR app such as Stray Scanner, Record3D or Polycam",),
         )
-    if any(head.startswith(b"PK\x03\x04") for head in heads):
-        return CaptureError("CAPTURE_UNKNOWN_FORMAT", "is an archive inside the capture", file=only, hints=(_HINT,))
+    archive = next((name for name, head in zip(folder.names, heads, strict=True) if head.startswith(_ARCHIVES)), None)
+    if archive is not None:
+        hint = "unpack it and send the files"
+        return CaptureError("CAPTURE_UNKNOWN_FORMAT", "is an archive, which is not opened", file=archive, hints=(hint,))
     return CaptureError("CAPTURE_UNKNOWN_FORMAT", "holds no format that is known here", file=only, hints=(_HINT,))
 
 

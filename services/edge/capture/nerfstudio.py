@@ -61,10 +61,7 @@ def _shot(folder: Folder, frame: Mapping[str, Any], depth: str) -> Shot:
     colour = folder.inside(frame["file_path"], by=FILE) if "file_path" in frame else None
     colour = colour if colour is not None and folder.has(colour) else None
     pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {depth}").reshape(4, 4)
-    scale = (
-        number(frame, "depth_unit_scale_factor", file=FILE) if "depth_unit_scale_factor" in frame else METRES_PER_STEP
-    )
-    source = depth_file(folder.path(depth), depth, scale)
+    source = depth_file(folder.path(depth), depth, _metres_per_step(frame))
     camera = _camera(folder, frame, colour, source)
     lens = _lens(frame, camera)
     rgb: ColourSource | None = None if colour is None else ImageColour(folder.path(colour), colour)

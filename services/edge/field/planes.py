@@ -13,6 +13,7 @@ folded T-shirt 24 → 13 %, car with interior 21 → 17 %, two sheets 1.5 spacin
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,11 +25,9 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.field.quadrics import TINY, weighted_pca
 
-WORKERS = 2  # numpy and the KD-tree release the GIL; two cores is the smallest machine this must be quick on
+WORKERS = min(8, os.cpu_count() or 1)  # numpy and the KD-tree release the GIL; memory binds beyond some cores
 NEIGHBOURS = 16  # enough for a stable plane at random spacing, few enough to stay inside a fold
 SPACING_RANK = 8  # the 8th neighbour: its distance varies by a fifth at random spacing, the first one's by half
-# In an even random sheet the k-th neighbour lies at √(k/π) of the mean spacing, which is 1/√density.
-RANK_TO_SPACING = float(np.sqrt(np.pi / SPACING_RANK))
 PAIRS = np.array(list(combinations(range(1, 7), 2))).T  # of the 6 nearest: 15 planes, one of them in the right layer
 ON_PLANE = 0.15  # in spacings: a neighbour as far off a plane as this is hardly on it
 JUDGE, REFINE = 0.63, 0.88  # per spacing: how fast a neighbour's say falls with its distance

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick, no_tick
-from services.edge.mesh.grid import CORNERS, STEP, Grid, find, without
+from services.edge.mesh.grid import CORNERS, STEP, Grid, find, once, without
 from services.edge.mesh.spacing import point_spacing
 
 SLAB = 1 << 16  # queries between two ticks: some 0.2 s of the local field on one core
@@ -57,11 +57,13 @@ def walk(distance: DistanceFn, near: Floats, grid: Grid, tick: Tick) -> Band:
     reach = WALK_SPACINGS * point_spacing(near, tree) + 2 * grid.side
     seeds, first = np.unique(grid.cells_of(near), return_index=True)
     band = Band(np.empty(0, np.int64), np.empty(0, np.float32), np.empty((0, 3), np.float32))
-    seen, frontier, left = np.empty(0, np.int64), seeds, 1.0
+    seen: Ints = np.empty(0, np.int64)
+    frontier: Ints = seeds
+    left = 1.0
     while len(frontier):
         # How many rounds will follow is unknown; each takes half of what is left of the bar.
         band = _grow(band, distance, grid, frontier, part_of(tick, 1 - left, 1 - left / 2))
-        seen, left = np.union1d(seen, frontier), left / 2
+        seen, left = once(np.concatenate([seen, frontier])), left / 2
         grown, active = _across(band, grid, frontier)
         if frontier is seeds:
             grown = np.concatenate([grown, _pulled_cells(distance, near[first[~active]], grid)])

@@ -8,25 +8,21 @@ Every length is in local spacings of the points (support.py), so the same number
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.sparse import coo_array, csr_array
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
 from services.edge.mesh.band import part_of
 from services.edge.mesh.clip import clip
+from services.edge.mesh.edges import border_edges, border_with, edges_of
 from services.edge.mesh.holes import fill_holes, zip_tears
+from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.normals import face_normals, vertex_normals
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.support import layer_spacing, overhang
-from services.edge.mesh.topology import (
-    border_edges,
-    compact,
-    edges_of,
-    orient,
-    pieces_of,
-    to_manifold,
-    vertex_pieces,
-)
+from services.edge.mesh.support import Support
+from services.edge.mesh.topology import compact, orient, pieces_of, vertex_pieces
 
 SPECK = 15.0  # squared spacings, so points: a piece with fewer is noise, not surface
 PIN_HOLE = 12.0  # spacings around: no wider than 4; the trimming opens again what is a hole
@@ -58,122 +54,133 @@ def clean(
     fraction done and may raise `Cancelled`. The result has no edge with more than two faces, is
     wound alike where that is possible, and is empty when nothing of the mesh is backed by points.
     """
-    near = np.asarray(near, np.float64)
     tick(0)
     mesh = to_manifold(mesh)
     if len(mesh.faces) == 0:
         return compact(mesh)
+    tick(0.15)
     mesh = orient(mesh)
-    tick(0.2)
-    tree = cKDTree(near)
-    spacing = layer_spacing(near, _normals_at(mesh, near), tree)
-    mesh = _without_specks(mesh, spacing, tree, speck)
-    mesh = orient(_mended(mesh, spacing, tree, pin_hole, tear))
-    mesh = to_manifold(_trim(mesh, near, spacing, tree, overhang_most, part_of(tick, 0.4, 0.8)))
-    tick(0.8)
-    mesh = _mended(_without_specks(mesh, spacing, tree, speck), spacing, tree, AFTER * pin_hole, tear)
-    mesh = orient(compact(_smooth(mesh)))
+    tick(0.25)
+    support = Support(np.asarray(near, np.float64), mesh, vertex_normals(mesh), part_of(tick, 0.25, 0.4))
+    mesh, border = _without_specks(mesh, support, speck)
+    mesh, border = _mended(mesh, border, support, pin_hole, tear, part_of(tick, 0.4, 0.5))
+    mesh = _trimmed(mesh, border, support, overhang_most, part_of(tick, 0.5, 0.75))
+    mesh, border = _without_specks(mesh, support, speck)
+    mesh, _ = _mended(mesh, border, support, AFTER * pin_hole, tear, part_of(tick, 0.8, 0.9))
+    mesh = orient(compact(mesh))
+    tick(0.95)
+    mesh = _smoothed(mesh)
     tick(1)
     return mesh
 
 
-def _mended(mesh: Mesh, spacing: Floats, tree: cKDTree, pin_hole: float, tear: float) -> Mesh:
-    """The mesh without pin-holes and tears."""
-    local = _spacing_at(mesh.vertices, spacing, tree)
-    mesh = _settle_seams(mesh, zip_tears(fill_holes(mesh, pin_hole * local), tear * local))
-    return fill_holes(mesh, pin_hole * _spacing_at(mesh.vertices, spacing, tree))
+def _mended(mesh: Mesh, border: Ints, support: Support, pin_hole: float, tear: float, tick: Tick) -> tuple[Mesh, Ints]:
+    """The mesh without pin-holes and tears, and what is left of its border."""
+    tick(0)
+    local = support.spacing_at(mesh.vertices)
+    filled = fill_holes(mesh, pin_hole * local, border)
+    left = border_with(border, filled.faces[len(mesh.faces) :])
+    zipped = zip_tears(filled, tear * support.spacing_at(filled.vertices), left)
+    left = border_with(left, zipped.faces[len(filled.faces) :])
+    tick(0.5)
+    mesh = _settled(zipped, border, left)
+    border = border_edges(mesh.faces)
+    filled = fill_holes(mesh, pin_hole * support.spacing_at(mesh.vertices), border)
+    return filled, border_with(border, filled.faces[len(mesh.faces) :])
 
 
-def _settle_seams(before: Mesh, after: Mesh) -> Mesh:
-    """The mended mesh as a manifold, its former border vertices moved in between their neighbours.
+def _settled(mesh: Mesh, before: Ints, after: Ints) -> Mesh:
+    """The mesh as a manifold, its vertices that left the border moved in between their neighbours.
 
     A border overshoots by up to a spacing, so a seam of two of them would stand up as a ridge.
     """
-    seam = np.zeros(len(after.vertices), bool)
-    seam[border_edges(before.faces)] = True
-    seam[border_edges(after.faces)] = False
-    ends = edges_of(after.faces).ends
+    rim = _mask(before, len(mesh.vertices))
+    seam = rim & ~_mask(after, len(mesh.vertices))
+    ends = edges_of(mesh.faces[seam[mesh.faces].any(axis=1)]).ends
     ends = np.concatenate([ends, ends[:, ::-1]])
-    ends = ends[seam[ends[:, 0]]]
-    vertices = after.vertices
-    for _ in range(SEAM_ROUNDS):
-        vertices = vertices + SEAM_STEP * _towards(vertices, ends)
-    return to_manifold(Mesh(vertices, after.faces))
+    vertices = _drawn(mesh.vertices, ends[seam[ends[:, 0]]], [SEAM_STEP] * SEAM_ROUNDS)
+    return to_manifold(Mesh(vertices, mesh.faces), rim)
 
 
-def _trim(mesh: Mesh, near: Floats, spacing: Floats, tree: cKDTree, most: float, tick: Tick) -> Mesh:
+def _trimmed(mesh: Mesh, border: Ints, support: Support, most: float, tick: Tick) -> Mesh:
     """Cut off what hangs over the points by more than `most` spacings, and cut out holes."""
-    border, hole = overhang(mesh.vertices, vertex_normals(mesh), near, spacing, tree, tick)
-    border, hole = _averaged(mesh.faces, border - most, 2), _averaged(mesh.faces, hole, 2)
-    areas = _areas(mesh) / np.square(_spacing_at(mesh.vertices, spacing, tree)[mesh.faces[:, 0]])
-    outer, _ = _regions(mesh.faces, border > 0, areas)
-    inner, area = _regions(mesh.faces, hole > 0, areas)
-    level = np.where(outer | (border <= 0), border, -KEPT)
-    return clip(mesh, np.where((hole > 0) & ~inner & (area >= HOLE), hole, level))
+    over, hole = support.overhang(mesh.vertices, vertex_normals(mesh), tick)
+    over, hole = _averaged(mesh.faces, np.stack([over - most, hole], axis=1), 2).T
+    areas = _points_on(mesh, support)
+    rim = _mask(border, len(mesh.vertices))
+    outer, _ = _regions(mesh.faces, over > 0, areas, rim)
+    inner, area = _regions(mesh.faces, hole > 0, areas, rim)
+    level = np.where(outer | (over <= 0), over, -KEPT)
+    trimmed = clip(mesh, np.where((hole > 0) & ~inner & (area >= HOLE), hole, level))
+    # Where faces are only taken away, every vertex between two fans is on the border.
+    return to_manifold(trimmed, _mask(border_edges(trimmed.faces), len(trimmed.vertices)))
 
 
-def _regions(faces: Ints, chosen: Bools, areas: Floats) -> tuple[Bools, Floats]:
-    """Connected regions of chosen vertices: (V,) those whose region reaches a border, and (V,) their region's area."""
+def _regions(faces: Ints, chosen: Bools, areas: Floats, rim: Bools) -> tuple[Bools, Floats]:
+    """Connected regions of chosen vertices: (V,) those whose region reaches the rim, and (V,) their region's area."""
     corners = chosen[faces]
-    region, count = vertex_pieces(faces[corners.all(axis=1)], len(chosen))
     some = np.flatnonzero(corners.any(axis=1))
-    first = faces[some, np.argmax(corners[some], axis=1)]
-    area = np.bincount(region[first], areas[some] * corners[some].mean(axis=1), count)
-    at_border = np.zeros(count, bool)
-    at_border[region[np.unique(border_edges(faces))]] = True
-    return chosen & at_border[region], np.where(chosen, area[region], 0)
+    faces, corners = faces[some], corners[some]
+    region, count = vertex_pieces(faces[corners.all(axis=1)], len(chosen))
+    first = faces[np.arange(len(faces)), np.argmax(corners, axis=1)]
+    area = np.bincount(region[first], areas[some] * corners.mean(axis=1), count)
+    at_rim = np.zeros(count, bool)
+    at_rim[region[rim]] = True
+    return chosen & at_rim[region], np.where(chosen, area[region], 0)
 
 
 def _averaged(faces: Ints, values: Floats, times: int) -> Floats:
-    """(V,) values, each with the mean over the faces around it, repeatedly: takes the scallops out of a level line."""
-    uses = np.maximum(np.bincount(faces.ravel(), minlength=len(values)), 1)
+    """(V,C) values, each with the mean over the faces around it, repeatedly: takes the scallops out of a level line."""
+    weight = np.full(faces.size, 1 / 3)
+    corners = csr_array((weight, faces.ravel(), np.arange(0, faces.size + 1, 3)), shape=(len(faces), len(values)))
+    uses = np.maximum(np.bincount(faces.ravel(), minlength=len(values)), 1)[:, None]
     for _ in range(times):
-        mean = np.repeat(values[faces].mean(axis=1), 3)
-        values = np.bincount(faces.ravel(), mean, len(values)) / uses
+        values = corners.T @ (corners @ values) * 3 / uses
     return values
 
 
-def _without_specks(mesh: Mesh, spacing: Floats, tree: cKDTree, least: float) -> Mesh:
-    """Drop pieces that could not hold `least` points; never the largest."""
-    piece = pieces_of(mesh.faces)
-    points = np.bincount(piece, _areas(mesh) / np.square(_spacing_at(mesh.vertices, spacing, tree)[mesh.faces[:, 0]]))
+def _without_specks(mesh: Mesh, support: Support, least: float) -> tuple[Mesh, Ints]:
+    """The mesh without pieces that could not hold `least` points, the largest excepted, and its border."""
+    edges = edges_of(mesh.faces)
+    piece = pieces_of(mesh.faces, edges)
+    points = np.bincount(piece, _points_on(mesh, support))
     kept: Bools = (points >= least) | (points == points.max(initial=0))
-    return compact(mesh, np.flatnonzero(kept[piece]))
+    mesh, border = Mesh(mesh.vertices, mesh.faces[kept[piece]]), edges.border(mesh.faces)
+    return mesh, border[_mask(mesh.faces, len(mesh.vertices))[border].all(axis=1)]
 
 
-def _smooth(mesh: Mesh) -> Mesh:
-    """Take the noise out: border vertices move along the border only, all others among all their neighbours."""
-    border, edges = border_edges(mesh.faces), edges_of(mesh.faces).ends
-    on_border = np.zeros(len(mesh.vertices), bool)
-    on_border[border] = True
-    ends = np.concatenate([border, edges[~on_border[edges[:, 0]]], edges[~on_border[edges[:, 1]]][:, ::-1]])
-    ends = np.concatenate([ends, border[:, ::-1]])  # rows: a vertex, and a neighbour that it follows
-    vertices = mesh.vertices
-    for step in (share for pair in SMOOTH for share in pair):
-        vertices = vertices + step * _towards(vertices, ends)
-    return Mesh(vertices, mesh.faces)
+def _smoothed(mesh: Mesh) -> Mesh:
+    """Noise taken out: border vertices move along the border only, all others among all their neighbours."""
+    edges = edges_of(mesh.faces)
+    border, ends = edges.border(mesh.faces), edges.ends
+    rim = _mask(border, len(mesh.vertices))
+    ends = np.concatenate([border, border[:, ::-1], ends[~rim[ends[:, 0]]], ends[~rim[ends[:, 1]]][:, ::-1]])
+    return Mesh(_drawn(mesh.vertices, ends, [share for pair in SMOOTH for share in pair]), mesh.faces, mesh.rgb)
 
 
-def _towards(vertices: Floats, ends: Ints) -> Floats:
-    """(V,3) from each vertex to the mean of those it follows; (L,2) rows of follower and followed."""
-    count = np.bincount(ends[:, 0], minlength=len(vertices))[:, None]
-    sums = [np.bincount(ends[:, 0], vertices[ends[:, 1], axis], len(vertices)) for axis in range(3)]
-    return np.where(count > 0, np.stack(sums, axis=1) / np.maximum(count, 1) - vertices, 0)
+def _drawn(vertices: Floats, ends: Ints, steps: Sequence[float]) -> Floats:
+    """Vertices moved by each step's share of the way to the mean of those that they follow.
+
+    ends (L,2): a vertex, and one that it follows; one that follows none stays.
+    """
+    moved, row = np.unique(ends[:, 0], return_inverse=True)
+    count = np.bincount(row, minlength=len(moved))
+    mean = coo_array((1 / count[row], (row, ends[:, 1])), shape=(len(moved), len(vertices))).tocsr()
+    vertices = vertices.copy()
+    for step in steps:
+        vertices[moved] += step * (mean @ vertices - vertices[moved])
+    return vertices
 
 
-def _areas(mesh: Mesh) -> Floats:
-    """(F,) areas."""
-    areas: Floats = np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1) / 2
-    return areas
+def _points_on(mesh: Mesh, support: Support) -> Floats:
+    """(F,) how many points each face could hold: its area in squared spacings."""
+    areas = np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1) / 2
+    points: Floats = areas / np.square(support.spacing_at(mesh.vertices)[mesh.faces[:, 0]])
+    return points
 
 
-def _spacing_at(xyz: Floats, spacing: Floats, tree: cKDTree) -> Floats:
-    """(M,) spacing of the nearest point."""
-    at: Floats = spacing[tree.query(xyz, workers=-1)[1]]
-    return at
-
-
-def _normals_at(mesh: Mesh, near: Floats) -> Floats:
-    """(N,3) normal of the nearest vertex to each point, sign arbitrary."""
-    normals: Floats = vertex_normals(mesh)[cKDTree(mesh.vertices).query(near, workers=-1)[1]]
-    return normals
+def _mask(chosen: Ints, count: int) -> Bools:
+    """(count,) True at the chosen indices."""
+    mask = np.zeros(count, bool)
+    mask[chosen] = True
+    return mask

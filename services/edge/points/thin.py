@@ -23,13 +23,12 @@ def thin(xyz: Floats, rgb: Bytes | None, voxel: float) -> tuple[Floats, Bytes | 
 
 def thin_to(xyz: Floats, rgb: Bytes | None, most: int) -> tuple[Floats, Bytes | None]:
     """At most `most` points: as they are where that holds, thinned by the smallest voxel that suffices otherwise."""
-    voxel = float(np.ptp(xyz, axis=0).max(initial=0)) / most**0.5
-    while len(xyz) > most:
-        count = len(np.unique(voxel_keys(xyz, voxel)))
-        if count <= most:
-            return thin(xyz, rgb, voxel)
+    if len(xyz) <= most:
+        return xyz, rgb
+    voxel = float(np.ptp(xyz, axis=0).max()) / most**0.5
+    while (count := len(np.unique(voxel_keys(xyz, voxel)))) > most:
         voxel *= 1.05 * (count / most) ** 0.5
-    return xyz, rgb
+    return thin(xyz, rgb, voxel)
 
 
 def at_most(points: Points, most: int) -> Points:

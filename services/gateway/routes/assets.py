@@ -62,7 +62,7 @@ async def page(
 ) -> AssetPage:
     """The assets there are."""
     if after and not valid_key(after):
-        raise Problem(422, "KEY_INVALID", "`after` is no asset key")
+        raise Problem(422, "KEY_INVALID", "`after` is no asset key", hints=("use the `next` of the page before",))
     store = _store(request)
     entries = await _in_thread(lambda: _entries(store, after, limit))
     last = entries[-1].key if len(entries) == limit else None
@@ -92,7 +92,8 @@ async def lod(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Reque
     name = next((each["name"] for each in levels if each["level"] == level), None)
     if name is None:
         known = ", ".join(str(each["level"]) for each in levels)
-        raise Problem(404, "LOD_UNKNOWN", f"asset {key} has no level {level}; there are {known}")
+        hints = (f"ask for one of: {known}",)
+        raise Problem(404, "LOD_UNKNOWN", f"asset {key} has no level {level}; there are {known}", hints=hints)
     return RedirectResponse(_url(request, name), 307, {"Cache-Control": NO_CACHE, **_ANYBODY})
 
 
@@ -141,7 +142,8 @@ async def _large_file(store: LocalStore, head: Head, request: Request) -> Respon
         part = wanted_range(given.get("range"), given.get("if-range"), head.etag, head.size)
     except UnsatisfiableError as error:
         content_range = {"Content-Range": f"bytes */{head.size}", **_ANYBODY}
-        raise Problem(416, "RANGE_UNSATISFIABLE", str(error), headers=content_range) from None
+        hints = (f"begin below byte {head.size}",)
+        raise Problem(416, "RANGE_UNSATISFIABLE", str(error), hints=hints, headers=content_range) from None
     start, end = part or (0, head.size)
     headers["Content-Length"] = str(end - start)
     if part:
@@ -167,7 +169,8 @@ def _file_headers(head: Head, etag: str) -> dict[str, str]:
 async def _entry(request: Request, key: str) -> Entry:
     """The key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, STORE_UNAVAILABLE."""
     if not valid_key(key):
-        raise Problem(422, "KEY_INVALID", "an asset key has 1 to 100 letters, digits and ._- and begins with no sign")
+        detail = "an asset key has 1 to 100 letters, digits and ._- and begins with no sign"
+        raise Problem(422, "KEY_INVALID", detail, hints=("check the address",))
     store = _store(request)
     try:
         return await _in_thread(lambda: entry(store, key))
@@ -221,7 +224,8 @@ def _url(request: Request, name: str) -> str:
 
 
 def _no_file() -> Problem:
-    return Problem(404, "FILE_UNKNOWN", "there is no such file here", headers=dict(_ANYBODY))
+    hints = ("GET /v1/assets/{key} tells the names of an asset's files",)
+    return Problem(404, "FILE_UNKNOWN", "there is no such file here", hints=hints, headers=dict(_ANYBODY))
 
 
 def _qr_svg(text: str) -> bytes:

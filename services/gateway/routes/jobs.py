@@ -39,7 +39,7 @@ IdempotencyKey = Annotated[
 ]
 
 
-@router.post("/jobs", status_code=202, response_model=JobView, responses=problems(404, 409, 413, 422, 503))
+@router.post("/jobs", status_code=202, response_model=JobView, responses=problems(400, 404, 409, 413, 415, 422, 503))
 async def create(
     body: JobRequest, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
 ) -> JobView:

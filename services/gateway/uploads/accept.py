@@ -131,7 +131,8 @@ def _checked(received: Received, folder: Path, limits: UploadLimits) -> _Checked
         raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose some files",))
     source, names = received.folder, received.files
     if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
-        source, names = folder / "files", _unpacked(source / names[0], folder / "files", limits)
+        blamed = names[0] if received.named else ""
+        source, names = folder / "files", _unpacked(source / names[0], folder / "files", limits, blamed)
     verdicts = validate(source, names)
     archive = folder / "capture.zip"
     pack(source, archive)
@@ -140,11 +141,14 @@ def _checked(received: Received, folder: Path, limits: UploadLimits) -> _Checked
     return _Checked(archive, sha256, received.fields.get("name", "")[:200], verdicts)
 
 
-def _unpacked(archive: Path, into: Path, limits: UploadLimits) -> list[str]:
+def _unpacked(archive: Path, into: Path, limits: UploadLimits, blamed: str) -> list[str]:
+    """The names of the files that were in the archive; `blamed` is how the client knows it. Raises Problem."""
     try:
         files = unpack(archive, into, Limits(total_bytes=2 * limits.total_bytes))
     except ArchiveError as error:
-        raise Problem(422, error.code, error.message, file=error.file or "") from None
+        raise Problem(422, error.code, error.message, file=error.file or blamed, hints=error.hints) from None
+    if not files:
+        raise Problem(422, "CAPTURE_EMPTY", "the archive has no files", file=blamed, hints=("zip the files again",))
     if len(files) > limits.files:
         raise too_many_files(limits)
     archive.unlink()

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from pathlib import PurePosixPath
 
-_ODD = re.compile(r"[^\w .,()+@=-]")  # all that some file system or shell gives a meaning
+_ODD = re.compile(r"[^\w .,()+@=\u0080-\U0010ffff-]")  # ASCII that some file system or shell gives a meaning
 _SEGMENT_BYTES = 150  # of the 255 that file systems take: room for a number that makes the name unique
 _MOST_SEGMENTS = 8
 _DROPPED = {"__MACOSX", "Thumbs.db", "desktop.ini"}
@@ -21,7 +21,8 @@ def safe_name(given: str) -> str:
 
 
 def _safe_segment(part: str) -> str:
-    plain = _ODD.sub("_", part).strip(". ")
+    printable = "".join(letter if letter.isprintable() else "_" for letter in part)
+    plain = _ODD.sub("_", printable).strip(". ")
     stem, dot, suffix = plain.rpartition(".")
     stem, ending = (stem, dot + suffix) if dot and len(suffix) < 10 else (plain, "")
     cut = stem.encode()[: _SEGMENT_BYTES - len(ending.encode())].decode(errors="ignore")

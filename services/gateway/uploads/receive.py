@@ -22,6 +22,7 @@ _BATCH_BYTES = (
 _IDLE_S = 60.0  # a phone that sends nothing for so long has gone; mobile networks pause for some seconds
 _FIELD_BYTES = 1024  # of a text field
 _MOST_FIELDS = 20
+_FEWER = ("send fewer frames, for example every second one",)
 
 InThread = Callable[[Callable[[], None]], Awaitable[None]]
 
@@ -36,12 +37,16 @@ class UploadLimits:
 
 @dataclass(slots=True)
 class Received:
-    """Files by their safe relative names, below `folder`; text fields by name."""
+    """Files by their safe relative names, below `folder`; text fields by name.
+
+    named  whether the names are the client's: a raw body has none
+    """
 
     folder: Path
     files: list[str] = field(default_factory=list)
     fields: dict[str, str] = field(default_factory=dict)
     size: int = 0
+    named: bool = True
 
 
 async def receive(request: Request, folder: Path, limits: UploadLimits, in_thread: InThread) -> Received:
@@ -107,13 +112,17 @@ class _Files:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb")
         except (FileExistsError, NotADirectoryError, IsADirectoryError):
-            raise Problem(400, "UPLOAD_NAMES", "a file and a folder have the same name", file=name) from None
+            hints = ("rename one of them",)
+            raise Problem(
+                400, "UPLOAD_NAMES", "a file and a folder have the same name", file=name, hints=hints
+            ) from None
         self.received.files.append(name)
 
     def write(self, data: bytes) -> None:
         self.received.size += len(data)
         if self.received.size > self._limits.total_bytes:
-            raise Problem(413, "UPLOAD_TOO_LARGE", f"an upload may have {self._limits.total_bytes:,} bytes")
+            detail = f"an upload may have {self._limits.total_bytes:,} bytes"
+            raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=_FEWER)
         if self._file is not None:
             self._file.write(data)
 
@@ -128,6 +137,7 @@ class _Raw:
 
     def __init__(self, received: Received, limits: UploadLimits) -> None:
         self.received = received
+        self.received.named = False
         self._files = _Files(received, limits)
 
     def write(self, data: bytes) -> None:
@@ -221,7 +231,8 @@ class _Multipart:
             return
         self._text += data[start:end]
         if len(self._text) > _FIELD_BYTES:
-            raise Problem(413, "UPLOAD_FIELD_TOO_LARGE", f"a text field may have {_FIELD_BYTES:,} bytes")
+            detail = f"a text field may have {_FIELD_BYTES:,} bytes"
+            raise Problem(413, "UPLOAD_FIELD_TOO_LARGE", detail, hints=("send files with their names",))
 
     def _on_part_end(self) -> None:
         if self._text is not None:
@@ -235,7 +246,7 @@ class _Multipart:
 
 def too_many_files(limits: UploadLimits) -> Problem:
     """What an upload of more files is told, however they came."""
-    return Problem(413, "UPLOAD_TOO_MANY_FILES", f"an upload may have {limits.files:,} files")
+    return Problem(413, "UPLOAD_TOO_MANY_FILES", f"an upload may have {limits.files:,} files", hints=_FEWER)
 
 
 def _malformed() -> Problem:

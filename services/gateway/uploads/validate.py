@@ -47,9 +47,15 @@ def validate(folder: Path, names: Iterable[str]) -> list[Verdict]:
     Raises Problem 422, naming the file: IMAGE_TOO_LARGE, IMAGE_UNREADABLE, CAPTURE_UNREADABLE, ARCHIVE_NESTED, or
     CAPTURE_EMPTY and CAPTURE_UNKNOWN_FORMAT where nothing is left.
     """
-    verdicts = [_verdict(folder, name) for name in sorted(names)]
+    names = sorted(names)
+    only = names[0] if len(names) == 1 else ""
+    if only and _kind(folder / only) is Kind.ARCHIVE:  # a zip would have been unpacked
+        hints = ("send a .zip, or the files themselves",)
+        raise Problem(422, "CAPTURE_UNKNOWN_FORMAT", "an archive of a kind that is not read", file=only, hints=hints)
+    verdicts = [_verdict(folder, name) for name in names]
     if not any(verdict.bytes for verdict in verdicts):
-        raise Problem(422, "CAPTURE_EMPTY", "the upload has no file with anything in it", hints=("choose some files",))
+        detail = "the file is empty" if only else "the upload has no file with anything in it"
+        raise Problem(422, "CAPTURE_EMPTY", detail, file=only, hints=("choose some files",))
     if not any(verdict.verdict == "ok" for verdict in verdicts):
         raise Problem(
             422,
@@ -63,8 +69,7 @@ def validate(folder: Path, names: Iterable[str]) -> list[Verdict]:
 
 def _verdict(folder: Path, name: str) -> Verdict:
     path = folder / name
-    with path.open("rb") as file:
-        kind = sniff(name, file.read(HEAD_BYTES))
+    kind = _kind(path)
     if kind is Kind.ARCHIVE:
         hints = ("send the archive by itself", "or unpack it and send the files")
         raise Problem(422, "ARCHIVE_NESTED", "an archive among other files", file=name, hints=hints)
@@ -76,6 +81,11 @@ def _verdict(folder: Path, name: str) -> Verdict:
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     return Verdict(name, path.stat().st_size, sha256, "ok", stripped)
+
+
+def _kind(path: Path) -> Kind:
+    with path.open("rb") as file:
+        return sniff(path.name, file.read(HEAD_BYTES))
 
 
 def _cleaned(kind: Kind, path: Path, name: str) -> tuple[str, ...]:

@@ -1,0 +1,100 @@
+"""Which faces meet along which edges, and where a mesh ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from services.edge.arrays import Ints
+
+
+@dataclass(frozen=True, slots=True)
+class Edges:
+    """Undirected edges of F faces. A half-edge 3·f+i runs from corner i of face f to the next.
+
+    order (3F,) half-edges sorted by edge; start, size (E,) the run of each edge in it; ends (E,2) its vertices, rising.
+    """
+
+    order: Ints
+    start: Ints
+    size: Ints
+    ends: Ints
+
+    def halves(self, size: int) -> Ints:
+        """(K,size) half-edges of the edges with that many faces."""
+        rows: Ints = self.order[self.start[self.size == size][:, None] + np.arange(size)]
+        return rows
+
+    def border(self, faces: Ints) -> Ints:
+        """(B,2) edges of one face, directed as that face walks them."""
+        half = self.halves(1)[:, 0]
+        return np.stack([faces.ravel()[half], faces.ravel()[following(half)]], axis=1)
+
+
+def edges_of(faces: Ints) -> Edges:
+    """The edges of (F,3) faces."""
+    if len(faces) == 0:
+        none = np.empty(0, np.int64)
+        return Edges(none, none, none, np.empty((0, 2), np.int64))
+    ahead = faces[:, [1, 2, 0]]
+    low, high = np.minimum(faces, ahead).ravel(), np.maximum(faces, ahead).ravel()
+    count = int(high.max()) + 1
+    order = _order_by(high, count)
+    order = order[_order_by(low[order], count)]
+    low, high = low[order], high[order]
+    start = np.flatnonzero(np.append(True, (low[1:] != low[:-1]) | (high[1:] != high[:-1])))
+    return Edges(order, start, np.diff(np.append(start, len(order))), np.stack([low[start], high[start]], axis=1))
+
+
+def border_edges(faces: Ints) -> Ints:
+    """(B,2) edges of one face, directed as that face walks them."""
+    return edges_of(faces).border(faces)
+
+
+def border_with(border: Ints, added: Ints) -> Ints:
+    """The (B,2) border once (K,3) faces are added along it. Edges that they share with the inside are not noticed."""
+    both = np.concatenate([border, added[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)])
+    ends = np.sort(both, axis=1)
+    _, which, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    left: Ints = both[uses[which.ravel()] == 1]
+    return left
+
+
+def border_loops(faces: Ints, border: Ints | None = None) -> list[Ints]:
+    """The closed borders of a mesh whose border vertices have two border edges each, as vertices in order.
+
+    The first step of each is along a border edge as its face walks it; so are all others where the faces agree.
+    """
+    border = border_edges(faces) if border is None else border
+    around: dict[int, list[int]] = {}
+    for a, b in border.tolist():
+        around.setdefault(a, []).append(b)
+        around.setdefault(b, []).append(a)
+    loops = []
+    for start, here in border.tolist():
+        if start not in around:
+            continue
+        del around[start]
+        loop, last = [start], start
+        while here != start:
+            loop.append(here)
+            a, b = around.pop(here)
+            here, last = (b if a == last else a), here
+        loops.append(np.array(loop))
+    return loops
+
+
+def following(half: Ints) -> Ints:
+    """The half-edge after each in its face."""
+    return half - half % 3 + (half + 1) % 3
+
+
+def _order_by(keys: Ints, count: int) -> Ints:
+    """A stable order of keys in 0…count−1 by counting, as a matrix is transposed: a fifth of the time of a sort."""
+    rows = np.arange(len(keys) + 1, dtype=np.int32 if len(keys) < 2**31 - 1 else np.int64)
+    one = np.ones(len(keys), np.int8)
+    matrix = csr_array((one, keys.astype(rows.dtype), rows), shape=(len(keys), count))
+    order: Ints = matrix.tocsc().indices.astype(np.int64)
+    return order

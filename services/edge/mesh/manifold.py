@@ -1,0 +1,111 @@
+"""Cut a mesh wherever it is more than one surface: at edges of three faces, at vertices where fans of faces touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from services.edge.arrays import Bools, Floats, Ints
+from services.edge.mesh.edges import Edges, edges_of, following
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.topology import labels
+
+# A vertex that is cut in two leaves two at one place. Each draws back by this share of the way into its own faces, so
+# that a program which welds equal positions does not undo the cut.
+DRAW_BACK = 0.02
+
+
+def to_manifold(mesh: Mesh, at: Bools | None = None) -> Mesh:
+    """Cut the mesh where more than two faces share an edge, or more than one fan of faces a vertex. No face is lost.
+
+    at (V,) are the vertices where that may be needed, both ends of such edges among them; all by default. Vertices keep
+    their numbers, new ones follow them. Colours are lost.
+    """
+    faces = mesh.faces[(mesh.faces != mesh.faces[:, [1, 2, 0]]).all(axis=1)]
+    if at is None:
+        at = np.ones(len(mesh.vertices), bool)
+    near = at[faces].any(axis=1)
+    part = _cut(mesh.vertices, faces[near], at)
+    while doubled := _doubled(part):
+        part = _with_midpoints(part, doubled)
+    return Mesh(part.vertices, np.concatenate([faces[~near], part.faces]))
+
+
+def _cut(vertices: Floats, faces: Ints, at: Bools) -> Mesh:
+    """Faces joined along edges of two, and along the straightest pairs of edges of more; parted at these vertices."""
+    edges = edges_of(faces)
+    sheets = [sheet for at_edge in _sheets(vertices, faces, edges) for sheet in at_edge if len(sheet) == 2]
+    a, b = np.concatenate([edges.halves(2), *(sheet[None] for sheet in sheets)]).T
+    same = faces.ravel()[a] == faces.ravel()[b]
+    partner_start, partner_end = np.where(same, b, following(b)), np.where(same, following(b), b)
+    links = np.concatenate([np.stack([a, partner_start], 1), np.stack([following(a), partner_end], 1)])
+    fan = labels(links, faces.size)
+    origin = np.empty(int(fan.max(initial=-1)) + 1, np.int64)
+    origin[fan] = faces.ravel()
+    split = np.flatnonzero(((np.bincount(origin, minlength=len(vertices)) > 1) & at)[origin])
+    if len(split) == 0:
+        return Mesh(vertices, faces)
+    first = np.zeros(len(split), bool)
+    first[np.unique(origin[split], return_index=True)[1]] = True
+    name = origin.copy()
+    name[split[~first]] = len(vertices) + np.arange(np.count_nonzero(~first))
+    placed = np.concatenate([vertices, vertices[origin[split[~first]]]])
+    named = name[fan].reshape(-1, 3)
+    _draw_back(placed, named, vertices[faces].mean(axis=1), name[split])
+    return Mesh(placed, named)
+
+
+def _draw_back(vertices: Floats, faces: Ints, centres: Floats, split: Ints) -> None:
+    """Move the split vertices, in place, towards the mean centre of their faces."""
+    place = np.full(len(vertices), -1)
+    place[split] = np.arange(len(split))
+    corner = np.flatnonzero(place[faces.ravel()] >= 0)
+    owner = place[faces.ravel()[corner]]
+    sums = np.stack([np.bincount(owner, centres[corner // 3, axis], len(split)) for axis in range(3)], axis=1)
+    mean = sums / np.bincount(owner, minlength=len(split))[:, None]
+    vertices[split] += DRAW_BACK * (mean - vertices[split])
+
+
+def _sheets(vertices: Floats, faces: Ints, edges: Edges) -> Iterator[list[Ints]]:
+    """Edges of more than two faces: their half-edges, in the pairs that go on straightest, then what is left alone."""
+    for start, size in zip(edges.start[edges.size > 2], edges.size[edges.size > 2], strict=True):
+        half = edges.order[start : start + size]
+        a, b, c = (vertices[faces.ravel()[h]] for h in (half, following(half), following(following(half))))
+        along = (b - a) / max(float(np.linalg.norm(b[0] - a[0])), 1e-18)
+        side = c - a - np.einsum("hx,hx->h", c - a, along)[:, None] * along
+        side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-18)
+        cos = side @ side.T + 4 * np.tri(size)
+        sheets, alone = [], set(range(size))
+        for _ in range(size // 2):
+            i, j = np.unravel_index(np.argmin(cos), cos.shape)
+            sheets.append(half[[i, j]])
+            alone -= {int(i), int(j)}
+            cos[[i, j]] = cos[:, [i, j]] = 4
+        yield sheets + [half[[i]] for i in alone]
+
+
+def _doubled(mesh: Mesh) -> list[Ints]:
+    """Where sheets pass through the same two vertices, the half-edges of all sheets but the first. Each face once."""
+    busy, doubled = set[int](), []
+    for sheets in _sheets(mesh.vertices, mesh.faces, edges_of(mesh.faces)):
+        for sheet in sheets[1:]:
+            touched = set((sheet // 3).tolist())
+            if not touched & busy:
+                busy |= touched
+                doubled.append(sheet)
+    return doubled
+
+
+def _with_midpoints(mesh: Mesh, sheets: list[Ints]) -> Mesh:
+    """Give each sheet a vertex of its own in the middle of the edge of its half-edges."""
+    faces, half = mesh.faces, np.concatenate(sheets)
+    one = np.array([sheet[0] for sheet in sheets])
+    middle = mesh.vertices[faces.ravel()[np.stack([one, following(one)])]].mean(axis=0)
+    new = np.repeat(len(mesh.vertices) + np.arange(len(sheets)), [len(sheet) for sheet in sheets])
+    first, second = faces[half // 3], faces[half // 3]
+    rows = np.arange(len(half))
+    first[rows, (half % 3 + 1) % 3] = new
+    second[rows, half % 3] = new
+    kept = np.delete(faces, half // 3, axis=0)
+    return Mesh(np.concatenate([mesh.vertices, middle]), np.concatenate([kept, first, second]))

@@ -1,0 +1,35 @@
+"""The container's health check against a worker of its own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from services.cli.up import free_port
+from services.edge.health import is_serving
+
+
+def _check(environment: dict[str, str]) -> int:
+    return subprocess.run([sys.executable, "-m", "services.edge.health"], env=environment).returncode
+
+
+def test_the_check_follows_the_worker(tmp_path: Path) -> None:
+    port = free_port()
+    environment = {**os.environ, "EDGE_PORT": str(port), "EDGE_SCRATCH": str(tmp_path), "STORAGE_ROOT": str(tmp_path)}
+    assert _check(environment) == 1, "nobody serves yet"
+    worker = subprocess.Popen([sys.executable, "-m", "services.cli", "edge"], env=environment)
+    try:
+        deadline = time.monotonic() + 60
+        while not is_serving(f"127.0.0.1:{port}"):
+            assert worker.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        assert _check(environment) == 0
+    finally:
+        worker.send_signal(signal.SIGTERM)
+        assert worker.wait(60) == 0
+    assert _check(environment) == 1
