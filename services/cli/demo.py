@@ -27,8 +27,9 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     with running("127.0.0.1", _port(), out / "data") as stack:
         job = push_capture(source, stack.url, key=key, preset="", label=key, isolate=capture is None)
         pull_asset(key, out / "asset", stack.url, cache=out / "cache")
-        entry = answer_of(httpx.get(f"{stack.url}/v1/assets/{key}"))
-        manifest = answer_of(httpx.get(f"{stack.url}{entry['manifest']['url']}"))
+        with httpx.Client(base_url=stack.url) as client:
+            entry = answer_of(client.get(f"/v1/assets/{key}"))
+            manifest = answer_of(client.get(entry["manifest"]["url"]))
         (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")
         console.print(f"picture  {out / 'asset' / 'preview.png'}")
         console.print(f"report   {out / 'report.json'}")

@@ -123,9 +123,10 @@ def _bundle(
     with clock("PACKING"):
         full = replace(mesh_unit, vertices=unit.to_world(mesh_unit.vertices))
         to_asset = asset_frame(full.vertices, points)
-        levels = _levels(full, to_asset, preset, _inside("PACKING", watch))
+        tick = _inside("PACKING", watch)
+        levels = _levels(full, to_asset, preset, part_of(tick, 0, 0.4))
         files = {f"lod{level}.glb": to_glb(mesh) for level, mesh in enumerate(levels)}
-        files["preview.png"] = render_sheet(levels[0])
+        files["preview.png"] = render_sheet(levels[0], tick=part_of(tick, 0.5, 0.9))
         files["mesh.ply"] = ply_bytes(full)
     manifest = manifest_of(
         label=label,
@@ -146,9 +147,7 @@ def _bundle(
 def _levels(full: Mesh, to_asset: Floats, preset: Preset, tick: Tick) -> tuple[Mesh, ...]:
     """The LODs in the asset frame, finest first."""
     vertices = full.vertices @ to_asset[:3, :3].T + to_asset[:3, 3]
-    levels = lods(replace(full, vertices=vertices), preset.lod_faces)
-    tick(0.5)
-    return levels
+    return lods(replace(full, vertices=vertices), preset.lod_faces, tick=tick)
 
 
 def _starts(stage: str, message: str) -> Progress:

@@ -11,7 +11,7 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Ints
+from services.edge.arrays import Bytes, Floats, Ints, Tick, no_tick
 from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.rays import LIFT, Scene, open_sky, pinhole
@@ -34,17 +34,17 @@ _KEY, _SKY, _FLOOR, _RIM = (
 )  # lights; facing the key under an open sky, white stays just unclipped
 
 
-def render_sheet(mesh: Mesh, *, size: int = 512) -> bytes:
+def render_sheet(mesh: Mesh, *, size: int = 512, tick: Tick = no_tick) -> bytes:
     """PNG of (2·size)² pixels: the mesh, Y up, from front, right, back and left, all at one scale.
 
-    Raises ValueError for a mesh without faces.
+    `tick` is called after each view with the fraction done. Raises ValueError for a mesh without faces.
     """
     from PIL import Image
 
     if len(mesh.faces) == 0:
         raise ValueError("a mesh without faces has no picture")
     subject = _Subject.of(mesh)
-    views = in_threads(lambda camera: _view(subject, camera, size), _cameras(mesh.vertices))
+    views = in_threads(lambda camera: _view(subject, camera, size), _cameras(mesh.vertices), tick)
     sheet = np.concatenate([np.concatenate(views[:2], axis=1), np.concatenate(views[2:], axis=1)])
     out = BytesIO()
     Image.fromarray(sheet).save(out, "PNG", compress_level=6)

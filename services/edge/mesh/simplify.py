@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from ctypes import c_float, c_size_t, c_uint
+from functools import partial
 from itertools import pairwise, product
 from threading import Lock
 
@@ -17,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Floats, Ints
+from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
 from services.edge.mesh.edges import border_edges, edges_of
 from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.nouns import Mesh
@@ -32,6 +33,8 @@ _MOST_HELD = 0.05
 # What a step from black to white counts against the longest side: a print keeps its outlines, and the surface of a
 # 1.1 m dress moves 0.04 mm more on average at 25k faces, 0.4 mm at 5k.
 _COLOUR_WEIGHT = 0.15
+# A mesh of more times its budget is first brought half way, so that collapses which pinch it are not repeated in full.
+_AT_ONCE = 6
 _ONE_AT_A_TIME = Lock()  # fast-simplification keeps its mesh in a global between load and result
 # A mesh full of handles and openings (a car with its interior) stops at three times a small budget. A level that costs
 # that much is no level, so the budget wins and openings may close; not for budgets that could hold no shape at all.
@@ -43,8 +46,8 @@ Collapse = Callable[[Mesh, int], Mesh]
 """A mesh and a face budget that it exceeds -> a coarser mesh; colours may guide it, the result needs none."""
 
 
-def lods(mesh: Mesh, budgets: Sequence[int] = BUDGETS) -> tuple[Mesh, ...]:
-    """One mesh per budget, finest first, each made from the one before.
+def lods(mesh: Mesh, budgets: Sequence[int] = BUDGETS, *, tick: Tick = no_tick) -> tuple[Mesh, ...]:
+    """One mesh per budget, finest first, each made from the one before. `tick` is called before every collapse.
 
     A mesh within the first budget is its own first level; a later level within its budget already is halved instead,
     so that every level is cheaper than the one before unless borders or `_FEWEST` faces forbid it.
@@ -52,49 +55,59 @@ def lods(mesh: Mesh, budgets: Sequence[int] = BUDGETS) -> tuple[Mesh, ...]:
     """
     if not budgets or any(coarse >= fine for fine, coarse in pairwise(budgets)):
         raise ValueError(f"budgets must fall from level to level, not {tuple(budgets)}")
-    levels = [simplify(mesh, budgets[0])]
-    for budget in budgets[1:]:
+    levels = [simplify(mesh, budgets[0], tick=lambda _: tick(0))]
+    for done, budget in enumerate(budgets[1:], start=1):
         finer = levels[-1]
         half = max(len(finer.faces) // 2, _FEWEST)
-        levels.append(simplify(finer, budget if budget < len(finer.faces) else half))
+        so_far = done / len(budgets)
+        levels.append(
+            simplify(finer, budget if budget < len(finer.faces) else half, tick=lambda _, so_far=so_far: tick(so_far))
+        )
+    tick(1)
     return tuple(levels)
 
 
-def simplify(mesh: Mesh, faces: int, *, collapse: Collapse | None = None) -> Mesh:
+def simplify(mesh: Mesh, faces: int, *, collapse: Collapse | None = None, tick: Tick = no_tick) -> Mesh:
     """The mesh with at most `faces` faces, or as few as its borders allow; the same mesh if it has no more already.
 
-    Every border loop survives unless the budget cannot be met with all of them, and no edge gets a third face that had none: where nothing else helps, the mesh is cut
-    there. Colours are averaged in linear light over the vertices that a kept vertex stands for. `collapse` is the best
-    one installed unless given. Raises ValueError for a budget below 1.
+    Every border loop survives unless the budget cannot be met with all of them, and no edge gets a third face that had
+    none: where nothing else helps, the mesh is cut there. Colours are averaged in linear light over the vertices that a
+    kept vertex stands for. `collapse` is the best one installed unless given; `tick` is called before each that it
+    makes, how many is not known. Raises ValueError for a budget below 1.
     """
     if faces < 1:
         raise ValueError(f"a budget of {faces} faces leaves no mesh")
     if len(mesh.faces) <= faces:
         return mesh
-    coarse = (collapse or _best_collapse())(mesh, faces)
+    tick(0)
+    coarse = (collapse or _best_collapse(tick))(mesh, faces)
     if len(coarse.faces) > _OVER * faces and faces >= _FORCED_FROM:
         coarse = min(coarse, _forced(mesh, faces), key=lambda each: len(each.faces))
     return coarse if mesh.rgb is None else _coloured(coarse, mesh)
 
 
-def _best_collapse() -> Collapse:
+def _best_collapse(tick: Tick) -> Collapse:
     try:
         import meshoptimizer  # noqa: F401 - asked only whether it is there and loads
     except (ImportError, OSError):
         return by_fast_simplification
-    return by_meshoptimizer
+    return partial(by_meshoptimizer, tick=tick)
 
 
-def by_meshoptimizer(mesh: Mesh, faces: int) -> Mesh:
+def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
     """Collapses that keep a subset of the vertices; where they pinch the surface it is held, or cut, there."""
+    if len(mesh.faces) > _AT_ONCE * faces:
+        mesh = _cut(mesh, _AT_ONCE * faces // 2, _loop_corners(mesh.vertices, border_edges(mesh.faces)))
     locked = _loop_corners(mesh.vertices, border_edges(mesh.faces))
     allowed = len(_crowded(mesh.faces))
     kept = _collapse(mesh, faces, locked)
     while len(crowded := _crowded(kept)) > allowed:
         more = locked | _around(mesh.faces, crowded, len(mesh.vertices))
         if more.sum() > _MOST_HELD * faces or (more == locked).all():
+            tick(0)
             return _cut(mesh, faces, locked)
         locked = more
+        tick(0)
         kept = _collapse(mesh, faces, locked)
     return compact(Mesh(mesh.vertices, kept))
 
