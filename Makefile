@@ -8,7 +8,7 @@ CAPTURE ?=
 DEMO_FLAGS ?=
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: demo test setup test-setup lint bench proto clean
+.PHONY: help demo test setup test-setup bench proto clean
 .DEFAULT_GOAL := help
 
 help:

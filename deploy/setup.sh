@@ -24,7 +24,7 @@ product() {
   have "$python" || apt_install "the product" python3 python3-venv
   "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
     { echo "setup: Python 3.11 or newer is needed; name one with PYTHON=..." >&2; exit 1; }
-  if [[ ! -x .venv/bin/python ]]; then
+  if [[ ! -x .venv/bin/pip ]]; then  # Debian without python3-venv leaves one without pip behind
     "$python" -m venv .venv 2>/dev/null || { apt_install "a virtual environment" python3-venv; "$python" -m venv .venv; }
   fi
   .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[gateway,edge,storage]'
@@ -38,7 +38,8 @@ product() {
 tests() {
   local packages=()
   have chromium || packages+=(chromium)
-  have node || packages+=(nodejs npm)
+  have node || packages+=(nodejs)
+  have npm || packages+=(npm)
   have radosgw || packages+=(radosgw ceph-mon ceph-osd ceph-common)
   have curl || packages+=(curl)
   compgen -G '/usr/lib/postgresql/*/bin/postgres' >/dev/null || packages+=(postgresql)

@@ -10,7 +10,7 @@ trap 'rm -rf "$scratch"' EXIT
 cd "$scratch"
 npm pack --silent "three@$version" >/dev/null
 tar xzf "three-$version.tgz"
-rm -f "$web"/three-*.js
+rm -f "$web"/three-*
 name() { echo "three-$version.$1.js"; }
 copy() { cp "package/$1" "$web/$(name "$2")"; }
 copy build/three.core.js core
@@ -22,4 +22,6 @@ copy examples/jsm/utils/SkeletonUtils.js skeleton-utils
 sed -i -E "s#(from|import) '(\./three\.core\.js)'#\1 './$(name core)'#; s#from 'three'#from './$(name module)'#
   s#'\.\./utils/BufferGeometryUtils\.js'#'./$(name buffer-geometry-utils)'#; s#'\.\./utils/SkeletonUtils\.js'#'./$(name skeleton-utils)'#" \
   "$web"/three-"$version".*.js
+# Our own modules name the version too.
+sed -i -E "s#/three-[0-9]+\.[0-9]+\.[0-9]+\.#/three-$version.#" "$web"/{stage,turntable,viewer}.js
 cp package/LICENSE "$web/three-$version.LICENSE"

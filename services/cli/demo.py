@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+import sys
 import threading
 from pathlib import Path
 
-import httpx
-
 from services.cli.errors import answer_of
+from services.cli.http import client_of
 from services.cli.progress import console
 from services.cli.pull import pull_asset
 from services.cli.push import push_capture
@@ -21,13 +21,14 @@ _KEY = "demo-garment"
 
 def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     """Push a capture through everything, leave PNG, meshes and report in `out`, end with the viewer's URL."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # leaves the stack, which stops it
     out.mkdir(parents=True, exist_ok=True)
     key = key_from(capture) if capture else _KEY
     source = capture or _simulated(out)
     with running("127.0.0.1", _port(), out / "data") as stack:
         job = push_capture(source, stack.url, key=key, preset="", label=key, isolate=capture is None)
         pull_asset(key, out / "asset", stack.url, cache=out / "cache")
-        with httpx.Client(base_url=stack.url) as client:
+        with client_of(stack.url) as client:
             entry = answer_of(client.get(f"/v1/assets/{key}"))
             manifest = answer_of(client.get(entry["manifest"]["url"]))
         (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")

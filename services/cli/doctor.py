@@ -14,6 +14,7 @@ import httpx
 from rich.table import Table
 from rich.text import Text
 
+from services.cli.http import client_of
 from services.cli.progress import console
 
 _NEEDED = {
@@ -104,7 +105,8 @@ def _storage() -> Iterator[Finding]:
 
 def _gateway(url: str) -> Iterator[Finding]:
     try:
-        answer = httpx.get(f"{url}/readyz", timeout=2.0)
+        with client_of(url, timeout=httpx.Timeout(2.0)) as client:
+            answer = client.get("/readyz")
     except (httpx.TransportError, httpx.InvalidURL):
         yield Finding("gateway", "note", f"nothing answers at {url}; start one with: capture2vr up")
         return

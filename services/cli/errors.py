@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import httpx
+
+NO_KEY = "'{}' is no asset key: use 1 to 100 letters, digits, '.', '_' or '-', a letter or digit first"
 
 
 class BadInput(Exception):  # noqa: N818 - it reads as what it is
@@ -27,13 +30,17 @@ def answer_of(response: httpx.Response, *, file: str = "") -> Any:
 
     file  what was sent, for a problem that blames no file in it
     """
-    if response.is_success:
-        return response.json()
     try:
         problem = response.json()
-    except ValueError:
-        problem = {}
+    except ValueError:  # another server than a gateway
+        problem = None
+    if response.is_success and problem is not None:
+        return problem
     if not isinstance(problem, dict) or "detail" not in problem:
-        raise BadInput(f"{response.request.url} answered {response.status_code} {response.reason_phrase}")
-    blamed = problem.get("file") or file
-    raise BadInput(sentence(problem["detail"], file=blamed, hints=tuple(problem.get("hints") or ())))
+        raise BadInput(f"{response.request.url} answered {response.status_code}, but not as a gateway does")
+    raise BadInput(told(problem, file=file))
+
+
+def told(problem: Mapping[str, Any], *, file: str = "") -> str:
+    """A problem document as a sentence."""
+    return sentence(problem["detail"], file=problem.get("file") or file, hints=tuple(problem.get("hints") or ()))

@@ -129,7 +129,8 @@ def main() -> None:
         typer.echo(f"capture2vr: {plain(str(error))}", err=True)
         sys.exit(2)
     except OSError as error:  # a disk that is full, a file that may not be read
-        typer.echo(f"capture2vr: {plain(str(error.filename or ''))}: {error.strerror or error}", err=True)
+        file = f"{plain(str(error.filename))}: " if error.filename else ""
+        typer.echo(f"capture2vr: {file}{error.strerror or error}", err=True)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -12,18 +12,21 @@ from typing import Any
 import httpx
 from rich.table import Table
 
-from services.cli.errors import BadInput, answer_of
+from services.cli.errors import NO_KEY, BadInput, answer_of
+from services.cli.http import client_of
 from services.cli.progress import console
+from services.storage.catalogue import valid_key
 
 _CHUNK_BYTES = 1 << 20
-_TIMEOUT_S = 30.0
 
 
 def pull_asset(key: str, out: Path, gateway: str, *, cache: Path | None) -> None:
     """Download the newest version of `key` into `out`. Raises BadInput when absent, unreachable or tampered with."""
+    if not valid_key(key):
+        raise BadInput(NO_KEY.format(key))
     cache = cache or default_cache()
     try:
-        with httpx.Client(base_url=gateway, timeout=_TIMEOUT_S, follow_redirects=True) as client:
+        with client_of(gateway, follow_redirects=True) as client:
             entry = answer_of(client.get(f"/v1/assets/{key}"))
             out.mkdir(parents=True, exist_ok=True)
             rows = [(item, _fetch(client, item, out, cache)) for item in entry["files"]]

@@ -12,7 +12,8 @@ from typing import Any
 
 import httpx
 
-from services.cli.errors import BadInput, answer_of
+from services.cli.errors import BadInput, answer_of, told
+from services.cli.http import client_of
 from services.cli.progress import StageBar, console, warn
 from services.storage.archives import is_zip, pack
 
@@ -20,6 +21,7 @@ _CHUNK_BYTES = 256 << 10
 _TIMEOUT = httpx.Timeout(30.0, read=60.0)  # the gateway says something at least every 15 s while a job runs
 _RECONNECT_S = 1.0
 _GIVE_UP_S = 120.0  # without a word from the gateway; a restart takes seconds
+_AWAY = {502, 503, 504}
 _TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
 
 
@@ -28,7 +30,7 @@ def push_capture(source: Path, gateway: str, *, key: str, preset: str, label: st
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
     try:
-        with httpx.Client(base_url=gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
+        with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             capture = upload(client, source, bar)
             request = {"capture": capture["capture"], "asset_key": key, "label": label or key, "isolate": isolate}
             if preset:
@@ -63,6 +65,7 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
         try:
             headers = {"Last-Event-ID": last} if last else {}
             with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as response:
+                _present(response)
                 if not response.is_success:
                     response.read()
                     answer_of(response)
@@ -72,7 +75,7 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
                         last = line[3:].strip()
                     elif line.startswith("data:") and line[5:].strip():
                         yield {"stage": "", "fraction": 0.0, "state": "RUNNING", **json.loads(line[5:])}
-            state = answer_of(client.get(f"/v1/jobs/{job}"))
+            state = answer_of(_present(client.get(f"/v1/jobs/{job}")))
             yield state
             if state["state"] in _TERMINAL:
                 return
@@ -80,6 +83,13 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
             if time.monotonic() - heard > _GIVE_UP_S:
                 raise
         time.sleep(_RECONNECT_S)
+
+
+def _present(response: httpx.Response) -> httpx.Response:
+    """The answer; where a proxy answers for a gateway that is away, that is no connection."""
+    if response.status_code in _AWAY:
+        raise httpx.ConnectError(f"it answered {response.status_code}")
+    return response
 
 
 def _chunks(archive: Path, size: int, bar: StageBar) -> Iterator[bytes]:
@@ -94,8 +104,7 @@ def _chunks(archive: Path, size: int, bar: StageBar) -> Iterator[bytes]:
 
 def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:
     if job["state"] != "SUCCEEDED":
-        error = job.get("error") or {}
-        raise BadInput(error.get("detail") or f"the job ended as {job['state']}")
+        raise BadInput(told(job["error"]) if job.get("error") else f"the job ended as {job['state']}")
     for warning in job.get("warnings") or []:
         warn(warning)
     console.print(f"done in {job['elapsed_s']:.1f} s: {gateway}/view/{job['asset_key']}")

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from services.cli.errors import BadInput, plain, sentence
+from services.cli.errors import NO_KEY, BadInput, plain, sentence
 from services.cli.progress import StageBar, console, warn
 from services.edge.errors import EdgeError
 from services.edge.pipeline import Progress, reconstruct
@@ -27,9 +27,7 @@ def run_capture(source: Path, out: Path, *, preset: str, resolution: int, isolat
     """Reconstruct `source` into `out`. Raises BadInput; `out` is only touched once there is a result."""
     key = key or key_from(source)
     if not valid_key(key):
-        raise BadInput(
-            f"'{key}' is no asset key: use 1 to 100 letters, digits, '.', '_' or '-', a letter or digit first"
-        )
+        raise BadInput(NO_KEY.format(key))
     _check_writable(out)
     try:
         chosen = load_preset(preset)

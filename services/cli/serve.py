@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pydantic import ValidationError
-
 from services.cli.errors import BadInput
 from services.logs import configure
 from services.storage.settings import StorageSettings
@@ -17,11 +15,11 @@ def serve_edge() -> int:
     from services.storage.settings import open_store
 
     try:
-        settings, storage = EdgeSettings(), StorageSettings()
-    except (ValidationError, ValueError) as error:
+        settings, store = EdgeSettings(), open_store(StorageSettings())
+    except ValueError as error:
         raise BadInput(str(error)) from error
     configure(settings.log_level)
-    return serve(settings, RealWork(open_store(storage)))
+    return serve(settings, RealWork(store))
 
 
 def serve_gateway() -> int:
@@ -31,7 +29,7 @@ def serve_gateway() -> int:
     from services.storage.settings import open_store
 
     try:
-        settings, storage = GatewaySettings(), StorageSettings()
-    except (ValidationError, ValueError) as error:
+        settings, store = GatewaySettings(), open_store(StorageSettings())
+    except ValueError as error:
         raise BadInput(str(error)) from error
-    return serve(settings, open_store(storage))
+    return serve(settings, store)

@@ -103,7 +103,7 @@ class Stack:
                 if child.poll() is not None:
                     raise BadInput(f"the {name} could not start: {_last_line(self._logs / f'{name}.log')}")
             try:
-                if httpx.get(f"{self.url}/readyz", timeout=2.0).is_success:
+                if httpx.get(f"{self.url}/readyz", timeout=2.0, trust_env=False).is_success:
                     return
             except httpx.TransportError:
                 pass

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import http.server
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -81,6 +84,7 @@ def test_a_second_push_makes_a_second_version(url: str, disk: Path) -> None:
     [
         (["push", "nowhere.ply", "--key", "x"], "nowhere.ply"),
         (["pull", "never-made", "-o", "x"], "never-made"),
+        (["pull", "../jobs", "-o", "x"], "no asset key"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_a_sentence(url: str, arguments: list[str], word: str, tmp_path: Path) -> None:
@@ -119,6 +123,38 @@ def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
     assert result.returncode == 2
     assert "EDGE_SLOT " in result.stderr
     assert "EDGE_SLOTS" in result.stderr
+
+
+def test_half_a_pair_of_keys_is_said_in_a_sentence() -> None:
+    environment = {**os.environ, "STORAGE_KIND": "s3", "STORAGE_ACCESS_KEY": "one"}
+    command = [sys.executable, "-m", "services.cli", "gateway"]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 2
+    assert "STORAGE_SECRET_KEY" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_proxy_for_the_world_is_not_asked_for_this_machine(url: str, tmp_path: Path) -> None:
+    nowhere = f"http://127.0.0.1:{free_port()}"
+    environment = {**os.environ, "HTTP_PROXY": nowhere, "http_proxy": nowhere, "NO_PROXY": "", "no_proxy": ""}
+    command = [sys.executable, "-m", "services.cli", "pull", "never-made", "-o", str(tmp_path / "x"), "--gateway", url]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert "never-made" in result.stderr
+    assert "cannot be reached" not in result.stderr
+
+
+def test_what_is_no_gateway_is_said_plainly(tmp_path: Path) -> None:
+    page = tmp_path / "v1" / "assets" / "leaf"
+    page.parent.mkdir(parents=True)
+    page.write_text("<html>some other server</html>")
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=tmp_path)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        gateway = f"http://127.0.0.1:{server.server_port}"
+        result = capture2vr("pull", "leaf", "-o", tmp_path / "x", "--gateway", gateway)
+        server.shutdown()
+    assert result.returncode == 2
+    assert "not as a gateway does" in result.stderr
 
 
 def test_doctor_finds_nothing_bad(url: str, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,10 @@ from typing import Any
 
 import pytest
 
+from services.edge.settings import EdgeSettings
+from services.gateway.settings import GatewaySettings
+from services.storage.settings import StorageSettings
+from services.strict_settings import StrictSettings
 from tests.conftest import missing
 
 ROOT = Path(__file__).parents[2]
@@ -42,6 +47,11 @@ def _config(compose: list[str], *profiles: str, **variables: str) -> dict[str, A
     return config
 
 
+def _variables(settings: type[StrictSettings]) -> set[str]:
+    prefix = str(settings.model_config["env_prefix"])
+    return {prefix + field.upper() for field in settings.model_fields}
+
+
 def test_compose_file_is_valid(compose: list[str]) -> None:
     result = subprocess.run([*compose, "config", "-q"], capture_output=True, text=True)
     assert (result.returncode, result.stderr) == (0, "")
@@ -65,6 +75,20 @@ def test_the_gpu_worker_exists_only_in_its_profile(compose: list[str]) -> None:
     assert "edge-gpu" not in _config(compose)["services"]
     gpu = _config(compose, "gpu")["services"]["edge-gpu"]
     assert gpu["deploy"]["resources"]["reservations"]["devices"][0]["driver"] == "nvidia"
+
+
+def test_every_variable_is_one_that_the_services_know(compose: list[str]) -> None:
+    known = {*_variables(GatewaySettings), *_variables(EdgeSettings), *_variables(StorageSettings)}
+    for name, service in _config(compose, "gpu")["services"].items():
+        given = {one for one in service.get("environment", {}) if one.startswith(("GATEWAY_", "EDGE_", "STORAGE_"))}
+        assert given <= known, name
+    for dockerfile in (ROOT / "deploy").glob("*.Dockerfile"):
+        assert set(re.findall(r"\b((?:GATEWAY|EDGE|STORAGE)_[A-Z_]+)=", dockerfile.read_text())) <= known
+
+
+def test_links_follow_the_port(compose: list[str]) -> None:
+    environment = _config(compose, PORT="9999")["services"]["gateway"]["environment"]
+    assert environment["GATEWAY_PUBLIC_URL"] == environment["STORAGE_BASE_URL"] == "http://127.0.0.1:9999"
 
 
 def test_the_store_can_be_another_image(compose: list[str]) -> None:

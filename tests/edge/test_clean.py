@@ -97,6 +97,17 @@ def test_what_no_points_back_is_trimmed_and_specks_go() -> None:
     assert area(mesh) == pytest.approx(np.pi / 4, rel=0.03)
 
 
+def test_fins_that_stand_off_the_points_are_drawn_tight() -> None:
+    near = surfaces.sampled(surfaces.disk(), 5_000)  # spaced 0.0125 apart
+    sheet = surfaces.patch(lambda u, v: [u, v, 0 * u], 100, 100)
+    across = np.abs(sheet.vertices[:, 0])
+    sheet.vertices[:, 2] = np.maximum(0.02 - across, 0) * (np.abs(sheet.vertices[:, 1]) < 0.2)
+    mesh = clean(sheet, near)
+    assert sheet.vertices[:, 2].max() == pytest.approx(0.02)
+    assert mesh.vertices[:, 2].max() < 0.005
+    assert len(border_loops(mesh.faces)) == 1
+
+
 def test_tick_rises_to_one_and_cancels() -> None:
     near = surfaces.sampled(surfaces.disk(), 1_000)
     raw, heard = extract(local_field(near), near, resolution=32), list[float]()

@@ -9,6 +9,11 @@ from PIL import Image
 from playwright.sync_api import Page
 
 
+def stage(page: Page) -> bytes:
+    """The viewer's canvas without the words and buttons that lie over it."""
+    return page.locator("#stage").screenshot(style="header, footer { visibility: hidden }")
+
+
 def drawn(png: bytes) -> float:
     """Share of the picture that differs from its upper left corner."""
     pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)

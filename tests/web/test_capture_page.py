@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from services.cli.up import Stack
-from tests.web.pictures import difference, drawn, expect_picture
+from tests.web.pictures import difference, drawn, expect_picture, stage
 
 pytestmark = pytest.mark.browser
 
@@ -64,7 +64,7 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     page.get_by_role("link", name="View", exact=True).click()
     expect(page).to_have_url(f"{stack.url}/view/My-blue-bowl")
     expect(page.locator("#label")).to_have_text("My blue bowl")
-    assert drawn(page.locator("#stage").screenshot()) > 0.03
+    assert drawn(stage(page)) > 0.03
 
 
 def test_a_reloaded_page_goes_on_watching(page: Page, stack: Stack, bowl: Path) -> None:
@@ -74,6 +74,34 @@ def test_a_reloaded_page_goes_on_watching(page: Page, stack: Stack, bowl: Path) 
     page.wait_for_url("**/#job=*")
     page.reload()
     expect(page.locator("body")).to_have_attribute("data-state", "done")
+
+
+def test_a_proxys_error_in_mid_job_does_not_end_the_watching(page: Page, stack: Stack, bowl: Path) -> None:
+    refused: list[str] = []
+
+    def refuse_once(route: Route) -> None:
+        if refused:
+            return route.continue_()
+        refused.append(route.request.url)
+        return route.fulfill(status=502, body="bad gateway")
+
+    page.route("**/events*", refuse_once)
+    page.goto(stack.url)
+    _choose(page, bowl)
+    page.get_by_role("button", name="Send").click()
+    expect(page.locator("body")).to_have_attribute("data-state", "done")
+    assert refused
+
+
+def test_what_cannot_be_drawn_is_ready_all_the_same(page: Page, stack: Stack, bowl: Path) -> None:
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto(stack.url)
+    _choose(page, bowl)
+    page.get_by_role("button", name="Send").click()
+    expect(page.locator("body")).to_have_attribute("data-state", "done")
+    expect(page.locator("#undrawn")).to_be_visible()
+    expect(page.get_by_role("alert")).to_be_hidden()
+    expect_picture(page, "#qr")
 
 
 def test_what_is_no_capture_is_told_with_its_name(page: Page, stack: Stack, tmp_path: Path) -> None:

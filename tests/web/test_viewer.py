@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import BrowserContext, Page, Route, expect
 
 from services.cli.up import Stack
 from services.edge.capture.nouns import Capture, Cloud
@@ -16,7 +16,7 @@ from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
 from services.storage.local import LocalStore
 from services.storage.publish import publish
-from tests.web.pictures import drawn, expect_picture
+from tests.web.pictures import drawn, expect_picture, stage
 
 pytestmark = pytest.mark.browser
 KEY = "bowl"
@@ -50,11 +50,27 @@ def test_all_levels_come_and_distance_chooses_among_them(page: Page, stack: Stac
     page.goto(f"{stack.url}/view/{KEY}")
     expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
     expect(page.locator("body")).to_have_attribute("data-lod", "0")
-    assert drawn(page.locator("#stage").screenshot()) > 0.05
+    assert drawn(stage(page)) > 0.05
     page.mouse.move(195, 400)
     for _ in range(60):
         page.mouse.wheel(0, 400)
     expect(page.locator("body")).to_have_attribute("data-lod", "2")
+
+
+def test_a_level_that_was_lost_on_the_way_is_fetched_again(page: Page, stack: Stack) -> None:
+    lost: list[str] = []
+
+    def lose_once(route: Route) -> None:
+        if lost:
+            return route.continue_()
+        lost.append(route.request.url)
+        return route.abort()
+
+    page.route("**/lod1.*", lose_once)
+    page.goto(f"{stack.url}/view/{KEY}")
+    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    expect(page.locator("body")).to_have_attribute("data-state", "preview")
+    assert lost
 
 
 def test_the_person_reads_name_size_and_state(page: Page, stack: Stack) -> None:
@@ -68,6 +84,7 @@ def test_an_unknown_key_is_said_not_shown(page: Page, stack: Stack) -> None:
     page.goto(f"{stack.url}/view/nothing-here")
     expect(page.locator("body")).to_have_attribute("data-state", "error")
     expect(page.locator("#said")).to_contain_text("nothing-here")
+    assert drawn(stage(page)) == 0
 
 
 def test_a_refined_version_replaces_the_preview_while_it_is_shown(
@@ -79,7 +96,7 @@ def test_a_refined_version_replaces_the_preview_while_it_is_shown(
     publish(Bundle(state="refined", files=bundle.files, manifest=bundle.manifest), store, key="growing", job="a")
     expect(page.locator("body")).to_have_attribute("data-state", "refined")
     expect(page.locator("body")).to_have_attribute("data-version", "2")
-    assert drawn(page.locator("#stage").screenshot()) > 0.05
+    assert drawn(stage(page)) > 0.05
 
 
 @pytest.fixture
@@ -108,10 +125,11 @@ def test_in_vr_it_stands_ahead_at_true_size(headset: Page, stack: Stack) -> None
     assert (x**2 + z**2) ** 0.5 == pytest.approx(1.5, abs=0.02)
     assert y == pytest.approx(1.6 * 0.75 - 0.25, abs=0.02), "a half-metre bowl is lifted to a comfortable height"
     headset.wait_for_timeout(500)
-    shot = headset.screenshot()
-    assert drawn(shot) > 0.02
+    assert drawn(stage(headset)) > 0.02
     headset.evaluate("xrDevice.activeSession.end()")
     expect(headset.locator("body")).to_have_attribute("data-xr", "off")
+    headset.wait_for_timeout(500)
+    assert drawn(stage(headset)) > 0.05, "back on the screen it fills the view again"
 
 
 def test_without_a_headset_the_page_says_how_to_get_there(page: Page, stack: Stack) -> None:

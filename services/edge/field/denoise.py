@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.field.noise import SCALES as NOISE_SCALES
 from services.edge.field.noise import Noise, noise_level
-from services.edge.field.planes import in_threads, slices
 from services.edge.field.quadrics import TINY, fit_quadric, monomials, tangents, weighted_pca
+from services.edge.threads import in_threads, slices
 
 NEIGHBOURS = (16, 28, 50, 90, 160)  # each ×1.8: steps of ×1.5 gain nothing and cost a third more; 240 gains 1 %
 REACH = 2.5  # in σ: 99 % of the noise keeps half its weight; a layer 5 σ away keeps an eighth

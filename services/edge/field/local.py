@@ -19,8 +19,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import DistanceFn, Floats
-from services.edge.field.planes import Planes, fit_planes, in_threads, slices
+from services.edge.field.planes import Planes, fit_planes
 from services.edge.field.quadrics import TINY
+from services.edge.threads import in_threads, slices
 
 LAYER = 0.5  # in spacings: how far off the nearest point's plane another point may lie before it is another layer's
 BLEND = 8  # planes per query: with 4 the surface shows the cells of the points, more than 8 only cost time

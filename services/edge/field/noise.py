@@ -21,8 +21,9 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from services.edge.arrays import Floats, Ints
-from services.edge.field.planes import CHUNK, SPACING_RANK, in_threads, rank_spacing, slices
+from services.edge.field.planes import CHUNK, SPACING_RANK, rank_spacing
 from services.edge.field.quadrics import QUADRIC, TINY, monomials, tangents, weighted_pca
+from services.edge.threads import in_threads, slices
 
 SCALES = (12, 24, 48, 96)  # neighbours; the least that leave a quadric's 6 coefficients some freedom, then doubled
 BLOB = 0.2  # noise / radius above which a neighbourhood is a ball, not a sheet: its thickness says nothing yet

@@ -13,19 +13,16 @@ folded T-shirt 24 → 13 %, car with interior 21 → 17 %, two sheets 1.5 spacin
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Tick, no_tick
+from services.edge.arrays import Floats
 from services.edge.field.quadrics import TINY, weighted_pca
+from services.edge.threads import in_threads, slices
 
-WORKERS = min(8, os.cpu_count() or 1)  # numpy and the KD-tree release the GIL; memory binds beyond some cores
 NEIGHBOURS = 16  # enough for a stable plane at random spacing, few enough to stay inside a fold
 SPACING_RANK = 8  # the 8th neighbour: its distance varies by a fifth at random spacing, the first one's by half
 PAIRS = np.array(list(combinations(range(1, 7), 2))).T  # of the 6 nearest: 15 planes, one of them in the right layer
@@ -59,22 +56,6 @@ def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None) -> Pla
 
     in_threads(fit, slices(len(xyz), CHUNK))
     return Planes(np.asarray(xyz, np.float32), fitted, spacing)
-
-
-def slices(count: int, size: int) -> list[slice]:
-    """Consecutive slices of `size` that cover range(count)."""
-    return [slice(start, min(start + size, count)) for start in range(0, count, size)]
-
-
-def in_threads(work: Callable[[slice], None], parts: Sequence[slice], tick: Tick = no_tick) -> None:
-    """Run `work` on every part on `WORKERS` threads; tick after each, on this thread. The first exception ends it."""
-    pool = ThreadPoolExecutor(WORKERS)
-    try:
-        for done, _ in enumerate(pool.map(work, parts), start=1):
-            tick(done / len(parts))
-    finally:
-        # After an exception (a cancelled job's tick raises) the parts that wait must not run.
-        pool.shutdown(cancel_futures=True)
 
 
 def rank_spacing(distance: Floats) -> Floats:

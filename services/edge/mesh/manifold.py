@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints
+from services.edge.arrays import Bools, Bytes, Floats, Ints
 from services.edge.mesh.edges import Edges, edges_of, following
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.topology import labels
@@ -20,20 +20,21 @@ def to_manifold(mesh: Mesh, at: Bools | None = None) -> Mesh:
     """Cut the mesh where more than two faces share an edge, or more than one fan of faces a vertex. No face is lost.
 
     at (V,) are the vertices where that may be needed, both ends of such edges among them; all by default. Vertices keep
-    their numbers, new ones follow them. Colours are lost.
+    their numbers, new ones follow them.
     """
     faces = mesh.faces[(mesh.faces != mesh.faces[:, [1, 2, 0]]).all(axis=1)]
     if at is None:
         at = np.ones(len(mesh.vertices), bool)
     near = at[faces].any(axis=1)
-    part = _cut(mesh.vertices, faces[near], at)
+    part = _cut(Mesh(mesh.vertices, faces[near], mesh.rgb), at)
     while doubled := _doubled(part):
         part = _with_midpoints(part, doubled)
-    return Mesh(part.vertices, np.concatenate([faces[~near], part.faces]))
+    return Mesh(part.vertices, np.concatenate([faces[~near], part.faces]), part.rgb)
 
 
-def _cut(vertices: Floats, faces: Ints, at: Bools) -> Mesh:
+def _cut(mesh: Mesh, at: Bools) -> Mesh:
     """Faces joined along edges of two, and along the straightest pairs of edges of more; parted at these vertices."""
+    vertices, faces = mesh.vertices, mesh.faces
     edges = edges_of(faces)
     sheets = [sheet for at_edge in _sheets(vertices, faces, edges) for sheet in at_edge if len(sheet) == 2]
     a, b = np.concatenate([edges.halves(2), *(sheet[None] for sheet in sheets)]).T
@@ -45,15 +46,16 @@ def _cut(vertices: Floats, faces: Ints, at: Bools) -> Mesh:
     origin[fan] = faces.ravel()
     split = np.flatnonzero(((np.bincount(origin, minlength=len(vertices)) > 1) & at)[origin])
     if len(split) == 0:
-        return Mesh(vertices, faces)
+        return mesh
     first = np.zeros(len(split), bool)
     first[np.unique(origin[split], return_index=True)[1]] = True
     name = origin.copy()
     name[split[~first]] = len(vertices) + np.arange(np.count_nonzero(~first))
-    placed = np.concatenate([vertices, vertices[origin[split[~first]]]])
+    source = origin[split[~first]]
+    placed = np.concatenate([vertices, vertices[source]])
     named = name[fan].reshape(-1, 3)
     _draw_back(placed, named, vertices[faces].mean(axis=1), name[split])
-    return Mesh(placed, named)
+    return Mesh(placed, named, _more_rgb(mesh, source))
 
 
 def _draw_back(vertices: Floats, faces: Ints, centres: Floats, split: Ints) -> None:
@@ -108,4 +110,10 @@ def _with_midpoints(mesh: Mesh, sheets: list[Ints]) -> Mesh:
     first[rows, (half % 3 + 1) % 3] = new
     second[rows, half % 3] = new
     kept = np.delete(faces, half // 3, axis=0)
-    return Mesh(np.concatenate([mesh.vertices, middle]), np.concatenate([kept, first, second]))
+    rgb = _more_rgb(mesh, faces.ravel()[one])
+    return Mesh(np.concatenate([mesh.vertices, middle]), np.concatenate([kept, first, second]), rgb)
+
+
+def _more_rgb(mesh: Mesh, source: Ints) -> Bytes | None:
+    """Colours with those of new vertices, each from the (K,) vertex that it came of."""
+    return None if mesh.rgb is None else np.concatenate([mesh.rgb, mesh.rgb[source]])

@@ -15,8 +15,8 @@ from services.edge.arrays import Bytes, Floats, Ints, Tick, no_tick
 from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.rays import LIFT, Scene, open_sky, pinhole
-from services.edge.mesh.threads import in_threads
 from services.edge.srgb import to_linear, to_srgb
+from services.edge.threads import in_threads
 
 _AZIMUTHS = (25.0, 115.0, 205.0, 295.0)  # degrees about Y from +Z: front, right, back, left, each turned to show depth
 _ELEVATION = 15.0  # degrees: high enough to look into an open neck, low enough to see under a hem
@@ -37,13 +37,14 @@ _KEY, _SKY, _FLOOR, _RIM = (
 def render_sheet(mesh: Mesh, *, size: int = 512, tick: Tick = no_tick) -> bytes:
     """PNG of (2·size)² pixels: the mesh, Y up, from front, right, back and left, all at one scale.
 
-    `tick` is called after each view with the fraction done. Raises ValueError for a mesh without faces.
+    `tick` is called before the views and after each, with the fraction done. Raises ValueError if there are no faces.
     """
     from PIL import Image
 
     if len(mesh.faces) == 0:
         raise ValueError("a mesh without faces has no picture")
     subject = _Subject.of(mesh)
+    tick(0)
     views = in_threads(lambda camera: _view(subject, camera, size), _cameras(mesh.vertices), tick)
     sheet = np.concatenate([np.concatenate(views[:2], axis=1), np.concatenate(views[2:], axis=1)])
     out = BytesIO()

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from services.edge.mesh.band import part_of
 from services.edge.mesh.edges import border_edges, edges_of
 from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.nouns import Mesh
@@ -33,12 +34,13 @@ _MOST_HELD = 0.05
 # What a step from black to white counts against the longest side: a print keeps its outlines, and the surface of a
 # 1.1 m dress moves 0.04 mm more on average at 25k faces, 0.4 mm at 5k.
 _COLOUR_WEIGHT = 0.15
-# A mesh of more times its budget is first brought half way, so that collapses which pinch it are not repeated in full.
-_AT_ONCE = 6
+# Faces from which a collapse takes most of a second: such a mesh is first brought to half as many and cut where that
+# pinches it, so that what is repeated because of pinches is shorter.
+_AT_ONCE = 600_000
 _ONE_AT_A_TIME = Lock()  # fast-simplification keeps its mesh in a global between load and result
-# A mesh full of handles and openings (a car with its interior) stops at three times a small budget. A level that costs
-# that much is no level, so the budget wins and openings may close; not for budgets that could hold no shape at all.
-_OVER, _FORCED_FROM = 1.05, 1_000
+# A mesh full of handles and openings (a car with its interior) stops at three times a small budget. A level of half
+# as much again is no level, so the budget wins and openings may close; not for budgets that could hold no shape at all.
+_OVER, _FORCED_FROM = 1.5, 1_000
 _FORCED_TRIES = 3  # cutting to a manifold adds some faces, so fewer are asked for each time
 _ANY_ERROR = 1e3  # in extents: the face budget decides, not the error
 
@@ -55,14 +57,13 @@ def lods(mesh: Mesh, budgets: Sequence[int] = BUDGETS, *, tick: Tick = no_tick) 
     """
     if not budgets or any(coarse >= fine for fine, coarse in pairwise(budgets)):
         raise ValueError(f"budgets must fall from level to level, not {tuple(budgets)}")
-    levels = [simplify(mesh, budgets[0], tick=lambda _: tick(0))]
+    share = 1 / len(budgets)
+    levels = [simplify(mesh, budgets[0], tick=part_of(tick, 0, share))]
     for done, budget in enumerate(budgets[1:], start=1):
         finer = levels[-1]
         half = max(len(finer.faces) // 2, _FEWEST)
-        so_far = done / len(budgets)
-        levels.append(
-            simplify(finer, budget if budget < len(finer.faces) else half, tick=lambda _, so_far=so_far: tick(so_far))
-        )
+        target = budget if budget < len(finer.faces) else half
+        levels.append(simplify(finer, target, tick=part_of(tick, done * share, (done + 1) * share)))
     tick(1)
     return tuple(levels)
 
@@ -82,7 +83,8 @@ def simplify(mesh: Mesh, faces: int, *, collapse: Collapse | None = None, tick: 
     tick(0)
     coarse = (collapse or _best_collapse(tick))(mesh, faces)
     if len(coarse.faces) > _OVER * faces and faces >= _FORCED_FROM:
-        coarse = min(coarse, _forced(mesh, faces), key=lambda each: len(each.faces))
+        forced = _forced(mesh, faces)
+        coarse = forced if len(forced.faces) < len(coarse.faces) else coarse
     return coarse if mesh.rgb is None else _coloured(coarse, mesh)
 
 
@@ -96,8 +98,11 @@ def _best_collapse(tick: Tick) -> Collapse:
 
 def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
     """Collapses that keep a subset of the vertices; where they pinch the surface it is held, or cut, there."""
-    if len(mesh.faces) > _AT_ONCE * faces:
-        mesh = _cut(mesh, _AT_ONCE * faces // 2, _loop_corners(mesh.vertices, border_edges(mesh.faces)))
+    if len(mesh.faces) > _AT_ONCE and faces < _AT_ONCE // 2:
+        kept = _collapse(mesh, _AT_ONCE // 2, _loop_corners(mesh.vertices, border_edges(mesh.faces)))
+        tick(0)
+        mesh = to_manifold(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
+        tick(0)
     locked = _loop_corners(mesh.vertices, border_edges(mesh.faces))
     allowed = len(_crowded(mesh.faces))
     kept = _collapse(mesh, faces, locked)

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import Bools, Floats, Ints, Tick
 from services.edge.mesh.band import part_of
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.threads import in_threads
+from services.edge.threads import in_threads, slices
 
 DISC = 2.0  # R in spacings
 HOLE_DISC = 1.5  # the largest empty one among 10,000 random points has 2.2, so holes must be weighed by area as well
@@ -47,7 +47,7 @@ class Support:
         self._nearest = np.empty(0, np.int64)
         # For a single use: quick to build, though a little slower to ask.
         mesh_tree = cKDTree(mesh.vertices, balanced_tree=False, compact_nodes=False)
-        at = in_threads(lambda part: mesh_tree.query(near[part])[1], _parts(len(near)), part_of(tick, 0, 0.4))
+        at = in_threads(lambda part: mesh_tree.query(near[part])[1], slices(len(near), CHUNK), part_of(tick, 0, 0.4))
         away, self._around = self._neighbours(np.arange(len(near)), SPACING_NEIGHBOURS + 1, part_of(tick, 0.4, 0.8))
         self._spacing = self._within_layers(away, normals[np.concatenate(at)])
         self._nearest_to(mesh.vertices)
@@ -56,6 +56,12 @@ class Support:
     def spacing_at(self, vertices: Floats) -> Floats:
         """(V,) spacing of the point nearest to each vertex."""
         return self._spacing[self._nearest_to(vertices)]
+
+    def distance_from(self, vertices: Floats) -> Floats:
+        """(M,) distance of any places from the nearest point, in its spacings."""
+        away, nearest = self._tree.query(vertices, workers=-1)
+        distance: Floats = away / self._spacing[nearest]
+        return distance
 
     def overhang(self, vertices: Floats, normals: Floats, tick: Tick) -> tuple[Floats, Floats]:
         """(V,) m(v) in spacings for borders and for holes, clipped to [−1, 2]. normals (V,3), sign arbitrary.
@@ -79,7 +85,7 @@ class Support:
             hole[at] = _largest_empty(x, y, HOLE_DISC)
             border[at] = _largest_empty(np.where(own, x, FAR), y, DISC)
 
-        in_threads(look, _parts(len(doubtful)), part_of(tick, 0.3, 1))
+        in_threads(look, slices(len(doubtful), CHUNK), part_of(tick, 0.3, 1))
         return border, hole
 
     def _doubtful(self, xyz: Floats, normals: Floats, nearest: Ints, around: Floats) -> Ints:
@@ -100,7 +106,7 @@ class Support:
         def look(part: slice) -> None:
             away[part], index[part] = self._tree.query(self._tree.data[points[part]], k=count)
 
-        in_threads(look, _parts(len(points)), tick)
+        in_threads(look, slices(len(points), CHUNK), tick)
         return away, index
 
     def _within_layers(self, away: Floats, normals: Floats) -> Floats:
@@ -119,10 +125,6 @@ class Support:
         if len(new):
             self._nearest = np.append(self._nearest, self._tree.query(new, workers=-1)[1])
         return self._nearest[: len(vertices)]
-
-
-def _parts(count: int) -> list[slice]:
-    return [slice(start, start + CHUNK) for start in range(0, count, CHUNK)]
 
 
 def _own_layer(relative: list[Floats], normals: Floats, spacing: Floats) -> Bools:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from services.edge.arrays import Bools, Floats, Ints
+from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
 from services.edge.mesh.edges import Edges, edges_of
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
@@ -42,16 +42,20 @@ def compact(mesh: Mesh, kept: Ints | None = None) -> Mesh:
     return Mesh(mesh.vertices[used], (np.cumsum(used) - 1)[faces], rgb)
 
 
-def orient(mesh: Mesh, edges: Edges | None = None) -> Mesh:
-    """Wind neighbours alike, closed pieces outwards. A piece that no winding suits (Möbius) keeps one seam of flips."""
-    edges = edges or edges_of(mesh.faces)
-    flip = flips(mesh, edges)
+def orient(mesh: Mesh, tick: Tick = no_tick) -> Mesh:
+    """Wind neighbours alike, closed pieces outwards. A piece that no winding suits (Möbius) keeps one seam of flips.
+
+    `tick` hears in between: a million faces take more than a second.
+    """
+    flip = _flips(mesh, tick)
     return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces), mesh.rgb)
 
 
-def flips(mesh: Mesh, edges: Edges) -> Bools:
-    """(F,) the faces that `orient` turns over."""
-    count = len(mesh.faces)
+def _flips(mesh: Mesh, tick: Tick) -> Bools:
+    """(F,) the faces to turn over."""
+    tick(0)
+    edges, count = edges_of(mesh.faces), len(mesh.faces)
+    tick(0.2)
     half = edges.halves(2)
     against = mesh.faces.ravel()[half[:, 0]] == mesh.faces.ravel()[half[:, 1]]
     adjacent = half // 3
@@ -61,9 +65,13 @@ def flips(mesh: Mesh, edges: Edges) -> Bools:
     as_is, over = labels(np.concatenate([straight, turned]), 2 * count).reshape(2, -1)
     piece, flip = np.minimum(as_is, over), as_is > over
     one_sided = as_is == over
+    tick(0.5)
     if one_sided.any():
         flip[one_sided] = _least_bent(mesh, adjacent, against, one_sided)
-    return flip ^ _inward(mesh, flip, piece, edges)[piece]
+    tick(0.8)
+    flip = flip ^ _inward(mesh, flip, piece, edges)[piece]
+    tick(1)
+    return flip
 
 
 def _inward(mesh: Mesh, flip: Bools, piece: Ints, edges: Edges) -> Bools:

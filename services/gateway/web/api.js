@@ -64,16 +64,35 @@ export function uploadCapture(files, name, onProgress) {
   });
 }
 
+const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds
+
 /**
- * Follow a job over server-sent events; the browser reconnects by itself and replays what was missed.
- * `onEvent(type, data)` hears every event; returns a function that stops listening.
+ * Follow a job over server-sent events; what was missed while the connection was away is replayed.
+ * `onEvent(type, data)` hears every event, and `open` whenever the stream (re)opens; returns a function that stops.
  */
 export function followJob(id, onEvent) {
-  const source = new EventSource(`/v1/jobs/${id}/events`);
-  for (const type of ['progress', 'published', 'state']) {
-    source.addEventListener(type, (event) => onEvent(type, JSON.parse(event.data)));
+  let source = null;
+  let timer = 0;
+  let seen = 0;
+  function connect() {
+    source = new EventSource(`/v1/jobs/${id}/events?after=${seen}`);
+    source.onopen = () => onEvent('open', {});
+    for (const type of ['progress', 'published', 'state']) {
+      source.addEventListener(type, (event) => {
+        seen = Number(event.lastEventId) || seen;
+        onEvent(type, JSON.parse(event.data));
+      });
+    }
+    // A browser reconnects by itself where the connection breaks, but never after an error's answer (a proxy's 502).
+    source.onerror = () => {
+      if (source.readyState === EventSource.CLOSED) timer = setTimeout(connect, RECONNECT_MS);
+    };
   }
-  return () => source.close();
+  connect();
+  return () => {
+    clearTimeout(timer);
+    source.close();
+  };
 }
 
 /** "My grandmother's dress!" -> "My-grandmother-s-dress": the characters that an asset key may have. */

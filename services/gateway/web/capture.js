@@ -17,7 +17,9 @@ const at = (id) => document.getElementById(id);
 const page = document.body;
 let files = [];
 let job = '';
-let preview = null; // { stop, version }
+let turning = 0; // version of the asset in the preview
+let looking = Promise.resolve(); // looks at the job, and then previews, one after the other: an older answer never comes last
+let showing = Promise.resolve();
 
 // ---- choosing -------------------------------------------------------------------------------------------------------
 
@@ -92,12 +94,18 @@ function watch(made) {
   show('working');
   fill(at('stages'), STAGES.map(([, label]) => label));
   apply(made);
-  const stop = followJob(job, async (type, data) => {
+  if (TERMINAL.includes(made.state)) return;
+  const stop = followJob(job, (type, data) => {
     if (type === 'progress') return showProgress(data);
-    const now = await getJson(`/v1/jobs/${job}`).catch(() => null);
+    looking = looking.then(look);
+  });
+
+  async function look() {
+    if (TERMINAL.includes(page.dataset.job)) return;
+    const now = await getJson(`/v1/jobs/${job}`).catch(() => null); // offline: asked again once the stream is open again
     if (now) apply(now);
     if (now && TERMINAL.includes(now.state)) stop();
-  });
+  }
 }
 
 /** The whole of a job, as told by GET. */
@@ -106,7 +114,7 @@ function apply(now) {
   showProgress(now);
   at('cancel').hidden = TERMINAL.includes(now.state) || now.state === 'CANCELLING';
   const published = now.asset || now.preview;
-  if (published) showResult(now, published).catch(trouble);
+  if (published) showing = showing.then(() => showResult(now, published)).catch(undrawn);
   if (now.state === 'FAILED') trouble(new Problem(now.error || {}));
   if (now.state === 'CANCELLED') trouble(new Problem({ code: 'CANCELLED', detail: 'The job was cancelled.' }));
   if (now.state === 'SUCCEEDED') {
@@ -123,26 +131,44 @@ function showProgress({ stage, fraction, message }) {
   at('detail').textContent = message || '';
   [...at('stages').children].forEach((item, place) => {
     item.dataset.is = place < index ? 'past' : place === index ? 'now' : 'next';
+    item.ariaCurrent = place === index ? 'step' : null;
   });
 }
 
-at('cancel').addEventListener('click', () => postJson(`/v1/jobs/${job}/cancel`, {}).catch(trouble));
+at('cancel').addEventListener('click', async () => {
+  at('cancel').disabled = true;
+  try {
+    await postJson(`/v1/jobs/${job}/cancel`, {});
+  } catch (problem) {
+    at('detail').textContent = problem.message; // the job goes on, and so does the watching
+  }
+  at('cancel').disabled = false;
+});
 
 // ---- the result -----------------------------------------------------------------------------------------------------
 
 async function showResult(now, published) {
-  if (preview && preview.version === published.version) return;
+  if (published.version <= turning) return;
   const view = new URL(`/view/${encodeURIComponent(now.asset_key)}`, location.href).href;
   at('result').hidden = false;
   at('view').href = view;
   at('link').textContent = view;
   at('qr').src = `/v1/assets/${encodeURIComponent(now.asset_key)}/qr.svg`;
-  preview?.stop();
-  preview = { version: published.version, stop: () => {} };
   // Only now: a phone that merely uploads never loads the 3D library.
   const { turn } = await import('./turntable.js');
-  preview.stop = await turn(at('preview'), await getJson(`/v1/assets/${encodeURIComponent(now.asset_key)}`));
-  page.dataset.preview = published.version;
+  const entry = await getJson(`/v1/assets/${encodeURIComponent(now.asset_key)}`);
+  await turn(at('preview'), entry);
+  at('preview').hidden = false;
+  at('undrawn').hidden = true;
+  turning = entry.version;
+  page.dataset.preview = turning;
+}
+
+/** The asset stands on the store all the same, and the headset can show it. */
+function undrawn() {
+  if (turning) return; // an earlier version is on show
+  at('preview').hidden = true;
+  at('undrawn').hidden = false;
 }
 
 // ---- trouble --------------------------------------------------------------------------------------------------------
@@ -161,6 +187,9 @@ for (const id of ['again', 'another']) {
     location.reload();
   });
 }
+
+// Nothing remembers an upload that is left half-way.
+window.addEventListener('beforeunload', (event) => page.dataset.state === 'sending' && event.preventDefault());
 
 function show(state) {
   page.dataset.state = state;

@@ -4,6 +4,8 @@ import { GLTFLoader } from './three-0.187.0.gltf-loader.js';
 
 // A level is fine enough while the asset's diameter takes less than this share of the view's height.
 const SCREEN_SHARE = [Infinity, 0.3, 0.1];
+const RETRY_MS = 2000; // doubles from try to try
+const RETRY_MOST_MS = 60_000;
 
 /** A renderer, a scene with soft light, and a camera that fit `canvas`. */
 export function makeStage(canvas) {
@@ -44,7 +46,8 @@ export function frame(camera, size) {
 
 /**
  * The asset of one catalogue entry as a THREE.LOD in metres, origin on the floor.
- * The smallest level is loaded before the promise resolves, so something shows at once; finer ones join as they come.
+ * The smallest level is loaded before the promise resolves, so something shows at once; finer ones join as they come,
+ * however often the connection breaks.
  * `onLevel(level)` is told of each.
  */
 export async function loadAsset(entry, onLevel = () => {}) {
@@ -53,13 +56,21 @@ export async function loadAsset(entry, onLevel = () => {}) {
   const radius = Math.hypot(...entry.size_m) / 2;
   const coarseFirst = [...entry.lods].sort((a, b) => b.level - a.level);
   await addLevel(object, coarseFirst[0], radius, onLevel);
-  object.rest = (async () => {
-    for (const lod of coarseFirst.slice(1)) {
-      if (object.disposed) return;
-      await addLevel(object, lod, radius, onLevel);
-    }
-  })();
+  addFiner(object, coarseFirst.slice(1), radius, onLevel);
   return object;
+}
+
+async function addFiner(object, lods, radius, onLevel) {
+  let pause = RETRY_MS;
+  while (lods.length > 0 && !object.disposed) {
+    try {
+      await addLevel(object, lods[0], radius, onLevel);
+      lods = lods.slice(1);
+    } catch {
+      await new Promise((resolve) => setTimeout(resolve, pause));
+      pause = Math.min(2 * pause, RETRY_MOST_MS);
+    }
+  }
 }
 
 async function addLevel(object, lod, radius, onLevel) {

@@ -4,16 +4,18 @@ import { dispose, frame, loadAsset, makeStage } from './stage.js';
 
 const TURN_S = 15;
 let stage = null; // a page has one preview, and browsers ration WebGL contexts
+let leave = () => {}; // takes away what turns now
 
-/** Show a catalogue entry on `canvas`; resolves when the first level is drawn. Returns a function that stops. */
+/** Show a catalogue entry on `canvas` in place of the one before, which turns until then. */
 export async function turn(canvas, entry) {
   const object = await loadAsset(entry);
   stage ??= makeStage(canvas);
   const { renderer, scene, camera } = stage;
+  leave();
   scene.add(object);
   const controls = new OrbitControls(camera, canvas);
   controls.target.copy(frame(camera, entry.size_m));
-  controls.autoRotate = true;
+  controls.autoRotate = !matchMedia('(prefers-reduced-motion: reduce)').matches;
   controls.enablePan = false;
   controls.autoRotateSpeed = 60 / TURN_S; // the control's unit is turns a minute
   let last = performance.now();
@@ -22,8 +24,7 @@ export async function turn(canvas, entry) {
     last = now;
     renderer.render(scene, camera);
   });
-  return () => {
-    renderer.setAnimationLoop(null);
+  leave = () => {
     controls.dispose();
     scene.remove(object);
     dispose(object);

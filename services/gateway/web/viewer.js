@@ -13,12 +13,22 @@ const key = decodeURIComponent(location.pathname.split('/').pop());
 const page = document.body;
 const said = document.getElementById('said');
 const enter = document.getElementById('enter-vr');
-const { renderer, scene, camera } = makeStage(document.getElementById('stage'));
+const { renderer, scene, camera } = stageOrReason(document.getElementById('stage'));
 const controls = new OrbitControls(camera, renderer.domElement);
 controls.enableDamping = true;
+controls.listenToKeyEvents(renderer.domElement);
 
 let shown = null; // { entry, object }
 let placed = false;
+
+function stageOrReason(canvas) {
+  try {
+    return makeStage(canvas);
+  } catch (error) {
+    tell({ code: 'NO_WEBGL', message: 'This browser cannot show 3D.', hints: ['Open this address in another one.'] });
+    throw error;
+  }
+}
 
 /** Fetch the entry; when its version is new, load it beside the old one and swap. */
 async function refresh() {
@@ -28,7 +38,6 @@ async function refresh() {
     page.dataset.loaded = `${page.dataset.loaded || ''} ${level}`.trim();
   });
   swap(entry, object);
-  object.rest.catch(tell);
 }
 
 function swap(entry, object) {
@@ -98,8 +107,10 @@ renderer.xr.addEventListener('sessionstart', () => {
 renderer.xr.addEventListener('sessionend', () => {
   page.dataset.xr = 'off';
   enter.textContent = 'Enter VR';
-  shown?.object.position.set(0, 0, 0);
-  shown?.object.rotation.set(0, 0, 0);
+  if (!shown) return;
+  shown.object.position.set(0, 0, 0);
+  shown.object.rotation.set(0, 0, 0);
+  controls.target.copy(frame(camera, shown.entry.size_m)); // the camera was left where the headset was
 });
 
 async function offerVr() {
@@ -111,12 +122,14 @@ async function offerVr() {
 enter.addEventListener('click', async () => {
   const session = renderer.xr.getSession();
   if (session) return session.end();
+  enter.disabled = true; // a second request while the first is asked for would be refused
   try {
     const wanted = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-tracking'] };
     await renderer.xr.setSession(await navigator.xr.requestSession('immersive-vr', wanted));
   } catch (error) {
     tell({ code: 'XR_REFUSED', message: `The headset did not start: ${error.message}` });
   }
+  enter.disabled = false;
 });
 
 document.getElementById('qr').src = `/v1/assets/${encodeURIComponent(key)}/qr.svg`;

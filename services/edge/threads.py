@@ -1,14 +1,15 @@
-"""Work on two threads: numpy, the KD-tree and Embree let go of the interpreter."""
+"""Work on a few threads: numpy, the KD-tree and Embree let go of the interpreter."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 from services.edge.arrays import Tick, no_tick
 
-WORKERS = 2  # the smallest machine this must be quick on; more threads would only crowd a worker's other job
+WORKERS = min(4, os.cpu_count() or 1)  # more would crowd a worker's other jobs and gain little: memory binds
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -26,3 +27,8 @@ def in_threads(work: Callable[[In], Out], parts: Sequence[In], tick: Tick = no_t
         # After an exception (a cancelled job's tick raises) the parts that wait must not run.
         pool.shutdown(cancel_futures=True)
     return results
+
+
+def slices(count: int, size: int) -> list[slice]:
+    """Consecutive slices of `size` that cover range(count)."""
+    return [slice(start, min(start + size, count)) for start in range(0, count, size)]
