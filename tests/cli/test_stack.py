@@ -15,9 +15,11 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 
+from services.cli.push import follow
 from services.cli.up import free_port
 from tests.cli.test_run import capture2vr
 from tests.clouds import write_ply
@@ -108,6 +110,17 @@ def test_no_gateway_is_said_plainly(disk: Path) -> None:
     result = capture2vr("push", disk, "--gateway", f"http://127.0.0.1:{free_port()}", "--key", "x")
     assert result.returncode == 2
     assert "cannot be reached" in result.stderr
+
+
+def test_a_proxy_may_answer_for_a_gateway_that_restarts() -> None:
+    ended = {"state": "SUCCEEDED", "stage": "", "fraction": 1.0}
+    answers = iter([httpx.Response(502), httpx.Response(503), httpx.Response(200, text="")])
+
+    def serve(request: httpx.Request) -> httpx.Response:
+        return next(answers) if request.url.path.endswith("/events") else httpx.Response(200, json=ended)
+
+    with httpx.Client(base_url="http://gateway", transport=httpx.MockTransport(serve)) as client:
+        assert list(follow(client, "job_1")) == [ended]
 
 
 def test_a_taken_port_is_said_plainly(url: str, tmp_path: Path) -> None:
