@@ -15,6 +15,7 @@ from starlette.types import Scope
 
 from services.gateway.errors import Problem
 from services.gateway.schemas import problems
+from services.gateway.settings import GatewaySettings
 from services.storage.catalogue import valid_key
 from services.storage.store import Store
 
@@ -31,7 +32,7 @@ _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 @router.get("/", response_class=Response, responses=_HTML)
 async def capture_page(request: Request) -> Response:
     """Where a phone makes its capture."""
-    return _page("index.html", request.app.state.store)
+    return _page("index.html", request)
 
 
 @router.get("/view/{key}", response_class=Response, responses={**_HTML, **problems(404)})
@@ -39,7 +40,7 @@ async def viewer(key: str, request: Request) -> Response:
     """Where an asset is looked at, on a screen or in a headset."""
     if not valid_key(key):
         raise Problem(404, "KEY_INVALID", "that is no asset key", hints=("check the address",))
-    return _page("view.html", request.app.state.store)
+    return _page("view.html", request)
 
 
 class Web(StaticFiles):
@@ -53,9 +54,10 @@ class Web(StaticFiles):
         return response
 
 
-def _page(name: str, store: Store) -> Response:
+def _page(name: str, request: Request) -> Response:
     html = (WEB / name).read_text(encoding="utf-8")
-    headers = {"Cache-Control": "no-cache", "Content-Security-Policy": _policy(html, _origin(store))}
+    policy = _policy(html, _origins(request.app.state.store, request.app.state.settings))
+    headers = {"Cache-Control": "no-cache", "Content-Security-Policy": policy}
     return Response(html, media_type="text/html", headers=headers)
 
 
@@ -83,7 +85,7 @@ def _digest(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
-def _origin(store: Store) -> str:
-    """Scheme and host of the CDN; "" where this gateway serves the assets itself."""
-    parts = urlsplit(store.url("assets/x"))
-    return f"{parts.scheme}://{parts.netloc}" if parts.netloc else ""
+def _origins(store: Store, settings: GatewaySettings) -> str:
+    """Schemes and hosts that asset URLs may have: the CDN's, or this gateway's as the world calls it."""
+    split = [urlsplit(url) for url in (store.url("assets/x"), settings.public_url)]
+    return " ".join(dict.fromkeys(f"{parts.scheme}://{parts.netloc}" for parts in split if parts.netloc))
