@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -49,14 +50,21 @@ def rotation_between(source: Floats, target: Floats) -> Floats:
     return rotation
 
 
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What is reconstructed and how it was asked for; xyz_unit (N,3) are the denoised points in the unit frame."""
+
+    capture: Capture
+    preset: Preset
+    label: str
+    points: Points
+    unit: UnitFrame
+    xyz_unit: Floats
+
+
 def manifest_of(
+    subject: Subject,
     *,
-    label: str,
-    preset: Preset,
-    capture: Capture,
-    points: Points,
-    unit: UnitFrame,
-    xyz_unit: Floats,
     mesh_unit: Mesh,
     levels: Sequence[Mesh],
     to_asset: Floats,
@@ -64,14 +72,15 @@ def manifest_of(
     seconds: Mapping[str, float],
 ) -> dict[str, Any]:
     """Everything a client or an engineer may ask of the asset, as JSON; publishing adds names, sizes and hashes."""
+    capture, points, unit = subject.capture, subject.points, subject.unit
     low, high = levels[0].vertices.min(axis=0), levels[0].vertices.max(axis=0)
     warnings = list(points.warnings)
     if points.up is None:
         warnings.append("nothing in the capture tells which way is up; Y was taken")
     return {
         "generator": f"capture2vr {services.__version__}",
-        "label": label,
-        "preset": preset.name,
+        "label": subject.label,
+        "preset": subject.preset.name,
         "capture": {"kind": capture.kind, "format": capture.format, "frames": len(capture.frames)},
         "points": len(points),
         "scale_confidence": points.scale_confidence,
@@ -83,7 +92,7 @@ def manifest_of(
             {"file": f"lod{level}.glb", "level": level, "triangles": len(mesh.faces), "vertices": len(mesh.vertices)}
             for level, mesh in enumerate(levels)
         ],
-        "quality": {"resolution": resolution, **_fit(xyz_unit, mesh_unit), **_topology(mesh_unit)},
+        "quality": {"resolution": resolution, **_fit(subject.xyz_unit, mesh_unit), **_topology(mesh_unit)},
         "seconds": dict(seconds),
         "warnings": warnings,
     }

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from services.edge.arrays import DistanceFn, Floats, Tick
-from services.edge.asset import asset_frame, manifest_of
+from services.edge.asset import Subject, asset_frame, manifest_of
 from services.edge.capture.nouns import Capture
 from services.edge.errors import EdgeError
 from services.edge.field.denoise import denoise
@@ -22,7 +22,7 @@ from services.edge.field.local import local_field
 from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
 from services.edge.mesh.band import part_of
 from services.edge.mesh.spacing import auto_resolution
-from services.edge.points import Points, UnitFrame, at_most, to_points, unit_frame
+from services.edge.points import at_most, to_points, unit_frame
 from services.edge.preset import Preset
 from services.storage.bundle import Bundle, State
 
@@ -83,22 +83,15 @@ def reconstruct(
         xyz_unit = denoise(unit.to_unit(points.xyz), tick=_inside("FITTING", watch))
         distance = local_field(xyz_unit)
 
-    yield from _bundle(distance, xyz_unit, points, unit, preset, "preview", capture, label, clock, watch)
+    subject = Subject(capture, preset, label, points, unit, xyz_unit)
+    yield from _bundle(distance, subject, "preview", clock, watch)
 
 
 def _bundle(
-    distance: DistanceFn,
-    xyz_unit: Floats,
-    points: Points,
-    unit: UnitFrame,
-    preset: Preset,
-    state: State,
-    capture: Capture,
-    label: str,
-    clock: _Clock,
-    watch: Watch,
+    distance: DistanceFn, subject: Subject, state: State, clock: _Clock, watch: Watch
 ) -> Iterator[Progress | Bundle]:
     """Mesh a field and pack it: the same for the preview and for a trained field."""
+    preset, points, xyz_unit = subject.preset, subject.points, subject.xyz_unit
     resolution = preset.resolution or auto_resolution(xyz_unit, high=preset.finest)
     yield _starts("EXTRACTING", f"{resolution} cells along the longest side")
     with clock("EXTRACTING"):
@@ -121,7 +114,7 @@ def _bundle(
 
     yield _starts("PACKING", "levels of detail")
     with clock("PACKING"):
-        full = replace(mesh_unit, vertices=unit.to_world(mesh_unit.vertices))
+        full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
         to_asset = asset_frame(full.vertices, points)
         tick = _inside("PACKING", watch)
         levels = _levels(full, to_asset, preset, part_of(tick, 0, 0.4))
@@ -129,17 +122,7 @@ def _bundle(
         files["preview.png"] = render_sheet(levels[0], tick=part_of(tick, 0.5, 0.9))
         files["mesh.ply"] = ply_bytes(full)
     manifest = manifest_of(
-        label=label,
-        preset=preset,
-        capture=capture,
-        points=points,
-        unit=unit,
-        xyz_unit=xyz_unit,
-        mesh_unit=mesh_unit,
-        levels=levels,
-        to_asset=to_asset,
-        resolution=resolution,
-        seconds=clock.seconds,
+        subject, mesh_unit=mesh_unit, levels=levels, to_asset=to_asset, resolution=resolution, seconds=clock.seconds
     )
     yield Bundle(state=state, files=files, manifest=manifest)
 

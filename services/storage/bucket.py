@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 
 from services.storage.settings import StorageSettings, open_store
+from services.strict_settings import SettingsError
 
 _log = logging.getLogger(__name__)
 
@@ -32,14 +34,17 @@ def main() -> None:
     from services.storage.s3 import S3Store
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    settings = StorageSettings()
-    store = open_store(settings)
-    if isinstance(store, S3Store):
+    try:
+        settings = StorageSettings()
+        store = open_store(settings)
+        if not isinstance(store, S3Store):
+            _log.info("a local store needs no bucket")
+            return
         store.create_bucket()
         store.set_policy(read_policy(settings.bucket))
-        _log.info("bucket %s is ready; %s is readable by anybody", settings.bucket, PUBLIC_PREFIX)
-    else:
-        _log.info("a local store needs no bucket")
+    except (OSError, SettingsError) as error:
+        sys.exit(f"bucket: {error}")
+    _log.info("bucket %s is ready; %s is readable by anybody", settings.bucket, PUBLIC_PREFIX)
 
 
 if __name__ == "__main__":
