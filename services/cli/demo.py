@@ -27,9 +27,8 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     source = capture or _simulated(out)
     with running("127.0.0.1", _port(), out / "data") as stack:
         job = push_capture(source, stack.url, key=key, preset="", label=key, isolate=capture is None)
-        pull_asset(key, out / "asset", stack.url, cache=out / "cache")
+        entry = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         with client_of(stack.url) as client:
-            entry = answer_of(client.get(f"/v1/assets/{key}"))
             manifest = answer_of(client.get(entry["manifest"]["url"]))
         (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")
         console.print(f"picture  {out / 'asset' / 'preview.png'}")

@@ -20,19 +20,23 @@ from services.storage.catalogue import valid_key
 _CHUNK_BYTES = 1 << 20
 
 
-def pull_asset(key: str, out: Path, gateway: str, *, cache: Path | None) -> None:
-    """Download the newest version of `key` into `out`. Raises BadInput when absent, unreachable or tampered with."""
+def pull_asset(key: str, out: Path, gateway: str, *, cache: Path | None) -> dict[str, Any]:
+    """Download the newest version of `key` into `out`; the answer is its catalogue entry.
+
+    Raises BadInput when the asset is absent, unreachable or tampered with.
+    """
     if not valid_key(key):
         raise BadInput(NO_KEY.format(key))
     cache = cache or default_cache()
     try:
         with client_of(gateway, follow_redirects=True) as client:
-            entry = answer_of(client.get(f"/v1/assets/{key}"))
+            entry: dict[str, Any] = answer_of(client.get(f"/v1/assets/{key}"))
             out.mkdir(parents=True, exist_ok=True)
             rows = [(item, _fetch(client, item, out, cache)) for item in entry["files"]]
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     console.print(_table(key, entry, rows))
+    return entry
 
 
 def default_cache() -> Path:

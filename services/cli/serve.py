@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from services.cli.errors import BadInput
 from services.logs import configure
-from services.storage.settings import StorageSettings
+from services.storage.settings import StorageSettings, open_store
 
 
 def serve_edge() -> int:
@@ -12,7 +12,6 @@ def serve_edge() -> int:
     from services.edge.server import serve
     from services.edge.settings import EdgeSettings
     from services.edge.work import RealWork
-    from services.storage.settings import open_store
 
     try:
         settings, store = EdgeSettings(), open_store(StorageSettings())
@@ -26,7 +25,6 @@ def serve_gateway() -> int:
     """Serve a gateway until SIGTERM; the exit code."""
     from services.gateway.app import serve
     from services.gateway.settings import GatewaySettings
-    from services.storage.settings import open_store
 
     try:
         settings, store = GatewaySettings(), open_store(StorageSettings())

@@ -17,6 +17,7 @@ import httpx
 
 from services.cli.errors import BadInput
 from services.cli.progress import console, warn
+from services.strict_settings import LOOPBACK
 
 DEFAULT_PORT = 8080
 _READY_S = 60.0  # a cold start on a busy two-core machine takes 3 s
@@ -36,7 +37,7 @@ def serve_together(host: str, port: int, data: Path) -> int:
         console.print(f"viewer         {stack.url}/view/KEY")
         console.print(f"API            {stack.url}/openapi.json")
         console.print(f"data           {data.resolve()}")
-        if host not in {"127.0.0.1", "localhost", "::1"}:
+        if host not in LOOPBACK:
             warn("open to the network without access keys: whoever reaches this port can use it")
         while not stop.wait(0.5):
             stack.mend()

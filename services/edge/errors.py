@@ -26,8 +26,13 @@ class EdgeError(Exception):
         self.code = code
         self.message = message
         self.file = file
-        self.hints = hints
+        self.hints = hints or self._usual_hints(code)
         self.retryable = retryable
+
+    @classmethod
+    def _usual_hints(cls, code: str) -> tuple[str, ...]:
+        """What to do where the raiser knows nothing better."""
+        return ()
 
 
 _WHAT_TO_DO = {
@@ -48,17 +53,9 @@ _OTHERWISE = "export the capture again"
 class CaptureError(EdgeError):
     """The capture itself is at fault; the person who made it can mend it, so there always is a hint."""
 
-    def __init__(
-        self,
-        code: str,
-        message: str,
-        *,
-        file: str | None = None,
-        hints: tuple[str, ...] = (),
-        retryable: bool = False,
-    ) -> None:
-        hints = hints or (_WHAT_TO_DO.get(code, _OTHERWISE),)
-        super().__init__(code, message, file=file, hints=hints, retryable=retryable)
+    @classmethod
+    def _usual_hints(cls, code: str) -> tuple[str, ...]:
+        return (_WHAT_TO_DO.get(code, _OTHERWISE),)
 
 
 class Cancelled(Exception):  # noqa: N818 - not an error: somebody asked for it

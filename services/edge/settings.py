@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
-from services.strict_settings import StrictSettings
+from services.strict_settings import LOOPBACK, StrictSettings
 
 
 class EdgeSettings(StrictSettings):
@@ -33,4 +33,4 @@ class EdgeSettings(StrictSettings):
     @property
     def loopback(self) -> bool:
         """Whether only this machine can reach the worker."""
-        return self.host in {"127.0.0.1", "::1", "localhost"}
+        return self.host in LOOPBACK

@@ -7,9 +7,7 @@ from pathlib import Path
 from pydantic import Field
 from pydantic_settings import SettingsConfigDict
 
-from services.strict_settings import CommaList, StrictSettings
-
-_LOOPBACK = {"127.0.0.1", "::1", "localhost"}
+from services.strict_settings import LOOPBACK, CommaList, StrictSettings
 
 
 class GatewaySettings(StrictSettings):
@@ -49,4 +47,4 @@ class GatewaySettings(StrictSettings):
     @property
     def is_public(self) -> bool:
         """Whether others than this machine can connect."""
-        return self.host not in _LOOPBACK
+        return self.host not in LOOPBACK
