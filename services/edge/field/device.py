@@ -1,0 +1,64 @@
+"""Where fields are trained. A worker that trains on the CPU does not need torch to say so."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from services.edge.errors import EdgeError
+
+_GPU_SHARE = 0.9
+"""Of the memory that is free on a GPU when the worker starts: kernels, the context and fragments take the rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """name: torch's, "cpu" or "cuda:0"; description: for people; memory_bytes: for fits, 0 for the machine's."""
+
+    name: str
+    description: str
+    memory_bytes: int = 0
+
+
+def find_device(wanted: str) -> Device:
+    """The device that "cpu", "cuda", "cuda:N" or "auto" means on this machine; auto takes a GPU where there is one.
+
+    Raises EdgeError DEVICE_ABSENT.
+    """
+    if wanted == "cpu":
+        return _cpu()
+    try:
+        import torch
+    except ImportError:
+        if wanted == "auto":
+            return _cpu()
+        raise _absent(wanted, "PyTorch is not installed: pip install 'capture2vr[edge]'") from None
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if wanted == "auto" and count == 0:
+        return _cpu()
+    number = int(wanted.partition(":")[2] or 0)
+    if number >= count:
+        raise _absent(wanted, _why(torch, count))
+    return _gpu(torch, number)
+
+
+def _cpu() -> Device:
+    count = len(os.sched_getaffinity(0))
+    return Device("cpu", f"cpu, {count} core{'s' if count > 1 else ''}")
+
+
+def _gpu(torch: Any, number: int) -> Device:
+    name = f"cuda:{number}"
+    free, _ = torch.cuda.mem_get_info(number)
+    return Device(name, f"{name} {torch.cuda.get_device_name(number)}", int(_GPU_SHARE * free))
+
+
+def _why(torch: Any, count: int) -> str:
+    if torch.version.cuda is None:
+        return f"the installed PyTorch {torch.__version__} is built without CUDA"
+    return f"PyTorch sees {count} CUDA devices; is there a driver, and is the GPU passed to the container?"
+
+
+def _absent(wanted: str, why: str) -> EdgeError:
+    return EdgeError("DEVICE_ABSENT", f"there is no {wanted}: {why}", hints=("use cpu, or auto",))

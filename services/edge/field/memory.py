@@ -1,0 +1,63 @@
+"""How much memory a fit takes, so that a worker can say so before it accepts the job."""
+
+from __future__ import annotations
+
+from services.edge.field.config import FitConfig
+from services.edge.field.devices import BLOCK_BYTES
+from services.edge.field.queries import WARM_QUERIES, far_batch, pool_size
+
+FLOAT, INDEX = 4, 8
+WEIGHTS = {"separable": 147_200, "mlp": 463_100}  # parameters, at the most
+WEIGHT_COPIES = 6  # the weights, their gradients, two moments of Adam, the best so far, one on its way to the disk
+LAYERS = {"separable": 6, "mlp": 8}
+# Per query, layer and channel, kept for the backward sweep: the slope and a(z); with the gradient also δ before and
+# after the slope. A ReLU's slope has no gradient of its own, so that the values beside it need not be kept.
+KEPT_BY_VALUE = 2
+KEPT_BY_GRADIENT = {"separable": 4, "mlp": 3}
+TREE_BYTES = 64  # per point and tree: coordinates, index and its share of the nodes
+RUNTIME = {"cpu": 16 << 20, "cuda": 600 << 20}  # torch's workspaces; on a GPU the context and the graph's pool as well
+# A fit of anchors: one block of edges with its activations; and per point some nine edges of 110 bytes, the patch,
+# Adam's state, and on a CPU the neighbours and the edges' making in double precision.
+ANCHORS = {"cpu": 100 << 20, "cuda": 1_200 << 20}
+ANCHOR_BYTES = {"cpu": 5_000, "cuda": 2_000}
+
+
+def fit_memory_bytes(points: int, config: FitConfig, device: str = "cpu") -> int:
+    """An estimate, no bound, of what a fit to so many points takes on its device; on a CPU within a factor of 2.
+
+    = runtime + weights + pool + the activations of a step + trees (CPU) or a block of distances (GPU)   for a network
+    = a block of edges + some bytes per point                                                            for anchors
+
+    The local field and the KD-trees of the pool's drawing stay in main memory and are not counted for a GPU.
+    """
+    kind = "cpu" if device == "cpu" else "cuda"
+    if config.model == "anchors":
+        return ANCHORS[kind] + ANCHOR_BYTES[kind] * points
+    most_points, batch = points, config.batch
+    if config.densify:
+        most_points, batch = round(points * (1 + config.densify.growth)), max(batch, config.densify.batch)
+    pool = pool_size(most_points, config)
+    search = 3 * TREE_BYTES * most_points if kind == "cpu" else 2 * BLOCK_BYTES
+    return (
+        RUNTIME[kind]
+        + WEIGHT_COPIES * FLOAT * WEIGHTS[config.model]
+        + _pool_bytes(pool, most_points, config)
+        + _step_bytes(min(batch, pool), config)
+        + search
+    )
+
+
+def _pool_bytes(pool: int, points: int, config: FitConfig) -> int:
+    """Per query an offset, two indices, its place in the batches' order and ω; per far query a place and a distance."""
+    per_query = 3 * FLOAT + 3 * INDEX + FLOAT
+    far = round(config.far_share * pool) * 4 * FLOAT
+    return pool * per_query + far + min(pool, WARM_QUERIES) * FLOAT + points * (3 * FLOAT + INDEX)
+
+
+def _step_bytes(batch: int, config: FitConfig) -> int:
+    """What the sweeps of one step keep: with gradients at q and at q̂, without at weak and far queries and points."""
+    width = config.width if config.model == "separable" else 256
+    with_gradient = batch * (1 + (config.projection > 0))
+    by_value = batch * ((config.self_consistency > 0) + (config.surface > 0)) + far_batch(config, batch)
+    kept = KEPT_BY_GRADIENT[config.model] * with_gradient + KEPT_BY_VALUE * by_value
+    return kept * LAYERS[config.model] * width * FLOAT

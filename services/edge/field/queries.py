@@ -1,0 +1,151 @@
+"""The pool: all queries of a fit, drawn once, so that a query has a number j for the whole fit.
+
+P (N,3)   points;  σ_p = s · (distance from p to its 50th neighbour),  s = max(¼, ¼√(N/20000))
+ε_j       the offset of pair j, N(0, σ_p²)
+p_s, p_w  the strong anchor, any point, and the weak one, the nearest to it of a fixed random subset of P
+q_s = p_s + ε,  q_w = p_w + ε
+
+On a locally flat surface both of a pair lie at one distance. Far queries are uniform in the padded box.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from services.edge.arrays import DistanceFn, Floats, Ints
+from services.edge.field.config import FitConfig
+from services.edge.threads import in_threads, slices
+
+RANK = 50  # σ_p goes by this neighbour (NeuralPull)
+SPREAD, SPREAD_POINTS = 0.25, 20_000  # s: dense clouds spread their queries over more neighbours (CAP-UDF)
+PER_POINT = 100  # queries: at 10,000 points the full million of the paper
+PADDING = 0.1  # of the box on every side, unit frame: the extraction's grid ends nearer than that
+WARM_QUERIES = 200_000  # of the pool that the warm start sees: as many as 40 steps of 5,000
+PART = 1 << 16  # queries of a KD-tree between two breaths, for a caller who may want to stop
+
+
+@dataclass(frozen=True, slots=True)
+class Pool:
+    """On the fit's device, float32 and int64, unit frame.
+
+    points (N,3); weak (N,) the weak anchor of each point; offset (J,3); anchor (J,) the strong anchor;
+    nearest (J,) the nearest point to q_s; far (F,3) and far_distance (F,) to the nearest point.
+    """
+
+    points: Tensor
+    weak: Tensor
+    offset: Tensor
+    anchor: Tensor
+    nearest: Tensor
+    far: Tensor
+    far_distance: Tensor
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+    def strong_queries(self, j: Tensor) -> Tensor:
+        """q_s (M,3) of the pairs j."""
+        return self.points[self.anchor[j]] + self.offset[j]
+
+    def weak_queries(self, j: Tensor) -> Tensor:
+        """q_w (M,3) of the pairs j."""
+        return self.points[self.weak[self.anchor[j]]] + self.offset[j]
+
+
+def pool_size(points: int, config: FitConfig) -> int:
+    """Queries that so many points draw."""
+    return min(config.pool, PER_POINT * points)
+
+
+def far_batch(config: FitConfig, batch: int) -> int:
+    """Far queries per step."""
+    return round(config.far_share * batch)
+
+
+def draw_pool(xyz: Floats, config: FitConfig, device: torch.device) -> Iterator[Pool | None]:
+    """None for a breath between parts of the work, the pool last. The same points and seed draw the same pool."""
+    rng = np.random.default_rng(config.seed)
+    xyz = np.ascontiguousarray(xyz, np.float32)
+    tree = cKDTree(xyz)
+    count = pool_size(len(xyz), config)
+    sigma = np.empty(len(xyz), np.float32)
+    for part in slices(len(xyz), PART // 8):
+        sigma[part] = _sigmas(xyz[part], tree)
+        yield None
+    # Every point anchors equally many queries, to within one.
+    anchor = rng.permutation(np.arange(count) % len(xyz))
+    offset = rng.standard_normal((count, 3), np.float32) * sigma[anchor, None]
+    nearest: Ints = np.empty(count, np.int64)
+    for part in slices(count, PART):
+        nearest[part] = _nearest(tree, xyz[anchor[part]] + offset[part])[1]
+        yield None
+    far = _far_queries(xyz, max(1, round(config.far_share * count)), rng)
+    far_distance = np.empty(len(far), np.float32)
+    for part in slices(len(far), PART):
+        far_distance[part] = _nearest(tree, far[part])[0]
+        yield None
+    parts = (xyz, _weak_anchors(xyz, config.weak_share, rng), offset, anchor, nearest, far, far_distance)
+    yield Pool(*(torch.from_numpy(part).to(device) for part in parts))
+
+
+def base_values(pool: Pool, base: DistanceFn) -> Iterator[Tensor | None]:
+    """The base's distances at the pool's first queries, the last thing yielded; None for a breath before it."""
+    count = min(len(pool), WARM_QUERIES)
+    values = np.empty(count, np.float32)
+    for part in slices(count, PART // 4):
+        j = torch.arange(part.start, part.stop, device=pool.offset.device)
+        values[part] = base(pool.strong_queries(j).cpu().numpy())[0]
+        yield None
+    yield torch.from_numpy(values).to(pool.offset.device)
+
+
+class Batches:
+    """Which queries a step takes: a function of the seed and the step alone, so a resumed fit needs no random state.
+
+    The pool is shuffled anew whenever it is used up; within a batch no query comes twice.
+    """
+
+    def __init__(self, count: int, batch: int, seed: int, device: torch.device) -> None:
+        self.size = min(batch, count)
+        self._count, self._seed, self._device = count, seed, device
+        self._epoch, self._order = -1, torch.empty(0, dtype=torch.int64)
+
+    def at(self, step: int) -> Tensor:
+        """(size,) int64 into the pool."""
+        epoch, part = divmod(step, self._count // self.size)
+        if epoch != self._epoch:
+            # Drawn on the CPU: a GPU's generator would give a capture of the step its own opinion of the seed.
+            generator = torch.Generator().manual_seed((self._seed << 20) + epoch)
+            self._epoch, self._order = epoch, torch.randperm(self._count, generator=generator).to(self._device)
+        return self._order[part * self.size : (part + 1) * self.size]
+
+
+def _sigmas(xyz: Floats, tree: cKDTree) -> Floats:
+    """σ_p (M,) of some points (M,3) of the tree's."""
+    scale = max(SPREAD, SPREAD * math.sqrt(tree.n / SPREAD_POINTS))
+    rank = min(RANK, tree.n - 1)
+    found = in_threads(lambda part: tree.query(xyz[part], k=[rank + 1])[0][:, 0], slices(len(xyz), PART // RANK))
+    return np.asarray(scale * np.concatenate(found), np.float32)
+
+
+def _weak_anchors(xyz: Floats, share: float, rng: np.random.Generator) -> Ints:
+    """(N,) the nearest to each point of the subset; members are their own."""
+    subset = np.sort(rng.permutation(len(xyz))[: max(1, round(share * len(xyz)))])
+    return np.asarray(subset[_nearest(cKDTree(xyz[subset]), xyz)[1]], np.int64)
+
+
+def _far_queries(xyz: Floats, count: int, rng: np.random.Generator) -> Floats:
+    low, high = xyz.min(axis=0) - PADDING, xyz.max(axis=0) + PADDING
+    return np.asarray(rng.uniform(low, high, (count, 3)), np.float32)
+
+
+def _nearest(tree: cKDTree, queries: Floats) -> tuple[Floats, Ints]:
+    found = in_threads(lambda part: tree.query(queries[part]), slices(len(queries), PART // 4))
+    return np.concatenate([away for away, _ in found]), np.concatenate([index for _, index in found])

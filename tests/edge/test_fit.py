@@ -1,0 +1,148 @@
+"""The fit as a caller sees it: it learns, repeats, ends, and says what went wrong."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from services.edge.arrays import Floats
+from services.edge.errors import EdgeError
+from services.edge.field import local_field
+from services.edge.field.config import Densify, FitConfig
+from services.edge.field.devices import memory_errors_named, open_device
+from services.edge.field.fit import Step, fit
+from services.edge.field.schedule import learning_rate
+from tests import surfaces
+
+POINTS = surfaces.sampled(surfaces.disk(), 400)
+QUICK = FitConfig(steps=12, batch=128, pool=2_000)
+
+
+def last(steps: object) -> Step:
+    *_, step = steps  # type: ignore[misc]
+    return step  # type: ignore[no-any-return, has-type]
+
+
+def distances(step: Step, queries: Floats = POINTS) -> Floats:
+    return step.field(queries)[0]
+
+
+def test_a_short_fit_learns_the_surface_and_which_way_is_away() -> None:
+    base = local_field(POINTS)
+    step = last(fit(POINTS, replace(QUICK, steps=60, warm_start=60, pool=8_000, learning_rate=3e-3), base=base))
+    assert step.number == step.of == 120
+    assert distances(step).mean() < 0.03  # the points lie 0.044 apart
+    above = POINTS[np.linalg.norm(POINTS, axis=1) < 0.4] + [0, 0, 0.05]
+    f, gradient = step.field(above)
+    assert np.abs(f - 0.05).mean() < 0.015
+    assert (gradient[:, 2] > 0.9).mean() > 0.9
+
+
+def test_every_step_says_where_it_stands_and_the_pool_comes_first() -> None:
+    steps = list(fit(POINTS, QUICK))
+    assert [step.number for step in steps if step.losses] == list(range(1, 13))
+    assert steps[0].number == 0
+    assert not steps[0].losses
+    assert set(steps[-1].losses) == {"total", "chamfer", "projection", "orthogonality", "self_consistency", "far"}
+
+
+def test_a_loss_without_weight_is_not_computed() -> None:
+    config = replace(QUICK, projection=0, orthogonality=0, self_consistency=0, far_share=0, surface=0.1, steps=1)
+    assert set(last(fit(POINTS, config)).losses) == {"total", "chamfer", "surface"}
+
+
+def test_a_seed_gives_one_field_whatever_other_fits_run_beside_it() -> None:
+    expected = distances(last(fit(POINTS, QUICK)))
+    beside = threading.Thread(target=lambda: last(fit(POINTS, replace(QUICK, seed=3))))
+    beside.start()
+    np.testing.assert_array_equal(distances(last(fit(POINTS, QUICK))), expected)
+    beside.join()
+    assert np.abs(distances(last(fit(POINTS, replace(QUICK, seed=1)))) - expected).max() > 1e-4
+
+
+def test_whoever_stops_iterating_ends_the_fit_and_keeps_the_field() -> None:
+    steps = fit(POINTS, QUICK)
+    field = next(islice(steps, 5, None)).field
+    steps.close()
+    assert field(POINTS)[0].shape == (400,)
+
+
+def test_patience_ends_a_fit_that_gets_no_better_on_points_it_does_not_see() -> None:
+    config = replace(QUICK, steps=1_000, learning_rate=1e-12, patience=50, batch=32, pool=500)
+    held_out = surfaces.sampled(surfaces.disk(), 50, seed=1)
+    steps = [step for step in fit(POINTS, config, held_out=held_out) if step.losses]
+    assert steps[-1].number == 100  # the first look is at 50
+
+
+def test_the_densification_adds_steps_and_a_larger_batch() -> None:
+    config = replace(QUICK, steps=4, densify=Densify(steps=3, batch=256, farthest=0.1, field_below=1.0))
+    step = last(fit(POINTS, config))
+    assert step.number == step.of == 7
+    assert step.losses["total"] > 0
+
+
+def test_a_diverging_fit_is_named() -> None:
+    with pytest.raises(EdgeError) as raised:
+        last(fit(POINTS, replace(QUICK, steps=200, learning_rate=1e4)))
+    assert raised.value.code == "FIT_DIVERGED"
+    assert "preview" in raised.value.hints[0]
+
+
+def test_too_few_points_are_named_and_bad_arguments_refused() -> None:
+    with pytest.raises(EdgeError) as raised:
+        next(fit(POINTS[:50], QUICK))
+    assert raised.value.code == "FIT_TOO_FEW_POINTS"
+    with pytest.raises(ValueError, match="not finite"):
+        next(fit(np.where(POINTS > 0.49, np.nan, POINTS), QUICK))
+    with pytest.raises(ValueError, match="base"):
+        next(fit(POINTS, replace(QUICK, warm_start=5)))
+    with pytest.raises(ValueError, match="held-out"):
+        next(fit(POINTS, replace(QUICK, patience=5)))
+
+
+def test_a_device_that_is_not_there_is_named() -> None:
+    with pytest.raises(EdgeError) as raised:
+        open_device("cuda:63")
+    assert raised.value.code == "DEVICE_ABSENT"
+
+
+def test_memory_that_is_not_there_is_named_and_worth_a_retry() -> None:
+    def more_than_there_is() -> None:
+        torch.empty(1 << 58, dtype=torch.uint8)
+
+    def as_a_gpu_says_it() -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 9 GiB.")
+
+    for allocate in (more_than_there_is, as_a_gpu_says_it):
+        with pytest.raises(EdgeError) as raised, memory_errors_named("this fit"):
+            allocate()
+        assert raised.value.code == "GPU_OOM"
+        assert raised.value.retryable
+        assert raised.value.hints
+    with pytest.raises(RuntimeError, match="another"), memory_errors_named("this fit"):
+        raise RuntimeError("another")
+
+
+def test_the_rate_rises_and_falls_twice() -> None:
+    config = FitConfig(steps=1_000, warm_start=100, warm_up=1_000, learning_rate=1.0)
+    rates = [learning_rate(step, config) for step in range(config.total_steps)]
+    assert max(rates) == 1.0
+    assert rates[99] < 0.01
+    assert rates[100] == 0.01  # a tenth of the steps, where warm_up asks for more
+    assert rates[-1] < 1e-5
+    assert all(a >= b for a, b in pairwise(rates[200:]))
+
+
+@pytest.mark.gpu
+def test_a_captured_fit_agrees_with_the_cpu_and_repeats() -> None:
+    if not torch.cuda.is_available():
+        pytest.skip("there is no CUDA device")
+    config = replace(QUICK, steps=30, densify=Densify(steps=10, batch=256, farthest=0.1, field_below=1.0))
+    first, second = (distances(last(fit(POINTS, config, device="cuda"))) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    np.testing.assert_allclose(first, distances(last(fit(POINTS, config))), atol=1e-2)

@@ -1,0 +1,45 @@
+"""What a fit is said to take, against what it takes: each in a process of its own, so that nothing is warm."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from textwrap import dedent
+
+import pytest
+
+from services.edge.field.config import FitConfig
+from services.edge.field.memory import fit_memory_bytes
+
+ANCHORS = FitConfig(model="anchors", steps=4, learning_rate=0.1)
+NETWORK = FitConfig(steps=4, warm_up=1, batch=5_000, pool=200_000)
+
+
+@pytest.mark.parametrize(("config", "points"), [(ANCHORS, 40_000), (NETWORK, 5_000)])
+def test_a_fit_takes_about_what_is_said(config: FitConfig, points: int) -> None:
+    script = f"""
+        import resource, warnings
+        from services.edge.field.config import FitConfig
+        from services.edge.field.fit import fit
+        from services.edge.field.local import local_field
+        from tests import surfaces
+
+        def peak():
+            return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+        xyz = surfaces.sampled(surfaces.pleated_skirt(), {points})
+        base = local_field(xyz)
+        before = peak()
+        for step in fit(xyz, {config!r}, base=base):
+            pass
+        print(peak() - before)
+    """
+    done = subprocess.run([sys.executable, "-c", dedent(script)], capture_output=True, text=True, check=True)
+    assert 0.5 < fit_memory_bytes(points, config) / int(done.stdout) < 2
+
+
+def test_memory_grows_with_the_points_and_a_gpu_holds_more_at_once() -> None:
+    for config in (ANCHORS, NETWORK):
+        taken = [fit_memory_bytes(points, config) for points in (1_000, 10_000, 100_000)]
+        assert taken == sorted(taken)
+        assert fit_memory_bytes(10_000, config, "cuda:0") > taken[1]
