@@ -37,7 +37,7 @@ def test_near_a_sphere_the_field_is_the_distance_and_the_gradient_points_away() 
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     height = RNG.uniform(-0.03, 0.03, 4_000)
     f, gradient = field(outward * (0.5 + height)[:, None])
-    assert np.abs(f - np.abs(height)).mean() < 4e-4  # planes beside a ball of radius ½: spacing²/2R = 3e-4
+    assert np.abs(f - np.abs(height)).mean() < 1.5e-4  # planes beside a ball of radius ½ miss by spacing²/2R = 3e-4
     facing = np.einsum("nx,nx->n", gradient, outward) * np.sign(height)
     assert np.mean(facing[np.abs(height) > 0.002] > 0.98) > 0.999
 
