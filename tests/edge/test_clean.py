@@ -72,15 +72,22 @@ def test_the_same_numbers_serve_any_density(points: int) -> None:
     assert (quality.components, quality.boundary_loops, quality.non_manifold_edges) == (1, 1, 0)
 
 
-def test_no_hole_is_punched_where_the_points_grow_sparse() -> None:
-    """Half of the disk has a fifth of the points: a fixed distance would tear one half or let the other overshoot."""
-    near = surfaces.sampled(surfaces.disk(), 20_000)
+@pytest.mark.parametrize(("points", "share"), [(20_000, 0.2), (40_000, 0.06)])
+def test_no_hole_is_punched_where_the_points_grow_sparse(points: int, share: float) -> None:
+    """Half of the disk has so few of the points: a fixed distance would tear one half or let the other overshoot."""
+    near = surfaces.sampled(surfaces.disk(), points)
     rng = np.random.default_rng(1)
-    near = near[(near[:, 0] > 0) | (rng.random(len(near)) < 0.2)]
+    near = near[(near[:, 0] > 0) | (rng.random(len(near)) < share)]
     mesh = clean(extract(local_field(near), near, resolution=96), near)
     quality = compare(mesh, surfaces.disk(), 20_000)
     assert (quality.components, quality.boundary_loops) == (1, 1)
     assert quality.area_ratio == pytest.approx(1, abs=0.03)
+
+
+def test_no_hole_is_cut_into_close_sheets_of_few_points() -> None:
+    """1.3 spacings apart, so that each has the other's points among its neighbours."""
+    quality = compare(meshed(surfaces.two_sheets(), 1_000, 64), surfaces.two_sheets(), 20_000)
+    assert (quality.components, quality.boundary_loops, quality.non_manifold_edges) == (2, 2, 0)
 
 
 def test_what_no_points_back_is_trimmed_and_specks_go() -> None:
@@ -106,6 +113,14 @@ def test_fins_that_stand_off_the_points_are_drawn_tight() -> None:
     assert sheet.vertices[:, 2].max() == pytest.approx(0.02)
     assert mesh.vertices[:, 2].max() < 0.005
     assert len(border_loops(mesh.faces)) == 1
+
+
+def test_a_bend_between_points_is_not_drawn_flat() -> None:
+    """Far from the few points the field's smooth bend stands, where a fin would not."""
+    dome = surfaces.hemisphere()
+    mesh = clean(dome, surfaces.sampled(dome, 400))
+    inner = np.delete(mesh.vertices, np.unique(border_edges(mesh.faces)), axis=0)
+    assert np.linalg.norm(inner - np.array([0, 0, -0.25]), axis=1).min() > 0.498
 
 
 def test_tick_rises_to_one_and_cancels() -> None:

@@ -225,7 +225,7 @@ def test_quads_of_any_signs_share_each_grid_face_in_pairs(seed: int) -> None:
     inner = ((cube > 1) & (cube < 6)).all(axis=1)
     sign = np.where(inner & (rng.random(len(cube)) < 0.5), -1.0, 1.0)
     gradient = sign[:, None] * np.array([[1.0, 0, 0]])
-    band = Band(cube @ STEP, np.full(len(cube), 0.1), gradient)
+    band = Band(cube @ STEP, np.full(len(cube), 0.1), gradient, 0.0)
     crossings = find_crossings(band, grid_around(np.array([[0.0, 0, 0], [6, 6, 6]]), 6))
     quads, _ = connect(crossings)
     sides = np.sort(np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)]), axis=1)

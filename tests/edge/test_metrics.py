@@ -7,7 +7,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from services.edge.mesh.metrics import area, compare, edge_faces, pieces, sample
+from services.edge.arrays import Floats
+from services.edge.mesh.metrics import (
+    area,
+    boundary_error,
+    compare,
+    consistency,
+    edge_faces,
+    pieces,
+    sample,
+    sample_border,
+    welded,
+)
 from services.edge.mesh.nouns import Mesh
 from tests import surfaces
 
@@ -66,8 +77,8 @@ def test_the_same_seed_gives_the_same_figures() -> None:
     ],
 )
 def test_borders_and_pieces_are_counted(mesh: object, loops: int, components: int) -> None:
-    welded = _welded(mesh())  # type: ignore[operator]
-    quality = compare(welded, welded, 1_000)
+    whole = welded(mesh())  # type: ignore[operator]
+    quality = compare(whole, whole, 1_000)
     assert (quality.boundary_loops, quality.components, quality.non_manifold_edges) == (loops, components, 0)
 
 
@@ -94,9 +105,69 @@ def test_quality_is_frozen() -> None:
         compare(surfaces.disk(), surfaces.disk(), 100).floor = 0.0  # type: ignore[misc]
 
 
-def _welded(mesh: Mesh) -> Mesh:
-    """Vertices at the same place made one, and faces of less than three corners dropped: closes a patch's seams."""
-    _, first, same = np.unique(np.round(mesh.vertices, 9), axis=0, return_index=True, return_inverse=True)
-    faces = same.reshape(-1)[mesh.faces]
-    whole = (faces[:, [0, 1, 2]] != faces[:, [1, 2, 0]]).all(axis=1)
-    return Mesh(mesh.vertices[first], faces[whole])
+def test_a_mesh_reaches_the_floor_of_the_f_score_too() -> None:
+    quality = compare(surfaces.hemisphere(), surfaces.hemisphere(), SAMPLES)
+    assert quality.f_005 == pytest.approx(quality.floor_f_005, abs=0.01)
+
+
+def test_a_border_is_sampled_evenly_along_its_length() -> None:
+    # A triangle of sides 3, 4 and 5: shares of the samples as of the lengths.
+    triangle = Mesh(np.array([[0, 0, 0], [3, 0, 0], [0, 4, 0.0]]), np.array([[0, 1, 2]]))
+    drawn = sample_border(triangle, SAMPLES, np.random.default_rng(0))
+    assert (drawn[:, 1] == 0).mean() == pytest.approx(3 / 12, abs=0.01)
+    assert (drawn[:, 0] == 0).mean() == pytest.approx(4 / 12, abs=0.01)
+
+
+def test_the_boundary_error_of_concentric_disks_is_the_difference_of_their_radii() -> None:
+    disk = surfaces.disk()
+    smaller = Mesh(disk.vertices * 0.8, disk.faces)
+    assert boundary_error(smaller, disk) == pytest.approx(0.1, rel=0.01)
+    assert boundary_error(disk, smaller) == pytest.approx(0.1, rel=0.01)
+    assert boundary_error(disk, disk) < 2e-4  # the borders' own sampling
+
+
+def test_a_torn_hole_shows_in_the_boundary_error_by_its_length_and_distance() -> None:
+    disk = surfaces.disk()
+    away = np.linalg.norm(disk.vertices[disk.faces].mean(1), axis=1)
+    torn = Mesh(disk.vertices, disk.faces[away > 0.1])
+    # The hole's border is a fifth as long as the rim and 0.4 from it; the rim itself is found.
+    assert boundary_error(torn, disk) == pytest.approx(0.5 * 0.4 * (0.2 / 1.2), rel=0.1)
+
+
+def test_borders_that_only_one_mesh_has_are_infinitely_wrong() -> None:
+    sphere, disk = surfaces.sphere(), surfaces.disk()
+    assert boundary_error(sphere, disk) == boundary_error(disk, sphere) == np.inf
+    assert boundary_error(sphere, sphere) == 0  # its grid's own seam is no border
+
+
+def test_welding_closes_seams_and_drops_the_faces_of_a_pole() -> None:
+    sphere = surfaces.sphere()
+    whole = welded(sphere)
+    assert (edge_faces(sphere.faces).faces == 1).any()
+    assert (edge_faces(whole.faces).faces == 2).all()
+    assert len(whole.faces) == len(sphere.faces) - 2 * 192
+    assert area(whole) == pytest.approx(area(sphere))
+
+
+def test_a_true_distance_field_is_consistent_and_a_twisted_one_is_not() -> None:
+    queries = np.random.default_rng(0).uniform(-0.5, 0.5, (2_000, 3))
+    queries = queries[np.linalg.norm(queries, axis=1) > 0.1]
+
+    def sphere(q: Floats) -> tuple[Floats, Floats]:
+        away = np.linalg.norm(q, axis=1, keepdims=True)
+        return np.abs(away[:, 0] - 0.4), np.where(away < 0.4, -3, 3) * q / away  # of any length
+
+    def twisted(q: Floats) -> tuple[Floats, Floats]:
+        f, g = sphere(q)
+        turn = 40 * f  # about z, by an angle that grows with the distance
+        x, y = np.cos(turn) * g[:, 0] - np.sin(turn) * g[:, 1], np.sin(turn) * g[:, 0] + np.cos(turn) * g[:, 1]
+        return f, np.stack([x, y, g[:, 2]], axis=1)
+
+    assert consistency(sphere, queries) < 1e-6
+    assert consistency(twisted, queries) > 0.1
+
+
+def test_a_field_without_direction_is_wholly_inconsistent() -> None:
+    assert consistency(lambda q: (np.zeros(len(q)), np.zeros_like(q)), np.ones((3, 3))) == 1
+    with pytest.raises(ValueError, match="queries"):
+        consistency(lambda q: (np.zeros(len(q)), q), np.empty((0, 3)))

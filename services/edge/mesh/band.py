@@ -6,6 +6,7 @@ between points need no guessed dilation, and no corner is evaluated that the sur
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,21 +16,27 @@ from services.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick, no_tick
 from services.edge.mesh.grid import CORNERS, STEP, Grid, find, once, without
 from services.edge.mesh.spacing import point_spacing
 
-SLAB = 1 << 16  # queries between two ticks: some 0.2 s of the local field on one core
-NEAR_ZERO = (
-    1.75  # crossing: the two distances of an edge may add up to this many edges (1 on a plane, √3 across a fold)
-)
+# Queries between two ticks. The first few show how fast the field is, then as many follow as take SLAB_SECONDS: the
+# local field answers 300,000 a second on one core, a large network 8,000, a GPU millions.
+SLAB, SLAB_MOST, SLAB_GROWTH = 1 << 9, 1 << 18, 8.0
+SLAB_SECONDS = 0.25
+NEAR_ZERO = 1.75  # edges: the two distances of a crossed edge add up to less (1 on a plane, √3 across a fold),
+FLOOR_POINTS = 2_000  # and twice the field's floor, its median at so many points: a learned field may never reach 0
 TOUCHING = 0.25  # edges: two ends this near the surface see only their noise, so where they point proves nothing
 WALK_SPACINGS = 3.0  # the walk ends this many local spacings (and 2 cells) away from the points: no far sheets
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Evaluated corners: keys (M,) sorted, distance (M,) and gradient (M,3) float32."""
+    """Evaluated corners: keys (M,) sorted, distance (M,) and gradient (M,3) float32.
+
+    floor is what the field says where it should say 0.
+    """
 
     keys: Ints
     distance: Floats
     gradient: Floats
+    floor: float
 
     def neighbours(self, axis: int) -> Ints:
         """(M,) index of the next corner along the axis, M where it is not in the band."""
@@ -37,7 +44,7 @@ class Band:
 
 
 def crosses(
-    distance_a: Floats, gradient_a: Floats, distance_b: Floats, gradient_b: Floats, axis: int, side: float
+    distance_a: Floats, gradient_a: Floats, distance_b: Floats, gradient_b: Floats, axis: int, side: float, floor: float
 ) -> Bools:
     """Whether the surface passes between the lower ends a and the upper ends b of edges along an axis.
 
@@ -47,16 +54,16 @@ def crosses(
     opposed = np.einsum("nx,nx->n", gradient_a, gradient_b) < 0
     apart = gradient_b[:, axis] > gradient_a[:, axis]
     total = distance_a + distance_b
-    near: Bools = opposed & (total < NEAR_ZERO * side) & (apart | (total < TOUCHING * side))
+    near: Bools = opposed & (total < NEAR_ZERO * side + 2 * floor) & (apart | (total < TOUCHING * side))
     return near
 
 
-def walk(distance: DistanceFn, near: Floats, grid: Grid, tick: Tick) -> Band:
+def walk(distance: DistanceFn, near: Floats, grid: Grid, floor: float, tick: Tick) -> Band:
     """Evaluate the field at all corners of cells that the surface crosses. `tick` runs from 0 to 1."""
     tree = cKDTree(near)
-    reach = WALK_SPACINGS * point_spacing(near, tree) + 2 * grid.side
+    away_most = WALK_SPACINGS * point_spacing(near, tree) + 2 * grid.side
     seeds, first = np.unique(grid.cells_of(near), return_index=True)
-    band = Band(np.empty(0, np.int64), np.empty(0, np.float32), np.empty((0, 3), np.float32))
+    band = Band(np.empty(0, np.int64), np.empty(0, np.float32), np.empty((0, 3), np.float32), floor)
     seen: Ints = np.empty(0, np.int64)
     frontier: Ints = seeds
     left = 1.0
@@ -70,7 +77,7 @@ def walk(distance: DistanceFn, near: Floats, grid: Grid, tick: Tick) -> Band:
         frontier = without(grown, seen)
         centres = grid.xyz_of(frontier) + grid.side / 2
         away, nearest = tree.query(centres, workers=-1)
-        frontier = frontier[away < reach[nearest]]
+        frontier = frontier[away < away_most[nearest]]
     tick(1.0)
     return band
 
@@ -78,12 +85,22 @@ def walk(distance: DistanceFn, near: Floats, grid: Grid, tick: Tick) -> Band:
 def evaluate(distance: DistanceFn, xyz: Floats, tick: Tick) -> tuple[Floats, Floats]:
     """The field in slabs: (N,) distance, (N,3) gradient of length 1 (0 where the field gives none), float32."""
     d, g = np.empty(len(xyz), np.float32), np.empty((len(xyz), 3), np.float32)
-    for start in range(0, len(xyz), SLAB):
+    start, slab = 0, SLAB
+    while start < len(xyz):
         tick(start / len(xyz))
-        part = slice(start, start + SLAB)
+        part, began = slice(start, start + slab), time.perf_counter()
         d[part], g[part] = distance(xyz[part])
+        start += slab
+        faster = SLAB_SECONDS / max(time.perf_counter() - began, 1e-6)
+        slab = int(np.clip(slab * min(faster, SLAB_GROWTH), SLAB // 4, SLAB_MOST))
     length = np.linalg.norm(g, axis=1, keepdims=True)
     return d, np.divide(g, length, out=np.zeros_like(g), where=length > 0)
+
+
+def floor_of(distance: DistanceFn, near: Floats, tick: Tick = no_tick) -> float:
+    """What the field says where it should say 0: its median at the points (N,3)."""
+    some = near[:: max(1, len(near) // FLOOR_POINTS)]
+    return float(np.median(evaluate(distance, some, tick)[0]))
 
 
 def part_of(tick: Tick, start: float, end: float) -> Tick:
@@ -100,6 +117,7 @@ def _grow(band: Band, distance: DistanceFn, grid: Grid, cells: Ints, tick: Tick)
         merged[order],
         np.concatenate([band.distance, d])[order],
         np.concatenate([band.gradient, g])[order],
+        band.floor,
     )
 
 
@@ -110,7 +128,7 @@ def _across(band: Band, grid: Grid, cells: Ints) -> tuple[Ints, Bools]:
     crossed = np.zeros((len(cells), 3, 2), bool)
     for axis, weight in enumerate((4, 2, 1)):
         for a in (c for c in range(8) if not c & weight):
-            cut = crosses(d[:, a], g[:, a], d[:, a | weight], g[:, a | weight], axis, grid.side)
+            cut = crosses(d[:, a], g[:, a], d[:, a | weight], g[:, a | weight], axis, grid.side, band.floor)
             for other, bit in enumerate((4, 2, 1)):
                 if other != axis:
                     crossed[:, other, int(bool(a & bit))] |= cut

@@ -47,8 +47,9 @@ def _by_gradient(band: Band, nexts: list[Ints], side: float) -> tuple[Bools, Boo
         a = np.flatnonzero(following < len(band.keys))
         b = following[a]
         d, e, g, k = band.distance[a], band.distance[b], band.gradient[a], band.gradient[b]
-        crossed[a, axis] = crosses(d, g, e, k, axis, side)
-        unsure[a, axis] = (np.einsum("nx,nx->n", g, k) < UNSURE_COS) & (d + e < NEAR_ZERO * side)
+        crossed[a, axis] = crosses(d, g, e, k, axis, side, band.floor)
+        near = d + e < NEAR_ZERO * side + 2 * band.floor
+        unsure[a, axis] = (np.einsum("nx,nx->n", g, k) < UNSURE_COS) & near
     return crossed, unsure
 
 

@@ -3,10 +3,11 @@
 f, g   distance and gradient; h the cell's side. No sign exists, so a crossing is where the gradients of an edge's ends
        oppose and f_a + f_b < 1.75 h.
 
-1. walk along the surface and evaluate f, g at the corners of the cells it crosses   (band.py)
+1. walk along the surface and evaluate f, g at the corners of the cells it crosses   (band.py),
+   on a coarse grid first: where f is smooth there, the fine corners are read off it  (coarse.py)
 2. find the crossed edges and let their neighbours outvote the wrong ones            (crossings.py)
 3. join them into quads, a vertex per cell and layer                                 (dual.py)
-4. pull the vertices onto the zero set, relax them inside the surface, pull again
+4. pull the vertices onto the zero set, relax them inside the surface, land them     (land.py)
 """
 
 from __future__ import annotations
@@ -14,17 +15,16 @@ from __future__ import annotations
 import numpy as np
 
 from services.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick
-from services.edge.mesh.band import evaluate, part_of, walk
+from services.edge.mesh.band import floor_of, part_of, walk
+from services.edge.mesh.coarse import read_off, smooth_cells
 from services.edge.mesh.crossings import find_crossings
 from services.edge.mesh.dual import connect, triangles
-from services.edge.mesh.grid import grid_around
+from services.edge.mesh.grid import Grid, grid_around
+from services.edge.mesh.land import settle
 from services.edge.mesh.nouns import Mesh
 
-PULLS = 2  # the second lands the relaxed vertices; a third moves them by less than a thousandth of a cell
-PULL_MOST = 0.75  # cells: a vertex never leaves the cells next to its own
-RELAX = 0.5  # of the way to the neighbours' mean, inside the surface
-
-WALK_SHARE = 0.7  # of the time, from the local field at 128³ and 256³
+COARSEST = 48  # cells along the longest side: a coarser grid is smooth nowhere
+FLOOR_SHARE, COARSE_SHARE, WALK_SHARE = 0.01, 0.2, 0.6  # of the time, from a network at 128³ and 256³
 
 
 def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick = no_tick) -> Mesh:
@@ -37,41 +37,25 @@ def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick =
     """
     near = np.asarray(near, np.float64)
     grid = grid_around(near, resolution)
-    band = walk(distance, near, grid, part_of(tick, 0, WALK_SHARE))
+    floor = floor_of(distance, near, part_of(tick, 0, FLOOR_SHARE))
+    read = _coarse_first(distance, near, grid, floor, part_of(tick, FLOOR_SHARE, COARSE_SHARE))
+    band = walk(read, near, grid, floor, part_of(tick, COARSE_SHARE, WALK_SHARE))
     crossings = find_crossings(band, grid)
     del band
-    tick(WALK_SHARE)
     quads, vertex = connect(crossings)
     vertices = _mean_by(vertex, np.repeat(crossings.xyz, 4, axis=0))
-    vertices = _settle(distance, vertices, quads, grid.side, part_of(tick, WALK_SHARE, 1))
+    vertices = settle(distance, read, vertices, quads, grid.side, floor, part_of(tick, WALK_SHARE, 1))
     tick(1.0)
     return Mesh(vertices, triangles(vertices, quads, crossings.normal))
 
 
-def _settle(distance: DistanceFn, vertices: Floats, quads: Ints, side: float, tick: Tick) -> Floats:
-    """Vertices on the zero set, evenly spread."""
-    ends = np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)])
-    for turn in range(PULLS):
-        f, g = evaluate(distance, vertices, part_of(tick, turn / PULLS, (turn + 1) / PULLS))
-        vertices = vertices - np.minimum(f, PULL_MOST * side)[:, None] * g
-        if turn + 1 < PULLS:
-            vertices = vertices + RELAX * _inside_surface(_towards_neighbours(vertices, ends), g)
-    return vertices
-
-
-def _towards_neighbours(vertices: Floats, ends: Ints) -> Floats:
-    """(V,3) from each vertex to the mean of its neighbours along the (L,2) sides of quads."""
-    both = np.concatenate([ends, ends[:, ::-1]])
-    count = np.maximum(np.bincount(both[:, 0], minlength=len(vertices)), 1)
-    sums = [np.bincount(both[:, 0], vertices[both[:, 1], axis], len(vertices)) for axis in range(3)]
-    away: Floats = np.stack(sums, axis=1) / count[:, None] - vertices
-    return away
-
-
-def _inside_surface(moves: Floats, normals: Floats) -> Floats:
-    """Moves (V,3) without their share along the unit normals."""
-    inside: Floats = moves - np.einsum("vx,vx->v", moves, normals)[:, None] * normals
-    return inside
+def _coarse_first(distance: DistanceFn, near: Floats, grid: Grid, floor: float, tick: Tick) -> DistanceFn:
+    """The field, read off grids of twice the side, and twice that again, where they are smooth."""
+    coarse = Grid(grid.origin, 2 * grid.side)
+    if np.ptp(near, axis=0).max() < COARSEST * coarse.side:
+        return distance
+    read = _coarse_first(distance, near, coarse, floor, part_of(tick, 0, COARSE_SHARE))
+    return read_off(smooth_cells(walk(read, near, coarse, floor, part_of(tick, COARSE_SHARE, 1)), coarse), distance)
 
 
 def _mean_by(group: Ints, values: Floats) -> Floats:

@@ -13,10 +13,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Ints
+from services.edge.arrays import DistanceFn, Floats, Ints
 from services.edge.mesh.nouns import Mesh
 
 SAMPLES = 100_000  # per mesh: the floor of a unit sphere is then .0028, well under what methods differ by
+BORDER_SAMPLES = 20_000  # per mesh: borders of length 5 are then sampled every .00025, a tenth of the usual floor
+SAME_PLACE = 9  # decimals of the unit frame to which vertices at one place agree
+TINY = 1e-12  # a gradient shorter than this has no direction: its cosine counts as 0, the worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +31,12 @@ class Quality:
     f_005, f_010         F-score: harmonic mean of the shares of samples within 0.005 and 0.01
     normal_consistency   mean |cos| between a sample's normal and that of the nearest sample, both directions
     boundary_edges       edges of one face; boundary_loops: their connected chains
+    boundary_error       `boundary_error` of the two meshes: how far their borders lie from each other
     non_manifold_edges   edges of three or more faces; edges: all of them
     components           connected pieces of faces
     area_ratio           area of the mesh / area of the truth
     floor                chamfer_l1 of two samplings of the truth: no mesh can be told from the truth below it
+    floor_f_005          their F-score at 0.005: no mesh comes above it
     """
 
     chamfer_l1: float
@@ -42,10 +47,12 @@ class Quality:
     edges: int
     boundary_edges: int
     boundary_loops: int
+    boundary_error: float
     non_manifold_edges: int
     components: int
     area_ratio: float
     floor: float
+    floor_f_005: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +89,7 @@ def compare(mesh: Mesh, truth: Mesh, samples: int = SAMPLES, seed: int = 0) -> Q
     """All figures of a mesh against the truth. Raises ValueError where either has no area."""
     rng = np.random.default_rng(seed)
     made, true, again = (sample(surface, samples, rng) for surface in (mesh, truth, truth))
-    gaps = gaps_between(made, true)
+    gaps, floor = gaps_between(made, true), gaps_between(again, true)
     edges = edge_faces(mesh.faces)
     boundary = edges.vertices[edges.faces == 1]
     return Quality(
@@ -94,10 +101,12 @@ def compare(mesh: Mesh, truth: Mesh, samples: int = SAMPLES, seed: int = 0) -> Q
         edges=len(edges.faces),
         boundary_edges=len(boundary),
         boundary_loops=pieces(boundary),
+        boundary_error=boundary_error(mesh, truth, seed=seed),
         non_manifold_edges=int((edges.faces > 2).sum()),
         components=pieces(edges.vertices),
         area_ratio=area(mesh) / area(truth),
-        floor=gaps_between(again, true).chamfer_l1,
+        floor=floor.chamfer_l1,
+        floor_f_005=floor.f_score(0.005),
     )
 
 
@@ -127,6 +136,58 @@ def chamfer_l1(mesh: Mesh, truth: Mesh, samples: int = SAMPLES, seed: int = 0) -
     """½(mean accuracy + mean completeness)."""
     rng = np.random.default_rng(seed)
     return gaps_between(sample(mesh, samples, rng), sample(truth, samples, rng)).chamfer_l1
+
+
+def boundary_error(mesh: Mesh, truth: Mesh, samples: int = BORDER_SAMPLES, seed: int = 0) -> float:
+    """Symmetric Chamfer distance of the two borders: ½(mean distance mesh→truth + mean distance truth→mesh).
+
+    A border is all edges of one face, vertices at the same place being one, sampled evenly along its length. An opening
+    that was closed and a hole that was torn both count. 0 where neither mesh has a border, inf where only one has.
+    """
+    rng = np.random.default_rng(seed)
+    made, true = (sample_border(surface, samples, rng) for surface in (mesh, truth))
+    if len(made) == 0 or len(true) == 0:
+        return 0.0 if len(made) == len(true) else np.inf
+    there, back = cKDTree(true).query(made, workers=-1)[0], cKDTree(made).query(true, workers=-1)[0]
+    return float(there.mean() + back.mean()) / 2
+
+
+def sample_border(mesh: Mesh, count: int, rng: np.random.Generator) -> Floats:
+    """(count,3) uniform random points along the edges of one face; (0,3) where the mesh is closed."""
+    whole = welded(mesh)
+    edges = edge_faces(whole.faces)
+    ends = whole.vertices[edges.vertices[edges.faces == 1]]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    if not length.sum() > 0:
+        return np.empty((0, 3))
+    edge = rng.choice(len(length), count, p=length / length.sum())
+    xyz: Floats = ends[edge, 0] + rng.random((count, 1)) * (ends[edge, 1] - ends[edge, 0])
+    return xyz
+
+
+def welded(mesh: Mesh) -> Mesh:
+    """The mesh with vertices at the same place made one, and without faces that thereby lost a corner.
+
+    Files repeat a vertex for every normal and texture coordinate; its borders are then no borders of the surface.
+    """
+    _, first, same = np.unique(np.round(mesh.vertices, SAME_PLACE), axis=0, return_index=True, return_inverse=True)
+    faces = same.ravel()[mesh.faces]
+    whole = (faces != faces[:, [1, 2, 0]]).all(axis=1)
+    return Mesh(mesh.vertices[first], faces[whole])
+
+
+def consistency(distance: DistanceFn, queries: Floats) -> float:
+    """Mean of 1 − |cos(g(q), g(q̂))| over (N,3) near-surface queries q, with q̂ = q − f(q)·g(q)/|g(q)| the pulled one.
+
+    0 where the level sets of the field run parallel, as those of a true distance do between a surface and its medial
+    axis. Raises ValueError without queries.
+    """
+    if len(queries) == 0:
+        raise ValueError("the consistency of a field needs queries")
+    f, g = distance(queries)
+    pulled = queries - f[:, None] * _directions(g)
+    cos = _abs_cos(_directions(g), _directions(distance(pulled)[1]))
+    return float(np.mean(1 - cos))
 
 
 def area(mesh: Mesh) -> float:
@@ -163,6 +224,12 @@ def pieces(edges: Ints) -> int:
     graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(used), len(used)))
     count: int = connected_components(graph, directed=False, return_labels=False)
     return int(count)
+
+
+def _directions(gradients: Floats) -> Floats:
+    wide = np.asarray(gradients, np.float64)
+    directions: Floats = wide / np.maximum(np.linalg.norm(wide, axis=1, keepdims=True), TINY)
+    return directions
 
 
 def _abs_cos(a: Floats, b: Floats) -> Floats:
