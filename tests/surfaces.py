@@ -17,18 +17,32 @@ from services.edge.mesh.metrics import sample
 from services.edge.mesh.nouns import Mesh
 
 
-def sampled(mesh: Mesh, count: int, *, noise: float = 0.0, outliers: float = 0.0, seed: int = 0) -> Floats:
+def sampled(
+    mesh: Mesh, count: int, *, noise: float = 0.0, outliers: float = 0.0, uneven: float = 1.0, seed: int = 0
+) -> Floats:
     """(count,3) points of the surface, plus Gaussian noise (standard deviation per axis) and a share of outliers.
 
-    Outliers are uniform in the bounding box grown by a tenth.
+    Outliers are uniform in the bounding box grown by a tenth. `uneven` is how many times denser the points lie at one
+    end of the longest side than at the other.
     """
     rng = np.random.default_rng(seed)
-    xyz = sample(mesh, count, rng).xyz
+    xyz = sample(mesh, count, rng).xyz if uneven == 1 else _unevenly(mesh, count, uneven, rng)
     xyz = xyz + rng.normal(0, 1, xyz.shape) * noise
     stray = rng.random(count) < outliers
     low, high = mesh.vertices.min(0) - 0.05, mesh.vertices.max(0) + 0.05
     xyz[stray] = rng.uniform(low, high, (int(stray.sum()), 3))
     return xyz
+
+
+def _unevenly(mesh: Mesh, count: int, uneven: float, rng: np.random.Generator) -> Floats:
+    """(count,3) points whose density falls exponentially along the longest side, to a share of 1/uneven."""
+    axis = int(np.argmax(np.ptp(mesh.vertices, axis=0)))
+    low, size = mesh.vertices[:, axis].min(), np.ptp(mesh.vertices[:, axis])
+    kept: list[Floats] = []
+    while sum(map(len, kept)) < count:
+        xyz = sample(mesh, 4 * count, rng).xyz
+        kept.append(xyz[rng.random(len(xyz)) < uneven ** -((xyz[:, axis] - low) / size)])
+    return np.concatenate(kept)[:count]
 
 
 def unit(vertices: Floats, faces: np.ndarray) -> Mesh:
@@ -37,11 +51,17 @@ def unit(vertices: Floats, faces: np.ndarray) -> Mesh:
     return Mesh((vertices - (low + high) / 2) / (high - low).max(), np.asarray(faces, np.int64))
 
 
-def read_unit(path: Path) -> Mesh:
-    """A mesh file, its parts merged, in its unit frame."""
-    loaded = trimesh.load_mesh(path, process=False)
-    whole = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-    return unit(np.asarray(whole.vertices), whole.faces)
+def read_unit(path: Path, part: str = "") -> Mesh:
+    """A mesh file, its parts merged or only the named one, in its unit frame."""
+    scene = trimesh.load_scene(path, process=False)
+    mesh = scene.geometry[part] if part else scene.to_mesh()
+    return unit(np.asarray(mesh.vertices), mesh.faces)
+
+
+def half(mesh: Mesh, towards: tuple[float, float, float] = (3.0, 2.0, 1.0)) -> Mesh:
+    """The part of the mesh on one side of an oblique plane through its middle, cut clean, in its unit frame."""
+    vertices, faces, _ = trimesh.intersections.slice_faces_plane(mesh.vertices, mesh.faces, towards, (0.0, 0.0, 0.0))
+    return unit(vertices, faces)
 
 
 def patch(shape: Callable[[Floats, Floats], list[Floats]], u_cells: int, v_cells: int) -> Mesh:
@@ -101,6 +121,13 @@ def two_sheets(apart: float = 0.06) -> Mesh:
     """Two parallel wavy sheets, `apart` in the unit frame."""
     sheet = patch(lambda u, v: [u, v, 0.05 * np.sin(4 * u) * np.cos(3 * v)], 100, 100)
     return joined(moved(sheet, (0, 0, -apart / 2)), moved(sheet, (0, 0, apart / 2)))
+
+
+def nested_bowls(apart: float = 0.06) -> Mesh:
+    """Two hemispheres with the same middle, `apart` in the unit frame: layers that bend together."""
+    outer = hemisphere()
+    rim = np.array([0, 0, outer.vertices[:, 2].min()])  # the middle of both
+    return joined(outer, Mesh((outer.vertices - rim) * (1 - 2 * apart) + rim, outer.faces))
 
 
 def smooth_sheet() -> Mesh:

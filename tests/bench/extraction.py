@@ -1,61 +1,87 @@
-"""Extraction and cleaning at 64³ to 256³ cells: seconds, peak memory, size, and what is wrong with the topology."""
+"""Extraction and cleaning at 64³ to 512³ cells: seconds, peak memory, size, and what is wrong with the topology.
+
+The learned field is a network regressed onto the local field: its values cost what those of any trained one do.
+"""
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
-import tracemalloc
-from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
-from services.edge.arrays import DistanceFn, Floats, Ints
+from services.edge.arrays import DistanceFn, Floats
 from services.edge.field import local_field
+from services.edge.field.fit import fit
 from services.edge.mesh.clean import clean
 from services.edge.mesh.extract import extract
 from services.edge.mesh.metrics import edge_faces, pieces
+from services.edge.preset import load_preset
 from tests import surfaces
+from tests.bench.methods import peak_mb
 
-RESOLUTIONS = (64, 96, 128, 192, 256)
-POINTS = 10_000
+RESOLUTIONS = (64, 128, 256, 512)
 SHAPES = ((surfaces.hemisphere, 1), (surfaces.pleated_skirt, 2), (surfaces.two_sheets, 2))  # and their borders
+REGRESSION = 300  # steps onto the local field: enough for a whole surface on these shapes
 
 
-def main(arguments: Sequence[str] = ()) -> None:
-    """Print the table; arguments are resolutions in place of the usual ones."""
-    resolutions = [int(argument) for argument in arguments] or RESOLUTIONS
-    print("| shape | cells | extract s | clean s | peak MB | vertices | pieces | non-manifold | border loops (truth) |")
-    print("|---|---|---|---|---|---|---|---|---|")
+def main(arguments: list[str]) -> None:
+    """Print the table."""
+    options = _parser().parse_args(arguments)
+    print(
+        "| field | shape | cells | extract s | clean s | peak MB | vertices | pieces | non-manifold | loops (truth) |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for make, borders in SHAPES:
-        truth = make()
-        near = surfaces.sampled(truth, POINTS)
-        distance = local_field(near)
-        for resolution in resolutions:
-            began = time.perf_counter()
-            raw = extract(distance, near, resolution=resolution)
-            extracted = time.perf_counter()
-            mesh = clean(raw, near)
-            cleaned = time.perf_counter()
-            edges = edge_faces(mesh.faces)
-            print(
-                f"| {make.__name__} | {resolution} | {extracted - began:.2f} | {cleaned - extracted:.2f} "
-                f"| {_peak_mb(distance, near, resolution):.0f} | {len(mesh.vertices):,} | {pieces(edges.vertices)} "
-                f"| {int((edges.faces > 2).sum())} | {_loops(mesh.faces)} ({borders}) |",
-                flush=True,
-            )
+        near = surfaces.sampled(make(), options.points)
+        for name in options.fields:
+            distance = FIELDS[name](near, options)
+            for resolution in options.cells:
+                row = _row(distance, near, resolution, borders)
+                print(f"| {name} | {make.__name__} | {resolution} | {row}", flush=True)
 
 
-def _peak_mb(distance: DistanceFn, near: Floats, resolution: int) -> float:
-    """Peak of numpy's memory in one extraction with cleaning, run apart because tracing costs time."""
-    tracemalloc.start()
-    clean(extract(distance, near, resolution=resolution), near)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak / 1e6
+def _row(distance: DistanceFn, near: Floats, resolution: int, borders: int) -> str:
+    before = _reset_peak()
+    began = time.perf_counter()
+    raw = extract(distance, near, resolution=resolution)
+    extracted = time.perf_counter()
+    mesh = clean(raw, near)
+    cleaned = time.perf_counter()
+    peak = peak_mb() - before
+    edges = edge_faces(mesh.faces)
+    return (
+        f"{extracted - began:.2f} | {cleaned - extracted:.2f} | {peak:.0f} | {len(mesh.vertices):,} "
+        f"| {pieces(edges.vertices)} | {int((edges.faces > 2).sum())} | {pieces(edges.vertices[edges.faces == 1])} "
+        f"({borders}) |"
+    )
 
 
-def _loops(faces: Ints) -> int:
-    edges = edge_faces(faces)
-    return pieces(edges.vertices[edges.faces == 1])
+def _local(near: Floats, options: argparse.Namespace) -> DistanceFn:
+    return local_field(near)
 
 
-if __name__ == "__main__":
-    main(sys.argv[1:])
+def _learned(near: Floats, options: argparse.Namespace) -> DistanceFn:
+    config = load_preset("standard").fit
+    assert config is not None
+    config = replace(config, warm_start=REGRESSION, steps=1, patience=0)
+    *_, last = fit(near, config, device=options.device, base=local_field(near))
+    return last.field
+
+
+FIELDS = {"local": _local, "learned": _learned}
+
+
+def _reset_peak() -> float:
+    """Make Linux forget the peak resident memory; what is resident now, in MB."""
+    Path("/proc/self/clear_refs").write_text("5")
+    return peak_mb()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m tests.bench extraction", description=__doc__)
+    parser.add_argument("--cells", type=int, nargs="*", default=RESOLUTIONS)
+    parser.add_argument("--fields", nargs="*", default=list(FIELDS), choices=list(FIELDS))
+    parser.add_argument("--points", type=int, default=10_000)
+    parser.add_argument("--device", default="cpu")
+    return parser
