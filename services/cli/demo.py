@@ -17,6 +17,7 @@ from services.cli.run import key_from
 from services.cli.up import DEFAULT_PORT, Stack, is_free, running
 
 _KEY = "demo-garment"
+_PRESET = "draft"  # everything once within a minute; `capture2vr run` and `push` train
 
 
 def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
@@ -26,7 +27,7 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     key = key_from(capture) if capture else _KEY
     source = capture or _simulated(out)
     with running("127.0.0.1", _port(), out / "data") as stack:
-        job = push_capture(source, stack.url, key=key, preset="", label=key, isolate=capture is None)
+        job = push_capture(source, stack.url, key=key, preset=_PRESET, label=key, isolate=capture is None)
         entry = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         with client_of(stack.url) as client:
             manifest = answer_of(client.get(entry["manifest"]["url"]))

@@ -18,7 +18,7 @@ from services.cli.http import client_of
 from services.cli.progress import console
 
 _NEEDED = {
-    "edge": ("numpy", "scipy", "trimesh", "cv2", "av", "embreex", "laspy", "lzfse", "grpc"),
+    "edge": ("numpy", "scipy", "trimesh", "cv2", "av", "embreex", "laspy", "lzfse", "grpc", "torch"),
     "gateway": ("fastapi", "uvicorn", "sqlalchemy", "grpc", "PIL", "pillow_heif", "multipart"),
     "storage": ("boto3",),
 }
@@ -75,7 +75,11 @@ def _simplifier() -> Iterator[Finding]:
 
 
 def _device() -> Iterator[Finding]:
-    yield Finding("device", "ok", "cpu: the local field needs no GPU")
+    from services.edge.field.device import find_device
+
+    device = find_device("auto")
+    slower = "; trainings take minutes here, seconds on a GPU" if device.name == "cpu" else ""
+    yield Finding("device", "ok", device.description + slower)
 
 
 def _presets() -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""The command line: `capture2vr run | up | push | pull | edge | gateway | demo | doctor`."""
+"""The command line: `capture2vr run | presets | up | push | pull | edge | gateway | demo | doctor`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 def run(
     capture: Annotated[Path, typer.Argument(help="A point cloud, a mesh, an RGB-D folder, or a zip of one.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
-    preset: Annotated[str, typer.Option(help="How to reconstruct; `doctor` lists them.")] = "",
+    preset: Annotated[str, typer.Option(help="How to reconstruct; `presets` lists them. Else the points decide.")] = "",
+    device: Annotated[str, typer.Option(help="Where to train: cpu, cuda, or auto.")] = "auto",
     resolution: Annotated[int, typer.Option(min=0, max=1024, help="Cells along the longest side; 0 chooses.")] = 0,
     isolate: Annotated[bool, typer.Option("--isolate", help="Remove the supporting plane and clutter.")] = False,
     key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",
@@ -34,7 +35,15 @@ def run(
     """The whole pipeline in one process: capture in, meshes, picture, report and bundle out."""
     from services.cli.run import run_capture
 
-    run_capture(capture, out, preset=preset, resolution=resolution, isolate=isolate, key=key)
+    run_capture(capture, out, preset=preset, device=device, resolution=resolution, isolate=isolate, key=key)
+
+
+@app.command()
+def presets() -> None:
+    """What `--preset` may name, whether it trains, and the memory that it takes at most."""
+    from services.cli.presets import list_presets
+
+    list_presets()
 
 
 @app.command()
@@ -54,7 +63,7 @@ def push(
     capture: Annotated[Path, typer.Argument(help="What the phone would upload: a file, a folder or a zip.")],
     key: Annotated[str, typer.Option(help="Asset key under which the VR client will find it.")],
     gateway: Gateway = DEFAULT_GATEWAY,
-    preset: Annotated[str, typer.Option(help="How to reconstruct.")] = "",
+    preset: Annotated[str, typer.Option(help="How to reconstruct; else the worker chooses.")] = "",
     label: Annotated[str, typer.Option(help="A name for people.")] = "",
     isolate: Annotated[bool, typer.Option("--isolate", help="Remove the supporting plane and clutter.")] = False,
 ) -> None:

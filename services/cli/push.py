@@ -39,7 +39,9 @@ def push_capture(source: Path, gateway: str, *, key: str, preset: str, label: st
             job = answer_of(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
             for state in follow(client, job["id"]):
                 job = state
-                bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "")
+                bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "", job.get("losses"))
+                if (asset := job.get("asset")) and asset["state"] == "preview":  # only the event tells of it there
+                    console.print(f"preview  {gateway}/view/{key}")
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     return _outcome(job, gateway)

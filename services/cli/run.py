@@ -7,33 +7,54 @@ import os
 import re
 import shutil
 import tempfile
+import uuid
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from services.cli.errors import NO_KEY, BadInput, plain, sentence
 from services.cli.progress import StageBar, console, warn
+from services.cli.report import page
+from services.edge.capture.nouns import Capture
 from services.edge.errors import EdgeError
-from services.edge.pipeline import Progress, reconstruct
-from services.edge.preset import Preset, load_preset
+from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
 from services.storage.catalogue import valid_key
 from services.storage.local import LocalStore
 from services.storage.publish import Asset, publish
 
+_PICTURE = "preview.png"  # its name in a bundle of either state
+_OF_AN_EARLIER_RUN = ("bundle", "preview", "refined.png")
 
-def run_capture(source: Path, out: Path, *, preset: str, resolution: int, isolate: bool, key: str) -> None:
-    """Reconstruct `source` into `out`. Raises BadInput; `out` is only touched once there is a result."""
+
+def run_capture(source: Path, out: Path, *, preset: str, device: str, resolution: int, isolate: bool, key: str) -> None:
+    """Reconstruct `source` into `out` with a preset by name. Raises BadInput."""
+    try:
+        chosen = load_preset(preset)
+    except EdgeError as error:
+        raise BadInput(sentence(error.message, hints=error.hints)) from error
+    chosen = replace(chosen, resolution=resolution or chosen.resolution)
+    run_preset(source, out, chosen, device=device, isolate=isolate, key=key)
+
+
+def run_preset(
+    source: Path, out: Path, preset: Preset, *, device: str = "auto", isolate: bool = False, key: str = ""
+) -> None:
+    """Reconstruct `source` into `out`, which is only touched once there is a result. Raises BadInput.
+
+    Killed while it trained and begun again with the same arguments, it goes on from `out`/fit.checkpoint.
+    """
     key = key or key_from(source)
     if not valid_key(key):
         raise BadInput(NO_KEY.format(key))
     _check_writable(out)
     try:
-        chosen = load_preset(preset)
-        chosen = replace(chosen, resolution=resolution or chosen.resolution)
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            _reconstruct_into(out, opened(source, Path(scratch)), chosen, isolate, key, label=plain(source.stem))
+            results = Results(out, key)
+            _reconstruct_into(results, opened(source, Path(scratch)), preset, device, isolate, plain(source.stem))
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_told(error, source)) from error
 
@@ -66,41 +87,120 @@ def opened(source: Path, scratch: Path) -> Path:
     return source
 
 
-def _reconstruct_into(out: Path, folder: Path, preset: Preset, isolate: bool, key: str, label: str) -> None:
+def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: str, isolate: bool, label: str) -> None:
     from services.edge.capture import read_capture
+    from services.edge.pipeline import PreviewKept, reconstruct
+    from services.edge.progress import Progress
 
     with StageBar() as bar:
 
         def show(progress: Progress) -> None:
-            bar.show(progress.stage, progress.fraction, progress.message)
+            bar.show(progress.stage, progress.fraction, progress.message, progress.losses)
 
         bar.show("VALIDATING", 0.0)
         capture = read_capture(folder)
-        for step in reconstruct(capture, preset, isolate=isolate, label=label, watch=show):
-            if isinstance(step, Bundle):
-                report = _write(out, step, key)
-            else:
-                show(step)
+        place = _room_for(preset, capture, device)
+        steps = reconstruct(
+            capture, preset, device=place, checkpoint=results.checkpoint, isolate=isolate, label=label, watch=show
+        )
+        for step in steps:
+            match step:
+                case Bundle():
+                    results.write(step)
+                case PreviewKept():
+                    results.keep_preview(step.warning, step.quality, step.seconds)
+                case _:
+                    show(step)
         bar.show("DONE", 1.0)
-    _print_result(out, report)
+    results.checkpoint.unlink(missing_ok=True)
+    _print_result(results.out, results.report)
 
 
-def _write(out: Path, bundle: Bundle, key: str) -> dict[str, Any]:
-    """Write the files a person looks at, and beside them the bundle as it would stand on a store."""
-    out.mkdir(parents=True, exist_ok=True)
-    for name, content in bundle.files.items():
-        (out / name).write_bytes(content)
-    shutil.rmtree(out / "bundle", ignore_errors=True)
-    asset: Asset = publish(bundle, LocalStore(out / "bundle"), key=key)
-    report = {
-        **bundle.manifest,
-        "key": key,
-        "state": bundle.state,
-        "version": asset.version,
-        "bytes": {name: len(content) for name, content in bundle.files.items()},
-    }
-    (out / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    return report
+def _room_for(preset: Preset, capture: Capture, wanted: str) -> str:
+    """The device to train on. Raises EdgeError DEVICE_ABSENT, and MEMORY_EXCEEDED before any work is done."""
+    from services.edge.field.device import find_device
+    from services.edge.memory import machine_bytes
+
+    if not preset.fit and preset.name != AUTOMATIC:
+        return "cpu"  # whose memory is told as the work goes on: nothing is trained
+    device = find_device(wanted)
+    if preset.fit:
+        points = len(capture.cloud.xyz) if capture.cloud else preset.most_points
+        takes, has = memory_bytes(preset, points, device.name), device.memory_bytes or machine_bytes()
+        if takes > has:
+            raise EdgeError(
+                "MEMORY_EXCEEDED",
+                f"preset {preset.name} takes {takes / 1e9:.2f} GB for {points:,} points; "
+                f"{device.description} has {has / 1e9:.2f} GB for it",
+                hints=("name another preset; `capture2vr presets` lists what each takes",),
+            )
+        console.print(f"preset {preset.name} on {device.description}: at most {takes / 1e9:.2f} GB of memory")
+    return device.name
+
+
+class Results:
+    """The folder that a person looks at: the best there is on top, and the bundle as it would stand on a store.
+
+    Once there is a refined mesh, the files of the preview stand in `preview/`; the pictures stand side by side.
+    """
+
+    def __init__(self, out: Path, key: str) -> None:
+        self.out = out
+        self.checkpoint = out / "fit.checkpoint"
+        self.report: dict[str, Any] = {}
+        self._key = key
+        self._job = uuid.uuid4().hex  # both bundles are versions of one job
+        self._pictures: dict[str, bytes] = {}
+
+    def write(self, bundle: Bundle) -> None:
+        """Write a bundle's files and bring the report up to date."""
+        if bundle.state == "preview":
+            for name in _OF_AN_EARLIER_RUN:
+                shutil.rmtree(self.out / name, ignore_errors=True)
+                with suppress(FileNotFoundError, IsADirectoryError):
+                    (self.out / name).unlink()
+        else:
+            self._move_preview()
+        self.out.mkdir(parents=True, exist_ok=True)
+        self._pictures[bundle.state] = bundle.files[_PICTURE]
+        for name, content in bundle.files.items():
+            (self.out / (f"{bundle.state}.png" if name == _PICTURE else name)).write_bytes(content)
+        asset: Asset = publish(bundle, LocalStore(self.out / "bundle"), key=self._key, job=self._job)
+        quality = bundle.manifest["quality"]
+        self._tell(
+            {
+                **bundle.manifest,
+                "key": self._key,
+                "state": bundle.state,
+                "version": asset.version,
+                "bytes": {name: len(content) for name, content in bundle.files.items()},
+            },
+            quality,
+        )
+
+    def keep_preview(self, warning: str, quality: Mapping[str, Any] | None, seconds: Mapping[str, float]) -> None:
+        """No refined mesh came of the training: say so, with the figures of what was refused."""
+        refused = quality or {}
+        told = {**self.report, "seconds": seconds, "warnings": [*self.report["warnings"], warning]}
+        self._tell(told, {**refused, "preview": self.report["quality"]})
+
+    def _tell(self, report: dict[str, Any], quality: Mapping[str, Any]) -> None:
+        preview = quality.get("preview", quality)
+        refined = {key: value for key, value in quality.items() if key != "preview"}
+        self.report = {
+            **report,
+            "verdict": quality.get("verdict", ""),
+            "because": quality.get("because", ""),
+            "certificates": {"preview": preview, "refined": refined if "verdict" in quality else None},
+        }
+        (self.out / "report.json").write_text(json.dumps(self.report, indent=2) + "\n")
+        (self.out / "report.html").write_text(page(self.report, self._pictures), encoding="utf-8")
+
+    def _move_preview(self) -> None:
+        (self.out / "preview").mkdir()
+        for name in self.report["bytes"]:
+            if name != _PICTURE:
+                (self.out / name).rename(self.out / "preview" / name)
 
 
 def _print_result(out: Path, report: dict[str, Any]) -> None:
@@ -112,9 +212,13 @@ def _print_result(out: Path, report: dict[str, Any]) -> None:
         f"{quality['non_manifold_edges']:,} non-manifold edges; {size} m ({report['scale_confidence']})"
     )
     console.print(f"LODs {lods} triangles; {sum(seconds.values()):.1f} s in all")
+    if report["preset_because"]:
+        console.print(f"preset {report['preset']}: {report['preset_because']}")
+    if report["verdict"] == "better":
+        console.print(f"refined better than preview: {report['because']}")
     for warning in report["warnings"]:
         warn(warning)
-    console.print(f"look at {out / 'preview.png'}; figures in {out / 'report.json'}")
+    console.print(f"look at {out / 'report.html'}; figures in {out / 'report.json'}")
 
 
 def _told(error: EdgeError | ArchiveError, source: Path) -> str:

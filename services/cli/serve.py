@@ -9,16 +9,26 @@ from services.storage.settings import StorageSettings, open_store
 
 def serve_edge() -> int:
     """Serve a worker until SIGTERM has drained it; the exit code."""
+    from services.edge.errors import EdgeError
+    from services.edge.field.device import find_device
+    from services.edge.memory import Memory, machine_bytes
     from services.edge.server import serve
     from services.edge.settings import EdgeSettings
+    from services.edge.stock import known_presets
     from services.edge.work import RealWork
 
     try:
         settings, store = EdgeSettings(), open_store(StorageSettings())
+        device = find_device(settings.device)
+        presets = known_presets(settings.presets)
     except ValueError as error:
         raise BadInput(str(error)) from error
+    except EdgeError as error:
+        variable = "EDGE_PRESETS" if error.code == "PRESET_INVALID" else "EDGE_DEVICE"
+        raise BadInput(f"{variable}: {error.message}") from error
     configure(settings.log_level)
-    return serve(settings, RealWork(store))
+    memory = Memory(settings.memory or device.memory_bytes or machine_bytes())
+    return serve(settings, RealWork(store, presets, device, memory))
 
 
 def serve_gateway() -> int:

@@ -158,6 +158,7 @@ def _environment(host: str, port: int, data: Path, *, edge_port: int) -> Mapping
         "STORAGE_ROOT": str(data / "store"),
         "EDGE_SCRATCH": str(data / "scratch"),
         "EDGE_DRAIN_S": str(_DRAIN_S),
+        "EDGE_DEVICE": "auto",
         "GATEWAY_DATA_DIR": str(data / "gateway"),
     }
     fixed = {

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 import services
 from services.edge.arrays import Floats
 from services.edge.capture.nouns import Capture
+from services.edge.certificate import Certificate, Evidence
 from services.edge.mesh import Mesh
-from services.edge.mesh.metrics import edge_faces, pieces, sample
 from services.edge.points import Points, UnitFrame
 from services.edge.preset import Preset
 
 _DEFAULT_UP = np.array(
     [0.0, 1.0, 0.0]
 )  # what modelling tools and glTF use; scanners that differ say so in their format
-_FIT_SAMPLES = 50_000  # of mesh and points each; the median is then known to about 1 %
 
 
 def asset_frame(vertices: Floats, points: Points) -> Floats:
@@ -52,37 +50,73 @@ def rotation_between(source: Floats, target: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What is reconstructed and how it was asked for; xyz_unit (N,3) are the denoised points in the unit frame."""
+    """What is reconstructed and how it was asked for.
+
+    preset     as named, or as chosen from the points: then `because` says why
+    points     those that the field is fitted to; xyz_unit (N,3) the same, denoised, in the unit frame
+    evidence   what its surfaces are judged by
+    """
 
     capture: Capture
     preset: Preset
+    because: str
     label: str
     points: Points
     unit: UnitFrame
     xyz_unit: Floats
+    evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A field's mesh in the unit frame, at that many cells along the longest side, and how it was come by.
+
+    steps    of training, 0 for the local field; device: where
+    losses   as the training left them
+    """
+
+    mesh_unit: Mesh
+    resolution: int
+    certificate: Certificate
+    steps: int = 0
+    device: str = "cpu"
+    losses: Mapping[str, float] = field(default_factory=dict)
+
+    def quality(self, preset: Preset, seconds: Mapping[str, float]) -> dict[str, Any]:
+        """The certificate as the manifest holds it; seconds by stage, up to here."""
+        return {
+            "resolution": self.resolution,
+            **self.certificate.as_json(),
+            "preset": preset.name,
+            "steps": self.steps,
+            "losses": dict(self.losses),
+            "device": self.device,
+            "seconds": round(sum(seconds.values()), 3),
+        }
 
 
 def manifest_of(
     subject: Subject,
     *,
-    mesh_unit: Mesh,
+    quality: Mapping[str, Any],
     levels: Sequence[Mesh],
     to_asset: Floats,
-    resolution: int,
     seconds: Mapping[str, float],
+    warnings: Sequence[str],
 ) -> dict[str, Any]:
     """Everything a client or an engineer may ask of the asset, as JSON; publishing adds names, sizes and hashes."""
     capture, points, unit = subject.capture, subject.points, subject.unit
     low, high = levels[0].vertices.min(axis=0), levels[0].vertices.max(axis=0)
-    warnings = list(points.warnings)
+    told = [*points.warnings, *warnings]
     if points.up is None:
-        warnings.append("nothing in the capture tells which way is up; Y was taken")
+        told.append("nothing in the capture tells which way is up; Y was taken")
     return {
         "generator": f"capture2vr {services.__version__}",
         "label": subject.label,
         "preset": subject.preset.name,
+        "preset_because": subject.because,
         "capture": {"kind": capture.kind, "format": capture.format, "frames": len(capture.frames)},
-        "points": len(points),
+        "points": len(points) + quality["held_out"],
         "scale_confidence": points.scale_confidence,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],
         "unit_frame": {"centre": [float(value) for value in unit.centre], "size": float(unit.size)},
@@ -92,29 +126,7 @@ def manifest_of(
             {"file": f"lod{level}.glb", "level": level, "triangles": len(mesh.faces), "vertices": len(mesh.vertices)}
             for level, mesh in enumerate(levels)
         ],
-        "quality": {"resolution": resolution, **_fit(subject.xyz_unit, mesh_unit), **_topology(mesh_unit)},
+        "quality": dict(quality),
         "seconds": dict(seconds),
-        "warnings": warnings,
-    }
-
-
-def _fit(xyz_unit: Floats, mesh_unit: Mesh) -> dict[str, float]:
-    """Distance from the points to the mesh, unit frame: how faithfully the surface follows its input."""
-    rng = np.random.default_rng(0)
-    surface = sample(mesh_unit, _FIT_SAMPLES, rng).xyz
-    chosen = rng.permutation(len(xyz_unit))[:_FIT_SAMPLES]
-    distance = cKDTree(surface).query(xyz_unit[chosen], workers=-1)[0]
-    return {
-        "points_to_mesh_median": float(np.median(distance)),
-        "points_to_mesh_p95": float(np.quantile(distance, 0.95)),
-    }
-
-
-def _topology(mesh_unit: Mesh) -> dict[str, int]:
-    edges = edge_faces(mesh_unit.faces)
-    return {
-        "triangles": len(mesh_unit.faces),
-        "components": pieces(edges.vertices),
-        "boundary_loops": pieces(edges.vertices[edges.faces == 1]),
-        "non_manifold_edges": int((edges.faces > 2).sum()),
+        "warnings": told,
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import AsyncIterator
 
 from services.edge.api import edge_pb2 as pb
@@ -17,6 +18,11 @@ HEARTBEAT_S = 4.0
 _ETA_FROM = 0.05
 """Fraction below which elapsed / fraction says nothing yet about the time left."""
 
+_RECENT_S = 15.0
+_RECENT_FROM_S = 3.0
+"""Seconds of progress whose rate tells the time left, at most and at least. A fit that goes on from a checkpoint jumps
+ahead once, and the rate of the whole run would promise its end within moments."""
+
 
 class EventLog:
     """Events 1, 2, 3, ... up to one `Failure` or `Finished`. Lives on the event loop; nothing here is thread-safe."""
@@ -28,6 +34,7 @@ class EventLog:
         self._events: list[pb.Event] = []
         self._news = asyncio.Event()
         self._fraction = 0.0
+        self._recent: deque[tuple[float, float]] = deque()
         self._stage = pb.STAGE_UNSPECIFIED
         self._ending: Ending | None = None
 
@@ -91,9 +98,18 @@ class EventLog:
         progress.CopyFrom(told)
         progress.fraction = self._fraction
         if not told.eta_s and self._fraction >= _ETA_FROM:
-            spent_s = time.monotonic() - self._work_began
-            progress.eta_s = spent_s * (1.0 - self._fraction) / self._fraction
+            progress.eta_s = self._left_s(time.monotonic())
         return progress
+
+    def _left_s(self, now: float) -> float:
+        """Seconds left, at the recent rate where there is any progress, else at that of the whole run."""
+        self._recent.append((now, self._fraction))
+        while now - self._recent[0][0] > _RECENT_S and len(self._recent) > 1:
+            self._recent.popleft()
+        since, fraction = self._recent[0]
+        if now - since >= _RECENT_FROM_S and self._fraction > fraction:
+            return (now - since) * (1.0 - self._fraction) / (self._fraction - fraction)
+        return (now - self._work_began) * (1.0 - self._fraction) / self._fraction
 
     def _append(
         self,

@@ -1,29 +1,33 @@
 """The whole method on one page: capture → points → field → mesh → bundle.
 
-Every stage is a plain function of the stage before it. `reconstruct` yields `Progress` at each stage's start and a
-`Bundle` whenever there is something worth publishing: first the preview of the local field; a trained field is a second
-bundle under the same key, made by the same `_bundle` from another DistanceFn.
+Every stage is a plain function of the stage before it. `reconstruct` yields `Progress` on the way and a `Bundle`
+whenever there is something worth publishing: first the preview of the local field, then, where the preset trains, the
+refined one under the same key, made by the same functions from another DistanceFn. Points that neither field has seen
+judge both; a trained field that they find worse, or that fails, yields `PreviewKept` instead of its bundle.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from services.edge.arrays import DistanceFn, Floats, Tick
-from services.edge.asset import Subject, asset_frame, manifest_of
+from services.edge.arrays import Bools, DistanceFn, Floats, Tick
+from services.edge.asset import Subject, Surface, asset_frame, manifest_of
 from services.edge.capture.nouns import Capture
+from services.edge.certificate import Evidence, certify, compare, hold_out
+from services.edge.choose import choose, traits_of
 from services.edge.errors import EdgeError
 from services.edge.field.denoise import denoise
 from services.edge.field.local import local_field
 from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
 from services.edge.mesh.band import part_of
 from services.edge.mesh.spacing import auto_resolution
-from services.edge.points import at_most, to_points, unit_frame
-from services.edge.preset import Preset
+from services.edge.points import Points, at_most, to_points, unit_frame
+from services.edge.preset import AUTOMATIC, Preset, load_preset
+from services.edge.progress import Bar, Clock, Progress, Watch, unwatched
+from services.edge.training import Training, train
 from services.storage.bundle import Bundle, State
 
 # Where each stage begins on the bar, from the seconds of a 10,000-point cloud and of an RGB-D room on two cores.
@@ -36,94 +40,155 @@ STAGE_STARTS = {
     "PACKING": 0.80,
     "PUBLISHING": 0.95,
 }
+# The same of the second pass, whose training takes most of its time.
+REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.92, "PACKING": 0.94, "PUBLISHING": 0.99}
+PREVIEW_SHARE = 0.15  # of the bar, where a second pass follows
+PREVIEW_FINEST = 384  # cells: a preview is there within seconds, however fine its preset
 EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """How far the whole job is: `fraction` in [0,1] never goes back; `losses` once a field is trained."""
+class PreviewKept:
+    """The training brought nothing better: the preview stays what it is, and `warning` says why.
 
-    stage: str
-    fraction: float
-    message: str = ""
-    losses: Mapping[str, float] = field(default_factory=dict)
+    quality  the figures of the refused surface, with the verdict; None where there was no surface
+    """
 
-
-Watch = Callable[[Progress], None]
-"""Hears of progress inside a stage; may raise `Cancelled`, which stops the work between two slabs."""
-
-
-def unwatched(progress: Progress) -> None:
-    """The watch of a caller who does not look."""
+    warning: str
+    quality: Mapping[str, Any] | None
+    seconds: Mapping[str, float]
 
 
 def reconstruct(
     capture: Capture,
     preset: Preset,
     *,
+    device: str = "cpu",
+    checkpoint: Path | None = None,
     isolate: bool = False,
     label: str = "",
     watch: Watch = unwatched,
-) -> Iterator[Progress | Bundle]:
+) -> Generator[Progress | Bundle | PreviewKept, None, None]:
     """Turn a capture into bundles, the preview first.
 
-    isolate removes the supporting plane and clutter; label is the human name kept in the manifest.
-    Raises CaptureError where the capture cannot give a surface, Cancelled when `watch` does.
+    device      where a field is trained: "cpu", "cuda:0"
+    checkpoint  file that the training writes and goes on from; removing it is the caller's business
+    isolate     removes the supporting plane and clutter; label is the human name kept in the manifest
+
+    Raises CaptureError where the capture cannot give a surface, Cancelled when `watch` does; what fails behind the
+    preview is no error but `PreviewKept`. Whoever stops iterating should close the generator: it may be training.
     """
-    clock = _Clock()
+    clock = Clock()
+    bar = Bar(watch)
+    bar.covers(STAGE_STARTS, 0.0, PREVIEW_SHARE if preset.fit or preset.name == AUTOMATIC else 1.0)
 
-    yield _starts("POINT_CLOUD", f"reading {capture.format}")
+    yield bar.starts("POINT_CLOUD", f"reading {capture.format}")
     with clock("POINT_CLOUD"):
-        points = to_points(capture, isolate=isolate, tick=_inside("POINT_CLOUD", watch))
-        points = at_most(points, preset.most_points)
+        points = to_points(capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
+        preset, because = _settled(preset, points, device)
+        held = hold_out(len(points), sets=2 if preset.fit and preset.fit.patience else 1)
+        shown = at_most(_part(points, held == 0), preset.most_points)
+    bar.covers(STAGE_STARTS, 0.0, PREVIEW_SHARE if preset.fit else 1.0)
 
-    yield _starts("FITTING", f"{len(points):,} points")
+    yield bar.starts("FITTING", f"{len(shown):,} points" + (f", preset {preset.name}: {because}" if because else ""))
     with clock("FITTING"):
-        unit = unit_frame(points.xyz)
-        xyz_unit = denoise(unit.to_unit(points.xyz), tick=_inside("FITTING", watch))
+        unit = unit_frame(shown.xyz)
+        xyz_unit = denoise(unit.to_unit(shown.xyz), tick=bar.inside("FITTING"))
         distance = local_field(xyz_unit)
+    evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held == 1]))
+    subject = Subject(capture, preset, because, label, shown, unit, xyz_unit, evidence)
 
-    subject = Subject(capture, preset, label, points, unit, xyz_unit)
-    yield from _bundle(distance, subject, "preview", clock, watch)
+    preview = yield from _surface(distance, xyz_unit, subject, min(preset.finest, PREVIEW_FINEST), clock, bar)
+    quality = preview.quality(preset, clock.seconds)
+    yield from _bundle(preview.mesh_unit, subject, "preview", quality, (), clock, bar)
+    if preset.fit:
+        bar.covers(REFINED_STARTS, PREVIEW_SHARE, 1.0)
+        seen = xyz_unit if preset.denoised else unit.to_unit(shown.xyz)
+        watched = unit.to_unit(points.xyz[held == 2])
+        config = preset.fit if len(watched) else replace(preset.fit, patience=0)  # too few to spare any
+        training = Training(seen, config, device, distance, xyz_unit, watched, checkpoint)
+        yield from _refinement(training, subject, preview, quality, clock, bar)
+
+
+def _refinement(
+    training: Training, subject: Subject, preview: Surface, before: Mapping[str, Any], clock: Clock, bar: Bar
+) -> Iterator[Progress | Bundle | PreviewKept]:
+    """Train, mesh and judge. Whatever goes wrong with that, the preview has been published."""
+    try:
+        trained = yield from train(training, clock, bar)
+        made = yield from _surface(trained.distance, trained.near, subject, subject.preset.finest, clock, bar)
+    except EdgeError as error:
+        yield PreviewKept(_kept(error.message, error.hints), None, dict(clock.seconds))
+        return
+    except MemoryError:
+        yield PreviewKept(_kept("the memory does not hold it", ("name a coarser preset",)), None, dict(clock.seconds))
+        return
+    made = replace(made, steps=trained.steps, losses=trained.losses, device=trained.device)
+    verdict = compare(preview.certificate, made.certificate)
+    quality = {
+        **made.quality(subject.preset, clock.seconds),
+        "verdict": verdict.outcome,
+        "because": verdict.because,
+        "preview": before,
+    }
+    if verdict.outcome == "worse":
+        yield PreviewKept(_kept(verdict.because, trained.warnings), quality, dict(clock.seconds))
+        return
+    warnings = trained.warnings
+    if verdict.outcome == "even":
+        warnings += (f"training shows no gain over the preview: {verdict.because}",)
+    yield from _bundle(made.mesh_unit, subject, "refined", quality, warnings, clock, bar)
+
+
+def _surface(
+    distance: DistanceFn, near: Floats, subject: Subject, finest: int, clock: Clock, bar: Bar
+) -> Generator[Progress, None, Surface]:
+    """Mesh a field whose surface lies near the points (N,3), and measure it."""
+    resolution = subject.preset.resolution or auto_resolution(near, high=finest)
+    yield bar.starts("EXTRACTING", f"{resolution} cells along the longest side")
+    with clock("EXTRACTING"):
+        tick = bar.inside("EXTRACTING")
+        raw = extract(distance, near, resolution=resolution, tick=part_of(tick, 0, EXTRACT_SHARE))
+        mesh_unit = clean(raw, near, tick=part_of(tick, EXTRACT_SHARE, 1))
+        del raw
+        if len(mesh_unit.faces) == 0:
+            raise EdgeError(
+                "EXTRACTION_EMPTY",
+                f"no surface was found among {len(near):,} points at {resolution} cells",
+                hints=("capture the thing from closer and from more sides",),
+            )
+        return Surface(mesh_unit, resolution, certify(distance, mesh_unit, subject.evidence))
 
 
 def _bundle(
-    distance: DistanceFn, subject: Subject, state: State, clock: _Clock, watch: Watch
+    mesh_unit: Mesh,
+    subject: Subject,
+    state: State,
+    quality: Mapping[str, Any],
+    warnings: tuple[str, ...],
+    clock: Clock,
+    bar: Bar,
 ) -> Iterator[Progress | Bundle]:
-    """Mesh a field and pack it: the same for the preview and for a trained field."""
-    preset, points, xyz_unit = subject.preset, subject.points, subject.xyz_unit
-    resolution = preset.resolution or auto_resolution(xyz_unit, high=preset.finest)
-    yield _starts("EXTRACTING", f"{resolution} cells along the longest side")
-    with clock("EXTRACTING"):
-        tick = _inside("EXTRACTING", watch)
-        raw = extract(distance, xyz_unit, resolution=resolution, tick=part_of(tick, 0, EXTRACT_SHARE))
-        mesh_unit = clean(raw, xyz_unit, tick=part_of(tick, EXTRACT_SHARE, 1))
-        del raw
-    if len(mesh_unit.faces) == 0:
-        raise EdgeError(
-            "EXTRACTION_EMPTY",
-            f"no surface was found among {len(points):,} points at {resolution} cells",
-            hints=("capture the thing from closer and from more sides",),
-        )
-
-    yield _starts("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
+    """Colour a mesh and pack it with its levels of detail, its picture and its manifest."""
+    points = subject.points
+    yield bar.starts("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
     with clock("TEXTURING"):
         if points.rgb is not None:
-            mesh_unit = carry_colours(mesh_unit, xyz_unit, points.rgb)
-    watch(_starts("TEXTURING", "colours carried"))
-
-    yield _starts("PACKING", "levels of detail")
+            mesh_unit = carry_colours(mesh_unit, subject.xyz_unit, points.rgb)
+    yield bar.starts("PACKING", "levels of detail")
     with clock("PACKING"):
         full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
         to_asset = asset_frame(full.vertices, points)
-        tick = _inside("PACKING", watch)
-        levels = _levels(full, to_asset, preset, part_of(tick, 0, 0.4))
+        tick = bar.inside("PACKING")
+        levels = _levels(full, to_asset, subject.preset, part_of(tick, 0, 0.4))
         files = {f"lod{level}.glb": to_glb(mesh) for level, mesh in enumerate(levels)}
         files["preview.png"] = render_sheet(levels[0], tick=part_of(tick, 0.5, 0.9))
         files["mesh.ply"] = ply_bytes(full)
     manifest = manifest_of(
-        subject, mesh_unit=mesh_unit, levels=levels, to_asset=to_asset, resolution=resolution, seconds=clock.seconds
+        subject, quality=quality, levels=levels, to_asset=to_asset, seconds=clock.seconds, warnings=warnings
     )
+    # The last word before the store: a job cancelled by now must publish nothing.
+    yield bar.starts("PUBLISHING", f"publishing the {state}")
     yield Bundle(state=state, files=files, manifest=manifest)
 
 
@@ -133,35 +198,18 @@ def _levels(full: Mesh, to_asset: Floats, preset: Preset, tick: Tick) -> tuple[M
     return lods(replace(full, vertices=vertices), preset.lod_faces, tick=tick)
 
 
-def _starts(stage: str, message: str) -> Progress:
-    return Progress(stage, STAGE_STARTS[stage], message)
+def _settled(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:
+    """The preset to use, and why where it was left to the points; a resolution that was asked for stays."""
+    if preset.name != AUTOMATIC:
+        return preset, ""
+    choice = choose(traits_of(points, gpu=device != "cpu"))
+    return replace(load_preset(choice.preset), resolution=preset.resolution), choice.because
 
 
-def _inside(stage: str, watch: Watch) -> Tick:
-    """A tick that maps a stage's own fraction onto the job's."""
-    starts = sorted(STAGE_STARTS.values())
-    begin = STAGE_STARTS[stage]
-    end = next((start for start in starts if start > begin), 1.0)
-
-    def tick(fraction: float) -> None:
-        watch(Progress(stage, begin + (end - begin) * float(np.clip(fraction, 0.0, 1.0))))
-
-    return tick
+def _part(points: Points, which: Bools) -> Points:
+    rgb = None if points.rgb is None else points.rgb[which]
+    return replace(points, xyz=points.xyz[which], rgb=rgb, confidence=points.confidence[which])
 
 
-class _Clock:
-    """Seconds per stage: `with clock("FITTING"): ...` adds to `clock.seconds["FITTING"]`."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    def __call__(self, stage: str) -> _Clock:
-        self._stage = stage
-        return self
-
-    def __enter__(self) -> None:
-        self._began = time.perf_counter()
-
-    def __exit__(self, *exc: object) -> None:
-        spent = time.perf_counter() - self._began
-        self.seconds[self._stage] = round(self.seconds.get(self._stage, 0.0) + spent, 3)
+def _kept(why: str, hints: tuple[str, ...] = ()) -> str:
+    return f"the preview was kept: {why}" + (f" ({'; '.join(hints)})" if hints else "")

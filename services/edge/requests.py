@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import grpc
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.offer import Offer
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
 """Job ids and asset keys: they become object names and log lines, so nothing that a path or a shell could read."""
@@ -46,17 +47,16 @@ class JobRequest:
     label: str
 
     @classmethod
-    def of(cls, header: pb.Header, presets: tuple[str, ...]) -> JobRequest:
-        """Raises RefusedError (INVALID_ARGUMENT) naming the field; the first of `presets` is the default."""
+    def of(cls, header: pb.Header, offer: Offer) -> JobRequest:
+        """Raises RefusedError (INVALID_ARGUMENT) naming the field; the first preset on offer is the default."""
         _require_name("JOB_INVALID", "job", header.job)
         _require_name("KEY_INVALID", "asset_key", header.asset_key)
         if header.target:
             _require_name("TARGET_INVALID", "target", header.target)
         if len(header.label) > LABEL_MAX_CHARS or not _LINE.fullmatch(header.label):
             raise invalid("LABEL_INVALID", f"label must be one line of at most {LABEL_MAX_CHARS} characters")
-        preset = header.preset or presets[0]
-        if preset not in presets:
-            raise invalid("PRESET_UNKNOWN", f"there is no such preset; known are {', '.join(presets)}")
+        preset = header.preset or offer.names[0]
+        _require_offered(preset, offer)
         label = header.label or header.asset_key
         return cls(header.job, header.fence, preset, header.asset_key, header.target, header.isolate, label)
 
@@ -64,3 +64,12 @@ class JobRequest:
 def _require_name(code: str, field: str, value: str) -> None:
     if not _NAME.fullmatch(value):
         raise invalid(code, f"{field} must be 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
+
+
+def _require_offered(preset: str, offer: Offer) -> None:
+    names = ", ".join(offer.names)
+    if preset in {each.name for each in offer.withheld}:
+        wanted = f"even its smallest fit takes more than the {offer.memory_bytes:,} bytes of this worker"
+        raise invalid("MEMORY_EXCEEDED", f"preset {preset} is not offered: {wanted}; offered are {names}")
+    if preset not in offer.names:
+        raise invalid("PRESET_UNKNOWN", f"there is no such preset; known are {names}")

@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.checkpoints import Checkpoints
 from services.edge.errors import Cancelled
 from services.edge.event_log import Ending, EventLog, Said
 from services.edge.failures import failure_of
+from services.edge.offer import Offer
 from services.edge.requests import JobRequest
 
 Say = Callable[[Said], None]
@@ -27,13 +29,14 @@ class Work(Protocol):
     """What a worker does with an archive: blocking, on a thread of its own, several at once when there are slots."""
 
     @property
-    def presets(self) -> tuple[str, ...]:
-        """The presets on offer, the default first."""
+    def offer(self) -> Offer:
+        """What it can do."""
         ...
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, say: Say) -> pb.Finished:
+    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
         """Reconstruct and publish, saying `Progress` often and `Published` per bundle; `scratch` is emptied after.
 
+        checkpoint: a file that outlives a killed worker: there when the job's earlier run left one, written by this one
         Raises EdgeError with a name for what the caller should know, Cancelled when `say` does.
         """
         ...
@@ -46,11 +49,12 @@ class Work(Protocol):
 class Run:
     """A job that this worker has taken: its archive lies in `folder`, which is gone when the run's thread is."""
 
-    def __init__(self, request: JobRequest, archive: Path, folder: Path) -> None:
+    def __init__(self, request: JobRequest, archive: Path, folder: Path, checkpoints: Checkpoints) -> None:
         self.request = request
         self.folder = folder
         self.log = EventLog(request.job)
         self._archive = archive
+        self._checkpoints = checkpoints
         self._stop_with: pb.Failure | None = None
         self._last: tuple[pb.Stage, float] | None = None
 
@@ -64,6 +68,7 @@ class Run:
 
         def compute() -> None:
             ending = self._ending_of(work, loop)
+            self.leave(ending)
             gone()
             _post(loop, ended, ending)
 
@@ -73,11 +78,19 @@ class Run:
         """Ask the work to stop at its next word, and end with `failure`. The first to ask gives the reason."""
         self._stop_with = self._stop_with or failure
 
+    def leave(self, ending: Ending) -> None:
+        """Nothing is computed here any more: what the job would go on from is kept only if it will."""
+        if not _runs_again(ending):
+            self._checkpoints.drop(self.request.job, self.request.fence)
+
     def _ending_of(self, work: Work, loop: asyncio.AbstractEventLoop) -> Ending:
         scratch = self.folder / "work"
         try:
             scratch.mkdir()
-            return work.reconstruct(self._archive, self.request, scratch, lambda what: self._say(loop, what))
+            checkpoint = self._checkpoints.take(self.request.job, self.request.fence)
+            return work.reconstruct(
+                self._archive, self.request, scratch, checkpoint, lambda what: self._say(loop, what)
+            )
         except Cancelled as cancelled:
             return self._stop_with or failure_of(cancelled, job=self.request.job, scratch=scratch)
         except BaseException as error:  # noqa: BLE001 - whatever kills this thread, the caller must hear of an ending
@@ -102,6 +115,11 @@ class Run:
             return True
         self._last = (progress.stage, now)
         return False
+
+
+def _runs_again(ending: Ending) -> bool:
+    """Whether a gateway will send the job again, to go on from its checkpoint."""
+    return isinstance(ending, pb.Failure) and ending.retryable
 
 
 def _post(loop: asyncio.AbstractEventLoop, call: Callable[[Any], None], what: Said | Ending) -> None:

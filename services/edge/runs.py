@@ -59,6 +59,7 @@ class Runs:
     def __init__(self, work: Work, scratch: Scratch, *, slots: int, queue: int) -> None:
         self._work = work
         self._scratch = scratch
+        self._checkpoints = scratch.checkpoints
         self._slots = slots
         self._places = slots + queue
         self._runs: dict[str, Run] = {}
@@ -103,7 +104,7 @@ class Runs:
             # A newer upload of the same job may have taken the entry over.
             if self._uploads.get(request.job) is upload:
                 del self._uploads[request.job]
-        return self._enqueue(Run(request, archive, folder))
+        return self._enqueue(Run(request, archive, folder, self._checkpoints))
 
     def find(self, job: str) -> Run | None:
         """A run that lives or ended lately."""
@@ -195,6 +196,7 @@ class Runs:
     def _stop(self, run: Run, failure: pb.Failure) -> None:
         if run in self._waiting:
             self._waiting.remove(run)
+            run.leave(failure)
             self._scratch.drop(run.folder)
             self._end(run, failure)
             return

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import grpc
 
+from services.edge.checkpoints import Checkpoints
 from services.edge.requests import RefusedError
 
 _log = logging.getLogger(__name__)
@@ -24,11 +25,15 @@ HEADROOM = 3
 
 
 class Scratch:
-    """Folders under a root that several workers may share: each keeps to a part of its own and holds its lock."""
+    """Folders under a root that several workers may share: each keeps to a part of its own and holds its lock.
+
+    Checkpoints belong to the jobs instead, so that any of the workers may go on with what another began.
+    """
 
     def __init__(self, root: Path) -> None:
         self._root = root
         self._own = root
+        self.checkpoints = Checkpoints(root / "checkpoints")
 
     @contextmanager
     def held(self) -> Iterator[None]:

@@ -67,7 +67,7 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
         chunks = aiter(request_iterator)
         try:
             header = await first_header(chunks, limit_bytes=self._settings.max_capture_bytes)
-            request = JobRequest.of(header, self._work.presets)
+            request = JobRequest.of(header, self._work.offer)
             run = await self._runs.take(request, _welcomed(chunks, context), header.capture_bytes)
         except RefusedError as refused:
             await _refuse(context, refused, chunks)
@@ -98,13 +98,14 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
     async def GetWorker(self, request: pb.GetWorkerRequest, context: Context) -> pb.Worker:  # noqa: N802
         return pb.Worker(
             version=__version__,
-            device=self._settings.device,
-            presets=self._work.presets,
+            device=self._work.offer.device,
+            presets=self._work.offer.presets,
             slots=self._settings.slots,
             free_slots=self._runs.free_slots,
             queued=self._runs.queued,
             draining=self._runs.draining,
             jobs=self._runs.live,
+            memory_bytes=self._work.offer.memory_bytes,
         )
 
 

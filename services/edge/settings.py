@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import ByteSize, Field
 from pydantic_settings import SettingsConfigDict
 
 from services.strict_settings import LOOPBACK, StrictSettings
@@ -24,7 +24,9 @@ class EdgeSettings(StrictSettings):
         Path(tempfile.gettempdir(), "capture2vr-edge"),
         description="Folder of uploads and unpacked captures; several workers may share one.",
     )
-    device: str = Field("cpu", min_length=1, description="What GetWorker reports and fields are trained on.")
+    device: str = Field("cpu", pattern=r"^(auto|cpu|cuda(:\d+)?)$", description="What fields are trained on.")
+    memory: ByteSize = Field(ByteSize(0), ge=0, description="What fits may take together; 0: a share of the device's.")
+    presets: Path | None = Field(None, description="Folder of TOML files: the operator's presets beside the product's.")
     reflection: bool = Field(False, description="Answer gRPC reflection (grpcurl); for development.")
     log_level: str = Field("INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$", description="How much is logged.")
     drain_s: float = Field(30.0, ge=0, le=3600, description="Seconds that running jobs get after SIGTERM.")

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing
 from pathlib import Path
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.capture import Capture, read_capture
 from services.edge.errors import CaptureError, EdgeError
-from services.edge.pipeline import STAGE_STARTS, Progress, reconstruct
-from services.edge.preset import load_preset, preset_names
+from services.edge.field.device import Device
+from services.edge.memory import Memory
+from services.edge.pipeline import PreviewKept, reconstruct
+from services.edge.preset import AUTOMATIC, Preset, memory_bytes
+from services.edge.progress import Progress
 from services.edge.requests import JobRequest
 from services.edge.run import Say
+from services.edge.stock import offer_of
 from services.storage.archives import ArchiveError, unpack
 from services.storage.bundle import Bundle, Json
 from services.storage.publish import Asset, StaleFence, publish
@@ -20,34 +25,45 @@ from services.storage.store import Store
 
 
 class RealWork:
-    """Reconstructs with the pipeline and publishes to `store`."""
+    """Reconstructs with the pipeline and publishes to `store`. presets: by name, the default first."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, presets: Mapping[str, Preset], device: Device, memory: Memory) -> None:
         self._store = store
-        self.presets = preset_names()
+        self._presets = presets
+        self._device = device
+        self._memory = memory
+        self.offer = offer_of(presets, device, memory.total_bytes)
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, say: Say) -> pb.Finished:
+    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
         """The whole job. Raises EdgeError, and Cancelled when `say` does."""
-        preset = load_preset(request.preset)
-        say(_progress("VALIDATING", STAGE_STARTS["VALIDATING"], "reading the capture"))
+        say(pb.Progress(stage=pb.VALIDATING, message="reading the capture"))
         began = time.perf_counter()
         capture = _capture_of(archive, scratch)
         seconds = {"VALIDATING": time.perf_counter() - began, "PUBLISHING": 0.0}
-        manifest: Mapping[str, Json] = {}
-        for step in reconstruct(
-            capture, preset, isolate=request.isolate, label=request.label, watch=lambda progress: say(_told(progress))
-        ):
-            match step:
-                case Progress():
-                    say(_told(step))
-                case Bundle():
-                    # The last word before the store: a job cancelled by now must publish nothing.
-                    say(_progress("PUBLISHING", STAGE_STARTS["PUBLISHING"], f"publishing the {step.state}"))
-                    began = time.perf_counter()
-                    say(_published(_publish(step, self._store, request)))
-                    seconds["PUBLISHING"] += time.perf_counter() - began
-                    manifest = step.manifest
-        return pb.Finished(warnings=manifest["warnings"], seconds={**seconds, **manifest["seconds"]})
+        warnings: Sequence[str] = ()
+        computing: Mapping[str, float] = {}
+        # In this order: a training that is given up lets go of its memory before another job hears that it is free.
+        with ExitStack() as held, closing(self._steps(capture, request, checkpoint, say)) as steps:
+            for step in steps:
+                match step:
+                    case Progress():
+                        say(_told(step))
+                    case Bundle():
+                        began = time.perf_counter()
+                        say(_published(_publish(step, self._store, request)))
+                        seconds["PUBLISHING"] += time.perf_counter() - began
+                        warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
+                        if step.state == "preview":  # what the fit behind it takes is known only now
+                            too_large = self._too_large(step.manifest)
+                            if too_large and request.preset == AUTOMATIC:
+                                warnings = (*warnings, f"the preview was kept: {too_large.message}")
+                                break
+                            if too_large:
+                                raise too_large
+                            held.enter_context(self._room_for(step.manifest, say))
+                    case PreviewKept():
+                        warnings, computing = (*warnings, step.warning), step.seconds
+        return pb.Finished(warnings=warnings, seconds={**seconds, **computing})
 
     def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
         """What kind of capture it is. Raises EdgeError when it cannot be used."""
@@ -59,6 +75,46 @@ class RealWork:
             points=len(capture.cloud.xyz) if capture.cloud else 0,
             warnings=capture.warnings,
         )
+
+    def _steps(
+        self, capture: Capture, request: JobRequest, checkpoint: Path, say: Say
+    ) -> Generator[Progress | Bundle | PreviewKept, None, None]:
+        yield from reconstruct(
+            capture,
+            self._presets[request.preset],
+            device=self._device.name,
+            checkpoint=checkpoint,
+            isolate=request.isolate,
+            label=request.label,
+            watch=lambda progress: say(_told(progress)),
+        )
+
+    def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
+        """MEMORY_EXCEEDED, where the fit behind a preview never finds the memory that it takes."""
+        wanted, total = self._wanted(manifest), self._memory.total_bytes
+        if wanted <= total:
+            return None
+        points = int(manifest["points"])
+        small = [
+            name for name, each in self._presets.items() if name != AUTOMATIC and self._bytes(each, points) <= total
+        ]
+        return EdgeError(
+            "MEMORY_EXCEEDED",
+            f"preset {manifest['preset']} takes {wanted:,} bytes for {points:,} points; this worker has {total:,}",
+            hints=(f"use one of: {', '.join(small)}", "or a worker with a larger EDGE_MEMORY"),
+        )
+
+    def _room_for(self, manifest: Mapping[str, Json], say: Say) -> AbstractContextManager[None]:
+        """The memory of the fit behind a preview, waited for."""
+        waiting = pb.Progress(stage=pb.FITTING, message="waiting for memory that other jobs hold")
+        return self._memory.held(self._wanted(manifest), lambda: say(waiting))
+
+    def _wanted(self, manifest: Mapping[str, Json]) -> int:
+        return self._bytes(self._presets[manifest["preset"]], int(manifest["points"]))
+
+    def _bytes(self, preset: Preset, points: int) -> int:
+        """0 where nothing is trained: the preview stands before it is counted."""
+        return memory_bytes(preset, points, self._device.name) if preset.fit else 0
 
 
 def _capture_of(archive: Path, scratch: Path) -> Capture:
@@ -86,8 +142,6 @@ def _published(asset: Asset) -> pb.Published:
 
 
 def _told(progress: Progress) -> pb.Progress:
-    return _progress(progress.stage, progress.fraction, progress.message, progress.losses)
-
-
-def _progress(stage: str, fraction: float, message: str, losses: Mapping[str, float] | None = None) -> pb.Progress:
-    return pb.Progress(stage=stage, fraction=fraction, message=message, losses=losses)
+    return pb.Progress(
+        stage=progress.stage, fraction=progress.fraction, message=progress.message, losses=progress.losses
+    )

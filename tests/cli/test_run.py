@@ -38,14 +38,15 @@ def bowl(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def out(bowl: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of one run."""
     out = tmp_path_factory.mktemp("out")
-    result = capture2vr("run", bowl, "-o", out)
+    result = capture2vr("run", bowl, "-o", out, "--preset", "draft")
     assert result.returncode == 0, result.stderr
     return out
 
 
 def test_the_folder_holds_what_is_promised(out: Path) -> None:
     names = {path.name for path in out.iterdir()}
-    assert names == {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb", "preview.png", "report.json", "bundle"}
+    meshes = {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb"}
+    assert names == {*meshes, "preview.png", "report.json", "report.html", "bundle"}
 
 
 def test_the_mesh_is_in_the_files_own_frame_and_units(out: Path) -> None:
@@ -98,7 +99,7 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     archive = tmp_path / "upload.zip"
     with zipfile.ZipFile(archive, "w") as zipped:
         zipped.write(bowl, "top/bowl.ply")
-    result = capture2vr("run", archive, "-o", tmp_path / "out")
+    result = capture2vr("run", archive, "-o", tmp_path / "out", "--preset", "draft")
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "out" / "mesh.ply").read_bytes() == (out / "mesh.ply").read_bytes()
 
@@ -110,7 +111,7 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
 )
 def test_real_captures_become_assets(capture: str, data_dir: Path, tmp_path: Path) -> None:
     # Coarse, for speed: what is read, fused and oriented is the same at any resolution.
-    result = capture2vr("run", data_dir / capture, "-o", tmp_path / "out", "--resolution", 96)
+    result = capture2vr("run", data_dir / capture, "-o", tmp_path / "out", "--resolution", 96, "--preset", "draft")
     assert result.returncode == 0, result.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     quality = report["quality"]

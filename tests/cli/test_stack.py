@@ -53,7 +53,7 @@ def disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path: Path) -> None:
-    pushed = capture2vr("push", disk, "--gateway", url, "--key", "leaf")
+    pushed = capture2vr("push", disk, "--gateway", url, "--key", "leaf", "--preset", "draft")
     assert pushed.returncode == 0, pushed.stderr
     assert f"{url}/view/leaf" in pushed.stderr
 
@@ -76,7 +76,7 @@ def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path
 
 def test_a_second_push_makes_a_second_version(url: str, disk: Path) -> None:
     for version in (1, 2):
-        assert capture2vr("push", disk, "--gateway", url, "--key", "twice").returncode == 0
+        assert capture2vr("push", disk, "--gateway", url, "--key", "twice", "--preset", "draft").returncode == 0
         with urllib.request.urlopen(f"{url}/v1/assets/twice") as answer:
             assert json.load(answer)["version"] == version
 

@@ -13,6 +13,8 @@ import grpc
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
+from services.edge.errors import EdgeError
+from services.edge.offer import Offer
 from services.edge.requests import JobRequest
 from services.edge.run import Say, Work
 from services.edge.scratch import Scratch
@@ -23,17 +25,30 @@ TICK_S = 0.02
 
 
 class Scripted:
-    """Work whose job is what the archive's bytes say: "ticks 3", "wait" (for `release`), "deaf" (hears nothing), ..."""
+    """Work whose job is what the archive's bytes say: "ticks 3", "wait" (for `release`), "deaf" (hears nothing), ...
 
-    presets = ("draft", "fine")
+    "keep x" leaves the checkpoint "x" and fails for now; `found` is the checkpoint that each job began with.
+    """
+
+    offer = Offer(
+        "cpu, 2 cores",
+        (
+            pb.Preset(name="draft", summary="quick", memory_bytes=1 << 28),
+            pb.Preset(name="fine", summary="slow", trained=True, memory_bytes=1 << 30),
+        ),
+        memory_bytes=1 << 30,
+        withheld=(pb.Preset(name="scene", trained=True, memory_bytes=1 << 34),),
+    )
 
     def __init__(self, **acts: Callable[[], object]) -> None:
         self.release = threading.Event()
         self.seen: dict[str, JobRequest] = {}
+        self.found: dict[str, str] = {}
         self._acts = acts
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, say: Say) -> pb.Finished:
+    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
         self.seen[request.job] = request
+        self.found[request.job] = checkpoint.read_text() if checkpoint.exists() else ""
         (scratch / "leftover.bin").write_bytes(b"x")
         word, *rest = archive.read_bytes().decode().split()
         match word:
@@ -44,9 +59,13 @@ class Scripted:
                 for place, fraction in enumerate(rest):
                     say(pb.Progress(stage=pb.VALIDATING + place, fraction=float(fraction)))
             case "wait":
+                checkpoint.write_text("waited")
                 say(pb.Progress(stage=pb.FITTING, fraction=0.5, message="waiting"))
                 while not self.release.wait(TICK_S):
                     say(pb.Progress(stage=pb.FITTING, fraction=0.5))
+            case "keep":
+                checkpoint.write_text(rest[0])
+                raise EdgeError("STORE_UNAVAILABLE", "no store", retryable=True)
             case "pause":
                 say(pb.Progress(stage=pb.FITTING, fraction=0.5))
                 self.release.wait(float(rest[0]))

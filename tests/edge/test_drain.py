@@ -96,7 +96,8 @@ async def test_sigterm_lets_the_running_job_end_and_hands_the_rest_back(tmp_path
         assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
         assert [event async for event in running][-1].HasField("finished")
         assert await worker.status() == 0
-    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+    assert leftovers(tmp_path) == []
+    assert list((tmp_path / "checkpoints").iterdir()) == []
 
 
 async def test_a_job_that_outlives_the_drain_is_handed_back(tmp_path: Path) -> None:
@@ -130,6 +131,16 @@ async def test_a_start_clears_what_a_kill_left(tmp_path: Path) -> None:
     assert len(leftovers(tmp_path)) == 1
     async with process(tmp_path) as worker, connected(worker):
         assert leftovers(tmp_path) == []
+
+
+async def test_a_checkpoint_outlives_a_kill_and_a_drain(tmp_path: Path) -> None:
+    kept = tmp_path / "checkpoints" / "job_1"
+    for number, after in ((signal.SIGKILL, "1"), (signal.SIGTERM, "2")):
+        async with process(tmp_path, drain_s=0) as worker, connected(worker) as client:
+            await anext(aiter(client.reconstruct(b"wait", fence=int(after))))
+            worker.signal(number)
+            await worker.status()
+        assert [path.name for path in kept.iterdir()] == [f"{after}.checkpoint"]
 
 
 async def test_workers_may_share_a_scratch(tmp_path: Path) -> None:

@@ -33,3 +33,13 @@ def test_the_check_follows_the_worker(tmp_path: Path) -> None:
         worker.send_signal(signal.SIGTERM)
         assert worker.wait(60) == 0
     assert _check(environment) == 1
+
+
+def test_a_device_that_is_not_there_stops_the_start_by_name(tmp_path: Path) -> None:
+    environment = {**os.environ, "EDGE_DEVICE": "cuda:99", "EDGE_SCRATCH": str(tmp_path), "STORAGE_ROOT": str(tmp_path)}
+    started = subprocess.run(
+        [sys.executable, "-m", "services.cli", "edge"], env=environment, capture_output=True, text=True
+    )
+    assert started.returncode == 2
+    assert "EDGE_DEVICE: there is no cuda:99: " in started.stderr
+    assert "Traceback" not in started.stderr

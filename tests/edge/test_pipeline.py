@@ -10,8 +10,9 @@ import trimesh
 
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.errors import Cancelled, EdgeError
-from services.edge.pipeline import STAGE_STARTS, Progress, reconstruct
+from services.edge.pipeline import STAGE_STARTS, reconstruct
 from services.edge.preset import Preset, load_preset
+from services.edge.progress import Progress
 from services.storage.bundle import Bundle
 
 

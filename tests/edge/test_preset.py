@@ -1,35 +1,123 @@
-"""Presets: known names, only known keys."""
+"""Presets: known names, only known keys, and what they say of themselves."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from services.edge import preset as presets
 from services.edge.errors import EdgeError
-from services.edge.preset import DEFAULT_PRESET, load_preset, parse_preset, preset_names
+from services.edge.field.config import Densify, FitConfig
+from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
+
+BASELINES = ("cap-udf", "levelset-udf", "ours-no-self", "ours-paper", "ours-paper-scene")
+FOLDER = Path(presets.__file__).parent / "presets"
 
 
-def test_every_preset_loads_and_the_default_comes_first() -> None:
-    assert preset_names()[0] == DEFAULT_PRESET
+def test_every_preset_loads_and_the_baselines_come_last() -> None:
+    assert preset_names() == ("draft", "standard", "fine", "scene", *BASELINES)
     for name in preset_names():
-        assert load_preset(name).name == name
-    assert load_preset("") == load_preset(DEFAULT_PRESET)
+        preset = load_preset(name)
+        assert preset.name == name
+        assert preset.summary
+        assert (preset.fit is None) == (name == "draft")
 
 
-@pytest.mark.parametrize("name", ["magic", "../draft", "DRAFT", "draft.toml"])
+@pytest.mark.parametrize("path", sorted(FOLDER.rglob("*.toml")), ids=lambda path: path.stem)
+def test_every_file_states_its_reasons(path: Path) -> None:
+    assert path.stem in preset_names()
+    assert "#" in path.read_text()
+
+
+def test_no_name_leaves_the_choice_to_the_points() -> None:
+    assert load_preset("") == load_preset(AUTOMATIC)
+    assert load_preset("").name == AUTOMATIC
+    assert AUTOMATIC not in preset_names()
+
+
+@pytest.mark.parametrize("name", ["magic", "../draft", "DRAFT", "draft.toml", "baselines/cap-udf"])
 def test_an_unknown_name_is_told_with_the_known_ones(name: str) -> None:
-    with pytest.raises(EdgeError, match=DEFAULT_PRESET) as told:
+    with pytest.raises(EdgeError, match="draft") as told:
         load_preset(name)
     assert told.value.code == "PRESET_UNKNOWN"
 
 
-@pytest.mark.parametrize("text", ["resolutoin = 128", 'name = "other"'])
-def test_an_unknown_key_is_an_error(text: str) -> None:
-    with pytest.raises(EdgeError, match="unknown keys") as told:
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("resolutoin = 128", "resolutoin"),
+        ('name = "other"', "name"),
+        ("[fit]\nstepz = 3", "fit.stepz"),
+        ("[fit.densify]\nmore = 3", "fit.densify.more"),
+    ],
+)
+def test_an_unknown_key_is_an_error_that_names_it(text: str, named: str) -> None:
+    with pytest.raises(EdgeError, match=f"unknown keys: {named}$") as told:
+        parse_preset("mine", text)
+    assert told.value.code == "PRESET_INVALID"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("resolution = 1.5", "resolution = 1.5 is not a whole number"),
+        ("summary = 3", "summary = 3 is not text"),
+        ("lod_faces = [1.5]", "is not a list of numbers"),
+        ("lod_faces = [100, 1000]", "must fall"),
+        ("lod_faces = []", "must fall"),
+        ("denoised = 1", "is not true or false"),
+        ("fit = 3", "fit = 3 is not a table"),
+        ("[fit]\nsteps = true", "fit.steps = True is not a whole number"),
+        ('[fit]\nmodel = "larger"', "fit.model = 'larger' is not 'separable' or"),
+        ("[fit]\ndensify = 3", "fit.densify = 3 is not a table"),
+    ],
+)
+def test_a_value_of_another_kind_is_an_error_that_says_which(text: str, said: str) -> None:
+    with pytest.raises(EdgeError, match=said) as told:
         parse_preset("mine", text)
     assert told.value.code == "PRESET_INVALID"
 
 
 def test_a_preset_holds_only_differences() -> None:
     preset = parse_preset("mine", "lod_faces = [1000, 100]")
-    assert preset.lod_faces == (1000, 100)
-    assert preset.resolution == load_preset("").resolution
+    assert preset == Preset("mine", lod_faces=(1000, 100))
+    trained = parse_preset("mine", "[fit]\nlearning_rate = 1\n[fit.densify]\nsteps = 5").fit
+    assert trained == FitConfig(learning_rate=1.0, densify=Densify(steps=5))
+
+
+def test_the_baselines_are_the_papers() -> None:
+    fits = {name: load_preset(name).fit for name in BASELINES}
+    assert fits["ours-paper"] == FitConfig()
+    assert fits["ours-no-self"] == FitConfig(self_consistency=0.0)
+    pull, levels = fits["cap-udf"], fits["levelset-udf"]
+    assert pull is not None
+    assert levels is not None
+    assert (pull.model, pull.projection, pull.orthogonality, pull.surface, pull.self_consistency) == ("mlp", 0, 0, 0, 0)
+    assert (pull.total_steps, levels.total_steps) == (60_000, 40_000)
+    assert (levels.projection, levels.surface, levels.orthogonality) == (0.002, 0.1, 0.01)
+    assert not any(load_preset(name).denoised for name in BASELINES), "they see the points as measured"
+
+
+def test_the_product_trains_anchors_and_scenes_take_fewer_steps() -> None:
+    steps = {}
+    for name in ("scene", "standard", "fine"):
+        preset = load_preset(name)
+        assert preset.fit is not None
+        assert preset.fit.model == "anchors"
+        steps[name] = preset.fit.steps
+    assert steps["scene"] < steps["standard"] < steps["fine"]
+
+
+def test_the_papers_scene_weighs_as_the_paper_says() -> None:
+    scene = load_preset("ours-paper-scene").fit
+    assert scene is not None
+    assert (scene.projection, scene.orthogonality, scene.self_consistency) == (2e-3, 1e-2, 1e-1)
+    assert scene.steps == 100_000
+
+
+def test_memory_grows_with_the_points_and_with_training() -> None:
+    draft, standard = load_preset("draft"), load_preset("standard")
+    assert 0 < memory_bytes(draft, 10_000) < memory_bytes(draft, 200_000) < 1e9
+    assert memory_bytes(standard, 10_000) > memory_bytes(draft, 10_000)
+    assert memory_bytes(standard, 10_000, "cuda:0") > memory_bytes(standard, 10_000)

@@ -12,6 +12,7 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
+from services.edge import event_log
 from services.edge import runs as runs_module
 from services.edge.api import edge_pb2 as pb
 from services.edge.errors import CaptureError, EdgeError
@@ -258,7 +259,12 @@ async def test_reflection_only_behind_its_setting(client: Client, scratch: Path)
 
 async def test_the_worker_describes_itself(client: Client) -> None:
     state = await client.worker()
-    assert (list(state.presets), state.slots, state.device, state.draining) == (["draft", "fine"], 1, "cpu", False)
+    assert (state.slots, state.device, state.draining) == (1, "cpu, 2 cores", False)
+    assert [(preset.name, preset.trained, preset.memory_bytes) for preset in state.presets] == [
+        ("draft", False, 1 << 28),
+        ("fine", True, 1 << 30),
+    ]
+    assert state.memory_bytes == 1 << 30
     assert state.version
 
 
@@ -300,3 +306,47 @@ async def test_whatever_callers_do_every_job_ends_once_and_leaves_nothing(scratc
             ]
         await until(lambda: leftovers(scratch) == [])
     assert len(ran) > 30
+
+
+async def test_the_first_preset_is_the_default(client: Client, work: Scripted) -> None:
+    await client.ended(b"ticks 1")
+    assert work.seen["job_1"].preset == "draft"
+
+
+async def test_a_preset_that_never_fits_is_refused_before_the_upload(client: Client) -> None:
+    said = r"MEMORY_EXCEEDED: preset scene .* offered are draft, fine"
+    with pytest.raises(grpc.aio.AioRpcError, match=said) as refused:
+        await client.ended(b"ticks 1", preset="scene")
+    assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+
+
+async def test_a_job_that_runs_again_finds_its_checkpoint(client: Client, work: Scripted, scratch: Path) -> None:
+    await client.ended(b"keep half-way", fence=1)
+    assert work.found["job_1"] == ""
+    await client.ended(b"ticks 1", fence=2)
+    assert work.found["job_1"] == "half-way"
+    assert list((scratch / "checkpoints").iterdir()) == []
+
+
+async def test_a_cancelled_job_leaves_no_checkpoint(client: Client, scratch: Path) -> None:
+    call = await waiting(client)
+    assert list(scratch.glob("checkpoints/job_1/*"))
+    assert await client.cancel()
+    assert [event async for event in call][-1].failure.code == "CANCELLED"
+    await until(lambda: not list(scratch.glob("checkpoints/*")))
+
+
+async def test_the_time_left_follows_the_recent_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(event_log.time, "monotonic", lambda: now[0])
+    log = event_log.EventLog("job_1")
+    said = []
+    # A fit that jumps ahead to its checkpoint, and then does a hundredth a second.
+    for step in range(31):
+        log.say(pb.Progress(stage=pb.FITTING, fraction=0.5 + step / 100))
+        now[0] += 1.0
+    log.end(pb.Finished())
+    async for event in log.follow():
+        said.append(event.progress.eta_s)
+    assert said[0] == 0.0 or said[0] < 1.0, "the jump promises the end"
+    assert said[-2] == pytest.approx(20.0, abs=0.5)

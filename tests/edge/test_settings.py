@@ -38,6 +38,19 @@ def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     assert settings.host == "127.0.0.1"
 
 
+def test_memory_may_have_a_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert EdgeSettings().memory == 0
+    for text in ("6GiB", str(6 << 30)):
+        monkeypatch.setenv("EDGE_MEMORY", text)
+        assert EdgeSettings().memory == 6 << 30
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda", "cuda:3", "auto"])
+def test_devices_have_torchs_names(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
+    monkeypatch.setenv("EDGE_DEVICE", device)
+    assert EdgeSettings().device == device
+
+
 def test_an_unknown_variable_is_named_with_the_one_that_was_meant(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("EDGE_SLOT", "3")
     with pytest.raises(SettingsError, match=r"EDGE_SLOT is no setting, did you mean EDGE_SLOTS\?"):
@@ -58,7 +71,15 @@ def test_other_services_variables_are_theirs(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.parametrize(
     ("variable", "value"),
-    [("PORT", "many"), ("PORT", "70000"), ("SLOTS", "0"), ("QUEUE", "-1"), ("DRAIN_S", "-1"), ("DRAIN_S", "nan")],
+    [
+        ("PORT", "many"),
+        ("PORT", "70000"),
+        ("SLOTS", "0"),
+        ("QUEUE", "-1"),
+        ("DRAIN_S", "-1"),
+        ("DRAIN_S", "nan"),
+        ("DEVICE", "gpu"),
+    ],
 )
 def test_a_value_that_does_not_fit_is_named_and_not_shown(
     monkeypatch: pytest.MonkeyPatch, variable: str, value: str

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
+import time
 import zipfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import grpc
 import numpy as np
 import pytest
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.field.device import find_device
+from services.edge.memory import Memory
+from services.edge.preset import memory_bytes
+from services.edge.stock import known_presets
 from services.edge.work import RealWork
 from services.storage.bundle import Bundle
 from services.storage.catalogue import entry
 from services.storage.memory import MemoryStore
 from services.storage.publish import publish
-from tests.edge.edge_client import Client, leftovers, upload, worker
+from tests.edge.edge_client import Client, leftovers, until, upload, worker
 
 
 @pytest.fixture
@@ -31,8 +37,13 @@ def store() -> MemoryStore:
 
 @pytest.fixture
 async def client(store: MemoryStore, scratch: Path) -> AsyncIterator[Client]:
-    async with worker(RealWork(store), scratch, slots=1) as client:
+    async with worker(real_work(store), scratch, slots=1) as client:
         yield client
+
+
+def real_work(store: MemoryStore, presets: Path | None = None, memory_bytes: int = 1 << 40) -> RealWork:
+    """Work on the CPU, with the product's presets and those of a folder."""
+    return RealWork(store, known_presets(presets), find_device("cpu"), Memory(memory_bytes))
 
 
 def archive(folder: Path, **files: bytes) -> bytes:
@@ -126,3 +137,106 @@ async def test_an_outdated_lease_publishes_nothing(client: Client, store: Memory
     ending = (await client.ended(archive(tmp_path, dome_ply=hemisphere_ply()), asset_key="dome", fence=1))[-1].failure
     assert (ending.code, ending.retryable, ending.stage) == ("FENCE_STALE", False, pb.PUBLISHING)
     assert entry(store, "dome").version == 1
+
+
+# Steps beyond number, each light: a training that is under way for as long as a test looks at it.
+ENDLESS = """
+resolution = 32
+lod_faces = [2000]
+
+[fit]
+steps = 1_000_000
+batch = 100
+pool = 5_000
+"""
+BRIEF = ENDLESS.replace("1_000_000", "20")
+
+
+@pytest.fixture
+def presets(tmp_path: Path) -> Path:
+    folder = tmp_path / "presets"
+    folder.mkdir()
+    (folder / "endless.toml").write_text(ENDLESS)
+    (folder / "brief.toml").write_text(BRIEF)
+    return folder
+
+
+async def training(call: grpc.aio.StreamStreamCall) -> list[pb.Event]:
+    """What a job said up to its first words about losses."""
+    told = []
+    async for event in call:
+        told.append(event)
+        assert not event.HasField("failure"), event
+        if event.progress.losses:
+            break
+    return told
+
+
+async def test_a_training_is_told_of_and_refines_the_preview(
+    store: MemoryStore, scratch: Path, presets: Path, tmp_path: Path
+) -> None:
+    async with worker(real_work(store, presets), scratch, slots=1) as client:
+        events = await client.ended(archive(tmp_path, dome_ply=hemisphere_ply()), asset_key="dome", preset="brief")
+    assert events[-1].HasField("finished"), events[-1]
+    assert events[-1].finished.seconds["FITTING"] > 0
+    losses = [event.progress.losses for event in events if event.progress.losses]
+    assert all(told["total"] > 0 for told in losses)
+    states = [event.published.state for event in events if event.HasField("published")]
+    kept = [warning for warning in events[-1].finished.warnings if "preview was kept" in warning]
+    assert states == (["preview"] if kept else ["preview", "refined"])
+    fractions = [event.progress.fraction for event in events if event.HasField("progress")]
+    assert fractions == sorted(fractions)
+
+
+async def test_a_training_is_cancelled_within_two_seconds(
+    store: MemoryStore, scratch: Path, presets: Path, tmp_path: Path
+) -> None:
+    async with worker(real_work(store, presets), scratch, slots=1) as client:
+        call = client.reconstruct(
+            archive(tmp_path, dome_ply=hemisphere_ply()), "job_1", asset_key="dome", preset="endless"
+        )
+        told = await training(call)
+        began = time.monotonic()
+        assert await client.cancel()
+        ending = [event async for event in call][-1]
+        assert (await client.worker()).free_slots == 1
+        assert time.monotonic() - began < 2.0
+        assert (ending.failure.code, ending.failure.stage) == ("CANCELLED", pb.FITTING)
+        await until(lambda: not list(scratch.glob("checkpoints/*")))
+    assert [event.published.state for event in told if event.HasField("published")] == ["preview"]
+    assert entry(store, "dome").state == "preview"
+
+
+async def test_a_job_waits_for_the_memory_of_another(
+    store: MemoryStore, scratch: Path, presets: Path, tmp_path: Path
+) -> None:
+    brief = known_presets(presets)["brief"]
+    enough = int(1.5 * memory_bytes(brief, 1000))
+    async with worker(real_work(store, presets, enough), scratch, slots=2) as client:
+        sent = archive(tmp_path, dome_ply=hemisphere_ply())
+        first = client.reconstruct(sent, "job_1", asset_key="one", preset="endless")
+        await training(first)
+        second = client.reconstruct(sent, "job_2", asset_key="two", preset="brief")
+        async for event in second:
+            if "waiting for memory" in event.progress.message:
+                break
+            assert not event.progress.losses
+        assert await client.cancel("job_1")
+        assert [event async for event in second][-1].HasField("finished")
+
+
+async def test_what_never_fits_is_named_and_its_preview_stays(
+    store: MemoryStore, scratch: Path, presets: Path, tmp_path: Path
+) -> None:
+    brief = known_presets(presets)["brief"]
+    enough = memory_bytes(brief, 500)
+    async with worker(real_work(store, presets, enough), scratch, slots=1) as client:
+        sent = archive(tmp_path, dome_ply=hemisphere_ply())
+        failed = (await client.ended(sent, asset_key="dome", preset="brief"))[-1].failure
+        assert failed.code == "MEMORY_EXCEEDED"
+        assert "draft" in failed.hints[0]
+        assert entry(store, "dome").state == "preview"
+        chosen = (await client.ended(sent, job="job_2", asset_key="dome2", preset="auto"))[-1]
+        assert "the preview was kept" in chosen.finished.warnings[-1]
+        with pytest.raises(grpc.aio.AioRpcError, match="MEMORY_EXCEEDED: preset cap-udf is not offered"):
+            await client.ended(sent, job="job_3", preset="cap-udf")

@@ -201,7 +201,7 @@ class GetWorkerRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class Worker(_message.Message):
-    __slots__ = ("version", "device", "presets", "slots", "free_slots", "queued", "draining", "jobs")
+    __slots__ = ("version", "device", "presets", "slots", "free_slots", "queued", "draining", "jobs", "memory_bytes")
     VERSION_FIELD_NUMBER: _ClassVar[int]
     DEVICE_FIELD_NUMBER: _ClassVar[int]
     PRESETS_FIELD_NUMBER: _ClassVar[int]
@@ -210,12 +210,26 @@ class Worker(_message.Message):
     QUEUED_FIELD_NUMBER: _ClassVar[int]
     DRAINING_FIELD_NUMBER: _ClassVar[int]
     JOBS_FIELD_NUMBER: _ClassVar[int]
+    MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
     version: str
     device: str
-    presets: _containers.RepeatedScalarFieldContainer[str]
+    presets: _containers.RepeatedCompositeFieldContainer[Preset]
     slots: int
     free_slots: int
     queued: int
     draining: bool
     jobs: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, version: _Optional[str] = ..., device: _Optional[str] = ..., presets: _Optional[_Iterable[str]] = ..., slots: _Optional[int] = ..., free_slots: _Optional[int] = ..., queued: _Optional[int] = ..., draining: _Optional[bool] = ..., jobs: _Optional[_Iterable[str]] = ...) -> None: ...
+    memory_bytes: int
+    def __init__(self, version: _Optional[str] = ..., device: _Optional[str] = ..., presets: _Optional[_Iterable[_Union[Preset, _Mapping]]] = ..., slots: _Optional[int] = ..., free_slots: _Optional[int] = ..., queued: _Optional[int] = ..., draining: _Optional[bool] = ..., jobs: _Optional[_Iterable[str]] = ..., memory_bytes: _Optional[int] = ...) -> None: ...
+
+class Preset(_message.Message):
+    __slots__ = ("name", "summary", "trained", "memory_bytes")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SUMMARY_FIELD_NUMBER: _ClassVar[int]
+    TRAINED_FIELD_NUMBER: _ClassVar[int]
+    MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    summary: str
+    trained: bool
+    memory_bytes: int
+    def __init__(self, name: _Optional[str] = ..., summary: _Optional[str] = ..., trained: _Optional[bool] = ..., memory_bytes: _Optional[int] = ...) -> None: ...

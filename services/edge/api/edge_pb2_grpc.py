@@ -72,7 +72,7 @@ class EdgeReconstructionServicer:
         RESOURCE_EXHAUSTED  no free slot and the queue is full
         UNAVAILABLE         the worker is draining
         DATA_LOSS           offsets or sha256 do not match
-        INVALID_ARGUMENT    header malformed, unknown preset, capture larger than the worker takes
+        INVALID_ARGUMENT    header malformed, preset not on offer here, capture larger than the worker takes
         DEADLINE_EXCEEDED   the upload stood still for 30 s
         A status reads "CODE: sentence". Once the trailer is through, the job runs on whether or not the caller stays.
         """

@@ -1,0 +1,24 @@
+"""`capture2vr presets`: what a run or a job may name."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from services.cli.progress import console
+from services.edge.preset import AUTOMATIC, load_preset, memory_bytes, preset_names
+
+_LIKE_A_THING = 10_000  # points of a garment, for the column that most people want
+
+
+def list_presets() -> None:
+    """Print the table; without a name the points decide."""
+    table = Table()
+    for column in ("preset", "trains", "memory, 10,000 points", "at most"):
+        table.add_column(column, justify="left" if column == "preset" else "right")
+    table.add_column("", overflow="fold")
+    table.add_row(AUTOMATIC, "", "", "", load_preset(AUTOMATIC).summary)
+    for preset in map(load_preset, preset_names()):
+        takes = (memory_bytes(preset, points) for points in (_LIKE_A_THING, preset.most_points))
+        steps = f"{preset.fit.total_steps:,} steps" if preset.fit else "no"
+        table.add_row(preset.name, steps, *(f"{each / 1e9:.2f} GB" for each in takes), preset.summary)
+    console.print(table)

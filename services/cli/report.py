@@ -1,0 +1,84 @@
+"""The report of a run as one page: both pictures and both certificates, with nothing to fetch from anywhere."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from html import escape
+from typing import Any
+
+_ROWS = {
+    "held_out": ("held-out points", "that neither surface was made from; both are judged by them", "{:,}"),
+    "held_out_mean": ("their mean distance", "to the surface, the longest side being 1", "{:.5f}"),
+    "held_out_median": ("median", "", "{:.5f}"),
+    "held_out_p95": ("95th percentile", "", "{:.5f}"),
+    "coverage": ("coverage", "share of them within one point spacing of the surface", "{:.1%}"),
+    "stray_area": ("stray area", "surface with no points near it", "{:.2%}"),
+    "consistency": ("inconsistency of the field", "1 − |cos| of its gradient here and where it pulls to", "{:.4f}"),
+    "components": ("pieces", "", "{:,}"),
+    "boundary_loops": ("border loops", "", "{:,}"),
+    "boundary_length": ("border length", "the longest side being 1", "{:.2f}"),
+    "non_manifold_edges": ("non-manifold edges", "", "{:,}"),
+    "triangles": ("triangles", "", "{:,}"),
+    "resolution": ("cells along the longest side", "", "{:,}"),
+    "steps": ("training steps", "", "{:,}"),
+    "device": ("device", "", "{}"),
+    "seconds": ("seconds up to here", "", "{:.1f}"),
+}
+"""Key of the certificate -> what people call it, what it means, how it is written."""
+
+_STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222 }
+figure { display: inline-block; width: 49%; margin: 0; vertical-align: top } img { width: 100% }
+table { border-collapse: collapse; margin: 1rem 0 } th, td { text-align: left; padding: .2rem 1rem .2rem 0 }
+td.figure { text-align: right; font-variant-numeric: tabular-nums } small { color: #666 }
+p.warning { border-left: .25rem solid #c80; padding-left: .75rem }
+"""
+
+
+def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
+    """The HTML of a report and of its pictures (PNG) by state, the preview first."""
+    title = escape(report["label"] or report["key"])
+    certificates = {state: each for state, each in report["certificates"].items() if each}
+    return "\n".join(
+        [
+            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>',
+            f"<h1>{title}</h1>",
+            *_summary(report),
+            *(_figure(state, png) for state, png in pictures.items()),
+            "<table><tr><th></th>",
+            *(f"<th>{escape(state)}</th>" for state in certificates),
+            "</tr>",
+            *_rows(certificates),
+            "</table>",
+            *(f'<p class="warning">{escape(warning)}</p>' for warning in report["warnings"]),
+            "</html>\n",
+        ]
+    )
+
+
+def _summary(report: Mapping[str, Any]) -> Iterator[str]:
+    size = " × ".join(f"{side:.3g}" for side in report["size_m"])
+    chosen = f" ({escape(report['preset_because'])})" if report["preset_because"] else ""
+    yield f"<p>{report['points']:,} points, {size} m ({escape(report['scale_confidence'])}), "
+    yield f"preset {escape(report['preset'])}{chosen}</p>"
+    if report["verdict"]:
+        yield f"<p>The refined surface is <b>{_VERDICTS[report['verdict']]}</b>: {escape(report['because'])}</p>"
+
+
+_VERDICTS = {
+    "better": "better than the preview",
+    "even": "as good as the preview",
+    "worse": "worse than the preview, which was kept",
+}
+
+
+def _figure(state: str, png: bytes) -> str:
+    source = f"data:image/png;base64,{b64encode(png).decode()}"
+    return f'<figure><img src="{source}" alt="{escape(state)}"><figcaption>{escape(state)}</figcaption></figure>'
+
+
+def _rows(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    for key, (name, meaning, form) in _ROWS.items():
+        figures = "".join(f'<td class="figure">{form.format(each[key])}</td>' for each in certificates.values())
+        yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"

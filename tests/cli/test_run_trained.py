@@ -1,0 +1,214 @@
+"""`capture2vr run` with a preset that trains: two pictures, two certificates, one page, and a kill in between."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.cli.errors import BadInput
+from services.cli.run import Results, run_preset
+from services.edge import memory
+from services.edge.field.config import FitConfig
+from services.edge.preset import Preset, preset_names
+from services.storage.bundle import Bundle
+from tests.cli.test_run import capture2vr
+from tests.clouds import write_ply
+
+MESHES = {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb"}
+TINY = Preset("tiny", resolution=24, fit=FitConfig(warm_start=5, steps=5, warm_up=1, batch=100, pool=2_000))
+
+# A process of its own, which can be killed: enough steps, and a checkpoint soon.
+LONG = """
+import sys
+from pathlib import Path
+from services.cli.run import run_preset
+from services.edge.field import checkpoint
+from services.edge.field.config import FitConfig
+from services.edge.preset import Preset
+checkpoint.SECONDS = 0.2
+fit = FitConfig(warm_start=5, steps=int(sys.argv[3]), warm_up=1, batch=100, pool=2_000)
+run_preset(Path(sys.argv[1]), Path(sys.argv[2]), Preset("tiny", resolution=24, fit=fit), device="cpu")
+"""
+
+
+@pytest.fixture(scope="module")
+def bowl(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The lower half of a sphere, 1,500 points."""
+    direction = np.random.default_rng(1).normal(size=(1500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[:, 1] = -np.abs(direction[:, 1])
+    return write_ply(tmp_path_factory.mktemp("trained") / "bowl.ply", direction)
+
+
+def bundle(state: str, mean: float, **quality: object) -> Bundle:
+    """A bundle with everything that the report looks at, and nothing else."""
+    figures = {
+        "held_out": 200,
+        "held_out_mean": mean,
+        "held_out_median": mean,
+        "held_out_p95": 2 * mean,
+        "coverage": 0.99,
+        "stray_area": 0.0,
+        "consistency": 0.01,
+        "components": 1,
+        "boundary_loops": 1,
+        "boundary_length": 3.14,
+        "non_manifold_edges": 0,
+        "triangles": 1000,
+        "resolution": 96,
+        "steps": 0,
+        "device": "cpu",
+        "seconds": 1.5,
+        **quality,
+    }
+    manifest = {
+        "label": "My <shirt>",
+        "preset": "standard",
+        "preset_because": "",
+        "points": 10_000,
+        "size_m": [1.0, 2.0, 3.0],
+        "scale_confidence": "metric",
+        "lods": [],
+        "quality": figures,
+        "seconds": {},
+        "warnings": ["one"],
+    }
+    files = {"preview.png": state.encode(), "mesh.ply": state.encode()}
+    return Bundle(state=state, files=files, manifest=manifest)
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Results:
+    """A folder with a preview in it."""
+    results = Results(tmp_path / "out", "shirt")
+    results.write(bundle("preview", 0.003))
+    return results
+
+
+def report_of(results: Results) -> dict[str, object]:
+    return json.loads((results.out / "report.json").read_text())
+
+
+def test_the_refined_files_stand_on_top_and_both_pictures_side_by_side(results: Results) -> None:
+    preview = bundle("preview", 0.003).manifest["quality"]
+    results.write(bundle("refined", 0.002, verdict="better", because="it is nearer", preview=preview))
+    assert (results.out / "mesh.ply").read_text() == "refined"
+    assert (results.out / "preview" / "mesh.ply").read_text() == "preview"
+    assert (results.out / "preview.png").read_text() == "preview"
+    assert (results.out / "refined.png").read_text() == "refined"
+    report = report_of(results)
+    assert report["certificates"]["preview"] == preview
+    assert report["certificates"]["refined"]["held_out_mean"] == 0.002
+    assert report["verdict"] == "better"
+    catalogue = json.loads((results.out / "bundle" / "catalog" / "shirt.json").read_text())
+    assert [each["state"] for each in catalogue["versions"]] == ["preview", "refined"]
+
+
+def test_a_kept_preview_stays_on_top_with_the_figures_of_what_was_refused(results: Results) -> None:
+    refused = bundle("refined", 0.004, verdict="worse", because="it is farther").manifest["quality"]
+    results.keep_preview("the preview was kept: it is farther", refused, {"FITTING": 7.0})
+    assert (results.out / "mesh.ply").read_text() == "preview"
+    assert not (results.out / "refined.png").exists()
+    report = report_of(results)
+    assert report["state"] == "preview"
+    assert report["seconds"] == {"FITTING": 7.0}
+    assert report["verdict"] == "worse"
+    assert report["warnings"] == ["one", "the preview was kept: it is farther"]
+    assert report["certificates"]["refined"]["held_out_mean"] == 0.004
+    page = (results.out / "report.html").read_text()
+    assert "worse than the preview, which was kept" in page
+    assert "0.00300" in page
+    assert "0.00400" in page
+
+
+def test_a_failed_training_leaves_one_certificate_and_a_warning(results: Results) -> None:
+    results.keep_preview("the preview was kept: the fit diverged", None, {"FITTING": 7.0})
+    report = report_of(results)
+    assert report["certificates"]["refined"] is None
+    assert report["warnings"][-1] == "the preview was kept: the fit diverged"
+
+
+def test_the_page_needs_nothing_from_anywhere_and_trusts_no_name(results: Results) -> None:
+    page = (results.out / "report.html").read_text()
+    assert "data:image/png;base64," in page
+    assert "http" not in page
+    assert "My &lt;shirt&gt;" in page
+    assert "<shirt>" not in page
+
+
+def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:
+    preview = bundle("preview", 0.003).manifest["quality"]
+    results.write(bundle("refined", 0.002, verdict="better", because="", preview=preview))
+    again = Results(results.out, "shirt")
+    again.write(bundle("preview", 0.003))
+    assert {path.name for path in results.out.iterdir()} == {
+        "bundle",
+        "mesh.ply",
+        "preview.png",
+        "report.html",
+        "report.json",
+    }
+
+
+def test_a_training_run_leaves_both_certificates_and_no_checkpoint(bowl: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run_preset(bowl, out, TINY, device="cpu")
+    names = {path.name for path in out.iterdir()}
+    assert {*MESHES, "preview.png", "report.json", "report.html", "bundle"} <= names
+    assert "fit.checkpoint" not in names
+    report = json.loads((out / "report.json").read_text())
+    assert report["certificates"]["refined"]["steps"] == 10
+    assert report["verdict"] in {"better", "even", "worse"}
+    assert ("refined.png" in names) == ("preview" in names) == (report["verdict"] != "worse")
+
+
+def test_a_killed_run_goes_on_from_its_checkpoint(bowl: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", LONG, str(bowl), str(out), "150"]
+    child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    checkpoint = out / "fit.checkpoint"
+    deadline = time.monotonic() + 120
+    while not checkpoint.exists() and time.monotonic() < deadline and child.poll() is None:
+        time.sleep(0.05)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    assert checkpoint.exists()
+    assert (out / "preview.png").exists(), "the preview was there before the training began"
+
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "starts anew" not in result.stderr, "the checkpoint was taken"
+    assert not checkpoint.exists()
+    report = json.loads((out / "report.json").read_text())
+    assert report["certificates"]["refined"]["steps"] == 155
+
+
+def test_a_preset_that_memory_does_not_hold_is_refused_before_any_work(
+    bowl: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "machine_bytes", lambda: 1 << 20)
+    with pytest.raises(BadInput, match=r"preset tiny takes .* GB for 1,500 points") as told:
+        run_preset(bowl, tmp_path / "out", TINY, device="cpu")
+    assert "capture2vr presets" in str(told.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_device_that_is_not_there_is_said_plainly(bowl: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="cuda:97"):
+        run_preset(bowl, tmp_path / "out", TINY, device="cuda:97")
+    assert not (tmp_path / "out").exists()
+
+
+def test_presets_are_listed_with_what_they_take() -> None:
+    result = capture2vr("presets")
+    assert result.returncode == 0, result.stderr
+    for name in ("auto", *preset_names()):
+        assert name in result.stderr
+    assert "GB" in result.stderr

@@ -1,0 +1,226 @@
+"""The trained field behind the preview: in order, judged, stopped, and never at the preview's expense."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.edge import pipeline
+from services.edge.capture.nouns import Capture, Cloud
+from services.edge.certificate import Certificate, Verdict
+from services.edge.errors import EdgeError
+from services.edge.field import fit as fit_module
+from services.edge.field.config import FitConfig
+from services.edge.field.run import Step
+from services.edge.pipeline import PreviewKept, reconstruct
+from services.edge.preset import Preset
+from services.edge.progress import Progress
+from services.storage.bundle import Bundle
+
+Said = Progress | Bundle | PreviewKept
+
+TINY = FitConfig(warm_start=20, steps=20, warm_up=2, batch=200, pool=5_000, surface=0.1)
+TINY_PRESET = Preset("tiny", resolution=32, fit=TINY)
+
+
+def bowl(points: int = 2000, noise: float = 0.0) -> Capture:
+    """The lower half of a unit sphere."""
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(points, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[:, 2] = -np.abs(direction[:, 2])
+    return Capture("points", "ply", Cloud(direction + rng.normal(size=direction.shape) * noise, None))
+
+
+def bundles(said: list[Said]) -> list[Bundle]:
+    return [each for each in said if isinstance(each, Bundle)]
+
+
+def kept(said: list[Said]) -> PreviewKept:
+    (found,) = [each for each in said if isinstance(each, PreviewKept)]
+    return found
+
+
+@pytest.fixture
+def perfect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit that finds the bowl itself."""
+    monkeypatch.setattr(fit_module, "fit", perfect_fit)
+
+
+def perfect_fit(xyz_unit: np.ndarray, config: FitConfig, **_: Any) -> Iterator[Step]:
+    """The field of the sphere that fits the points best (|x|² = 2 c·x + r² − |c|²): for a bowl the exact one."""
+    system = np.c_[2 * xyz_unit, np.ones(len(xyz_unit))]
+    *centre, rest = np.linalg.lstsq(system, np.square(xyz_unit).sum(axis=1))[0]
+    radius = np.sqrt(rest + np.dot(centre, centre))
+
+    def distance(queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        aside = queries - centre
+        away = np.linalg.norm(aside, axis=1)
+        return np.abs(away - radius), aside / away[:, None] * np.sign(away - radius)[:, None]
+
+    for number in range(1, config.total_steps + 1):
+        yield Step(number, config.total_steps, {"total": 1 / number}, distance)
+
+
+@pytest.fixture(scope="module")
+def said() -> list[Said]:
+    """All that a reconstruction with a tiny, real training says."""
+    inside: list[Said] = []
+    for step in reconstruct(bowl(), TINY_PRESET, watch=inside.append):
+        inside.append(step)
+    return inside
+
+
+def test_a_real_training_goes_through_to_its_verdict(said: list[Said]) -> None:
+    assert bundles(said)[0].state == "preview"
+    last = [each for each in said if not isinstance(each, Progress)][-1]
+    quality = last.manifest["quality"] if isinstance(last, Bundle) else last.quality
+    assert quality is not None
+    assert quality["verdict"] in {"better", "even", "worse"}
+    assert quality["steps"] == TINY.total_steps
+    assert quality["preview"] == bundles(said)[0].manifest["quality"]
+
+
+def test_the_fraction_never_goes_back_and_losses_are_told(said: list[Said]) -> None:
+    progress = [each for each in said if isinstance(each, Progress)]
+    fractions = [each.fraction for each in progress]
+    assert fractions == sorted(fractions)
+    assert 0 < fractions[0] < fractions[-1] <= 1
+    trained = [each for each in progress if each.losses]
+    assert len(trained) >= 2
+    assert all(each.stage == "FITTING" for each in trained)
+    assert f"step {TINY.total_steps} of {TINY.total_steps}" in trained[-1].message
+
+
+@pytest.mark.usefixtures("perfect")
+def test_the_refined_bundle_follows_the_preview_with_both_certificates() -> None:
+    said = list(reconstruct(bowl(noise=0.01), TINY_PRESET))
+    preview, refined = bundles(said)
+    assert (preview.state, refined.state) == ("preview", "refined")
+    assert not [each for each in said if isinstance(each, PreviewKept)]
+    quality = refined.manifest["quality"]
+    assert quality["verdict"] == "better"
+    assert quality["held_out_mean"] < quality["preview"]["held_out_mean"]
+    assert quality["preview"] == preview.manifest["quality"]
+    assert quality["held_out"] == 40
+    assert quality["preset"] == "tiny"
+    assert quality["device"] == "cpu"
+    assert quality["seconds"] > quality["preview"]["seconds"]
+    assert refined.manifest["seconds"]["FITTING"] > preview.manifest["seconds"]["FITTING"]
+    # What an engineer's scripts read in the first version of the manifest is there still.
+    old = {"resolution", "points_to_mesh_median", "points_to_mesh_p95", "components", "boundary_loops"}
+    assert old | {"triangles", "non_manifold_edges"} <= quality.keys()
+
+
+@pytest.mark.usefixtures("perfect")
+def test_held_out_points_are_in_neither_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    capture = bowl()
+    seen: dict[str, Any] = {}
+
+    def spy(xyz_unit: np.ndarray, config: FitConfig, **kwargs: Any) -> Iterator[Step]:
+        seen.update(kwargs, xyz=xyz_unit)
+        yield from perfect_fit(xyz_unit, config)
+
+    monkeypatch.setattr(fit_module, "fit", spy)
+    list(reconstruct(capture, replace(TINY_PRESET, fit=replace(TINY, patience=10))))
+    assert len(seen["xyz"]) == 2000 - 40 - 40
+    assert len(seen["held_out"]) == 40
+    together = np.concatenate([seen["xyz"], seen["held_out"]])
+    assert len(np.unique(np.round(together, 9), axis=0)) == 2000 - 40
+
+
+@pytest.mark.parametrize("code", ["FIT_DIVERGED", "FIT_TOO_FEW_POINTS"])
+def test_a_failing_fit_keeps_the_preview(monkeypatch: pytest.MonkeyPatch, code: str) -> None:
+    def fails(*_: Any, **__: Any) -> Iterator[Step]:
+        raise EdgeError(code, "the loss is no number", hints=("lower the learning rate",))
+        yield
+
+    monkeypatch.setattr(fit_module, "fit", fails)
+    said = list(reconstruct(bowl(), TINY_PRESET))
+    assert [each.state for each in bundles(said)] == ["preview"]
+    assert kept(said).warning == "the preview was kept: the loss is no number (lower the learning rate)"
+    assert kept(said).quality is None
+
+
+def test_a_truly_diverging_fit_keeps_the_preview() -> None:
+    said = list(reconstruct(bowl(), replace(TINY_PRESET, fit=replace(TINY, learning_rate=1e6, steps=200))))
+    assert [each.state for each in bundles(said)] == ["preview"]
+    assert kept(said).warning.startswith("the preview was kept: ")
+
+
+def test_memory_that_does_not_suffice_keeps_the_preview(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any, **__: Any) -> Iterator[Step]:
+        raise MemoryError
+        yield
+
+    monkeypatch.setattr(fit_module, "fit", fails)
+    assert "memory" in kept(list(reconstruct(bowl(), TINY_PRESET))).warning
+
+
+def test_a_full_gpu_halves_the_batch_then_trains_on_the_cpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    tried = []
+    checkpoint = tmp_path / "fit.checkpoint"
+
+    def fails_on_a_gpu(xyz_unit: np.ndarray, config: FitConfig, *, device: str, **_: Any) -> Iterator[Step]:
+        tried.append((device, config.batch, checkpoint.exists()))
+        checkpoint.touch()
+        if device != "cpu":
+            raise EdgeError("GPU_OOM", "the GPU is full")
+        yield from perfect_fit(xyz_unit, config)
+
+    monkeypatch.setattr(fit_module, "fit", fails_on_a_gpu)
+    said = list(reconstruct(bowl(noise=0.01), TINY_PRESET, device="cuda:0", checkpoint=checkpoint))
+    assert tried == [("cuda:0", 200, False), ("cuda:0", 100, False), ("cpu", 100, False)]
+    refined = bundles(said)[-1].manifest
+    assert refined["quality"]["device"] == "cpu"
+    assert "the GPU is full; the batch was halved" in refined["warnings"]
+    assert "the GPU is full; it was trained on the CPU" in refined["warnings"]
+    fractions = [each.fraction for each in said if isinstance(each, Progress)]
+    assert fractions == sorted(fractions)
+
+
+@pytest.mark.usefixtures("perfect")
+def test_a_worse_surface_is_refused_with_its_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    def worse(preview: Certificate, refined: Certificate) -> Verdict:
+        return Verdict("worse", "it lies farther")
+
+    monkeypatch.setattr(pipeline, "compare", worse)
+    said = list(reconstruct(bowl(), TINY_PRESET))
+    assert [each.state for each in bundles(said)] == ["preview"]
+    refused = kept(said)
+    assert refused.warning == "the preview was kept: it lies farther"
+    assert refused.quality is not None
+    assert refused.quality["verdict"] == "worse"
+    assert refused.quality["held_out"] == 40
+
+
+def test_stopping_within_the_training_takes_less_than_two_seconds() -> None:
+    steps = reconstruct(bowl(), replace(TINY_PRESET, fit=replace(TINY, steps=1_000_000)))
+    for step in steps:
+        if isinstance(step, Progress) and step.losses:
+            break
+    began = time.monotonic()
+    next(steps)
+    steps.close()
+    assert time.monotonic() - began < 2
+
+
+def test_a_cloud_too_small_to_spare_points_is_judged_by_all_and_says_so() -> None:
+    *_, last = reconstruct(bowl(300), replace(TINY_PRESET, fit=replace(TINY, patience=5)))
+    quality = last.manifest["quality"] if isinstance(last, Bundle) else last.quality
+    assert quality is not None
+    assert quality["held_out"] == 0
+    assert "input points" in quality["because"]
+
+
+def test_the_choice_is_told_with_its_reason() -> None:
+    (chosen,) = bundles(list(reconstruct(bowl(120), Preset("auto", resolution=24))))
+    assert chosen.manifest["preset"] == "draft"
+    assert "too few" in chosen.manifest["preset_because"]
+    assert chosen.manifest["quality"]["resolution"] == 24

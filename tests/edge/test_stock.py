@@ -1,0 +1,91 @@
+"""What a worker offers: the product's presets, an operator's own, and none that its memory cannot hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from services.edge.errors import EdgeError
+from services.edge.field.device import Device, find_device
+from services.edge.preset import memory_bytes
+from services.edge.stock import known_presets, offer_of
+
+CPU = Device("cpu", "cpu, 2 cores")
+PLENTY = 1 << 50
+
+
+def test_the_automatic_choice_is_the_default_and_every_preset_states_its_bound() -> None:
+    known = known_presets(None)
+    offer = offer_of(known, CPU, PLENTY)
+    assert offer.names[:5] == ("auto", "draft", "standard", "fine", "scene")
+    told = {preset.name: preset for preset in offer.presets}
+    assert told["auto"].trained
+    assert not told["draft"].trained
+    assert told["standard"].memory_bytes == memory_bytes(known["standard"], known["standard"].most_points)
+    assert told["auto"].memory_bytes == max(told[name].memory_bytes for name in ("draft", "standard", "fine", "scene"))
+    assert offer.withheld == ()
+
+
+def test_what_never_fits_is_withheld_and_what_trains_nothing_is_not() -> None:
+    known = known_presets(None)
+    offer = offer_of(known, CPU, memory_bytes(known["standard"], 0))
+    assert {"auto", "draft", "standard"} <= set(offer.names)
+    assert "cap-udf" in {preset.name for preset in offer.withheld}
+
+
+def test_an_operators_presets_stand_behind_the_products(tmp_path: Path) -> None:
+    (tmp_path / "ours.toml").write_text('summary = "ours"\nresolution = 64\n[fit]\nsteps = 10\n')
+    (tmp_path / "readme.txt").write_text("not a preset")
+    known = known_presets(tmp_path)
+    assert list(known)[-1] == "ours"
+    assert known["ours"].resolution == 64
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("ours.toml", "colour = 1", "colour"),
+        ("ours.toml", "= =", "'ours' cannot be read"),
+        ("draft.toml", "", "'draft' is the product's own"),
+    ],
+)
+def test_a_preset_that_is_none_stops_the_start(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(EdgeError, match=said) as error:
+        known_presets(tmp_path)
+    assert error.value.code == "PRESET_INVALID"
+
+
+def test_a_folder_that_is_none_stops_the_start(tmp_path: Path) -> None:
+    with pytest.raises(EdgeError, match="there is no folder"):
+        known_presets(tmp_path / "absent")
+
+
+def test_the_cpu_is_told_with_its_cores() -> None:
+    device = find_device("cpu")
+    assert (device.name, device.memory_bytes) == ("cpu", 0)
+    assert device.description.startswith("cpu, ")
+
+
+def test_a_gpu_that_is_not_there_is_named() -> None:
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("this machine has one")
+    assert find_device("auto").name == "cpu"
+    with pytest.raises(EdgeError, match="there is no cuda:3: ") as error:
+        find_device("cuda:3")
+    assert error.value.code == "DEVICE_ABSENT"
+
+
+@pytest.mark.gpu
+def test_a_gpu_is_told_with_its_name_and_memory() -> None:
+    import torch
+
+    if not torch.cuda.is_available():
+        pytest.skip("there is no GPU")
+    device = find_device("auto")
+    assert device == find_device("cuda")
+    assert device.description.startswith("cuda:0 ")
+    assert device.memory_bytes > 1 << 30
