@@ -21,7 +21,15 @@ from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job
 from services.gateway.jobs.reports import Beat, Failed, Finished, Progressed, Published, Report
 from services.gateway.jobs.transitions import problem_of
-from services.gateway.workers import RunKnown, RunUnknown, WorkerBusy, WorkerLost, WorkerStatus, WorkerUnreachable
+from services.gateway.workers import (
+    Preset,
+    RunKnown,
+    RunUnknown,
+    WorkerBusy,
+    WorkerLost,
+    WorkerStatus,
+    WorkerUnreachable,
+)
 
 CHUNK_BYTES = 512 << 10  # the wire asks for 256 KiB to 1 MiB
 POLL_S = 1.0  # deadline of a question about a worker's state: one that needs longer is as good as absent
@@ -58,17 +66,29 @@ class EdgePool:
     def __init__(self, addresses: Sequence[str], *, silence_s: float = 15.0, job_timeout_s: float = 6 * 3600.0) -> None:
         """silence_s: how long a stream may say nothing; job_timeout_s: deadline of a whole run."""
         self.addresses = tuple(addresses)
-        self.presets: tuple[str, ...] = ()
+        self._offers: dict[str, tuple[Preset, ...]] = {}
         self._silence_s = silence_s
         self._job_timeout_s = job_timeout_s
         self._channels: dict[str, grpc.aio.Channel] = {}
+
+    @property
+    def presets(self) -> dict[str, Preset]:
+        """What the workers heard of so far offer, by name, even those that are away: they come back.
+
+        Where several offer a preset, the bound is the largest of theirs.
+        """
+        found: dict[str, Preset] = {}
+        for address in self.addresses:
+            for preset in self._offers.get(address, ()):
+                known = found.get(preset.name, preset)
+                found[preset.name] = max(known, preset, key=lambda each: each.memory_bytes)
+        return found
 
     async def workers(self) -> tuple[WorkerStatus, ...]:
         """Those that answer within a second, in the settings' order; remembers the presets they offer."""
         answers = await asyncio.gather(*map(self._status, self.addresses))
         found = tuple(status for status in answers if status is not None)
-        if found:
-            self.presets = tuple(dict.fromkeys(preset for status in found for preset in status.presets))
+        self._offers.update({status.address: status.presets for status in found})
         return found
 
     async def inspect(self, archive: Path) -> Inspection | None:
@@ -136,7 +156,7 @@ class EdgePool:
             address,
             worker.version,
             worker.device,
-            tuple(worker.presets),
+            tuple(Preset(each.name, each.summary, each.trained, each.memory_bytes) for each in worker.presets),
             worker.slots,
             worker.free_slots,
             worker.queued,

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.gateway.jobs.job import Job, Order, State
+from services.gateway.workers import Preset
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
 _EXAMPLE_CAPTURE = "cap_7f3c9a1e5b2d4c68"
@@ -142,12 +143,33 @@ class JobPage(BaseModel):
     next: str | None
 
 
+class PresetView(BaseModel):
+    """A preset; its job takes at most `memory_bytes` of a worker. A `trained` one refines the asset after a preview."""
+
+    name: str
+    summary: str
+    trained: bool
+    memory_bytes: int
+
+    @classmethod
+    def of(cls, preset: Preset) -> PresetView:
+        """A worker's preset, for clients."""
+        return cls(name=preset.name, summary=preset.summary, trained=preset.trained, memory_bytes=preset.memory_bytes)
+
+
 class Presets(BaseModel):
-    """What a job may name as its preset."""
+    """What a job may name as its preset, and what is taken where it names none."""
 
-    model_config = ConfigDict(json_schema_extra={"example": {"presets": ["draft"], "default": "draft"}})
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "presets": [{"name": "draft", "summary": "no training", "trained": False, "memory_bytes": 300000000}],
+                "default": "draft",
+            }
+        }
+    )
 
-    presets: list[str]
+    presets: list[PresetView]
     default: str
 
 

@@ -37,7 +37,8 @@ class GatewaySettings(StrictSettings):
         default=1.0, gt=0
     )  # first pause before a job runs again; doubles with every attempt, 60 s at most
     max_attempts: int = Field(default=5, ge=1)  # runs of one job that may end with a lost worker
-    presets: CommaList = ("draft",)  # accepted while no worker has been heard of; the first is the default
+    # Taken while no worker has been heard of; the first is the default.
+    presets: CommaList = ("auto", "draft", "standard", "fine", "scene")
 
     @property
     def database(self) -> str:

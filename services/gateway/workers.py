@@ -26,15 +26,29 @@ class RunKnown(Exception):  # noqa: N818 - it reads as what it is
 
 
 @dataclass(frozen=True, slots=True)
+class Preset:
+    """What a job may name: `trained` when a refined version follows the preview; `memory_bytes` at most, of its fit."""
+
+    name: str
+    summary: str = ""
+    trained: bool = False
+    memory_bytes: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class WorkerStatus:
     """What a worker says of itself; `jobs` are those that have not ended there."""
 
     address: str
     version: str
     device: str
-    presets: tuple[str, ...]
+    presets: tuple[Preset, ...]
     slots: int
     free_slots: int
     queued: int
     draining: bool
     jobs: frozenset[str]
+
+    def offers(self, preset: str) -> bool:
+        """Whether it takes jobs of this preset."""
+        return any(preset == each.name for each in self.presets)

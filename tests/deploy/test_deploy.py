@@ -75,6 +75,15 @@ def test_the_gpu_worker_exists_only_in_its_profile(compose: list[str]) -> None:
     assert "edge-gpu" not in _config(compose)["services"]
     gpu = _config(compose, "gpu")["services"]["edge-gpu"]
     assert gpu["deploy"]["resources"]["reservations"]["devices"][0]["driver"] == "nvidia"
+    assert gpu["environment"]["EDGE_DEVICE"] == "cuda"
+
+
+def test_each_worker_has_the_torch_of_its_device(compose: list[str]) -> None:
+    services = _config(compose, "gpu")["services"]
+    assert "args" not in services["edge"]["build"], "the Dockerfile's own default is the CPU build"
+    assert services["edge-gpu"]["build"]["args"] == {"TORCH_INDEX": "https://pypi.org/simple"}
+    assert services["edge-gpu"]["image"] != services["edge"]["image"]
+    assert re.search(r"ARG TORCH_INDEX=\S+/cpu$", (ROOT / "deploy" / "edge.Dockerfile").read_text(), re.MULTILINE)
 
 
 def test_every_variable_is_one_that_the_services_know(compose: list[str]) -> None:

@@ -16,6 +16,7 @@ from fastapi import FastAPI
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.errors import EdgeError
+from services.edge.offer import Offer
 from services.edge.requests import JobRequest
 from services.edge.run import Say
 from services.edge.scratch import Scratch
@@ -29,24 +30,24 @@ from services.storage.publish import publish
 from services.storage.store import Store
 
 TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
-SHORT = {"lease_s": 1.0, "silence_s": 6.0, "attach_for_s": 1.0, "retry_s": 0.05}
+SHORT = {"lease_s": 1.0, "silence_s": 6.0, "attach_for_s": 1.0, "retry_s": 0.05, "presets": ("draft", "fine")}
 
 
 class Making:
     """Work whose capture says how it goes: {"steps": 3, "pause_s": 0.1, "fail": "CODE", "retryable": true, "wait": 1}
 
-
-    Publishes a preview before the last step and a refined version behind it, really, to `store`.
+    Publishes a preview and a refined version behind it, really, to `store`; "fail_refining" is a code for in between.
     """
 
-    presets = ("draft", "fine")
-
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, *presets: str) -> None:
+        """presets: on offer, "draft" and "fine" where none is named."""
+        names = presets or ("draft", "fine")
+        self.offer = Offer("cpu", tuple(pb.Preset(name=name, summary="quick", memory_bytes=7) for name in names))
         self._store = store
         self.release = threading.Event()
         self.runs: list[str] = []
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, say: Say) -> pb.Finished:
+    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
         self.runs.append(request.job)
         script = json.loads(archive.read_bytes())
         steps = script.get("steps", 3)
@@ -61,6 +62,8 @@ class Making:
             bundle = Bundle(state=state, files={"mesh.ply": f"{request.job} {state}".encode()}, manifest={"lods": []})
             made = publish(bundle, self._store, key=request.asset_key, job=request.job, fence=request.fence)
             say(pb.Published(asset_key=made.key, version=made.version, state=made.state, manifest=made.manifest))
+            if "fail_refining" in script:
+                raise EdgeError(script["fail_refining"], "as it was told", hints=("use a coarser preset",))
         return pb.Finished(warnings=["looks odd"], seconds={"FITTING": 0.5})
 
     def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:

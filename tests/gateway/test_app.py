@@ -35,10 +35,17 @@ async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
 async def test_presets_are_those_of_the_workers(tmp_path: Path) -> None:
     store = memory()
     async with gateway(tmp_path / "gw", store, presets=("fast", "best")) as client:
-        assert (await client.get("/v1/presets")).json() == {"presets": ["fast", "best"], "default": "fast"}
+        assert await _presets(client) == (["fast", "best"], "fast")
         assert (await client.get(f"/v1/jobs/{await start(client, capture(store))}")).json()["preset"] == "fast"
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "other", store, port) as client:
-        assert (await client.get("/v1/presets")).json() == {"presets": ["draft", "fine"], "default": "draft"}
+        assert await _presets(client) == (["draft", "fine"], "draft")
+        told = (await client.get("/v1/presets")).json()["presets"][0]
+        assert told == {"name": "draft", "summary": "quick", "trained": False, "memory_bytes": 7}
+
+
+async def _presets(client: httpx.AsyncClient) -> tuple[list[str], str]:
+    told = (await client.get("/v1/presets")).json()
+    return [preset["name"] for preset in told["presets"]], told["default"]
 
 
 async def test_metrics_count_what_happened(tmp_path: Path) -> None:

@@ -174,3 +174,65 @@ async def test_a_cancellation_reaches_the_gateway_that_runs_the_job(tmp_path: Pa
         async with gateway(tmp_path / "asks", store, port, **shared) as asks:
             await asks.post(f"/v1/jobs/{job}/cancel")
             assert (await ended(asks, job))["state"] == "CANCELLED"
+
+
+async def test_a_job_goes_to_a_worker_that_offers_its_preset(tmp_path: Path) -> None:
+    store = memory()
+    quick, thorough = Making(store, "draft"), Making(store, "draft", "scene")
+    async with (
+        worker(quick, tmp_path / "a", slots=4) as one,
+        worker(thorough, tmp_path / "b", slots=1) as two,
+        gateway(tmp_path / "gw", store, one, two) as client,
+    ):
+        name = capture(store, steps=1)
+        scenes = [await start(client, name, f"scene{n}", preset="scene") for n in range(3)]
+        drafts = [await start(client, name, f"draft{n}", preset="draft") for n in range(3)]
+        done = [await ended(client, job) for job in (*scenes, *drafts)]
+        refused = await client.post("/v1/jobs", json={"capture": name, "asset_key": "x", "preset": "best"})
+    assert {each["state"] for each in done} == {"SUCCEEDED"}
+    assert {each["attempts"] for each in done} == {1}
+    assert set(scenes) <= set(thorough.runs)
+    assert (refused.status_code, refused.json()["code"]) == (422, "PRESET_UNKNOWN")
+    assert refused.json()["hints"] == ["use one of: draft, scene"]
+
+
+async def test_a_preset_whose_worker_is_busy_does_not_hold_up_the_others(tmp_path: Path) -> None:
+    store = memory()
+    quick, thorough = Making(store, "draft"), Making(store, "scene")
+    async with (
+        worker(quick, tmp_path / "a", slots=1) as one,
+        worker(thorough, tmp_path / "b", slots=1, queue=0) as two,
+        gateway(tmp_path / "gw", store, one, two) as client,
+    ):
+        running = await start(client, capture(store, "cap_wait", wait=True), "first", preset="scene")
+        await job_when(client, running, lambda found: found["fraction"] > 0)
+        waiting = await start(client, capture(store), "second", preset="scene")
+        passing = await start(client, capture(store), "third", preset="draft")
+        assert (await ended(client, passing))["state"] == "SUCCEEDED"
+        assert (await client.get(f"/v1/jobs/{waiting}")).json()["state"] == "QUEUED"
+        thorough.release.set()
+        assert (await ended(client, waiting))["state"] == "SUCCEEDED"
+
+
+async def test_a_preset_of_a_worker_that_is_away_is_still_known(tmp_path: Path) -> None:
+    store = memory()
+    async with worker(Making(store, "draft"), tmp_path / "a") as stays:
+        async with worker(Making(store, "scene"), tmp_path / "b") as goes:
+            pool = gateway(tmp_path / "gw", store, stays, goes)
+            client = await pool.__aenter__()
+            await client.get("/v1/presets")
+        job = await start(client, capture(store), preset="scene")
+        await asyncio.sleep(0.7)
+        assert (await client.get(f"/v1/jobs/{job}")).json()["state"] == "QUEUED"
+        await pool.__aexit__(None, None, None)
+
+
+async def test_a_failure_behind_the_preview_says_that_it_stays(tmp_path: Path) -> None:
+    store = memory()
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        done = await ended(client, await start(client, capture(store, fail_refining="GPU_OOM")))
+        asset = (await client.get("/v1/assets/dress")).json()
+    assert (done["state"], done["error"]["code"]) == ("FAILED", "GPU_OOM")
+    assert done["error"]["hints"] == ["use a coarser preset", "the preview stays published, as version 1"]
+    assert (done["preview"]["version"], done["asset"]) == (1, None)
+    assert (asset["version"], asset["state"]) == (1, "preview")

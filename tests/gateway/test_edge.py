@@ -80,7 +80,9 @@ async def test_workers_that_answer_are_known_with_their_presets(tmp_path: Path) 
     async with pool(tmp_path, _NOBODY, slots=3) as (edge, address, _):
         (status,) = await edge.workers()
         assert (status.address, status.slots, status.free_slots, status.queued) == (address, 3, 3, 0)
-        assert edge.presets == ("draft", "fine")
+        assert list(edge.presets) == ["draft", "fine"]
+        assert status.offers("fine")
+        assert not status.offers("scene")
 
 
 async def test_a_run_is_reported_to_its_end_and_can_be_heard_again(tmp_path: Path) -> None:

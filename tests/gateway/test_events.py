@@ -92,3 +92,12 @@ async def test_news_arrive_while_they_are_news(tmp_path: Path) -> None:
         assert (await ended(client, job))["state"] == "SUCCEEDED"
     # Not one burst at the end: buffering anywhere between database and socket would make it one.
     assert seen[-1] - seen[0] > 0.5
+
+
+async def test_losses_and_the_time_left_reach_those_who_listen(tmp_path: Path) -> None:
+    store = memory()
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        story = await events(client, await start(client, capture(store, steps=3, pause_s=0.4)))
+    told = [data for _, kind, data in story if kind == "progress" and data["losses"]]
+    assert told[-1]["losses"]["distance"] < told[0]["losses"]["distance"]
+    assert max(data["eta_s"] for data in told) > 0

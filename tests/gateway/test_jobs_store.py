@@ -59,7 +59,7 @@ def lease(now: float = 100.0, holder: str = "gw") -> partial[Change]:
 
 def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> None:
     made = store.create(ORDER)
-    claimed = store.claim(made.created + 1, lease(made.created + 1))
+    claimed = store.claim(made.created + 1, ("draft",), lease(made.created + 1))
     assert claimed is not None
     told = [
         Progressed(1, "FITTING", 0.5, {"a": 1.0}),
@@ -78,7 +78,7 @@ def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> N
 
 def test_the_queue_is_first_come_first_served(store: JobStore) -> None:
     jobs = [store.create(ORDER).id for _ in range(5)]
-    claimed = [store.claim(1e12, lease()) for _ in range(6)]
+    claimed = [store.claim(1e12, ("draft",), lease()) for _ in range(6)]
     assert [job.id if job else None for job in claimed] == [*sorted(jobs), None]
 
 
@@ -91,7 +91,7 @@ def test_a_job_is_claimed_by_one_of_many(store: JobStore, url: str) -> None:
         engine = open_engine(url)
         mine = JobStore(engine)
         gate.wait()
-        got = [job.id for _ in range(10) if (job := mine.claim(1e12, lease()))]
+        got = [job.id for _ in range(10) if (job := mine.claim(1e12, ("draft",), lease()))]
         engine.dispose()
         return got
 
@@ -118,7 +118,7 @@ def test_what_a_transition_refuses_leaves_no_trace(store: JobStore) -> None:
 
 def test_a_lease_is_renewed_by_its_fence_only(store: JobStore) -> None:
     job = store.create(ORDER)
-    store.claim(1e12, lease(holder="a"))
+    store.claim(1e12, ("draft",), lease(holder="a"))
     assert store.renew("a", 500.0, [(job.id, 1)]) == (set(), set())
     assert store.renew("a", 500.0, [(job.id, 2)]) == ({job.id}, set())
     assert store.renew("b", 500.0, [(job.id, 1)]) == ({job.id}, set())
@@ -129,7 +129,7 @@ def test_a_lease_is_renewed_by_its_fence_only(store: JobStore) -> None:
 
 def test_a_run_is_taken_over_when_its_lease_is_out_or_by_its_former_self(store: JobStore) -> None:
     job = store.create(ORDER)
-    store.claim(1e12, lease(100.0, "a"))
+    store.claim(1e12, ("draft",), lease(100.0, "a"))
 
     def orphan(now: float, holder: str, ours: tuple[str, ...] = ()) -> Job | None:
         return store.claim_orphan(now, holder, ours, partial(taken_over, holder="b", now=now, lease_s=10))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -31,8 +32,8 @@ _WITHIN_S = 110.0
 class Process:
     """A service that is killed and comes back."""
 
-    def __init__(self, module: str, log: Path, **variables: object) -> None:
-        self._command = [sys.executable, "-m", module]
+    def __init__(self, module: str, log: Path, *arguments: str, **variables: object) -> None:
+        self._command = [sys.executable, "-m", module, *arguments]
         self._log = log
         self._environment = {**os.environ, **{name: str(value) for name, value in variables.items()}}
         self.start()
@@ -43,7 +44,11 @@ class Process:
 
     def kill(self) -> None:
         """As a power cut: no handler runs."""
-        self._running.kill()
+        self.end(signal.SIGKILL)
+
+    def end(self, number: signal.Signals) -> None:
+        """Send a signal that ends it, and wait until it has ended."""
+        self._running.send_signal(number)
         self._running.wait()
 
 
@@ -78,6 +83,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
         GATEWAY_ATTACH_FOR_S=3,
         GATEWAY_RETRY_S=0.1,
         GATEWAY_MAX_ATTEMPTS=20,
+        GATEWAY_PRESETS="draft,fine",
         **shared,
     )
     deadline = time.monotonic() + _WITHIN_S

@@ -30,14 +30,29 @@ CHROMIUM_FLAGS = [
 PATIENCE_MS = 60_000  # a whole reconstruction fits, on a busy two-core machine
 expect.set_options(timeout=PATIENCE_MS)
 
+BRIEF = """
+summary = "a training of seconds"
+resolution = 48
+
+[fit]
+warm_start = 100
+steps = 30
+batch = 200
+pool = 20_000
+"""
+
 PHONE = {"width": 390, "height": 844}
 
 
 @pytest.fixture(scope="session")
 def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """Gateway, worker and embedded store."""
-    with running("127.0.0.1", 0, tmp_path_factory.mktemp("stack")) as stack:
-        yield stack
+    """Gateway, worker and embedded store, with a preset whose training takes seconds."""
+    presets = tmp_path_factory.mktemp("presets")
+    (presets / "brief.toml").write_text(BRIEF)
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("EDGE_PRESETS", str(presets))
+        with running("127.0.0.1", 0, tmp_path_factory.mktemp("stack")) as stack:
+            yield stack
 
 
 @pytest.fixture(scope="session")

@@ -37,6 +37,7 @@ def _choose(page: Page, path: Path) -> None:
     with page.expect_file_chooser() as chooser:
         page.get_by_text("Choose files").click()
     chooser.value.set_files(path)
+    page.locator("#preset").select_option("draft")  # the automatic choice trains for a minute
 
 
 def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> None:
@@ -144,3 +145,55 @@ def test_an_asset_made_here_is_in_the_catalogue(page: Page, stack: Stack, bowl: 
         entry = json.load(answer)
     assert entry["label"] == "catalogued"
     assert max(entry["size_m"]) == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_training_is_seen_and_its_certificate_read(page: Page, stack: Stack, bowl: Path) -> None:
+    page.goto(stack.url)
+    _choose(page, bowl)
+    options = page.locator("#preset option")
+    expect(options.first).to_contain_text("Automatic")
+    assert not any("baseline" in text for text in options.all_text_contents())
+    page.locator("#preset").select_option("brief")
+    page.locator("#name").fill("trained bowl")
+    page.get_by_role("button", name="Send").click()
+
+    expect(page.locator("#view")).to_be_visible()  # the preview's, while the training goes on
+    expect(page.locator("body")).to_have_attribute("data-shown", "preview")
+    expect(page.locator("#detail")).to_contain_text("step ")
+    expect(page.locator("#curve")).to_be_visible()
+    expect(page.locator("#certificate")).to_contain_text("Pieces")
+
+    expect(page.locator("body")).to_have_attribute("data-state", "done")
+    expect(page.locator("#coming")).to_be_hidden()
+    with urllib.request.urlopen(f"{stack.url}/v1/assets/trained-bowl") as answer:
+        state = json.load(answer)["state"]
+    expect(page.locator("body")).to_have_attribute("data-shown", state)
+    page.get_by_text("How good it is").click()
+    if state == "refined":
+        expect(page.locator("#ready")).to_contain_text("refined")
+        expect(page.locator("#figures tr").first).to_have_text("PreviewRefined")
+    else:
+        expect(page.locator("#warnings")).to_contain_text("the preview was kept")
+
+
+def test_a_failure_behind_the_preview_leaves_it_on_show(page: Page, stack: Stack, bowl: Path) -> None:
+    """The worker's story is the page's to tell; a job that fails so is told here by hand."""
+
+    def fail(route: Route) -> None:
+        answer = route.fetch()
+        job = {**answer.json(), "state": "FAILED", "asset": None}
+        if not job["preview"]:
+            return route.fulfill(response=answer)
+        hints = ["use draft", "the preview stays published, as version 1"]
+        job["error"] = {"code": "GPU_OOM", "detail": "the GPU is full", "hints": hints}
+        return route.fulfill(response=answer, json=job)
+
+    page.route(re.compile(r"/v1/jobs/job_[0-9a-f]+$"), fail)
+    page.goto(stack.url)
+    _choose(page, bowl)
+    page.locator("#name").fill("half done")
+    page.get_by_role("button", name="Send").click()
+    trouble = page.get_by_role("alert")
+    expect(trouble).to_contain_text("the preview stays published")
+    expect(page.locator("#view")).to_be_visible()
+    expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))

@@ -13,7 +13,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.gateway.jobs.conductor import Conductor, Means
 from services.gateway.jobs.job import Job
 from services.gateway.jobs.store import JobStore
-from services.gateway.jobs.transitions import leased, taken_over
+from services.gateway.jobs.transitions import Change, leased, taken_over
 from services.gateway.workers import WorkerStatus
 
 _LOOK_S = 0.5  # between looks at the queue while nothing wakes us: pauses end, workers come back
@@ -82,23 +82,24 @@ class Dispatcher:
         if not await self._means.desk.read(JobStore.waiting, time.time()):
             return
         workers = await self._means.edge.workers()
-        while (worker := self._choose(workers)) is not None:
+        while ready := self._ready(workers):
             now = time.time()
-            transition = partial(leased, holder=self._holder, worker=worker.address, now=now, lease_s=self._lease_s)
-            job = await self._means.desk.write(JobStore.claim, now, transition)
+            presets = {preset.name for worker in ready for preset in worker.presets}
+            transition = partial(_leased_to, ready, holder=self._holder, now=now, lease_s=self._lease_s)
+            job = await self._means.desk.write(JobStore.claim, now, presets, transition)
             if job is None:
                 return
             self._start(job, running=False)
 
-    def _choose(self, workers: Sequence[WorkerStatus]) -> WorkerStatus | None:
-        """The worker with a free slot and the shortest queue. What we gave it since it was asked counts as taken."""
+    def _ready(self, workers: Sequence[WorkerStatus]) -> list[WorkerStatus]:
+        """Those with a free slot, the shortest queue first. What we gave one since it was asked counts as taken."""
 
         def free(worker: WorkerStatus) -> int:
             ours = {job for job, (conductor, _) in self._conductors.items() if conductor.worker == worker.address}
             return worker.free_slots - len(ours - worker.jobs)
 
         ready = [worker for worker in workers if not worker.draining and free(worker) > 0]
-        return min(ready, key=lambda worker: (worker.queued, -free(worker)), default=None)
+        return sorted(ready, key=lambda worker: (worker.queued, -free(worker)))
 
     async def _renew(self) -> None:
         """Prolong our leases, let go of those we lost, pass on cancellations, look for runs left alone by others."""
@@ -140,3 +141,9 @@ class Dispatcher:
             # Its lease runs out, and whoever sees that first looks for the run again.
             _log.error("job %s: its conductor failed", job, exc_info=error)
         self.wake()
+
+
+def _leased_to(ready: Sequence[WorkerStatus], job: Job, *, holder: str, now: float, lease_s: float) -> Change:
+    """Give a job to the first of these workers that offers its preset; one of them does."""
+    worker = next(worker for worker in ready if worker.offers(job.order.preset))
+    return leased(job, holder=holder, worker=worker.address, now=now, lease_s=lease_s)

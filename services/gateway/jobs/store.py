@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -88,9 +88,9 @@ class JobStore:
         with self._engine.begin() as db:
             return db.execute(_ready(now).limit(1)).first() is not None
 
-    def claim(self, now: float, transition: Callable[[Job], Change]) -> Job | None:
-        """Apply a transition to the queue's oldest job that may begin; None when there is none."""
-        return self._first(_ready(now), transition)
+    def claim(self, now: float, presets: Collection[str], transition: Callable[[Job], Change]) -> Job | None:
+        """Apply a transition to the queue's oldest job of these presets that may begin; None when there is none."""
+        return self._first(_ready(now).where(jobs.c.order["preset"].as_string().in_(presets)), transition)
 
     def claim_orphan(
         self, now: float, holder: str, ours: Iterable[str], transition: Callable[[Job], Change]

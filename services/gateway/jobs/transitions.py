@@ -97,7 +97,7 @@ def set_back(job: Job, fence: int, why: Problem, *, now: float, retry: Retry) ->
     if _unwanted(job):
         return _enter(replace(job, lease=_freed(job.lease)), State.CANCELLED, now)
     if job.lease.attempts >= retry.attempts:
-        return _enter(replace(job, lease=_freed(job.lease), error=why.document()), State.FAILED, now)
+        return _given_up(job, why, now)
     lease = _freed(job.lease, not_before=now + retry.after(job.lease.attempts))
     return _enter(replace(job, lease=lease), State.QUEUED, now)
 
@@ -166,7 +166,15 @@ def _failed(job: Job, report: Failed, now: float, retry: Retry) -> Change:
     # A run that was stopped although nobody here asked for it is a lost run.
     if _unwanted(job) or report.retryable or report.code == CANCELLED:
         return set_back(job, job.lease.fence, why, now=now, retry=retry)
-    return _enter(replace(job, lease=_freed(job.lease), error=why.document()), State.FAILED, now)
+    return _given_up(job, why, now)
+
+
+def _given_up(job: Job, why: Problem, now: float) -> Change:
+    """FAILED for good. What was published stays published, and whoever reads of the failure is told so."""
+    error = why.document()
+    if job.preview is not None:
+        error["hints"] = [*error["hints"], f"the preview stays published, as version {job.preview['version']}"]
+    return _enter(replace(job, lease=_freed(job.lease), error=error), State.FAILED, now)
 
 
 def problem_of(failure: Failed) -> Problem:

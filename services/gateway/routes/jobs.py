@@ -6,7 +6,7 @@ import asyncio
 import hashlib
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from functools import partial
 from typing import Annotated
 
@@ -20,7 +20,8 @@ from services.gateway.jobs.source import capture_bytes
 from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.jobs.transitions import cancel_requested
 from services.gateway.metrics import Metrics
-from services.gateway.schemas import JobPage, JobRequest, JobView, Presets, problems
+from services.gateway.schemas import JobPage, JobRequest, JobView, Presets, PresetView, problems
+from services.gateway.workers import Preset
 from services.storage.catalogue import valid_key
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -125,9 +126,9 @@ async def events(
 
 @router.get("/presets", response_model=Presets)
 async def presets(request: Request) -> Presets:
-    """What the workers offer."""
+    """What the workers offer, and what it takes of them."""
     known = await _known_presets(request)
-    return Presets(presets=list(known), default=known[0])
+    return Presets(presets=[PresetView.of(preset) for preset in known.values()], default=next(iter(known)))
 
 
 async def _told(desk: Desk, metrics: Metrics, job_id: str, seen: int) -> AsyncIterator[ServerSentEvent]:
@@ -198,6 +199,7 @@ async def _checked(body: JobRequest, request: Request) -> str:
 
 
 async def _known_preset(preset: str, request: Request) -> str:
+    """The preset, or the default for "". Raises Problem PRESET_UNKNOWN for one that no worker offers."""
     known = await _known_presets(request)
     if preset and preset not in known:
         known = await _known_presets(request, ask=True)  # a worker that started since may offer more
@@ -205,13 +207,12 @@ async def _known_preset(preset: str, request: Request) -> str:
         names = ", ".join(known)
         detail = f"there is no preset '{preset}'; known are: {names}"
         raise Problem(422, "PRESET_UNKNOWN", detail, hints=(f"use one of: {names}",))
-    return preset or known[0]
+    return preset or next(iter(known))
 
 
-async def _known_presets(request: Request, *, ask: bool = False) -> tuple[str, ...]:
-    """What workers offer, the default first; what the settings say while none has been heard of."""
+async def _known_presets(request: Request, *, ask: bool = False) -> Mapping[str, Preset]:
+    """What workers offer, by name, the default first; what the settings say while none has been heard of."""
     edge = request.app.state.edge
     if ask or not edge.presets:
         await edge.workers()
-    known: tuple[str, ...] = edge.presets or request.app.state.settings.presets
-    return known
+    return edge.presets or {name: Preset(name) for name in request.app.state.settings.presets}

@@ -11,6 +11,22 @@ const STAGES = [
   ['PUBLISHING', 'Publishing'],
 ];
 const TERMINAL = ['SUCCEEDED', 'FAILED', 'CANCELLED'];
+const ofSize = (share) => `${(100 * share).toFixed(2)} % of its size`;
+const percent = (share) => `${(100 * share).toFixed(1)} %`;
+const count = (number) => Math.round(number).toLocaleString('en');
+// Of a manifest's certificate, what people can read; an older worker's may lack some.
+const FIGURES = [
+  ['held_out_mean', 'From points it was not shown', ofSize],
+  ['points_to_mesh_median', 'From the scanned points', ofSize],
+  ['coverage', 'Points covered', percent],
+  ['components', 'Pieces', count],
+  ['boundary_loops', 'Open borders', count],
+  ['non_manifold_edges', 'Edges of more than two sides', count],
+  ['triangles', 'Triangles', count],
+  ['steps', 'Steps of training', count],
+  ['seconds', 'Computed in', (seconds) => duration(seconds)],
+];
+const CURVE_POINTS = 200; // as many as its figure has pixels to show
 const LISTED = 6; // files named before "and N more"
 
 const at = (id) => document.getElementById(id);
@@ -18,6 +34,7 @@ const page = document.body;
 let files = [];
 let job = '';
 let turning = 0; // version of the asset in the preview
+let curve = []; // log10 of the training's loss, oldest first
 let looking = Promise.resolve(); // looks at the job, and then previews, one after the other: an older answer never comes last
 let showing = Promise.resolve();
 
@@ -54,6 +71,16 @@ function showKey() {
 
 at('name').addEventListener('input', showKey);
 
+/** What the workers offer; without an answer the automatic choice is all there is. */
+async function offerPresets() {
+  const { presets, default: first } = await getJson('/v1/presets').catch(() => ({ presets: [], default: '' }));
+  const named = presets.filter(({ name, summary }) => name !== first && !summary.startsWith('baseline'));
+  const auto = presets.find(({ name }) => name === first);
+  if (auto) at('preset').options[0].textContent = `Automatic: ${auto.summary || auto.name}`;
+  at('preset').append(...named.map(({ name, summary }) => new Option(summary ? `${name}: ${summary}` : name, name)));
+}
+offerPresets();
+
 // ---- sending --------------------------------------------------------------------------------------------------------
 
 at('form').addEventListener('submit', async (event) => {
@@ -67,7 +94,7 @@ at('form').addEventListener('submit', async (event) => {
       at('detail').textContent = fraction < 1 ? `${Math.round(fraction * 100)} % sent` : 'Checking what was sent';
     });
     showReceipt(capture);
-    const request = { capture: capture.capture, asset_key: keyFrom(name), label: name, isolate: at('isolate').checked };
+    const request = { capture: capture.capture, asset_key: keyFrom(name), label: name, isolate: at('isolate').checked, preset: at('preset').value };
     const made = await postJson('/v1/jobs', request, { 'Idempotency-Key': randomKey() });
     location.hash = `job=${made.id}`;
     watch(made);
@@ -96,8 +123,12 @@ function watch(made) {
   apply(made);
   if (TERMINAL.includes(made.state)) return;
   const stop = followJob(job, (type, data) => {
-    if (type === 'progress') return showProgress(data);
-    looking = looking.then(look);
+    if (type === 'progress') {
+      showProgress(data);
+      showLosses(data.losses);
+    } else {
+      looking = looking.then(look);
+    }
   });
 
   async function look() {
@@ -116,23 +147,42 @@ function apply(now) {
   const published = now.asset || now.preview;
   if (published) showing = showing.then(() => showResult(now, published)).catch(undrawn);
   if (now.state === 'FAILED') trouble(new Problem(now.error || {}));
-  if (now.state === 'CANCELLED') trouble(new Problem({ code: 'CANCELLED', detail: 'The job was cancelled.' }));
+  at('coming').hidden = TERMINAL.includes(now.state) || Boolean(now.asset);
+  if (now.state === 'CANCELLED') trouble(new Problem({ code: 'CANCELLED', detail: 'The job was cancelled.', hints: now.preview ? ['Its preview stays.'] : [] }));
   if (now.state === 'SUCCEEDED') {
     at('work').hidden = true;
-    at('ready').textContent = 'It is ready';
+    at('ready').textContent = now.asset.state === 'refined' ? 'It is ready, refined' : 'It is ready';
+    fill(at('warnings'), now.warnings);
     page.dataset.state = 'done';
   }
 }
 
-function showProgress({ stage, fraction, message }) {
+function showProgress({ stage, fraction, message, eta_s: eta }) {
   if (typeof fraction === 'number') at('bar').value = Math.max(at('bar').value, fraction);
   const index = STAGES.findIndex(([name]) => name === stage);
   at('doing').textContent = index < 0 ? 'Waiting for a worker' : STAGES[index][1];
-  at('detail').textContent = message || '';
+  const left = eta >= 5 && !message?.endsWith(' left') ? `about ${duration(eta)} left` : '';
+  at('detail').textContent = [message, left].filter(Boolean).join(' · ');
   [...at('stages').children].forEach((item, place) => {
     item.dataset.is = place < index ? 'past' : place === index ? 'now' : 'next';
     item.ariaCurrent = place === index ? 'step' : null;
   });
+}
+
+/** A training's loss over its steps: falling is good. */
+function showLosses(losses) {
+  if (!losses?.total) return;
+  curve.push(Math.log10(losses.total));
+  if (curve.length > CURVE_POINTS) curve = curve.filter((_, place) => place % 2 === 0); // the whole course, coarser
+  const [low, high] = [Math.min(...curve), Math.max(...curve)];
+  const across = (place) => (100 * place) / Math.max(1, curve.length - 1);
+  const down = (value) => 28 - (26 * (value - low)) / Math.max(1e-9, high - low);
+  at('losses').setAttribute('points', curve.map((value, place) => `${across(place).toFixed(1)},${down(value).toFixed(1)}`).join(' '));
+  at('curve').toggleAttribute('hidden', curve.length < 3); // an SVG has no such property
+}
+
+function duration(seconds) {
+  return seconds < 100 ? `${Math.round(seconds)} s` : `${Math.round(seconds / 60)} min`;
 }
 
 at('cancel').addEventListener('click', async () => {
@@ -157,11 +207,36 @@ async function showResult(now, published) {
   // Only now: a phone that merely uploads never loads the 3D library.
   const { turn } = await import('./turntable.js');
   const entry = await getJson(`/v1/assets/${encodeURIComponent(now.asset_key)}`);
+  await showCertificate(entry);
   await turn(at('preview'), entry);
   at('preview').hidden = false;
   at('undrawn').hidden = true;
   turning = entry.version;
   page.dataset.preview = turning;
+  page.dataset.shown = entry.state;
+}
+
+/** The figures of the version on show and, in a refined one's manifest, those of the preview that it replaced. */
+async function showCertificate(entry) {
+  const { quality } = await getJson(entry.manifest.url).catch(() => ({}));
+  if (!quality) return;
+  const columns = [quality.preview && ['Preview', quality.preview], [entry.state === 'refined' ? 'Refined' : 'Preview', quality]].filter(Boolean);
+  const rows = FIGURES.filter(([key]) => columns.some(([, figures]) => typeof figures[key] === 'number'));
+  const told = rows.map(([key, label, said]) => [label, ...columns.map(([, figures]) => (typeof figures[key] === 'number' ? said(figures[key]) : '–'))]);
+  at('figures').replaceChildren(row(['', ...columns.map(([name]) => name)]), ...told.map(row));
+  at('certificate').hidden = rows.length === 0;
+}
+
+function row([label, ...cells]) {
+  const made = document.createElement('tr');
+  made.append(cell('th', label), ...cells.map((text) => cell('td', text)));
+  return made;
+}
+
+function cell(kind, text) {
+  const made = document.createElement(kind);
+  made.textContent = text;
+  return made;
 }
 
 /** The asset stands on the store all the same, and the headset can show it. */

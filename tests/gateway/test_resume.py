@@ -1,0 +1,100 @@
+"""A worker that leaves in the middle of a training, by SIGTERM and by kill -9: the job goes on from its checkpoint."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import signal
+import zipfile
+from functools import partial
+from pathlib import Path
+
+import httpx
+
+from services.storage.catalogue import entry
+from services.storage.local import LocalStore
+from tests.edge.test_work import hemisphere_ply
+from tests.gateway import support
+from tests.gateway.support import ended, events, gateway, start
+from tests.gateway.test_kill import Process
+
+# Of some 15 s, for checkpoints are 5 s apart; light, for nothing is learned here.
+_PRESET = """
+resolution = 32
+lod_faces = [2000]
+
+[fit]
+steps = 300
+batch = 100
+pool = 5000
+"""
+
+
+async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: int) -> None:
+    (tmp_path / "presets").mkdir()
+    (tmp_path / "presets" / "brief.toml").write_text(_PRESET)
+    store = LocalStore(tmp_path / "objects")
+    with zipfile.ZipFile(tmp_path / "capture.zip", "w") as packed:
+        packed.writestr("dome.ply", hemisphere_ply())
+    store.put("captures/cap_dome.zip", (tmp_path / "capture.zip").read_bytes(), content_type="application/zip")
+    edge = Process(
+        "services.cli",
+        tmp_path / "edge.log",
+        "edge",
+        EDGE_PORT=unused_tcp_port,
+        EDGE_SCRATCH=tmp_path / "scratch",
+        EDGE_PRESETS=tmp_path / "presets",
+        EDGE_DRAIN_S=0.1,
+        STORAGE_ROOT=store.root,
+        OMP_NUM_THREADS=1,
+    )
+    try:
+        async with gateway(tmp_path / "gw", store, unused_tcp_port, attach_for_s=60.0, silence_s=15.0) as client:
+            await support.until(partial(_is_ready, client), within_s=60)
+            job = await start(client, "cap_dome", "dome", preset="brief")
+            kept = tmp_path / "scratch" / "checkpoints" / job
+            for number in (signal.SIGTERM, signal.SIGKILL):
+                before = _written(kept)
+                await support.until(partial(_newer, kept, before), within_s=60)
+                assert entry(store, "dome").state == "preview"
+                edge.end(number)
+                assert _written(kept), "the checkpoint has gone with the worker"
+                edge.start()
+            done = await ended(client, job, within_s=120)
+            story = await events(client, job)
+    finally:
+        edge.kill()
+    assert (done["state"], done["error"]) == ("SUCCEEDED", None)
+    assert done["attempts"] == 2, "being handed back is no attempt, being killed is one"
+    assert [made["state"] for made in entry(store, "dome").versions].count("preview") == 1
+    assert not kept.exists(), "a job that has ended leaves no checkpoint"
+
+    runs = _steps_by_run(story)
+    assert len(runs) == 3
+    for former, latter in itertools.pairwise(runs):
+        assert latter[0] >= former[-1] // 2, "the training began anew"
+    assert runs[-1][-1] > 200, "the last words of a stage are not all told"
+
+
+async def _is_ready(client: httpx.AsyncClient) -> bool:
+    return (await client.get("/readyz")).is_success
+
+
+async def _newer(folder: Path, before: float) -> bool:
+    return _written(folder) > before
+
+
+def _written(folder: Path) -> float:
+    """When the job's newest checkpoint was written; 0 without one."""
+    return max((path.stat().st_mtime for path in folder.glob("*.checkpoint")), default=0.0)
+
+
+def _steps_by_run(story: list[tuple[int, str, dict[str, object]]]) -> list[list[int]]:
+    """The numbers of the training steps that each run of the job told of."""
+    runs: list[list[int]] = []
+    for _, kind, data in story:
+        if kind == "state" and data["state"] == "RUNNING":
+            runs.append([])
+        elif found := re.match(r"step ([\d,]+) of", str(data.get("message", ""))):
+            runs[-1].append(int(found[1].replace(",", "")))
+    return runs
