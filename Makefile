@@ -1,6 +1,8 @@
 # make demo   a simulated phone capture through everything, ending with the viewer's URL; CAPTURE=path takes your own
 # make test   everything that can be checked on this machine
-# Both do all their own set-up: .venv here, system packages through apt when root.
+# make bench  all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
+# They do all their own set-up: .venv here, system packages through apt when root. A PyTorch that .venv has already, such as the
+# CPU build, stays.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 PYTHON ?= python3

@@ -78,8 +78,8 @@ def _device() -> Iterator[Finding]:
     from services.edge.field.device import find_device
 
     device = find_device("auto")
-    slower = "; trainings take minutes here, seconds on a GPU" if device.name == "cpu" else ""
-    yield Finding("device", "ok", device.description + slower)
+    takes = "; a thing trains in seconds here, a room in a minute or two" if device.name == "cpu" else ""
+    yield Finding("device", "ok", device.description + takes)
 
 
 def _presets() -> Iterator[Finding]:

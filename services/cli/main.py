@@ -27,7 +27,7 @@ def run(
     capture: Annotated[Path, typer.Argument(help="A point cloud, a mesh, an RGB-D folder, or a zip of one.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
     preset: Annotated[str, typer.Option(help="How to reconstruct; `presets` lists them. Else the points decide.")] = "",
-    device: Annotated[str, typer.Option(help="Where to train: cpu, cuda, or auto.")] = "auto",
+    device: Annotated[str, typer.Option(help="Where to train: cpu, cuda, cuda:1, or auto.")] = "auto",
     resolution: Annotated[int, typer.Option(min=0, max=1024, help="Cells along the longest side; 0 chooses.")] = 0,
     isolate: Annotated[bool, typer.Option("--isolate", help="Remove the supporting plane and clutter.")] = False,
     key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",

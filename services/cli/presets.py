@@ -14,7 +14,8 @@ def list_presets() -> None:
     """Print the table; without a name the points decide."""
     table = Table()
     for column in ("preset", "trains", "memory, 10,000 points", "at most"):
-        table.add_column(column, justify="left" if column == "preset" else "right")
+        named = column == "preset"
+        table.add_column(column, justify="left" if named else "right", no_wrap=named)
     table.add_column("", overflow="fold")
     table.add_row(AUTOMATIC, "", "", "", load_preset(AUTOMATIC).summary)
     for preset in map(load_preset, preset_names()):

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 _ROWS = {
-    "held_out": ("held-out points", "that neither surface was made from; both are judged by them", "{:,}"),
+    "held_out": ("held-out points", "that neither surface was made from; with 0 the input points judge", "{:,}"),
     "held_out_mean": ("their mean distance", "to the surface, the longest side being 1", "{:.5f}"),
     "held_out_median": ("median", "", "{:.5f}"),
     "held_out_p95": ("95th percentile", "", "{:.5f}"),
@@ -30,6 +30,7 @@ _ROWS = {
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222 }
 figure { display: inline-block; width: 49%; margin: 0; vertical-align: top } img { width: 100% }
+@media (max-width: 40rem) { figure { width: 100% } }
 table { border-collapse: collapse; margin: 1rem 0 } th, td { text-align: left; padding: .2rem 1rem .2rem 0 }
 td.figure { text-align: right; font-variant-numeric: tabular-nums } small { color: #666 }
 p.warning { border-left: .25rem solid #c80; padding-left: .75rem }
@@ -40,14 +41,16 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """The HTML of a report and of its pictures (PNG) by state, the preview first."""
     title = escape(report["label"] or report["key"])
     certificates = {state: each for state, each in report["certificates"].items() if each}
+    refused = ", not published" if report["verdict"] == "worse" else ""
     return "\n".join(
         [
-            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>',
+            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>',
+            f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style>',
             f"<h1>{title}</h1>",
             *_summary(report),
             *(_figure(state, png) for state, png in pictures.items()),
             "<table><tr><th></th>",
-            *(f"<th>{escape(state)}</th>" for state in certificates),
+            *(f"<th>{escape(state)}{refused if state == 'refined' else ''}</th>" for state in certificates),
             "</tr>",
             *_rows(certificates),
             "</table>",
@@ -60,7 +63,7 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
     size = " × ".join(f"{side:.3g}" for side in report["size_m"])
     chosen = f" ({escape(report['preset_because'])})" if report["preset_because"] else ""
-    yield f"<p>{report['points']:,} points, {size} m ({escape(report['scale_confidence'])}), "
+    yield f"<p>{report['points']:,} points, {size} m (scale {escape(report['scale_confidence'])}), "
     yield f"preset {escape(report['preset'])}{chosen}</p>"
     if report["verdict"]:
         yield f"<p>The refined surface is <b>{_VERDICTS[report['verdict']]}</b>: {escape(report['because'])}</p>"

@@ -209,7 +209,7 @@ def _print_result(out: Path, report: dict[str, Any]) -> None:
     lods = ", ".join(f"{lod['triangles']:,}" for lod in report["lods"])
     console.print(
         f"{report['points']:,} points → {quality['triangles']:,} triangles in {quality['components']:,} pieces, "
-        f"{quality['non_manifold_edges']:,} non-manifold edges; {size} m ({report['scale_confidence']})"
+        f"{quality['non_manifold_edges']:,} non-manifold edges; {size} m (scale {report['scale_confidence']})"
     )
     console.print(f"LODs {lods} triangles; {sum(seconds.values()):.1f} s in all")
     if report["preset_because"]:

@@ -178,7 +178,7 @@ def compare(preview: Certificate, refined: Certificate) -> Verdict:
     figures = (
         f"mean distance to {judges} {refined.held_out_mean:.5f} after {preview.held_out_mean:.5f} (± {error:.5f}), "
         f"coverage {refined.coverage:.1%} after {preview.coverage:.1%}, "
-        f"{refined.components:,} pieces after {preview.components:,}"
+        f"pieces {refined.components:,} after {preview.components:,}"
     )
     if any(faults.values()):
         said = ", ".join(fault for fault, found in faults.items() if found)

@@ -43,7 +43,7 @@ STAGE_STARTS = {
 # The same of the second pass, whose training takes most of its time.
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.92, "PACKING": 0.94, "PUBLISHING": 0.99}
 PREVIEW_SHARE = 0.15  # of the bar, where a second pass follows
-PREVIEW_FINEST = 384  # cells: a preview is there within seconds, however fine its preset
+PREVIEW_FINEST = 256  # cells of a preview that is followed: it is to be there within seconds
 EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
 
@@ -98,7 +98,8 @@ def reconstruct(
     evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held == 1]))
     subject = Subject(capture, preset, because, label, shown, unit, xyz_unit, evidence)
 
-    preview = yield from _surface(distance, xyz_unit, subject, min(preset.finest, PREVIEW_FINEST), clock, bar)
+    finest = min(preset.finest, PREVIEW_FINEST) if preset.fit else preset.finest
+    preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
     yield from _bundle(preview.mesh_unit, subject, "preview", quality, (), clock, bar)
     if preset.fit:
@@ -144,7 +145,9 @@ def _surface(
     distance: DistanceFn, near: Floats, subject: Subject, finest: int, clock: Clock, bar: Bar
 ) -> Generator[Progress, None, Surface]:
     """Mesh a field whose surface lies near the points (N,3), and measure it."""
-    resolution = subject.preset.resolution or auto_resolution(near, high=finest)
+    resolution = subject.preset.resolution or auto_resolution(
+        near, high=finest, cells_per_spacing=subject.preset.cells_per_spacing
+    )
     yield bar.starts("EXTRACTING", f"{resolution} cells along the longest side")
     with clock("EXTRACTING"):
         tick = bar.inside("EXTRACTING")

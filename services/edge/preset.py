@@ -19,7 +19,7 @@ AUTOMATIC = "auto"
 _ORDER = ("draft", "standard", "fine", "scene")  # from quick to thorough, as people read them; baselines come behind
 _POINT_BYTES = 400  # of a capture: 1,000,000 points take 400 MB on their way to the 200,000 that are kept
 _CELL_BYTES = 1_500  # per cell of the surface, some resolution² of them: 384 cells take 220 MB while extracting
-_CELLS = (48, 2.0)  # the least along a side, and per √points: random points of folded cloth fill 1.0
+_CELLS = (48, 4 / 3)  # the least along a side, and per √points and cell per spacing: folded cloth fills half of it
 
 T = TypeVar("T")
 
@@ -28,7 +28,8 @@ T = TypeVar("T")
 class Preset:
     """Settings of one reconstruction.
 
-    resolution   grid cells along the longest side; 0 chooses from the spacing of the points
+    resolution   grid cells along the longest side; 0 chooses from the spacing of the points, giving each of them
+                 `cells_per_spacing`
     finest       the most cells that choice may take: 384 on a room gives some 300,000 triangles, three times LOD 0
     most_points  points that the field is fitted to; more are thinned evenly first. 200,000 points give some 400,000
                  triangles, four times the finest LOD, in about 30 s on two cores
@@ -41,6 +42,7 @@ class Preset:
     name: str
     summary: str = ""
     resolution: int = 0
+    cells_per_spacing: float = 1.5
     finest: int = 384
     most_points: int = 200_000
     lod_faces: tuple[int, ...] = (100_000, 25_000, 5_000)
@@ -82,8 +84,9 @@ def parse_preset(name: str, text: str) -> Preset:
 
 
 def memory_bytes(preset: Preset, points: int, device: str = "cpu") -> int:
-    """The most memory that a reconstruction of that many points takes, the interpreter's own 200 MB not counted."""
-    cells = preset.resolution or min(preset.finest, max(_CELLS[0], int(_CELLS[1] * points**0.5)))
+    """The most memory that a reconstruction of that many points takes, the interpreter's own 350 MB not counted."""
+    filled = max(_CELLS[0], int(_CELLS[1] * preset.cells_per_spacing * points**0.5))
+    cells = preset.resolution or min(preset.finest, filled)
     mesh = _POINT_BYTES * points + _CELL_BYTES * cells**2
     if preset.fit is None:
         return mesh

@@ -41,10 +41,10 @@ class Training:
     halved: bool = False
 
     def lower(self) -> tuple[Training, str] | None:
-        """The same in less memory of a GPU, and what to say of it: half the batch, then the CPU, then nothing."""
+        """The same in less memory of a GPU, and what to say of it: half a network's batch, the CPU, then nothing."""
         if self.device == "cpu":
             return None
-        if not self.halved:
+        if not self.halved and self.config.model != "anchors":  # a step of anchors sees them all
             smaller = replace(self.config, batch=max(1, self.config.batch // 2))
             return replace(self, config=smaller, halved=True), "the batch was halved"
         return replace(self, device="cpu"), "it was trained on the CPU"
@@ -65,21 +65,22 @@ class Trained:
     warnings: tuple[str, ...]
 
 
-def train(
-    training: Training, clock: Clock, bar: Bar, warnings: tuple[str, ...] = ()
-) -> Generator[Progress, None, Trained]:
+def train(training: Training, clock: Clock, bar: Bar) -> Generator[Progress, None, Trained]:
     """Train to the end. Raises EdgeError as `fit` does, GPU_OOM only where stepping down does not help."""
-    try:
-        with clock("FITTING"):
-            return (yield from _steps(training, bar, warnings))
-    except EdgeError as error:
-        below = training.lower()
-        if error.code != "GPU_OOM" or below is None:
-            raise
-        lower, said = below
-        if lower.checkpoint:  # of another batch or another device
-            lower.checkpoint.unlink(missing_ok=True)
-        return (yield from train(lower, clock, bar, (*warnings, f"{error.message}; {said}")))
+    warnings: tuple[str, ...] = ()
+    while True:
+        try:
+            with clock("FITTING"):
+                return (yield from _steps(training, bar, warnings))
+        except EdgeError as error:
+            below = training.lower()
+            if error.code != "GPU_OOM" or below is None:
+                raise
+            training, said = below
+            warnings = (*warnings, f"{error.message}; {said}")
+        # Here, not inside: the error holds the frames that it came through, and they the tensors that filled the GPU.
+        if training.checkpoint:  # of another batch or another device
+            training.checkpoint.unlink(missing_ok=True)
 
 
 def _steps(training: Training, bar: Bar, warnings: tuple[str, ...]) -> Generator[Progress, None, Trained]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,8 @@ from services.edge.field.agreement import LOOSE, NEIGHBOURS, Edges, agreement_lo
 from services.edge.field.anchor_fit import fit_anchors
 from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors, surface_at
 from services.edge.field.config import FitConfig
-from services.edge.field.noise import Noise
+from services.edge.field.denoise import denoise
+from services.edge.field.noise import Noise, noise_level
 from services.edge.field.patches import TERMS, fit_patches
 from services.edge.field.planes import fit_planes
 from services.edge.mesh.nouns import Mesh
@@ -174,6 +174,18 @@ def test_strays_and_clean_points_are_not_told() -> None:
     assert np.count_nonzero(scan.trust(1.0)) == 1
 
 
+def test_a_stray_of_a_real_denoising_is_not_told() -> None:
+    xyz = surfaces.sampled(surfaces.smooth_sheet(), 2_000, noise=0.005)
+    xyz[:5, 2] += 0.04  # eight standard deviations
+    smooth = denoise(xyz)
+    stayed = (smooth == xyz).all(axis=1)
+    assert stayed[:5].any()
+    anchors = curved_anchors(local_field(smooth).patches)
+    told = trust.scan_of(xyz, noise_level(xyz, cKDTree(xyz)), anchors).told
+    assert not told[stayed].any()
+    assert told.mean() > 0.9
+
+
 def test_training_beats_the_local_field_where_points_are_sparse() -> None:
     skirt = surfaces.pleated_skirt()
     xyz = surfaces.sampled(skirt, 1_000)
@@ -197,8 +209,9 @@ def test_clean_points_stay_on_the_surface() -> None:
 
 def test_steps_count_up_and_every_one_has_a_field_and_losses() -> None:
     steps = list(fit_anchors(surfaces.sampled(surfaces.hemisphere(), 300), replace(CONFIG, steps=4)))
-    assert [step.number for step in steps] == [1, 2, 3, 4, 5, 6]
-    assert all(step.of == 6 and np.isfinite(step.losses["total"]) for step in steps)
+    assert [step.number for step in steps if step.losses] == [1, 2, 3, 4, 5, 6]
+    assert all(step.number == 0 for step in steps[:-6])  # of the set-up
+    assert all(step.of == 6 and np.isfinite(step.losses["total"]) for step in steps[-6:])
     assert all(np.isfinite(step.field(np.zeros((1, 3)))[0]).all() for step in steps)
 
 
@@ -217,10 +230,24 @@ def test_a_killed_fit_ends_as_if_it_had_not_been(
     config = replace(CONFIG, steps=8)
     whole = list(fit_anchors(xyz, config))
     assert whole[-1].number == 32  # five trials, the first round and the second
-    list(islice(fit_anchors(xyz, config, checkpoint=tmp_path / "fit.pt"), killed_after))
+    steps = fit_anchors(xyz, config, checkpoint=tmp_path / "fit.pt")
+    next(step for step in steps if step.number == killed_after)
+    steps.close()
     rest = list(fit_anchors(xyz, config, checkpoint=tmp_path / "fit.pt"))
-    assert rest[0].number == killed_after + 1
+    assert next(step.number for step in rest if step.losses) == killed_after + 1
     np.testing.assert_array_equal(rest[-1].field(xyz)[0], whole[-1].field(xyz)[0])
+
+
+def test_a_fit_killed_behind_its_last_step_still_gives_its_field(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checkpoints, "SECONDS", 0.0)
+    xyz, config = surfaces.sampled(surfaces.hemisphere(), 300), replace(CONFIG, steps=4)
+    *_, whole = fit_anchors(xyz, config, checkpoint=tmp_path / "fit.pt")
+    *_, again = fit_anchors(xyz, config, checkpoint=tmp_path / "fit.pt")
+    assert (again.number, again.of) == (whole.number, whole.of)
+    assert isinstance(again.field, AnchorField)
+    np.testing.assert_array_equal(again.field(xyz)[0], whole.field(xyz)[0])
 
 
 def test_too_few_points_are_named() -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from services.edge.arrays import Floats
 from services.edge.field import checkpoint as checkpoints
@@ -73,6 +74,12 @@ def test_how_often_it_is_written_changes_nothing(
     monkeypatch.setattr(checkpoints, "SECONDS", 1e9)
     np.testing.assert_array_equal(fitted(tmp_path / "fit")[0], straight)
     assert not (tmp_path / "fit").exists()
+
+
+def test_a_folder_that_an_older_lease_took_along_is_made_again(tmp_path: Path) -> None:
+    path = tmp_path / "job_1" / "2.checkpoint"
+    checkpoints.save(path, {"done": 3}, "mark")
+    assert checkpoints.load(path, "mark", torch.device("cpu")) == {"done": 3}
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"\x80\x02.", None])

@@ -70,7 +70,7 @@ def test_metres_count_only_where_they_are_known() -> None:
     assert traits_of(points(xyz), gpu=True).extent_m == 0
 
 
-@pytest.mark.parametrize("count", [2, 20, 200])
+@pytest.mark.parametrize("count", [2, 20, 90])
 def test_the_smallest_clouds_have_traits_too(count: int) -> None:
     traits = traits_of(points(sampled(sheet(), count)), gpu=False)
     assert np.isfinite(traits.spacing)

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from itertools import islice, pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +19,7 @@ from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
 from services.edge.field import local_field
 from services.edge.field.config import Densify, FitConfig
-from services.edge.field.devices import memory_errors_named, open_device
+from services.edge.field.devices import captured, memory_errors_named, open_device
 from services.edge.field.fit import Step, fit
 from services.edge.field.schedule import learning_rate
 from tests import surfaces
@@ -136,6 +141,31 @@ def test_the_rate_rises_and_falls_twice() -> None:
     assert rates[100] == 0.01  # a tenth of the steps, where warm_up asks for more
     assert rates[-1] < 1e-5
     assert all(a >= b for a, b in pairwise(rates[200:]))
+
+
+def test_fits_capture_one_at_a_time_each_on_a_stream_of_its_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    streams, inside = [], []
+
+    @contextmanager
+    def capture(graph: object, *, stream: str, capture_error_mode: str) -> Iterator[None]:
+        inside.append(stream)
+        assert len(inside) == 1
+        time.sleep(0.01)
+        yield
+        inside.pop()
+
+    def stream_of(device: torch.device) -> str:
+        streams.append(str(device))
+        return f"of {device}"
+
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: SimpleNamespace(replay="the replay"))
+    monkeypatch.setattr(torch.cuda, "graph", capture)
+    monkeypatch.setattr(torch.cuda, "Stream", stream_of)
+    monkeypatch.setattr(torch.cuda, "stream", nullcontext)
+    with ThreadPoolExecutor(4) as pool:
+        runs = list(pool.map(lambda _: captured(lambda: None, torch.device("cuda:1")), range(4)))
+    assert runs == ["the replay"] * 4
+    assert streams == ["cuda:1"] * 4
 
 
 @pytest.mark.gpu

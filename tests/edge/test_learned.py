@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from services.edge.arrays import Floats
+from services.edge.errors import EdgeError
 from services.edge.field.config import FitConfig
 from services.edge.field.learned import CHUNK, learned_field
 from services.edge.field.networks import network_of
@@ -49,3 +52,13 @@ def test_it_evaluates_the_weights_as_they_stand() -> None:
     with torch.no_grad():
         network.out_bias += 0.1  # type: ignore[operator]
     assert np.abs(field(POINTS)[0] - before).mean() > 0.01
+
+
+def test_a_gpu_that_is_full_when_the_field_is_asked_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(q: Floats) -> tuple[Floats, Floats]:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB.")
+
+    monkeypatch.setattr(FIELD, "_of_network", full)
+    with pytest.raises(EdgeError) as raised:
+        FIELD(POINTS)
+    assert raised.value.code == "GPU_OOM"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from services.edge.field.run import Step
 from services.edge.pipeline import PreviewKept, reconstruct
 from services.edge.preset import Preset
 from services.edge.progress import Progress
+from services.edge.training import Training
 from services.storage.bundle import Bundle
 
 Said = Progress | Bundle | PreviewKept
@@ -183,6 +185,33 @@ def test_a_full_gpu_halves_the_batch_then_trains_on_the_cpu(monkeypatch: pytest.
     assert "the GPU is full; it was trained on the CPU" in refined["warnings"]
     fractions = [each.fraction for each in said if isinstance(each, Progress)]
     assert fractions == sorted(fractions)
+
+
+def test_a_step_down_finds_the_memory_of_the_failed_try_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    filled: list[weakref.ref[np.ndarray]] = []
+    alive: list[int] = []
+
+    def fills_a_gpu(xyz_unit: np.ndarray, config: FitConfig, *, device: str, **_: Any) -> Iterator[Step]:
+        alive.append(sum(each() is not None for each in filled))
+        tensors = np.zeros(1000)
+        filled.append(weakref.ref(tensors))
+        if device != "cpu":
+            raise EdgeError("GPU_OOM", "the GPU is full")
+        yield from perfect_fit(xyz_unit, config)
+
+    monkeypatch.setattr(fit_module, "fit", fills_a_gpu)
+    list(reconstruct(bowl(), TINY_PRESET, device="cuda:0"))
+    assert alive == [0, 0, 0]
+
+
+def test_anchors_know_no_batch_and_step_down_to_the_cpu_at_once() -> None:
+    config = replace(TINY, model="anchors")
+    nothing = np.empty((0, 3))
+    training = Training(nothing, config, "cuda:0", lambda q: (q[:, 0], q), nothing, nothing)
+    lower = training.lower()
+    assert lower is not None
+    assert (lower[0].device, lower[0].config) == ("cpu", config)
+    assert lower[0].lower() is None
 
 
 @pytest.mark.usefixtures("perfect")

@@ -69,7 +69,7 @@ def test_an_unknown_key_is_an_error_that_names_it(text: str, named: str) -> None
         ("denoised = 1", "is not true or false"),
         ("fit = 3", "fit = 3 is not a table"),
         ("[fit]\nsteps = true", "fit.steps = True is not a whole number"),
-        ('[fit]\nmodel = "larger"', "fit.model = 'larger' is not 'separable' or"),
+        ('[fit]\nmodel = "larger"', "fit.model = 'larger' is not 'anchors' or"),
         ("[fit]\ndensify = 3", "fit.densify = 3 is not a table"),
     ],
 )

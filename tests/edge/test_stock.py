@@ -29,9 +29,9 @@ def test_the_automatic_choice_is_the_default_and_every_preset_states_its_bound()
 
 def test_what_never_fits_is_withheld_and_what_trains_nothing_is_not() -> None:
     known = known_presets(None)
-    offer = offer_of(known, CPU, memory_bytes(known["standard"], 0))
-    assert {"auto", "draft", "standard"} <= set(offer.names)
-    assert "cap-udf" in {preset.name for preset in offer.withheld}
+    offer = offer_of(known, CPU, memory_bytes(known["draft"], 0))
+    assert {"auto", "draft"} <= set(offer.names)
+    assert "standard" in {preset.name for preset in offer.withheld}
 
 
 def test_an_operators_presets_stand_behind_the_products(tmp_path: Path) -> None:
@@ -77,6 +77,8 @@ def test_a_gpu_that_is_not_there_is_named() -> None:
     with pytest.raises(EdgeError, match="there is no cuda:3: ") as error:
         find_device("cuda:3")
     assert error.value.code == "DEVICE_ABSENT"
+    with pytest.raises(EdgeError, match="devices are named"):
+        find_device("cuda:x")
 
 
 @pytest.mark.gpu

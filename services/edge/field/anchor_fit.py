@@ -42,7 +42,7 @@ from services.edge.field.agreement import (
 from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors
 from services.edge.field.config import FitConfig
 from services.edge.field.denoise import denoise
-from services.edge.field.devices import captured, memory_errors_named, open_device
+from services.edge.field.devices import captured, memory_errors_named, open_device, side_by_side
 from services.edge.field.local import LocalField, local_field
 from services.edge.field.noise import noise_level
 from services.edge.field.run import PER_YIELD, Step
@@ -185,7 +185,7 @@ class _AnchorFit:
         edges = edges_between(anchors, neighbours, tolerance, self._device)
         return Round(
             anchors,
-            edges.parts(BLOCK[self._device.type]),
+            edges.parts(_block(edges, self._device)),
             tolerance,
             tensor(scan.height - anchors.terms[:, 0]),  # the height of the base at its own point
             tensor(trust),
@@ -201,6 +201,8 @@ class _AnchorFit:
         cuda = self._device.type == "cuda"
         optimiser = torch.optim.Adam([shape], lr=rate, betas=MOMENTS, fused=True, capturable=cuda)
         done = self._resume(shape, optimiser, rate)
+        if done == current.steps:  # killed behind its last step: whoever looks at the last one must see this field
+            yield self._step(done, {}, current, shape)
         values = torch.zeros(len(LOSSES), device=self._device)
 
         def descent() -> None:
@@ -265,16 +267,30 @@ class _AnchorFit:
 
 def _descend(shape: Tensor, current: Round) -> Tensor:
     """Add the gradients of all losses to the shape's, block by block; the losses, as `LOSSES` names them."""
+
+    def descend(block: Edges) -> tuple[Tensor, Tensor, Tensor]:
+        own = shape.detach().requires_grad_()
+        of_distance, of_gradient = agreement_losses(own * current.free, block, current.tolerance)
+        slope = torch.autograd.grad(of_distance + GRADIENT * of_gradient, own)[0]
+        return of_distance.detach(), of_gradient.detach(), slope
+
     agreement, gradient = shape.new_zeros(()), shape.new_zeros(())
-    for block in current.edges:
-        of_distance, of_gradient = agreement_losses(shape * current.free, block, current.tolerance)
-        (of_distance + GRADIENT * of_gradient).backward()  # type: ignore[no-untyped-call]
-        agreement, gradient = agreement + of_distance.detach(), gradient + of_gradient.detach()
+    shape.grad = torch.zeros_like(shape)
+    # Summed in the order of the blocks, whichever thread is done first: fits must repeat.
+    for of_distance, of_gradient, slope in side_by_side(descend, current.edges, shape.device):
+        agreement, gradient = agreement + of_distance, gradient + of_gradient
+        shape.grad += slope
     surface = surface_loss(shape[:, 0] * current.free[:, 0], current.height, current.trust)
     flatness = flatness_loss(shape)
     (surface + FLATNESS * flatness).backward()  # type: ignore[no-untyped-call]
     total = agreement + GRADIENT * gradient + surface.detach() + FLATNESS * flatness.detach()
     return torch.stack([total, agreement, gradient, surface.detach(), flatness.detach()])
+
+
+def _block(edges: Edges, device: torch.device) -> int:
+    """Edges a block: on a CPU at least four blocks, which threads can share."""
+    count = len(edges.first)
+    return min(BLOCK[device.type], -(-count // 4) if device.type == "cpu" else count) or 1
 
 
 def _rise_and_fall(step: int, steps: int) -> float:

@@ -39,6 +39,8 @@ def fingerprint(config: FitConfig, device: torch.device, *arrays: Floats | None)
 
 def save(path: Path, state: State, mark: str) -> None:
     """Replace the file at `path`. Raises OSError where the disk will not."""
+    # An older lease of the job that ends now removes the folder, if nothing is in it yet.
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     torn = path.with_name(path.name + ".part")
     with torn.open("wb") as file:
         torch.save({**state, "fingerprint": mark}, file)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from typing import Any
 
 from services.edge.errors import EdgeError
+
+_NAME = re.compile(r"auto|cuda(:\d+)?", re.ASCII)
 
 _GPU_SHARE = 0.9
 """Of the memory that is free on a GPU when the worker starts: kernels, the context and fragments take the rest."""
@@ -28,6 +31,8 @@ def find_device(wanted: str) -> Device:
     """
     if wanted == "cpu":
         return _cpu()
+    if not _NAME.fullmatch(wanted):
+        raise _absent(wanted, "devices are named cpu, cuda, cuda:N and auto")
     try:
         import torch
     except ImportError:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -13,8 +16,14 @@ from torch import Tensor
 
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
+from services.edge.threads import in_threads
 
 _log = logging.getLogger(__name__)
+
+_capturing = threading.Lock()
+
+In = TypeVar("In")
+Out = TypeVar("Out")
 
 Nearest = Callable[[Tensor], Tensor]
 """(M,3) -> index (M,) of the nearest point to each."""
@@ -88,19 +97,44 @@ def rows(table: Tensor, index: Tensor) -> Tensor:
     return torch.nn.functional.embedding(index, table)
 
 
+def side_by_side(work: Callable[[In], Out], blocks: Sequence[In], device: torch.device) -> list[Out]:
+    """The work's results in the order of the blocks; on threads of one core each, where torch may use several.
+
+    torch's own threads split every small operation and spin between two of them: beside other work on the cores a step
+    then takes four times as long as on one. Graph capture belongs to one thread, so a GPU's blocks go one by one.
+    """
+    threads = torch.get_num_threads()
+    if threads == 1 or len(blocks) == 1 or device.type != "cpu":
+        return [work(block) for block in blocks]
+
+    def alone(block: In) -> Out:
+        torch.set_num_threads(1)  # this thread's; and the default of threads to come, which is set back below
+        return work(block)
+
+    try:
+        return in_threads(alone, blocks)
+    finally:
+        torch.set_num_threads(threads)
+
+
 def captured(step: Callable[[], None], device: torch.device) -> Callable[[], None]:
     """On a GPU the step as one CUDA graph, for small kernels are bound by their launches; elsewhere the step itself.
 
     The step must read and write only tensors that stay where they are, and must have run a few times before, for
     allocators, cuBLAS and Adam's state to settle. The capture itself computes nothing. What cannot be captured runs
-    as it is.
+    as it is. May be called from the threads of several jobs.
     """
     if device.type != "cuda":
         return step
     try:
         graph = torch.cuda.CUDAGraph()
+        # One at a time, for a capture begins by waiting for the device, which ends another's. On a stream of its own:
+        # the usual one is shared by all threads, and is of the first GPU. The outer context leaves it even where the
+        # capture cannot begin.
+        stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
         # Other jobs of this worker use the GPU from their threads meanwhile; only this thread must keep to the rules.
-        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+        capture = partial(torch.cuda.graph, graph, stream=stream, capture_error_mode="thread_local")
+        with _capturing, torch.cuda.stream(stream), capture():
             step()
     except torch.cuda.OutOfMemoryError:
         raise

@@ -11,6 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import DistanceFn, Floats
+from services.edge.field.devices import memory_errors_named
 from services.edge.field.networks import FieldNetwork
 from services.edge.field.planes import SPACING_RANK, rank_spacing
 from services.edge.threads import in_threads, slices
@@ -42,7 +43,8 @@ class LearnedField:
         index = np.concatenate([np.empty(0, np.int64), *(i for _, i in found)])
         far = away > self._reach[index]
         f, gradient = np.asarray(away, np.float32), np.empty((len(q), 3), np.float32)
-        f[~far], gradient[~far] = self._of_network(q[~far])
+        with memory_errors_named(f"the field at {len(q):,} places"):
+            f[~far], gradient[~far] = self._of_network(q[~far])
         gradient[far] = (q[far] - self._points[index[far]]) / away[far, None]
         return f, gradient
 

@@ -29,8 +29,10 @@ def point_spacing(near: Floats, tree: cKDTree | None = None) -> Floats:
     return np.maximum(spacing, floor)
 
 
-def auto_resolution(near: Floats, *, low: int = 48, high: int = 512) -> int:
-    """Cells along the longest side that the points can fill: 1.5 cells per mean spacing, a multiple of 8."""
+def auto_resolution(
+    near: Floats, *, low: int = 48, high: int = 512, cells_per_spacing: float = CELLS_PER_SPACING
+) -> int:
+    """Cells along the longest side that the points can fill: so many per mean spacing, a multiple of 8."""
     side = float(np.ptp(near, axis=0).max())
-    cells = CELLS_PER_SPACING * side / float(np.median(point_spacing(near)))
+    cells = cells_per_spacing * side / float(np.median(point_spacing(near)))
     return int(np.clip(8 * round(cells / 8), low, high))
