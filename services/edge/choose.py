@@ -19,7 +19,7 @@ from services.edge.points.nouns import Points
 
 Preset = Literal["draft", "standard", "fine", "scene"]
 
-FEWEST = 100  # points: of fewer, the neighbours that train a patch are half the cloud
+FEWEST = 200  # points: of fewer, the neighbours that train a patch are a tenth of the cloud and more
 ROOM_M = 3.0  # longest side from which on a metric capture is a room or a street, not a thing
 CROWD = 150_000  # points from which on a cloud of unknown scale is one: things come from phones with 5,000 to 100,000
 FINE_SPACING = 1 / 80  # of the longest side, 6,000 points of a garment: sparser, the points hold no detail for `fine`

@@ -94,7 +94,7 @@ def reconstruct(
     with clock("FITTING"):
         unit = unit_frame(shown.xyz)
         xyz_unit = denoise(unit.to_unit(shown.xyz), tick=bar.inside("FITTING"))
-        distance = local_field(xyz_unit)
+        distance = local_field(xyz_unit, tick=bar.inside("FITTING"))
     evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held == 1]))
     subject = Subject(capture, preset, because, label, shown, unit, xyz_unit, evidence)
 

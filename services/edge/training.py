@@ -89,7 +89,7 @@ def _steps(training: Training, bar: Bar, warnings: tuple[str, ...]) -> Generator
     from services.edge.field.fit import fit
 
     config = training.config
-    yield bar.starts("FITTING", f"training on {training.device}, {config.total_steps:,} steps")
+    yield bar.starts("FITTING", f"training on {training.device}")
     steps = fit(
         training.xyz_unit,
         config,

@@ -18,8 +18,8 @@ import torch
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
 from services.edge.field import local_field
+from services.edge.field.compute import captured, memory_errors_named, open_device
 from services.edge.field.config import Densify, FitConfig
-from services.edge.field.devices import captured, memory_errors_named, open_device
 from services.edge.field.fit import Step, fit
 from services.edge.field.schedule import learning_rate
 from tests import surfaces

@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from services.edge.field.compute import nearest, nearest_by_blocks, rows
 from services.edge.field.config import FitConfig
-from services.edge.field.devices import nearest, nearest_by_blocks, rows
 from services.edge.field.queries import PADDING, Batches, Pool, draw_pool, pool_size
 from tests import surfaces
 

@@ -6,8 +6,8 @@ d_i, g_i     signed distance and gradient of the patch of i (`anchors.py`); o_i 
 
     L_d = Σ w_ij ρ_c((d_i(m) − s_ij d_j(m))²/h_ij²) / N       strong and weak evaluation of (6): two predictions of one
     L_g = Σ w_ij ρ_k(1 − (g_i(m)·g_j(m))²) / N                place, made from different points, agree; so do gradients
-    L_p = mean μ_i (o_i − z_i)²/σ_i²                          the surface term (4); z_i: the point's height as scanned
-    L_c = mean (c₁² + c₂² + c₃²)                              keeps patches with few neighbours flat
+    L_p = mean μ_i (o_i − z_i)²/σ_i²                          the surface term (4); z_i: the scanned point over the base
+    L_c = mean (c₁² + c₂² + c₃²)                              keeps patches with few neighbours near their base
 
     w_ij = exp(−(0.6 |x_j−x_i|/h_ij)²) · exp(−(offset across the mean plane / layer h_ij)²) · |n_i·n_j|^p
 
@@ -25,7 +25,7 @@ from torch import Tensor
 
 from services.edge.arrays import Floats, Ints
 from services.edge.field.anchors import Anchors, base, surface_at
-from services.edge.field.devices import rows
+from services.edge.field.compute import rows
 from services.edge.field.quadrics import TINY
 
 NEIGHBOURS = 20  # with 10 a dress is 4 % farther off, with 24 it is the same

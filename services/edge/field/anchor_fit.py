@@ -11,7 +11,6 @@ gather and some sums over 8 to 10 edges a point: 30 ms for 10,000 points on one 
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +22,6 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from services.edge.arrays import DistanceFn, Floats, Ints
-from services.edge.errors import EdgeError
 from services.edge.field import checkpoint as checkpoints
 from services.edge.field import trust as trusts
 from services.edge.field.agreement import (
@@ -40,22 +38,22 @@ from services.edge.field.agreement import (
     surface_loss,
 )
 from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors
+from services.edge.field.compute import captured, memory_errors_named, open_device, side_by_side
 from services.edge.field.config import FitConfig
 from services.edge.field.denoise import denoise
-from services.edge.field.devices import captured, memory_errors_named, open_device, side_by_side
 from services.edge.field.local import LocalField, local_field
 from services.edge.field.noise import noise_level
-from services.edge.field.run import PER_YIELD, Step
+from services.edge.field.run import PER_YIELD, UNCAPTURED, Step, checked_points, refuse_divergence
+from services.edge.field.schedule import rise_and_fall
 from services.edge.field.trust import CANDIDATES, Scan
 
 LEAST_POINTS = 2 * NEIGHBOURS  # fewer than twice a patch's neighbours leave nothing that could agree
 FIRST_SHARE = 0.5  # of the config's steps: the trials and the first round need the normals, not the last digit
-RISE = 0.1  # of a round's steps; then a cosine to 0
 MOMENTS = (0.9, 0.99)  # of Adam: the usual 0.999 remembers longer than a round lasts
 BLOCK = {"cpu": 1 << 17, "cuda": 1 << 21}  # edges at once: the activations of one take some 300 bytes
+LEAST_FREEDOM = 1e-3  # of an offset that was not free at all and is 0: keeps it from dividing by 0
 EXPLODED = 1e3  # a loss above this: robust terms of anchors in their own spacings stay below 1
 LOSSES = ("total", "agreement", "gradient", "surface", "flatness")
-UNCAPTURED = 3  # steps before the capture: allocators and Adam's state settle
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +87,7 @@ def fit_anchors(
     Raises EdgeError FIT_TOO_FEW_POINTS, FIT_DIVERGED, GPU_OOM, DEVICE_ABSENT, and ValueError for points that are not
     finite.
     """
-    xyz = _checked(xyz_unit)
+    xyz = checked_points(xyz_unit, LEAST_POINTS)
     start = base if isinstance(base, LocalField) else local_field(denoise(xyz))
     if len(start.patches.xyz) != len(xyz):
         raise ValueError(f"a local field of {len(start.patches.xyz)} points is no base for {len(xyz)}")
@@ -195,7 +193,9 @@ class _AnchorFit:
 
     def _train(self, current: Round) -> Generator[Step, None, Tensor]:
         """The steps of one round; returns the shapes it ends with."""
-        shape = torch.as_tensor(current.anchors.shape, device=self._device).clone().requires_grad_()
+        # What is trained is the shape before its offset's share of freedom.
+        shape = torch.as_tensor(current.anchors.shape, device=self._device) / current.free.clamp_min(LEAST_FREEDOM)
+        shape.requires_grad_()
         # A tensor, for a captured step reads it from where it was.
         rate = torch.tensor(self._config.learning_rate, device=self._device)
         cuda = self._device.type == "cuda"
@@ -212,14 +212,14 @@ class _AnchorFit:
 
         run, start = descent, done
         while done < current.steps:
-            rate.fill_(self._config.learning_rate * _rise_and_fall(done, current.steps))
+            rate.fill_(self._config.learning_rate * rise_and_fall(done, current.steps, current.steps))
             run()
             done += 1
             if done - start == UNCAPTURED:
                 run = captured(descent, self._device)
             if done % PER_YIELD[self._device.type] == 0 or done == current.steps:
                 losses = dict(zip(LOSSES, values.tolist(), strict=True))
-                self._refuse_divergence(losses)
+                refuse_divergence(losses, EXPLODED, self._config, done)
                 self._write(shape, optimiser, done)
                 yield self._step(done, losses, current, shape)
         return (shape * current.free).detach()
@@ -232,18 +232,6 @@ class _AnchorFit:
         if number >= self._trials:
             anchors = replace(current.anchors, shape=(shape * current.free).detach().cpu().numpy().copy())
         return Step(before + done, self._of, losses, AnchorField(anchors))
-
-    def _refuse_divergence(self, losses: Mapping[str, float]) -> None:
-        if losses["total"] < EXPLODED:  # false for NaN too
-            return
-        raise EdgeError(
-            "FIT_DIVERGED",
-            f"the fit of {len(self._xyz):,} anchors diverged: its loss is {losses['total']:.3g}",
-            hints=(
-                "keep the preview, which needs no fit",
-                f"choose a preset with a learning rate below {self._config.learning_rate:g}",
-            ),
-        )
 
     def _write(self, shape: Tensor, optimiser: torch.optim.Adam, done: int) -> None:
         if self._checkpoint is None or time.monotonic() - self._written < checkpoints.SECONDS:
@@ -291,25 +279,3 @@ def _block(edges: Edges, device: torch.device) -> int:
     """Edges a block: on a CPU at least four blocks, which threads can share."""
     count = len(edges.first)
     return min(BLOCK[device.type], -(-count // 4) if device.type == "cpu" else count) or 1
-
-
-def _rise_and_fall(step: int, steps: int) -> float:
-    rise = max(1, int(RISE * steps))
-    if step < rise:
-        return (step + 1) / rise
-    return 0.5 * (1 + math.cos(math.pi * (step - rise) / max(1, steps - rise)))
-
-
-def _checked(xyz_unit: Floats) -> Floats:
-    xyz = np.ascontiguousarray(xyz_unit, np.float64)
-    if xyz.ndim != 2 or xyz.shape[1] != 3:
-        raise ValueError(f"a fit needs (N,3) points, not {xyz.shape}")
-    if not np.isfinite(xyz).all():
-        raise ValueError(f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points are not finite")
-    if len(xyz) < LEAST_POINTS:
-        raise EdgeError(
-            "FIT_TOO_FEW_POINTS",
-            f"{len(xyz)} points are too few to fit a field to; it takes {LEAST_POINTS}",
-            hints=("scan the thing again, closer", "keep the preview, which needs no fit"),
-        )
-    return xyz

@@ -99,7 +99,7 @@ class AnchorField:
         return cKDTree(self.points)
 
     def __call__(self, queries: Floats) -> tuple[Floats, Floats]:
-        q = np.asarray(queries, np.float32)
+        q, _ = np.asarray(queries, np.float32), self._tree  # made here, not by every thread at once
         f, gradient = np.empty(len(q), np.float32), np.empty((len(q), 3), np.float32)
 
         def evaluate(part: slice) -> None:

@@ -17,14 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import EdgeError
 from services.edge.field.anchor_fit import fit_anchors
+from services.edge.field.compute import memory_errors_named, open_device
 from services.edge.field.config import FitConfig
 from services.edge.field.densify import densified
-from services.edge.field.devices import memory_errors_named, open_device
 from services.edge.field.objectives import paper_objective, paper_weights, regression_objective
 from services.edge.field.queries import RANK, Batches, base_values, draw_pool
-from services.edge.field.run import Run, Step
+from services.edge.field.run import Run, Step, checked_points
 
 __all__ = ["Step", "fit"]
 
@@ -52,7 +51,7 @@ def fit(
     if config.model == "anchors":
         yield from fit_anchors(xyz_unit, config, device=device, base=base, checkpoint=checkpoint)
         return
-    xyz = _checked(xyz_unit)
+    xyz = np.asarray(checked_points(xyz_unit, RANK + 1), np.float32)
     if config.warm_start and base is None:
         raise ValueError(f"{config.warm_start} steps of warm start need a base to learn")
     if config.patience and held_out is None:
@@ -79,18 +78,3 @@ def fit(
             yield from run.descend(paper, paper_weights(config), batches, config.total_steps)
         if run.take_best():
             yield run.step({})
-
-
-def _checked(xyz_unit: Floats) -> Floats:
-    xyz = np.ascontiguousarray(xyz_unit, np.float32)
-    if xyz.ndim != 2 or xyz.shape[1] != 3:
-        raise ValueError(f"a fit needs (N,3) points, not {xyz.shape}")
-    if not np.isfinite(xyz).all():
-        raise ValueError(f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points are not finite")
-    if len(xyz) <= RANK:
-        raise EdgeError(
-            "FIT_TOO_FEW_POINTS",
-            f"{len(xyz)} points are too few to fit a field to; it takes more than {RANK}",
-            hints=("scan the thing again, closer", "keep the preview, which needs no fit"),
-        )
-    return xyz

@@ -11,7 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import DistanceFn, Floats
-from services.edge.field.devices import memory_errors_named
+from services.edge.field.compute import memory_errors_named
 from services.edge.field.networks import FieldNetwork
 from services.edge.field.planes import SPACING_RANK, rank_spacing
 from services.edge.threads import in_threads, slices

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from services.edge.field.compute import BLOCK_BYTES
 from services.edge.field.config import FitConfig
-from services.edge.field.devices import BLOCK_BYTES
 from services.edge.field.queries import WARM_QUERIES, far_batch, pool_size
 
 FLOAT, INDEX = 4, 8

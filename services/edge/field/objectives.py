@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from services.edge.field import losses
+from services.edge.field.compute import nearest, nearest_in, rows
 from services.edge.field.config import FitConfig
-from services.edge.field.devices import nearest, nearest_in, rows
 from services.edge.field.networks import FieldNetwork
 from services.edge.field.queries import Pool, far_batch
 

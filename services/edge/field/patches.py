@@ -31,7 +31,7 @@ from math import factorial, sqrt
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Ints
+from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.field.planes import Planes
 from services.edge.field.quadrics import TINY, tangents
 from services.edge.threads import in_threads, slices
@@ -99,7 +99,7 @@ class _Seen:
     normal_n: Floats
 
 
-def fit_patches(planes: Planes, tree: cKDTree, *, trusted: bool = False) -> Patches:
+def fit_patches(planes: Planes, tree: cKDTree, *, trusted: bool = False, tick: Tick = no_tick) -> Patches:
     """The patches of all points. `tree` is the KD-tree of their xyz; trusted normals are not voted on."""
     xyz, normals, spacing = planes.xyz, planes.normals, planes.spacing
     index = np.empty((len(xyz), min(NEIGHBOURS, len(xyz))), np.int32)
@@ -108,9 +108,14 @@ def fit_patches(planes: Planes, tree: cKDTree, *, trusted: bool = False) -> Patc
         index[part] = tree.query(xyz[part], k=index.shape[1])[1]
 
     in_threads(look, slices(len(xyz), CHUNK))
-    for turn in () if trusted else ROUNDS[:-1]:
-        normals = _voted(_fitted(Planes(xyz, normals, spacing), index, turn), index[:, :VOTERS])
-    return _fitted(Planes(xyz, normals, spacing), index, ROUNDS[-1])
+
+    def at(done: float) -> Tick:
+        return lambda _: tick(done / len(ROUNDS))
+
+    for number, turn in enumerate(() if trusted else ROUNDS[:-1]):
+        rough = _fitted(Planes(xyz, normals, spacing), index, turn, at(number))
+        normals = _voted(rough, index[:, :VOTERS], at(number + 0.5))
+    return _fitted(Planes(xyz, normals, spacing), index, ROUNDS[-1], at(len(ROUNDS) - 1))
 
 
 def predict(patches: Patches, index: Ints, q: Floats) -> tuple[Floats, Floats]:
@@ -128,7 +133,7 @@ def predict(patches: Patches, index: Ints, q: Floats) -> tuple[Floats, Floats]:
     return (np.einsum("mkx,mkx->mk", relative, n) - height) * steep * spacing, normal
 
 
-def _fitted(planes: Planes, index: Ints, turn: Round) -> Patches:
+def _fitted(planes: Planes, index: Ints, turn: Round, tick: Tick) -> Patches:
     """Patches over the planes, from their neighbours index (N,K)."""
     count = len(planes.xyz)
     u, v = (np.empty((count, 3), np.float32) for _ in range(2))
@@ -145,7 +150,7 @@ def _fitted(planes: Planes, index: Ints, turn: Round) -> Patches:
         close = np.exp(-np.square(seen.s) - np.square(seen.t))
         support[part] = (weights * close).sum(axis=1) / close.sum(axis=1)
 
-    in_threads(fit, slices(count, CHUNK))
+    in_threads(fit, slices(count, CHUNK), tick)
     return Patches(planes.xyz, planes.normals, u, v, planes.spacing, terms, support)
 
 
@@ -217,7 +222,7 @@ def patch_surface(terms: Floats, s: Floats, t: Floats) -> tuple[Floats, Floats, 
     return height, slope_u, slope_v, 1 / np.sqrt(1 + np.square(slope_u) + np.square(slope_v))
 
 
-def _voted(patches: Patches, index: Ints) -> Floats:
+def _voted(patches: Patches, index: Ints, tick: Tick) -> Floats:
     """Normals (N,3) from the patches of the points index (N,V) next to each."""
     normals = np.empty_like(patches.normals)
 
@@ -235,5 +240,5 @@ def _voted(patches: Patches, index: Ints) -> Floats:
         )
         normals[part] = summed / (np.linalg.norm(summed, axis=1, keepdims=True) + TINY)
 
-    in_threads(vote, slices(len(normals), CHUNK))
+    in_threads(vote, slices(len(normals), CHUNK), tick)
     return normals

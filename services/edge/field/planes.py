@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
+from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.field.quadrics import TINY, weighted_pca
 from services.edge.threads import in_threads, slices
 
@@ -42,7 +42,7 @@ class Planes:
     spacing: Floats
 
 
-def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None) -> Planes:
+def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None, tick: Tick = no_tick) -> Planes:
     """Planes of all points, or only the spacing where `normals` are given. `tree` is the KD-tree of `xyz`."""
     fitted = np.empty((len(xyz), 3), np.float32) if normals is None else _unit(normals)
     spacing = np.empty(len(xyz), np.float32)
@@ -54,7 +54,7 @@ def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None) -> Pla
             distance = distance.astype(xyz.dtype)
             fitted[part] = _normals(xyz[index] - xyz[part, None], distance, spacing[part])
 
-    in_threads(fit, slices(len(xyz), CHUNK))
+    in_threads(fit, slices(len(xyz), CHUNK), tick)
     return Planes(np.asarray(xyz, np.float32), fitted, spacing)
 
 

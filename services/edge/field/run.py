@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from services.edge.arrays import DistanceFn, Floats
 from services.edge.errors import EdgeError
 from services.edge.field import checkpoint as checkpoints
+from services.edge.field.compute import captured
 from services.edge.field.config import FitConfig
-from services.edge.field.devices import captured
 from services.edge.field.learned import learned_field
 from services.edge.field.losses import total_loss
 from services.edge.field.networks import network_of
@@ -128,7 +129,7 @@ class Run:
                 run = captured(descent, self.device)
             if self.done % PER_YIELD[self.device.type] == 0 or self.done == until:
                 losses = dict(zip(("total", *weights), values.tolist(), strict=True))
-                self._refuse_divergence(losses)
+                refuse_divergence(losses, EXPLODED, self.config, self.done)
                 self._look_at_held_out()
                 self._write()
                 yield self.step(losses)
@@ -139,19 +140,6 @@ class Run:
             return False
         self.network.load_state_dict(self._best.weights)
         return True
-
-    def _refuse_divergence(self, losses: Mapping[str, float]) -> None:
-        if losses["total"] < EXPLODED:  # false for NaN too
-            return
-        raise EdgeError(
-            "FIT_DIVERGED",
-            f"the fit diverged at step {self.done:,} of {self.config.total_steps:,}: its loss is {losses['total']:.3g}",
-            hints=(
-                "keep the preview, which needs no fit",
-                f"choose a preset with a learning rate below {self.config.learning_rate:g}",
-                "look for points far away from the others",
-            ),
-        )
 
     @torch.no_grad()
     def _look_at_held_out(self) -> None:
@@ -190,3 +178,34 @@ class Run:
             group["lr"] = self._rate  # loading has put a copy in its place
         self.added = None if state["added"] is None else state["added"].cpu().numpy()
         self._best = None if state["best"] is None else Best(**state["best"])
+
+
+def checked_points(xyz_unit: Floats, least: int) -> Floats:
+    """The points (N,3) as float64. Raises ValueError for another shape or NaN, EdgeError for fewer than `least`."""
+    xyz = np.ascontiguousarray(xyz_unit, np.float64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3:
+        raise ValueError(f"a fit needs (N,3) points, not {xyz.shape}")
+    if not np.isfinite(xyz).all():
+        raise ValueError(f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points are not finite")
+    if len(xyz) < least:
+        raise EdgeError(
+            "FIT_TOO_FEW_POINTS",
+            f"{len(xyz)} points are too few to fit a field to; it takes at least {least}",
+            hints=("scan the thing again, closer", "keep the preview, which needs no fit"),
+        )
+    return xyz
+
+
+def refuse_divergence(losses: Mapping[str, float], exploded: float, config: FitConfig, step: int) -> None:
+    """Raises EdgeError FIT_DIVERGED where the total loss is NaN or above `exploded`."""
+    if losses["total"] < exploded:  # false for NaN too
+        return
+    raise EdgeError(
+        "FIT_DIVERGED",
+        f"the fit diverged at step {step:,}: its loss is {losses['total']:.3g}",
+        hints=(
+            "keep the preview, which needs no fit",
+            f"choose a preset with a learning rate below {config.learning_rate:g}",
+            "look for points far away from the others",
+        ),
+    )

@@ -13,11 +13,12 @@ RISE_SHARE = 0.1  # of the steps, at the most: a preset of 2,000 must not spend 
 def learning_rate(step: int, config: FitConfig) -> float:
     """Of step 0, 1, … `total_steps` − 1, the warm start first: it has a rise and a cosine of its own."""
     if step < config.warm_start:
-        return config.learning_rate * _rise_and_fall(step, config.warm_start, WARM_START_RISE)
-    return config.learning_rate * _rise_and_fall(step - config.warm_start, config.loss_steps, config.warm_up)
+        return config.learning_rate * rise_and_fall(step, config.warm_start, WARM_START_RISE)
+    return config.learning_rate * rise_and_fall(step - config.warm_start, config.loss_steps, config.warm_up)
 
 
-def _rise_and_fall(step: int, steps: int, rise: int) -> float:
+def rise_and_fall(step: int, steps: int, rise: int) -> float:
+    """The share of the highest rate at step 0, 1, … `steps` − 1, which rises for `rise` steps or a tenth of all."""
     rise = min(rise, max(1, int(RISE_SHARE * steps)))
     if step < rise:
         return (step + 1) / rise
