@@ -30,6 +30,8 @@ LOSSES = {
     "self_consistency": "L_sc",
     "far_share": "far queries",
 }
+ANCHOR_LOSSES = {"DISTANCE": "L_d", "GRADIENT": "L_g", "FLATNESS": "L_c"}
+"""Weights of the anchors' losses, constants of `agreement.py`."""
 SURFACE = 0.1  # τ_f where the preset has none: LevelSetUDF's
 CONSISTENCY = (1e-3, 1e-1)  # τ_s beside the preset's own
 
@@ -54,6 +56,10 @@ def main(arguments: list[str]) -> None:
 def variants(config: FitConfig) -> Iterator[tuple[str, dict[str, float]]]:
     """The preset, then each of its losses off (or the one it has not, on), then other weights of self-consistency."""
     yield "as it is", {}
+    if config.model == "anchors":
+        yield from ((f"without {name}", {constant: 0.0}) for constant, name in ANCHOR_LOSSES.items())
+        yield "without L_d and L_g: no self-consistency", {"DISTANCE": 0.0, "GRADIENT": 0.0}
+        return
     for field, name in LOSSES.items():
         if getattr(config, field):
             yield f"without {name}", {field: 0.0}

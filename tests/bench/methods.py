@@ -40,7 +40,7 @@ class Settings:
 
     steps, batch  0 leaves those of the preset, which are the published ones
     bare          the preset's fit alone, without the pipeline that judges it
-    changes       fields of the fit's config that differ from the preset, for ablations
+    changes       fields of the fit's config that differ from the preset or constants of the anchors' fit: for ablations
     """
 
     method: str
@@ -138,10 +138,26 @@ def fitted(xyz_unit: Floats, settings: Settings) -> tuple[Floats, DistanceFn]:
         raise ValueError(f"preset '{settings.method}' trains nothing")
     if preset.denoised:
         xyz_unit = denoise(xyz_unit[inliers(xyz_unit)])
+    if preset.fit.model == "anchors":
+        return anchored(xyz_unit, preset.fit, settings)
     config = shortened(preset.fit, settings)
     base = local_field(xyz_unit) if config.warm_start else None
     *_, last = fit(xyz_unit, config, device=settings.device, base=base)
     return xyz_unit, last.field
+
+
+def anchored(xyz_unit: Floats, config: FitConfig, settings: Settings) -> tuple[Floats, DistanceFn]:
+    """As `fitted`, with constants of the anchors' fit changed: each cell is a process of its own."""
+    from services.edge.field import anchor_fit
+    from services.edge.field.anchors import AnchorField
+    from services.edge.points.outliers import inliers
+
+    for constant, value in settings.changes.items():
+        setattr(anchor_fit, constant, value)
+    config = replace(config, steps=settings.steps or config.steps)
+    *_, last = anchor_fit.fit_anchors(xyz_unit[inliers(xyz_unit)], config, device=settings.device)
+    assert isinstance(last.field, AnchorField)
+    return np.asarray(last.field.points, np.float64), last.field
 
 
 def shortened(config: FitConfig, settings: Settings) -> FitConfig:

@@ -30,6 +30,7 @@ from services.edge.field.quadrics import TINY
 
 NEIGHBOURS = 20  # with 10 a dress is 4 % farther off, with 24 it is the same
 NEAR = 0.6  # per spacing: how fast a neighbour's say falls with its distance
+DISTANCE = 1.0  # weight of L_d
 GRADIENT = 0.2  # weight of L_g: at 0.05 as at 0.5 a dress is 4 % farther off; at 0 sparse pleats are twice as far
 FLATNESS = 1e-3  # weight of L_c: at 1e-2 sparse pleats are a third farther off, at 1e-4 two sparse sheets a fifth
 LEAST = 1e-3  # edges of less weight cost time and change nothing

@@ -25,6 +25,7 @@ from services.edge.arrays import DistanceFn, Floats, Ints
 from services.edge.field import checkpoint as checkpoints
 from services.edge.field import trust as trusts
 from services.edge.field.agreement import (
+    DISTANCE,
     FLATNESS,
     GRADIENT,
     LOOSE,
@@ -259,7 +260,7 @@ def _descend(shape: Tensor, current: Round) -> Tensor:
     def descend(block: Edges) -> tuple[Tensor, Tensor, Tensor]:
         own = shape.detach().requires_grad_()
         of_distance, of_gradient = agreement_losses(own * current.free, block, current.tolerance)
-        slope = torch.autograd.grad(of_distance + GRADIENT * of_gradient, own)[0]
+        slope = torch.autograd.grad(DISTANCE * of_distance + GRADIENT * of_gradient, own)[0]
         return of_distance.detach(), of_gradient.detach(), slope
 
     agreement, gradient = shape.new_zeros(()), shape.new_zeros(())
@@ -271,7 +272,7 @@ def _descend(shape: Tensor, current: Round) -> Tensor:
     surface = surface_loss(shape[:, 0] * current.free[:, 0], current.height, current.trust)
     flatness = flatness_loss(shape)
     (surface + FLATNESS * flatness).backward()  # type: ignore[no-untyped-call]
-    total = agreement + GRADIENT * gradient + surface.detach() + FLATNESS * flatness.detach()
+    total = DISTANCE * agreement + GRADIENT * gradient + surface.detach() + FLATNESS * flatness.detach()
     return torch.stack([total, agreement, gradient, surface.detach(), flatness.detach()])
 
 
