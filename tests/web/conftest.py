@@ -35,7 +35,7 @@ summary = "a training of seconds"
 resolution = 48
 
 [fit]
-warm_start = 100
+warm_start = 30
 steps = 30
 batch = 200
 pool = 20_000
@@ -51,6 +51,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     (presets / "brief.toml").write_text(BRIEF)
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("EDGE_PRESETS", str(presets))
+        environment.setenv("OMP_NUM_THREADS", "1")  # Chromium draws on the other core; torch's threads would spin
         with running("127.0.0.1", 0, tmp_path_factory.mktemp("stack")) as stack:
             yield stack
 
