@@ -25,9 +25,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats, Ints
+from services.edge.field.local import by_chunks
 from services.edge.field.patches import LENGTH, TERMS, Patches, patch_surface
 from services.edge.field.quadrics import TINY
-from services.edge.threads import in_threads, slices
 
 SHAPE = 6  # numbers per anchor
 BLEND = 8  # patches per query: 12 smear sparse pleats
@@ -37,7 +37,6 @@ ALIGNMENT_POWER = 3  # of |cos|: 2 and 4 are as good
 # on the dress loses 3 %, from 0.8 on bumps as small as the spacing lose 7 %.
 SUPPORTED = (0.7, 1.0)
 PATCH = 2.5  # spacings: the neighbours that shape a patch lie within it; a parabola farther out is a guess
-CHUNK = 4_096  # queries at once: 8 patches × 9 × 4 B are 1.2 MB an array
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +98,8 @@ class AnchorField:
         return cKDTree(self.points)
 
     def __call__(self, queries: Floats) -> tuple[Floats, Floats]:
-        q, _ = np.asarray(queries, np.float32), self._tree  # made here, not by every thread at once
-        f, gradient = np.empty(len(q), np.float32), np.empty((len(q), 3), np.float32)
-
-        def evaluate(part: slice) -> None:
-            f[part], gradient[part] = self._blend(q[part])
-
-        in_threads(evaluate, slices(len(q), CHUNK))
-        return f, gradient
+        _ = self._tree  # made here, not by every thread at once
+        return by_chunks(self._blend, queries)
 
     def _blend(self, q: Floats) -> tuple[Floats, Floats]:
         """The formulas at the head of this file, for one chunk of queries (M,3)."""

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Tick, no_tick
+from services.edge.arrays import DistanceFn, Floats, Tick, no_tick
 from services.edge.field.patches import Patches, fit_patches, predict
 from services.edge.field.planes import fit_planes
 from services.edge.field.quadrics import TINY
@@ -47,14 +47,7 @@ class LocalField:
     tree: cKDTree
 
     def __call__(self, queries: Floats) -> tuple[Floats, Floats]:
-        q = np.asarray(queries, np.float32)
-        f, gradient = np.empty(len(q), np.float32), np.empty((len(q), 3), np.float32)
-
-        def evaluate(part: slice) -> None:
-            f[part], gradient[part] = self._blend(q[part])
-
-        in_threads(evaluate, slices(len(q), CHUNK))
-        return f, gradient
+        return by_chunks(self._blend, queries)
 
     def _blend(self, q: Floats) -> tuple[Floats, Floats]:
         """The formulas at the head of this file, for one chunk of queries (M,3)."""
@@ -78,6 +71,18 @@ class LocalField:
         along = np.sqrt(np.maximum(squared[:, 0] - np.square(across), 0))
         beyond = np.maximum(along - spacing[:, 0], 0)
         return np.sqrt(np.square(signed) + np.square(beyond)), normal
+
+
+def by_chunks(blend: DistanceFn, queries: Floats) -> tuple[Floats, Floats]:
+    """A field at queries (M,3), on threads, by chunks that stay in the cache: distances (M,), gradients (M,3)."""
+    q = np.asarray(queries, np.float32)
+    f, gradient = np.empty(len(q), np.float32), np.empty((len(q), 3), np.float32)
+
+    def evaluate(part: slice) -> None:
+        f[part], gradient[part] = blend(q[part])
+
+    in_threads(evaluate, slices(len(q), CHUNK))
+    return f, gradient
 
 
 def local_field(xyz_unit: Floats, *, normals: Floats | None = None, tick: Tick = no_tick) -> LocalField:
