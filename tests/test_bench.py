@@ -172,7 +172,7 @@ def test_a_fingerprint_tells_settings_apart_and_not_their_order() -> None:
 def _grid(standard: float, rival: float, row: Row = CLEAN) -> report.Grid:
     cells = {"standard": standard, "poisson": rival}
     records = {
-        (row.label, method): Record(row.label, method, {}, code_version(), {**FIGURES, "chamfer_l1": value})
+        (row.label, method): Record(row.label, method, {}, code_version(method), {**FIGURES, "chamfer_l1": value})
         for method, value in cells.items()
     }
     return report.Grid([row], {"standard": "standard", "poisson": "screened Poisson"}, records, "standard")

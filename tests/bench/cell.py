@@ -55,10 +55,15 @@ def run_cell(points: Floats, truth: Mesh, settings: Settings, timeout_s: float) 
 
 
 def measure(task: Path) -> dict[str, Any]:
-    """Run the task that `run_cell` wrote."""
+    """Run the task that `run_cell` wrote: its figures, and the version of the code that made them."""
     with np.load(task) as stored:
         points, truth = stored["points"], Mesh(stored["vertices"], stored["faces"])
         settings = Settings(**json.loads(str(stored["settings"])))
+    # The sources may change while hours of cells run: what was imported here is what counts.
+    return {"version": code_version(settings.method), **_measured(points, truth, settings)}
+
+
+def _measured(points: Floats, truth: Mesh, settings: Settings) -> dict[str, Any]:
     try:
         made = make(points, settings)
         if len(made.mesh.faces) == 0:
@@ -105,5 +110,4 @@ def _plain(value: float | int | None) -> float | int | str | None:
 
 
 if __name__ == "__main__":
-    # The sources may change while hours of cells run: what was imported here is what counts.
-    print(json.dumps({"version": code_version(), **measure(Path(sys.argv[1]))}))
+    print(json.dumps(measure(Path(sys.argv[1]))))

@@ -15,8 +15,12 @@ from typing import Any
 
 import services
 
-_ROOT = Path(__file__).parents[2]
-_SOURCES = ("field", "mesh", "points", "presets", "pipeline.py", "preset.py")  # what decides over a mesh
+_EDGE = Path(__file__).parents[2] / "services" / "edge"
+# What decides over a mesh of the product; a baseline never sees anchors, patches or the noise estimate, so cells of
+# hours stay valid when those change.
+_PRODUCT = ("field", "mesh", "points", "presets", "pipeline.py", "preset.py")
+_NETWORK = ("networks", "losses", "objectives", "queries", "schedule", "run", "densify", "learned", "compute", "config")
+_BASELINE = (*(f"field/{name}.py" for name in _NETWORK), "mesh", "points/unit.py", "presets/baselines")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +47,7 @@ class Record:
 
 def record_of(row: str, method: str, settings: dict[str, Any], figures: dict[str, Any]) -> Record:
     """The record of what a cell answered, which names the version of its code unless it died."""
-    version = figures.get("version", code_version())
+    version = figures.get("version", code_version(method))
     return Record(row, method, settings, version, {key: value for key, value in figures.items() if key != "version"})
 
 
@@ -52,17 +56,21 @@ def fingerprint(settings: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:12]
 
 
+def code_version(method: str) -> str:
+    """The product's version and a digest of the sources that decide over that method's mesh."""
+    baseline = (_EDGE / "presets" / "baselines" / f"{method}.toml").exists()
+    return f"{services.__version__}+{_digest(_BASELINE if baseline else _PRODUCT)}"
+
+
 @cache
-def code_version() -> str:
-    """The product's version and a digest of the sources that decide over a mesh."""
-    edge = _ROOT / "services" / "edge"
+def _digest(sources: tuple[str, ...]) -> str:
     digest = hashlib.sha256()
-    for source in _SOURCES:
-        path = edge / source
+    for source in sources:
+        path = _EDGE / source
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if file.suffix in (".py", ".toml"):
                 digest.update(file.read_bytes())
-    return f"{services.__version__}+{digest.hexdigest()[:8]}"
+    return digest.hexdigest()[:8]
 
 
 class Records:

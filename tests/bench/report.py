@@ -37,7 +37,7 @@ class Grid:
     def stale(self, row: Row, method: str) -> bool:
         """Whether other code than this checkout's made the cell; Open3D's cells do not depend on ours."""
         record = self.records.get((row.label, method))
-        return record is not None and method not in PEERS and record.version != code_version()
+        return record is not None and method not in PEERS and record.version != code_version(method)
 
     def kept(self, row: Row, method: str) -> bool:
         """Whether the pipeline found its training no better and stayed with the preview."""
