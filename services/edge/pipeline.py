@@ -20,6 +20,7 @@ from services.edge.certificate import Evidence, certify, compare, hold_out
 from services.edge.choose import choose, traits_of
 from services.edge.errors import EdgeError
 from services.edge.field.denoise import denoise
+from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
 from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
 from services.edge.mesh.band import part_of
@@ -93,7 +94,9 @@ def reconstruct(
     yield bar.starts("FITTING", f"{len(shown):,} points" + (f", preset {preset.name}: {because}" if because else ""))
     with clock("FITTING"):
         unit = unit_frame(shown.xyz)
-        xyz_unit = denoise(unit.to_unit(shown.xyz), tick=bar.inside("FITTING"))
+        measured = unit.to_unit(shown.xyz)
+        noise = noise_of(measured, tick=bar.inside("FITTING"))
+        xyz_unit = denoise(measured, noise, tick=bar.inside("FITTING"))
         distance = local_field(xyz_unit, tick=bar.inside("FITTING"))
     evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held == 1]))
     subject = Subject(capture, preset, because, label, shown, unit, xyz_unit, evidence)
@@ -104,10 +107,10 @@ def reconstruct(
     yield from _bundle(preview.mesh_unit, subject, "preview", quality, (), clock, bar)
     if preset.fit:
         bar.covers(REFINED_STARTS, PREVIEW_SHARE, 1.0)
-        seen = xyz_unit if preset.denoised else unit.to_unit(shown.xyz)
+        seen, weighed = (xyz_unit, None) if preset.denoised else (measured, noise)
         watched = unit.to_unit(points.xyz[held == 2])
         config = preset.fit if len(watched) else replace(preset.fit, patience=0)  # too few to spare any
-        training = Training(seen, config, device, distance, xyz_unit, watched, checkpoint)
+        training = Training(seen, weighed, config, device, distance, xyz_unit, watched, checkpoint)
         yield from _refinement(training, subject, preview, quality, clock, bar)
 
 

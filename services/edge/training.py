@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from services.edge.arrays import DistanceFn, Floats
 from services.edge.errors import EdgeError
 from services.edge.field.config import FitConfig
+from services.edge.field.noise import Noise
 from services.edge.progress import Bar, Clock, Progress
 
 if TYPE_CHECKING:
@@ -26,12 +27,14 @@ _RATE_OF = 50  # yields that the rate is taken from: a second or two of steps
 class Training:
     """What a field is trained on and how.
 
-    xyz_unit    (N,3) points; base: the local field of the same denoised, smooth (N,3)
+    xyz_unit    (N,3) points; noise: theirs, None where it was taken off
+    base        the local field of the same denoised, smooth (N,3)
     watched     (W,3) held-out points that may end it early
     checkpoint  file that it writes and goes on from, or None
     """
 
     xyz_unit: Floats
+    noise: Noise | None
     config: FitConfig
     device: str
     base: DistanceFn
@@ -95,6 +98,7 @@ def _steps(training: Training, bar: Bar, warnings: tuple[str, ...]) -> Generator
         config,
         device=training.device,
         base=training.base,
+        noise=training.noise,
         held_out=training.watched,
         checkpoint=training.checkpoint,
     )

@@ -129,6 +129,7 @@ def fitted(xyz_unit: Floats, settings: Settings) -> tuple[Floats, DistanceFn]:
     """
     from services.edge.field.denoise import denoise
     from services.edge.field.fit import fit
+    from services.edge.field.folds import noise_of
     from services.edge.field.local import local_field
     from services.edge.points.outliers import inliers
     from services.edge.preset import load_preset
@@ -137,7 +138,8 @@ def fitted(xyz_unit: Floats, settings: Settings) -> tuple[Floats, DistanceFn]:
     if preset.fit is None:
         raise ValueError(f"preset '{settings.method}' trains nothing")
     if preset.denoised:
-        xyz_unit = denoise(xyz_unit[inliers(xyz_unit)])
+        xyz_unit = xyz_unit[inliers(xyz_unit)]
+        xyz_unit = denoise(xyz_unit, noise_of(xyz_unit))
     if preset.fit.model == "anchors":
         return anchored(xyz_unit, preset.fit, settings)
     config = shortened(preset.fit, settings)

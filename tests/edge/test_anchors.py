@@ -19,7 +19,8 @@ from services.edge.field.anchor_fit import fit_anchors
 from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors, surface_at
 from services.edge.field.config import FitConfig
 from services.edge.field.denoise import denoise
-from services.edge.field.noise import Noise, noise_level
+from services.edge.field.folds import noise_of
+from services.edge.field.noise import Noise
 from services.edge.field.patches import TERMS, fit_patches
 from services.edge.field.planes import fit_planes
 from services.edge.mesh.nouns import Mesh
@@ -177,11 +178,12 @@ def test_strays_and_clean_points_are_not_told() -> None:
 def test_a_stray_of_a_real_denoising_is_not_told() -> None:
     xyz = surfaces.sampled(surfaces.smooth_sheet(), 2_000, noise=0.005)
     xyz[:5, 2] += 0.04  # eight standard deviations
-    smooth = denoise(xyz)
+    noise = noise_of(xyz)
+    smooth = denoise(xyz, noise)
     stayed = (smooth == xyz).all(axis=1)
     assert stayed[:5].any()
     anchors = curved_anchors(local_field(smooth).patches)
-    told = trust.scan_of(xyz, noise_level(xyz, cKDTree(xyz)), anchors).told
+    told = trust.scan_of(xyz, noise, anchors).told
     assert not told[stayed].any()
     assert told.mean() > 0.9
 

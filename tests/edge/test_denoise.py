@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
+from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.errors import Cancelled
-from services.edge.field import denoise
+from services.edge.field import denoise, noise_of
 from services.edge.field.noise import noise_level
 from services.edge.mesh.nouns import Mesh
 from tests import surfaces
@@ -45,14 +45,14 @@ NOISY = [
 @pytest.mark.parametrize("seed", [0, 1])
 def test_clean_clouds_are_left_alone(surface: Maker, count: int, seed: int) -> None:
     points = surfaces.sampled(surface(), count, seed=seed)
-    assert _rms(denoise(points) - points) < 0.02 * _spacing(points)
+    assert _rms(smoothed(points) - points) < 0.02 * _spacing(points)
 
 
 @pytest.mark.parametrize(("surface", "sigma"), NOISY)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_noise_is_taken_off(surface: Maker, sigma: float, seed: int) -> None:
     points = surfaces.sampled(surface(), 4_000, noise=sigma, seed=seed)
-    before, after = _gap(points, surface()), _gap(denoise(points), surface())
+    before, after = _gap(points, surface()), _gap(smoothed(points), surface())
     assert after < 0.6 * before
 
 
@@ -74,12 +74,12 @@ def test_noise_finer_than_its_neighbourhoods_is_measured_too() -> None:
 def test_large_clouds_share_their_fits() -> None:
     # More points than fits: those without one of their own take that of a neighbour.
     points = surfaces.sampled(surfaces.disk(), 45_000, noise=0.004, seed=0)
-    assert np.abs(denoise(points)[:, 2]).mean() < 0.3 * np.abs(points[:, 2]).mean()
+    assert np.abs(smoothed(points)[:, 2]).mean() < 0.3 * np.abs(points[:, 2]).mean()
 
 
 def test_noisy_layers_stay_apart() -> None:
     points = surfaces.sampled(surfaces.two_sheets(apart=0.06), 6_000, noise=0.006, seed=0)
-    smooth = denoise(points)
+    smooth = smoothed(points)
     assert _gap(smooth, surfaces.two_sheets(apart=0.06)) < 0.5 * _gap(points, surfaces.two_sheets(apart=0.06))
 
 
@@ -88,7 +88,7 @@ def test_noise_in_one_half_leaves_the_other_alone() -> None:
     points = surfaces.sampled(sheet, 12_000)
     noisy = points[:, 0] > 0
     points[noisy] += np.random.default_rng(0).normal(0, 0.005, (int(noisy.sum()), 3))
-    smooth = denoise(points)
+    smooth = smoothed(points)
     far_clean, far_noisy = points[:, 0] < -0.25, points[:, 0] > 0.1
     assert _rms((smooth - points)[far_clean]) < 2e-4
     assert _gap(smooth[far_noisy], sheet) < 0.5 * _gap(points[far_noisy], sheet)
@@ -97,12 +97,12 @@ def test_noise_in_one_half_leaves_the_other_alone() -> None:
 def test_uneven_density_is_no_noise() -> None:
     points = surfaces.sampled(surfaces.bumpy_sheet(), 20_000)
     kept = np.random.default_rng(0).random(len(points)) < np.where(points[:, 0] > 0, 1.0, 0.08)
-    assert _rms(denoise(points[kept]) - points[kept]) < 1e-4
+    assert _rms(smoothed(points[kept]) - points[kept]) < 1e-4
 
 
 def test_outliers_neither_hide_the_noise_nor_are_drawn_in() -> None:
     points = surfaces.sampled(surfaces.sphere(), 8_000, noise=0.006, outliers=0.05, seed=0)
-    smooth = denoise(points)
+    smooth = smoothed(points)
     assert np.linalg.norm(smooth - points, axis=1).max() < 6 * 0.006
     near = np.abs(np.linalg.norm(points, axis=1) - 0.5) < 0.02
     assert _gap(smooth[near], surfaces.sphere()) < 0.5 * _gap(points[near], surfaces.sphere())
@@ -111,9 +111,9 @@ def test_outliers_neither_hide_the_noise_nor_are_drawn_in() -> None:
 def test_it_moves_with_the_points_and_repeats_itself() -> None:
     points = surfaces.sampled(surfaces.bumpy_sheet(), 3_000, noise=0.006, seed=0)
     rotation = Rotation.from_rotvec([0.3, -1.1, 0.7])
-    smooth = denoise(points)
-    np.testing.assert_array_equal(denoise(points), smooth)
-    apart = np.linalg.norm(denoise(rotation.apply(points)) - rotation.apply(smooth), axis=1)
+    smooth = smoothed(points)
+    np.testing.assert_array_equal(smoothed(points), smooth)
+    apart = np.linalg.norm(smoothed(rotation.apply(points)) - rotation.apply(smooth), axis=1)
     assert np.quantile(apart, 0.99) < 1e-6
 
 
@@ -121,13 +121,13 @@ def test_it_moves_with_the_points_and_repeats_itself() -> None:
     "points", [np.zeros((3, 3)), np.zeros((500, 3)), np.eye(3)], ids=["three", "one place", "frame"]
 )
 def test_too_little_to_judge_comes_back_as_it_went(points: Floats) -> None:
-    np.testing.assert_array_equal(denoise(points), points)
+    np.testing.assert_array_equal(smoothed(points), points)
 
 
 def test_it_ticks_to_the_end_and_stops_when_told() -> None:
     points = surfaces.sampled(surfaces.smooth_sheet(), 6_000, noise=0.006)
     seen: list[float] = []
-    denoise(points, seen.append)
+    smoothed(points, seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == 1
 
@@ -135,7 +135,7 @@ def test_it_ticks_to_the_end_and_stops_when_told() -> None:
         raise Cancelled
 
     with pytest.raises(Cancelled):
-        denoise(points, cancel)
+        smoothed(points, cancel)
 
 
 @pytest.mark.data
@@ -143,14 +143,18 @@ def test_it_ticks_to_the_end_and_stops_when_told() -> None:
 def test_real_cloth_keeps_its_folds(data_dir: Path, file: str) -> None:
     truth = surfaces.read_unit(data_dir / file)
     points = surfaces.sampled(truth, 10_000)
-    assert _rms(denoise(points) - points) < 0.02 * _spacing(points)
+    assert _rms(smoothed(points) - points) < 0.02 * _spacing(points)
 
 
 @pytest.mark.data
 def test_a_noisy_dress_gets_nearer_to_the_dress(data_dir: Path) -> None:
     truth = surfaces.read_unit(data_dir / "dress" / "dress-v17k-f34k.obj")
     points = surfaces.sampled(truth, 10_000, noise=0.004)
-    assert _gap(denoise(points), truth) < 0.75 * _gap(points, truth)
+    assert _gap(smoothed(points), truth) < 0.75 * _gap(points, truth)
+
+
+def smoothed(points: Floats, tick: Tick = no_tick) -> Floats:
+    return denoise(points, noise_of(points), tick)
 
 
 def _gap(points: Floats, truth: Mesh) -> float:

@@ -207,7 +207,7 @@ def test_a_step_down_finds_the_memory_of_the_failed_try_free(monkeypatch: pytest
 def test_anchors_know_no_batch_and_step_down_to_the_cpu_at_once() -> None:
     config = replace(TINY, model="anchors")
     nothing = np.empty((0, 3))
-    training = Training(nothing, config, "cuda:0", lambda q: (q[:, 0], q), nothing, nothing)
+    training = Training(nothing, None, config, "cuda:0", lambda q: (q[:, 0], q), nothing, nothing)
     lower = training.lower()
     assert lower is not None
     assert (lower[0].device, lower[0].config) == ("cpu", config)

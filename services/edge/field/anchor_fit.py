@@ -42,8 +42,9 @@ from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anch
 from services.edge.field.compute import captured, memory_errors_named, open_device, side_by_side
 from services.edge.field.config import FitConfig
 from services.edge.field.denoise import denoise
+from services.edge.field.folds import noise_of
 from services.edge.field.local import LocalField, local_field
-from services.edge.field.noise import noise_level
+from services.edge.field.noise import Noise
 from services.edge.field.run import PER_YIELD, UNCAPTURED, Step, checked_points, refuse_divergence
 from services.edge.field.schedule import rise_and_fall
 from services.edge.field.trust import CANDIDATES, Scan
@@ -76,11 +77,13 @@ def fit_anchors(
     *,
     device: str = "cpu",
     base: DistanceFn | None = None,
+    noise: Noise | None = None,
     checkpoint: Path | None = None,
 ) -> Generator[Step, None, None]:
     """Train a field of anchors for points (N,3) in the unit frame, as they were scanned but without strays.
 
     base        the local field of the same points denoised, where the caller has it already
+    noise       that of the points, likewise
     checkpoint  the file that keeps the fit's state: written every few seconds, and read if the fit was killed
 
     Of the config it takes `steps` and `learning_rate`. Whoever stops iterating ends the fit. The same points, config
@@ -89,11 +92,12 @@ def fit_anchors(
     finite.
     """
     xyz = checked_points(xyz_unit, LEAST_POINTS)
-    start = base if isinstance(base, LocalField) else local_field(denoise(xyz))
+    noise = noise or noise_of(xyz)
+    start = base if isinstance(base, LocalField) else local_field(denoise(xyz, noise))
     if len(start.patches.xyz) != len(xyz):
         raise ValueError(f"a local field of {len(start.patches.xyz)} points is no base for {len(xyz)}")
     with memory_errors_named(f"the fit of {len(xyz):,} anchors"):
-        fit = _AnchorFit(xyz, config, open_device(device), start, checkpoint)
+        fit = _AnchorFit(xyz, noise, config, open_device(device), start, checkpoint)
         yield from fit.prepare()
         yield from fit.rounds()
 
@@ -105,12 +109,13 @@ class _AnchorFit:
     def __init__(
         self,
         xyz: Floats,
+        noise: Noise,
         config: FitConfig,
         device: torch.device,
         local: LocalField,
         checkpoint: Path | None,
     ) -> None:
-        self._xyz, self._config, self._device, self._checkpoint = xyz, config, device, checkpoint
+        self._xyz, self._noise, self._config, self._device, self._checkpoint = xyz, noise, config, device, checkpoint
         self._local = local
         self._start = curved_anchors(local.patches)
         self._first = max(1, round(FIRST_SHARE * config.steps))
@@ -124,8 +129,6 @@ class _AnchorFit:
     def prepare(self) -> Iterator[Step]:
         """What the rounds need to know of the points; a step after each second or two of it, for who wants to stop."""
         waiting = Step(0, self._first + self._config.steps, {}, self._local)
-        yield waiting
-        self._noise = noise_level(self._xyz, cKDTree(self._xyz))
         yield waiting
         self._noisy = bool(self._noise.share.any())
         self._judges = trusts.judges(self._xyz) if self._noisy else np.empty(0, np.int64)

@@ -1,6 +1,6 @@
 """Noise off, folds kept: every point moves along the normal onto a robust local quadric.
 
-σ_i        the noise at the point (`noise.py`); 0 share of noise means: leave the point where it is
+σ_i        the noise at the point (`noise.py`, `folds.py`); 0 share of noise means: leave the point where it is
 k          neighbours of one fit, growing from 16 to 160
 o_j        a neighbour's offset across the surface;  r_j its residual to the quadric
 w_j        (1 − d_j²/R²) · exp(−½(r_j / 2.5σ)²): what lies farther off than the noise explains is another layer
@@ -19,8 +19,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.field.noise import SCALES as NOISE_SCALES
-from services.edge.field.noise import Noise, noise_level
+from services.edge.field.noise import Noise
 from services.edge.field.quadrics import TINY, fit_quadric, monomials, tangents, weighted_pca
 from services.edge.threads import in_threads, slices
 
@@ -69,21 +68,17 @@ class Sheets:
     sigma: Floats
 
 
-def denoise(xyz_unit: Floats, tick: Tick = no_tick) -> Floats:
-    """(N,3) in the unit frame -> (N,3) float64 in the same order, noise taken off where there is any.
+def denoise(xyz_unit: Floats, noise: Noise, tick: Tick = no_tick) -> Floats:
+    """(N,3) in the unit frame and their noise -> (N,3) float64 in the same order, noise taken off where there is any.
 
     Clean clouds come back unchanged. `tick` is called between chunks, on the caller's thread. Raises what it raises.
     """
     xyz = np.array(xyz_unit, np.float64)
-    if len(xyz) <= 2 * NOISE_SCALES[0]:  # too few to tell noise from shape
-        return xyz
-    tree = cKDTree(xyz)
-    noise = noise_level(xyz, tree)
     noisy = np.flatnonzero(noise.share > 0)
     if len(noisy) == 0:
         return xyz
     anchors = np.sort(np.random.default_rng(_SEED).permutation(noisy)[:ANCHORS])
-    sheets = _sheets(anchors, xyz, tree, noise, lambda part: tick(part * FIT_SHARE))
+    sheets = _sheets(anchors, xyz, cKDTree(xyz), noise, lambda part: tick(part * FIT_SHARE))
     near = cKDTree(sheets.anchor)
     smooth = xyz.copy()
 

@@ -21,6 +21,7 @@ from services.edge.field.anchor_fit import fit_anchors
 from services.edge.field.compute import memory_errors_named, open_device
 from services.edge.field.config import FitConfig
 from services.edge.field.densify import densified
+from services.edge.field.noise import Noise
 from services.edge.field.objectives import paper_objective, paper_weights, regression_objective
 from services.edge.field.queries import RANK, Batches, base_values, draw_pool
 from services.edge.field.run import Run, Step, checked_points
@@ -34,12 +35,14 @@ def fit(
     *,
     device: str = "cpu",
     base: DistanceFn | None = None,
+    noise: Noise | None = None,
     held_out: Floats | None = None,
     checkpoint: Path | None = None,
 ) -> Generator[Step, None, None]:
     """Fit a field to points (N,3) in the unit frame; whoever stops iterating ends it.
 
     base        the local field of the denoised points, which the warm start of a network learns and anchors start from
+    noise       of the points, which anchors weigh them by; None: it is measured
     held_out    (H,3) points that the fit must not see, by which `config.patience` decides; the best weights win
     checkpoint  the file that keeps the fit's state: written every few seconds, and read if the fit was killed
 
@@ -49,7 +52,7 @@ def fit(
     not finite or for a config that needs a `base` or `held_out` which is not there.
     """
     if config.model == "anchors":
-        yield from fit_anchors(xyz_unit, config, device=device, base=base, checkpoint=checkpoint)
+        yield from fit_anchors(xyz_unit, config, device=device, base=base, noise=noise, checkpoint=checkpoint)
         return
     xyz = np.asarray(checked_points(xyz_unit, RANK + 1), np.float32)
     if config.warm_start and base is None:

@@ -26,14 +26,19 @@ from services.edge.field.quadrics import QUADRIC, TINY, monomials, tangents, wei
 from services.edge.threads import in_threads, slices
 
 SCALES = (12, 24, 48, 96)  # neighbours; the least that leave a quadric's 6 coefficients some freedom, then doubled
-BLOB = 0.2  # noise / radius above which a neighbourhood is a ball, not a sheet: its thickness says nothing yet
+# Noise / radius above which a neighbourhood is a ball, not a sheet: its thickness says nothing yet. A ball filled by
+# noise shows 0.36, a sheet with σ of half a spacing 0.29 and the right σ; from 0.2 on, folds were taken for noise.
+BLOB = 0.30
+# A ball cuts off what the noise carries out of it: true over found σ, by found σ / radius, of sheets simulated with
+# 12 to 96 neighbours, which differ by 4 %.
+CUT_OFF = (0.15, 0.20, 0.23, 0.25, 0.27, 0.285, 0.30), (1.0, 1.03, 1.07, 1.11, 1.15, 1.19, 1.23)
 LOW, NEXT = 0.05, 0.20  # quantiles of a region's residuals
 CROWDED = (0.45, 0.65)  # q₀₅/q₂₀ of the residuals at SCALES[0]: geometry below, noise above, in between by degrees
 MATTERS = (0.03, 0.08)  # noise in spacings: the blend of eight planes hides less than this by itself
 GROWS = (2.2, 3.0)  # the level from 24 neighbours over that from 12: noise alone 1.1, noisy folds 1.8, sparse folds 4
 PROBES = 40_000  # residuals in all: 1 s; more would only sharpen a quantile
 REGION = 1_000  # probes a region: its 5 % quantile then rests on 50 of them, ±8 %
-PROBES_PER_REGION = 250  # regions overlap fourfold, so the level changes gently from one to the next
+OVERLAP = 4  # regions that a point is in: the level changes gently from one to the next
 BLEND = 4  # regions a point's level is interpolated from
 _SEED = 0
 
@@ -48,17 +53,26 @@ class Noise:
 
 def noise_level(xyz: Floats, tree: cKDTree) -> Noise:
     """The noise at every point of xyz (N,3), N > 12. `tree` is the KD-tree of `xyz`. Deterministic."""
-    rng = np.random.default_rng(_SEED)
-    probes = rng.permutation(len(xyz))[:PROBES]
-    centres = xyz[probes[: max(1, len(probes) // PROBES_PER_REGION)]]
-    _, members = cKDTree(xyz[probes]).query(centres, k=min(REGION, len(probes)))
-    members = members.reshape(len(centres), -1)
+    probes = np.random.default_rng(_SEED).permutation(len(xyz))[:PROBES]
+    centres, members = regions(xyz[probes], REGION)
     sigma, share = _levels(xyz, tree, probes, members)
+    return Noise(between(centres, sigma, xyz), between(centres, share, xyz))
+
+
+def regions(xyz: Floats, size: int) -> tuple[Floats, Ints]:
+    """Overlapping regions of points (N,3) in random order: centres (R,3) and the members of each (R,size)."""
+    centres = xyz[: max(1, len(xyz) * OVERLAP // size)]
+    _, members = cKDTree(xyz).query(centres, k=min(size, len(xyz)))
+    return centres, members.reshape(len(centres), -1)
+
+
+def between(centres: Floats, values: Floats, xyz: Floats) -> Floats:
+    """What regions with values (R,) at their centres (R,3) say at xyz (N,3): the nearest few, by inverse square."""
     away, region = cKDTree(centres).query(xyz, k=min(BLEND, len(centres)))
     weights = 1 / (np.square(away.reshape(len(xyz), -1)) + TINY)
     weights /= weights.sum(axis=1, keepdims=True)
-    region = region.reshape(weights.shape)
-    return Noise((weights * sigma[region]).sum(axis=1), (weights * share[region]).sum(axis=1))
+    blended: Floats = (weights * values[region.reshape(weights.shape)]).sum(axis=1)
+    return blended
 
 
 def _levels(xyz: Floats, tree: cKDTree, probes: Ints, members: Ints) -> tuple[Floats, Floats]:
@@ -72,14 +86,15 @@ def _levels(xyz: Floats, tree: cKDTree, probes: Ints, members: Ints) -> tuple[Fl
         low, following = np.quantile(residual[members], (LOW, NEXT), axis=1)
         freedom = neighbours + 1 - QUADRIC
         found = low / np.sqrt(chdtri(freedom, 1 - LOW) / freedom)
+        thick = found / np.median(radius[members], axis=1)
         if neighbours == SCALES[1]:
-            share *= 1 - _ramp(found / (first + TINY), GROWS)
-        sigma[open_] = found[open_]
+            share *= 1 - ramp(found / (first + TINY), GROWS)
+        sigma[open_] = (found * np.interp(thick, *CUT_OFF))[open_]
         if neighbours == SCALES[0]:
             first = found
-            share = _ramp(low / (following + TINY), CROWDED)
-            share *= _ramp(sigma / np.median(spacing[members], axis=1), MATTERS)
-        open_ &= (sigma > BLOB * np.median(radius[members], axis=1)) & (share > 0)
+            share = ramp(low / (following + TINY), CROWDED)
+            share *= ramp(sigma / np.median(spacing[members], axis=1), MATTERS)
+        open_ &= (thick > BLOB) & (share > 0)
         if not open_.any() and (neighbours > SCALES[0] or not share.any()):
             break
     return sigma, share
@@ -112,8 +127,8 @@ def _deviation(relative: Floats, radius: Floats) -> Floats:
     return deviation
 
 
-def _ramp(value: Floats, between: tuple[float, float]) -> Floats:
+def ramp(value: Floats, bounds: tuple[float, float]) -> Floats:
     """0 below the first bound, 1 above the second, smooth in between."""
-    t = np.clip((value - between[0]) / (between[1] - between[0]), 0, 1)
+    t = np.clip((value - bounds[0]) / (bounds[1] - bounds[0]), 0, 1)
     smooth: Floats = t * t * (3 - 2 * t)
     return smooth
