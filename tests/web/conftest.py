@@ -36,7 +36,7 @@ resolution = 48
 
 [fit]
 warm_start = 30
-steps = 30
+steps = 150
 batch = 200
 pool = 20_000
 """
