@@ -104,6 +104,17 @@ def test_what_no_points_back_is_trimmed_and_specks_go() -> None:
     assert area(mesh) == pytest.approx(np.pi / 4, rel=0.03)
 
 
+def test_leaves_of_few_points_are_no_specks() -> None:
+    """Their neighbours lie on other leaves, so their own spacing looks wider than it is."""
+    rng = np.random.default_rng(0)
+    leaf = surfaces.disk()
+    at = rng.uniform(-0.5, 0.5, (12, 3))
+    leaves = surfaces.joined(*(surfaces.moved(Mesh(0.2 * leaf.vertices, leaf.faces), tuple(place)) for place in at))
+    near = surfaces.sampled(leaves, 12 * 25, seed=1)
+    mesh = clean(leaves, near)
+    assert area(mesh) > 0.9 * area(leaves)
+
+
 def test_fins_that_stand_off_the_points_are_drawn_tight() -> None:
     near = surfaces.sampled(surfaces.disk(), 5_000)  # spaced 0.0125 apart
     sheet = surfaces.patch(lambda u, v: [u, v, 0 * u], 100, 100)

@@ -92,13 +92,16 @@ def test_a_surface_on_the_planes_of_its_own_box_is_found() -> None:
     assert np.abs(mesh.vertices[:, 2]).max() < 1e-6
 
 
-@pytest.mark.parametrize("cells_apart", [1.6, 2.3, 4.0])
-def test_two_close_sheets_stay_two_and_nothing_grows_between_them(cells_apart: float) -> None:
-    apart = cells_apart / 40
+@pytest.mark.parametrize(
+    ("cells_apart", "resolution"), [(1.6, 40), (2.3, 40), (4.0, 40), (3.0, 128), (5.0, 128), (7.0, 128), (5.0, 200)]
+)
+def test_two_close_sheets_stay_two_and_nothing_grows_between_them(cells_apart: float, resolution: int) -> None:
+    """Also where they lie along the grid, and a coarse cell sees the same between them as across a surface."""
+    apart = cells_apart / resolution
     rng = np.random.default_rng(3)
     near = rng.uniform(-0.5, 0.5, (6_000, 3))
     near[:, 2] = np.where(near[:, 2] > 0, apart / 2, -apart / 2)
-    mesh = extract(sheets(apart), near, resolution=40)
+    mesh = extract(sheets(apart), near, resolution=resolution)
     assert counts(mesh)[0] == 2
     np.testing.assert_allclose(np.abs(mesh.vertices[:, 2]), apart / 2, atol=1e-5)
 

@@ -159,10 +159,18 @@ def _averaged(faces: Ints, values: Floats, times: int) -> Floats:
 
 
 def _without_specks(mesh: Mesh, support: Support, least: float) -> tuple[Mesh, Ints]:
-    """The mesh without pieces that could not hold `least` points, the largest excepted, and its border."""
+    """The mesh without pieces that could not hold `least` points, the largest excepted, and its border.
+
+    A leaf of few points among others is measured by spacings that reach across the gaps: it counts what it does hold.
+    """
     edges = edges_of(mesh.faces)
     piece = pieces_of(mesh.faces, edges)
     points = np.bincount(piece, _points_on(mesh, support))
+    of_vertex = np.zeros(len(mesh.vertices), np.int64)
+    of_vertex[mesh.faces] = piece[:, None]
+    in_use = _mask(mesh.faces, len(mesh.vertices))
+    held = np.bincount(of_vertex[in_use], support.points_held(len(mesh.vertices))[in_use], len(points))
+    points = np.maximum(points, held)
     kept: Bools = (points >= least) | (points == points.max(initial=0))
     mesh, border = Mesh(mesh.vertices, mesh.faces[kept[piece]]), edges.border(mesh.faces)
     return mesh, border[_mask(mesh.faces, len(mesh.vertices))[border].all(axis=1)]

@@ -27,6 +27,8 @@ FORETOLD = 0.02  # coarse cells: largest error of a foretold distance; 0.04 cost
 # (8,3) corners of a cell in units of its side, in the order of CORNERS, and the (12,2) pairs that edges join.
 PLACES = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.float32)
 PAIRS = np.array([(a, a | bit) for bit in (4, 2, 1) for a in range(8) if not a & bit])
+# Of a smooth cell. Half-way between two flat sheets along the grid distances are foretold as well, but fall along g.
+LEAST_SLOPE = 0.3
 CHUNK = 1 << 15  # queries at once: 24 floats each, so those in use stay in the cache
 
 
@@ -61,7 +63,7 @@ def smooth_cells(band: Band, grid: Grid) -> Smooth:
     side = np.where(cos < 0, np.float32(-1), np.float32(1))
     signed = side * distance
     slope, error = _foretell(signed, gradient := side[:, :, None] * gradient, grid.side)
-    kept = (np.abs(cos) > PARALLEL).all(axis=1) & (error < FORETOLD * grid.side)
+    kept = (np.abs(cos) > PARALLEL).all(axis=1) & (error < FORETOLD * grid.side) & (slope > LEAST_SLOPE)
     return Smooth(grid, keys[kept], signed[kept], slope[kept, None, None] * gradient[kept])
 
 

@@ -56,9 +56,11 @@ class Support:
         """near (N,3) points; normals (V,3) of the mesh, sign arbitrary."""
         # For a single use: quick to build, though a little slower to ask.
         mesh_tree = cKDTree(mesh.vertices, balanced_tree=False, compact_nodes=False)
-        at = in_threads(lambda part: mesh_tree.query(near[part])[1], slices(len(near), CHUNK), part_of(tick, 0, 0.4))
-        own = normals[np.concatenate(at)].astype(np.float32)
+        found = in_threads(lambda part: mesh_tree.query(near[part]), slices(len(near), CHUNK), part_of(tick, 0, 0.4))
+        off, at = (np.concatenate(each) for each in zip(*found, strict=True))
+        own = normals[at].astype(np.float32)
         away = self._look_around(near, own, part_of(tick, 0.4, 0.8))
+        self._holding = at[off < self._spacing]
         wide = self._widest(away, own)
         sudden = wide > STEP * self._spacing
         if sudden.any():
@@ -67,6 +69,10 @@ class Support:
         self._nearest = np.empty(0, np.int64)
         self._nearest_to(mesh.vertices)
         tick(1)
+
+    def points_held(self, count: int) -> Ints:
+        """(count,) how many points lie within a spacing of each vertex and nearest to it, as the mesh came in."""
+        return np.bincount(self._holding, minlength=count)
 
     def spacing_at(self, vertices: Floats) -> Floats:
         """(V,) spacing of the point nearest to each vertex."""
