@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
 from services.edge.mesh.metrics import sample
@@ -158,6 +159,57 @@ def bumpy_sheet() -> Mesh:
         return [u, v, 0.03 * np.sin(13 * u) * np.sin(11 * v) + 0.01 * np.sin(37 * u + 2) * np.sin(31 * v)]
 
     return patch(shape, 240, 240)
+
+
+def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0), cells: int = 12) -> Mesh:
+    """A closed box with these sides, its middle at `at`, not brought to the unit frame. The faces share no vertices."""
+    sheet = patch(lambda u, v: [u, v, 0 * u], cells, cells)
+    sides = [sheet.vertices + np.array([0, 0, half]) for half in (-0.5, 0.5)]
+    turned = [np.roll(side, turn, axis=1) for side in sides for turn in range(3)]
+    faces = np.concatenate([sheet.faces + number * len(sheet.vertices) for number in range(6)])
+    return Mesh(np.concatenate(turned) * np.array(size) + np.array(at), faces)
+
+
+def cube() -> Mesh:
+    """Closed, twelve creases."""
+    return box((1, 1, 1), cells=20)
+
+
+def chair() -> Mesh:
+    """Six boxes that touch: slabs two spacings thick at 10,000 points, and thin legs."""
+    legs = (box((0.07, 0.07, 0.8), (x, y, -0.43)) for x in (-0.45, 0.45) for y in (-0.45, 0.45))
+    return joined(box((1, 1, 0.06)), box((1, 0.06, 1), (0, 0.47, 0.53)), *legs)
+
+
+def leaves(count: int = 40) -> Mesh:
+    """A shrub: bent leaves in any pose, alone, touching and piercing each other."""
+    rng = np.random.default_rng(5)
+    leaf = patch(lambda u, v: [0.7 * (u - 0.5) * np.sin(np.pi * v), v, 0.25 * v * v + 0.3 * (u - 0.5) ** 2], 24, 24)
+    poses = Rotation.random(count, random_state=5).as_matrix()
+    places = rng.normal(0, 0.7, (count, 3))
+    return joined(*(Mesh(leaf.vertices @ pose.T + at, leaf.faces) for pose, at in zip(poses, places, strict=True)))
+
+
+def scroll() -> Mesh:
+    """A sheet rolled up three times, the layers 0.1 apart: one border."""
+
+    def shape(u: Floats, v: Floats) -> list[Floats]:
+        turns = 3.2 * u
+        radius = 0.12 + 0.05 * turns
+        return [radius * np.cos(2 * np.pi * turns), radius * np.sin(2 * np.pi * turns), 0.6 * v]
+
+    return patch(shape, 600, 100)
+
+
+def coil() -> Mesh:
+    """A thin tube wound three times round: two borders."""
+
+    def shape(u: Floats, v: Floats) -> list[Floats]:
+        turn, around = 18 * u, 2 * np.pi * v
+        radius = 0.4 + 0.035 * np.cos(around)
+        return [radius * np.cos(turn), radius * np.sin(turn), 0.035 * np.sin(around) + 0.04 * turn]
+
+    return patch(shape, 900, 24)
 
 
 def corner() -> Mesh:

@@ -131,7 +131,15 @@ UNSEEN = (
     Row("dress", _DRESS, outliers=0.05),
     Row("pleated skirt", surfaces.pleated_skirt, noise=0.003, outliers=0.05),
     Row("two sheets 0.06 apart", surfaces.two_sheets, outliers=0.05),
+    Row("shrub", surfaces.leaves),
+    Row("shrub", surfaces.leaves, points=1_000),
+    Row("chair", surfaces.chair),
+    Row("chair", surfaces.chair, points=1_000),
+    Row("chair", surfaces.chair, noise=0.005),
+    Row("scroll", surfaces.scroll, points=1_000),
+    Row("coil", surfaces.coil, points=1_000),
 )
-"""Rows that nothing was chosen by: few points, close layers that bend, half a shape, uneven density, outliers."""
+"""Rows that nothing was chosen by: few points, close layers that bend, half a shape, uneven density, outliers,
+leaves, closed boxes with creases, rolls."""
 
 ROWS = KNOWN + UNSEEN

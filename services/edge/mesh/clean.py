@@ -9,6 +9,7 @@ Every length is in local spacings of the points (support.py), so the same number
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
@@ -27,6 +28,8 @@ from services.edge.mesh.topology import compact, orient, pieces_of, vertex_piece
 SPECK = 15.0  # squared spacings, so points: a piece with fewer is noise, not surface
 PIN_HOLE = 12.0  # spacings around: no wider than 4; the trimming opens again what is a hole
 AFTER = 0.9  # of the pin-hole's length once real holes are cut: the smallest of those are 11 spacings around
+# Squared spacings that close a longer hole, a slit along a crease; then once real holes are cut, whose least has 10.
+SLIT, SLIT_AFTER = 12.0, 8.0
 SEAM_ROUNDS, SEAM_STEP = 6, 0.7  # brings a ridge of a spacing's height down to the faces beside it
 TEAR = 3.0  # spacings across: what lies further apart is not joined
 OVERHANG = 0.25  # spacings: the alpha shape of random points ends about this much inside the true border
@@ -47,6 +50,15 @@ HOLE = 12.0
 # spacings' radius is empty at one of 200 random places, but such places do not add up to the room of two points.
 WEB, DEEP, WEB_AREA = 1.0, 1.3, 2.0  # spacings from the points: where a web is cut, its middle; and the middle's area
 KEPT = 1e-3  # spacings: the level of what is kept although it hangs over; only its sign matters
+
+
+@dataclass(frozen=True, slots=True)
+class Gaps:
+    """What is mended: pin-holes and tears by length, in spacings, slits by area, in squared spacings."""
+
+    pin_hole: float
+    slit: float
+    tear: float
 
 
 def clean(
@@ -73,10 +85,10 @@ def clean(
     mesh = orient(mesh, part_of(tick, 0.1, 0.25))
     support = Support(np.asarray(near, np.float64), mesh, vertex_normals(mesh), part_of(tick, 0.25, 0.35))
     mesh, border = _without_specks(mesh, support, speck)
-    mesh, border = _mended(mesh, border, support, pin_hole, tear, part_of(tick, 0.4, 0.5))
+    mesh, border = _mended(mesh, border, support, Gaps(pin_hole, SLIT, tear), part_of(tick, 0.4, 0.5))
     mesh = _trimmed(mesh, border, support, overhang_most, part_of(tick, 0.5, 0.7))
     mesh, border = _without_specks(mesh, support, speck)
-    mesh, _ = _mended(mesh, border, support, AFTER * pin_hole, tear, part_of(tick, 0.75, 0.8))
+    mesh, _ = _mended(mesh, border, support, Gaps(AFTER * pin_hole, SLIT_AFTER, tear), part_of(tick, 0.75, 0.8))
     mesh, _ = _without_specks(mesh, support, speck)  # to mend may cut crumbs off
     mesh = orient(compact(mesh), part_of(tick, 0.8, 0.9))
     mesh = _tightened(mesh, support)
@@ -86,19 +98,20 @@ def clean(
     return mesh
 
 
-def _mended(mesh: Mesh, border: Ints, support: Support, pin_hole: float, tear: float, tick: Tick) -> tuple[Mesh, Ints]:
-    """The mesh without pin-holes and tears, and what is left of its border."""
+def _mended(mesh: Mesh, border: Ints, support: Support, gaps: Gaps, tick: Tick) -> tuple[Mesh, Ints]:
+    """The mesh without such gaps, and what is left of its border."""
     tick(0)
     local = support.spacing_at(mesh.vertices)
-    filled = fill_holes(mesh, pin_hole * local, border)
+    filled = fill_holes(mesh, gaps.pin_hole * local, border)
     left = border_with(border, filled.faces[len(mesh.faces) :])
-    zipped = zip_tears(filled, tear * support.spacing_at(filled.vertices), left)
+    zipped = zip_tears(filled, gaps.tear * support.spacing_at(filled.vertices), left)
     left = border_with(left, zipped.faces[len(filled.faces) :])
     tick(0.4)
     mesh = _settled(zipped, border, left)
     tick(0.8)
     border = border_edges(mesh.faces)
-    filled = fill_holes(mesh, pin_hole * support.spacing_at(mesh.vertices), border)
+    local = support.spacing_at(mesh.vertices)
+    filled = fill_holes(mesh, gaps.pin_hole * local, border, largest=gaps.slit * np.square(local))
     return filled, border_with(border, filled.faces[len(mesh.faces) :])
 
 

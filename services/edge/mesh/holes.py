@@ -2,6 +2,8 @@
 
 Pin-holes get a fan around their middle. Tears, long and narrow, run along tight folds where the field's planes change;
 they are zipped: ears of the border, three vertices in a row whose chord is short, are closed from the sharpest on.
+Slits along creases, whose sides lie in two planes, are closed by the triangulation of least area (G. Barequet,
+M. Sharir, "Filling gaps in the boundary of a polyhedron", 1995) where that is small.
 """
 
 from __future__ import annotations
@@ -20,22 +22,28 @@ from services.edge.mesh.nouns import Mesh
 # An ear at an outer corner would lie back on the faces beside it. At a fold, where both sheets overshoot and pass each
 # other, the ear that joins them leans back too, but stands off the faces by more than this.
 STANDS_OFF = float(np.cos(np.radians(35)))
+MOST_CORNERS = 300  # of a slit: 0.2 s; longer ones are wider than they should be, or of another kind
 BLUNTEST = float(np.cos(np.radians(150)))  # an ear opens by less: the saw-teeth of a straight border stay as they are
 
 
 Vector = Sequence[float]
 
 
-def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None) -> Mesh:
+def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, largest: Floats | None = None) -> Mesh:
     """Close every border loop shorter than the (V,) longest at its vertices with a fan around its middle.
 
+    largest (V,): longer loops are closed too where an area below this suffices.
     Needs a mesh whose vertices have one fan of faces each (`to_manifold`); border is its `border_edges`, where known.
-    The fans follow the faces that there are, and are wound like those next to each loop's first edge.
+    The new faces follow those that there are, and are wound like those next to each loop's first edge.
     """
     vertices, faces, count = [mesh.vertices], [mesh.faces], len(mesh.vertices)
     for loop in border_loops(mesh.faces, border):
         points = mesh.vertices[loop]
         if np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).sum() > longest[loop].mean():
+            if largest is not None and len(loop) <= MOST_CORNERS:
+                area, triangles = _least_area(points)
+                if area < largest[loop].mean():
+                    faces.append(loop[triangles[:, ::-1]])
             continue
         if len(loop) == 3:
             faces.append(loop[None, ::-1])
@@ -44,6 +52,30 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None) -> Mesh:
         faces.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), count)], axis=1))
         count += 1
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def _least_area(points: Floats) -> tuple[float, Ints]:
+    """Of a loop (L,3), L ≥ 3: the least area of its triangulations, and (L−2,3) that one's corners, wound like it."""
+    count = len(points)
+    least, middle = np.zeros((count, count)), np.zeros((count, count), np.int64)
+    for gap in range(2, count):
+        first = np.arange(count - gap)
+        last = first + gap
+        between = first[:, None] + np.arange(1, gap)
+        start = points[first][:, None]
+        corner = np.linalg.norm(np.cross(points[between] - start, points[last][:, None] - start), axis=2) / 2
+        whole = least[first[:, None], between] + least[between, last[:, None]] + corner
+        best = whole.argmin(axis=1)
+        least[first, last], middle[first, last] = whole[first, best], between[first, best]
+    triangles, spans = [], [(0, count - 1)]
+    while spans:
+        first_corner, last_corner = spans.pop()
+        if last_corner - first_corner < 2:
+            continue
+        between_corner = int(middle[first_corner, last_corner])
+        triangles.append((first_corner, between_corner, last_corner))
+        spans += [(first_corner, between_corner), (between_corner, last_corner)]
+    return float(least[0, count - 1]), np.array(triangles)
 
 
 def zip_tears(mesh: Mesh, chord: Floats, border: Ints | None = None) -> Mesh:
