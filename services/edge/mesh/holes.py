@@ -22,7 +22,7 @@ from services.edge.mesh.nouns import Mesh
 # An ear at an outer corner would lie back on the faces beside it. At a fold, where both sheets overshoot and pass each
 # other, the ear that joins them leans back too, but stands off the faces by more than this.
 STANDS_OFF = float(np.cos(np.radians(35)))
-MOST_CORNERS = 300  # of a slit: 0.2 s; longer ones are wider than they should be, or of another kind
+MOST_CORNERS = 200  # of a slit, which take 0.1 s: a longer one is wider than it should be, or of another kind
 BLUNTEST = float(np.cos(np.radians(150)))  # an ear opens by less: the saw-teeth of a straight border stay as they are
 
 
@@ -40,10 +40,8 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
     for loop in border_loops(mesh.faces, border):
         points = mesh.vertices[loop]
         if np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).sum() > longest[loop].mean():
-            if largest is not None and len(loop) <= MOST_CORNERS:
-                area, triangles = _least_area(points)
-                if area < largest[loop].mean():
-                    faces.append(loop[triangles[:, ::-1]])
+            if largest is not None and (triangles := _sheet_below(largest[loop].mean(), points)) is not None:
+                faces.append(loop[triangles[:, ::-1]])
             continue
         if len(loop) == 3:
             faces.append(loop[None, ::-1])
@@ -52,6 +50,16 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
         faces.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), count)], axis=1))
         count += 1
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def _sheet_below(largest: float, points: Floats) -> Ints | None:
+    """The triangles of least area that close a loop (L,3), None where they are larger."""
+    # No sheet is smaller than its loop's vector area: most holes are told without looking for one.
+    vector = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) / 2
+    if len(points) > MOST_CORNERS or np.linalg.norm(vector) >= largest:
+        return None
+    area, triangles = _least_area(points)
+    return triangles if area < largest else None
 
 
 def _least_area(points: Floats) -> tuple[float, Ints]:
