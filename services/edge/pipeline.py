@@ -44,7 +44,7 @@ STAGE_STARTS = {
 # The same of the second pass, whose training takes most of its time.
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.92, "PACKING": 0.94, "PUBLISHING": 0.99}
 PREVIEW_SHARE = 0.15  # of the bar, where a second pass follows
-PREVIEW_FINEST = 256  # cells of a preview that is followed: it is to be there within seconds
+PREVIEW_FINEST = 192  # cells of a preview that is followed: it is to be there within seconds
 EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
 

@@ -239,6 +239,20 @@ def test_long_slits_close_by_their_area(bend: float) -> None:
     assert area(sheet) * 0.96 < area(mended) <= area(sheet) * 1.001
 
 
+def test_a_slit_is_not_closed_over_an_edge_that_is_there() -> None:
+    sheet = surfaces.patch(lambda u, v: [u, v, np.abs(u - 0.5)], 60, 60)
+    middle = sheet.vertices[sheet.faces].mean(axis=1)
+    torn = Mesh(sheet.vertices, sheet.faces[(np.abs(middle[:, 0]) > 0.03) | (np.abs(middle[:, 1]) > 0.25)])
+    border, count = border_edges(torn.faces), len(torn.vertices)
+    zero, enough = np.zeros(count + 1), np.full(count + 1, 0.1)
+    closed = fill_holes(torn, zero, border, largest=enough)
+    chord = closed.faces[len(torn.faces) + 5, :2]
+    flap = Mesh(np.concatenate([torn.vertices, [[0, 0, 1]]]), np.concatenate([torn.faces, [[*chord, count]]]))
+    again = fill_holes(flap, zero, border, largest=enough)
+    assert len(again.faces) == len(closed.faces) + 1
+    assert worst_edge(again.faces) == 2
+
+
 def test_a_cube_of_random_points_has_no_slits_along_its_edges() -> None:
     near = surfaces.sampled(surfaces.cube(), 4_000, seed=3)
     mesh = clean(extract(local_field(near), near, resolution=96), near)

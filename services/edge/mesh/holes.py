@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from services.edge.arrays import Floats, Ints
-from services.edge.mesh.edges import border_edges, border_loops
+from services.edge.mesh.edges import border_edges, border_loops, edges_of
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
 
@@ -36,12 +36,14 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
     Needs a mesh whose vertices have one fan of faces each (`to_manifold`); border is its `border_edges`, where known.
     The new faces follow those that there are, and are wound like those next to each loop's first edge.
     """
+    border = border_edges(mesh.faces) if border is None else border
+    across = _across(mesh.faces, border) if largest is not None else None
     vertices, faces, count = [mesh.vertices], [mesh.faces], len(mesh.vertices)
     for loop in border_loops(mesh.faces, border):
         points = mesh.vertices[loop]
         if np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).sum() > longest[loop].mean():
-            if largest is not None and (triangles := _sheet_below(largest[loop].mean(), points)) is not None:
-                faces.append(loop[triangles[:, ::-1]])
+            if largest is not None and across is not None:
+                faces.append(_sheet_below(largest[loop].mean(), points, loop, across))
             continue
         if len(loop) == 3:
             faces.append(loop[None, ::-1])
@@ -52,20 +54,41 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def _sheet_below(largest: float, points: Floats) -> Ints | None:
-    """The triangles of least area that close a loop (L,3), None where they are larger."""
+def _across(faces: Ints, border: Ints) -> Ints:
+    """(C,2) edges between border vertices."""
+    rim = np.zeros(int(faces.max(initial=0)) + 1, bool)
+    rim[border] = True
+    ends = edges_of(faces[rim[faces].sum(axis=1) >= 2]).ends
+    between: Ints = ends[rim[ends].all(axis=1)]
+    return between
+
+
+def _sheet_below(largest: float, points: Floats, loop: Ints, across: Ints) -> Ints:
+    """The faces of least area that close a loop (L,), its places (L,3); none where they are larger.
+
+    across (C,2) are edges that the mesh has, which would get a third face.
+    """
+    none = np.empty((0, 3), np.int64)
     # No sheet is smaller than its loop's vector area: most holes are told without looking for one.
     vector = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) / 2
     if len(points) > MOST_CORNERS or np.linalg.norm(vector) >= largest:
-        return None
-    area, triangles = _least_area(points)
-    return triangles if area < largest else None
+        return none
+    order = np.argsort(loop)
+    chords = across[np.isin(across, loop).all(axis=1)]
+    taken = np.sort(order[np.searchsorted(loop, chords, sorter=order)], axis=1)
+    area, triangles = _least_area(points, taken)
+    return loop[triangles[:, ::-1]] if area < largest else none
 
 
-def _least_area(points: Floats) -> tuple[float, Ints]:
-    """Of a loop (L,3), L ≥ 3: the least area of its triangulations, and (L−2,3) that one's corners, wound like it."""
+def _least_area(points: Floats, taken: Ints) -> tuple[float, Ints]:
+    """Of a loop (L,3), L ≥ 3: the least area of its triangulations, and (L−2,3) that one's corners, wound like it.
+
+    taken (C,2), each pair rising, are chords that it must not have; ∞ where it cannot do without.
+    """
     count = len(points)
     least, middle = np.zeros((count, count)), np.zeros((count, count), np.int64)
+    barred = np.zeros((count, count), bool)
+    barred[taken[:, 0], taken[:, 1]] = np.ptp(taken, axis=1) % (count - 1) > 1  # the loop's own edges are no chords
     for gap in range(2, count):
         first = np.arange(count - gap)
         last = first + gap
@@ -74,7 +97,8 @@ def _least_area(points: Floats) -> tuple[float, Ints]:
         corner = np.linalg.norm(np.cross(points[between] - start, points[last][:, None] - start), axis=2) / 2
         whole = least[first[:, None], between] + least[between, last[:, None]] + corner
         best = whole.argmin(axis=1)
-        least[first, last], middle[first, last] = whole[first, best], between[first, best]
+        least[first, last] = np.where(barred[first, last], np.inf, whole[first, best])
+        middle[first, last] = between[first, best]
     triangles, spans = [], [(0, count - 1)]
     while spans:
         first_corner, last_corner = spans.pop()
