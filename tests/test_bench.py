@@ -195,6 +195,15 @@ def test_a_loss_names_the_row_and_the_rival() -> None:
     assert f"{CLEAN.label}: 10.0% behind screened Poisson" in report.verdicts(_grid(0.0033, 0.003))[1]
 
 
+def test_other_presets_of_the_product_are_rivals_of_their_own() -> None:
+    grid = _grid(0.0029, 0.003, NOISY)
+    fine = Record(NOISY.label, "fine", {}, "", {**FIGURES, "chamfer_l1": 0.0028})
+    grid = replace(grid, heads={**grid.heads, "fine": "fine"}, records={**grid.records, (NOISY.label, "fine"): fine})
+    said = "\n".join(report.verdicts(grid))
+    assert "Chamfer-L1 against other methods: standard is best on 1 of 1 rows" in said
+    assert f"{NOISY.label}: 3.6% behind fine" in said
+
+
 def test_the_best_cell_is_bold_and_other_code_is_marked() -> None:
     grid = _grid(0.0029, 0.003)
     old = replace(grid.records[CLEAN.label, "standard"], version="0.0.0+other")

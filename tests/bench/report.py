@@ -121,11 +121,20 @@ def table(grid: Grid, cell: Callable[[Figures], str], beside: tuple[str, Callabl
 
 
 def verdicts(grid: Grid) -> list[str]:
-    """Where the product's column is best, by Chamfer-L1 and by F@.005, and which rows it loses to whom."""
+    """Where the product's column is best, by Chamfer-L1 and by F@.005, and which rows it loses to whom.
+
+    First against the other methods, then with the product's other presets, which take longer or less long, among them.
+    """
     said = []
     product = grid.heads.get(grid.product, grid.product)
-    for name, figure in (("Chamfer-L1", "chamfer_l1"), ("F@.005", "f_005")):
-        standings = list(_standings(grid, figure))
+    others = [method for method in grid.heads if method not in PRODUCT]
+    for name, figure, rivals in (
+        ("Chamfer-L1 against other methods", "chamfer_l1", others),
+        ("F@.005 against other methods", "f_005", others),
+        ("Chamfer-L1 against all columns", "chamfer_l1", list(grid.heads)),
+        ("F@.005 against all columns", "f_005", list(grid.heads)),
+    ):
+        standings = _standings(grid, figure, rivals)
         count = {kind: sum(each.outcome == kind for each in standings) for kind in ("win", "tie", "behind")}
         said.append(
             f"- {name}: {product} is best on {count['win']} of {len(standings)} rows, "
@@ -139,11 +148,12 @@ def verdicts(grid: Grid) -> list[str]:
     return said
 
 
-def _standings(grid: Grid, figure: str) -> list[Standing]:
+def _standings(grid: Grid, figure: str, rivals: Sequence[str]) -> list[Standing]:
     standings = []
     for row in grid.rows:
-        cells = grid.of_row(row)
-        own = cells.pop(grid.product, None)
+        own = grid.figures(row, grid.product)
+        cells = {method: each for method, each in grid.of_row(row).items() if method in rivals}
+        cells.pop(grid.product, None)
         if own and cells:
             losses = {method: _loss(figures, figure) for method, figures in cells.items()}
             rival = min(losses, key=lambda method: losses[method])
