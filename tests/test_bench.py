@@ -256,6 +256,25 @@ def test_only_missing_cells_are_measured(tmp_path: Path, monkeypatch: pytest.Mon
     assert steps == [0, yardstick.STEPS, 7]
 
 
+def test_cells_of_older_code_are_taken_over_only_if_a_sample_comes_out_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = dict(FIGURES)
+    monkeypatch.setattr(yardstick, "run_cell", lambda *given: answer | {"seconds": 99.0})
+    options = yardstick._parser().parse_args(["--adopt", "2"])
+    records = Records(tmp_path / "kept.json")
+    for row in ROWS[:3]:
+        key = yardstick._key(row, yardstick._settings(row, "draft", options))
+        records.add(Record(row.label, "draft", key, "older", FIGURES))
+    answer["chamfer_l1"] = FIGURES["chamfer_l1"] + 1e-5
+    yardstick.adopt(ROWS[:3], ["draft"], options, records)
+    assert {record.version for record in records.all().values()} == {"older"}
+    answer["chamfer_l1"] = FIGURES["chamfer_l1"]
+    yardstick.adopt(ROWS[:3], ["draft"], options, records)
+    assert {record.version for record in records.all().values()} == {code_version("draft")}
+    assert {record.figures["seconds"] for record in records.all().values()} == {FIGURES["seconds"]}
+
+
 def test_every_loss_of_a_preset_is_ablated_and_none_that_it_lacks() -> None:
     names = dict(ablation.variants(FitConfig(surface=0.0, self_consistency=1e-2, far_share=0.0)))
     assert names["as it is"] == {}
