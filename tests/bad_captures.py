@@ -165,8 +165,8 @@ BAD: dict[str, Bad] = {
     ),
     "HTML named .jpg": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: HTML)),
     "a truncated JPEG": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: pictures.jpeg()[:1500])),
-    "a CMYK JPEG alone": Bad("CAPTURE_UNKNOWN_FORMAT", "a.jpg", one("a.jpg", lambda: _picture("CMYK", "JPEG"))),
-    "a 16-bit PNG alone": Bad("CAPTURE_UNKNOWN_FORMAT", "a.png", one("a.png", lambda: _picture("I;16", "PNG"))),
+    "a CMYK JPEG alone": Bad("CAPTURE_LOW_OVERLAP", "a.jpg", one("a.jpg", lambda: _picture("CMYK", "JPEG"))),
+    "a 16-bit PNG alone": Bad("CAPTURE_LOW_OVERLAP", "a.png", one("a.png", lambda: _picture("I;16", "PNG"))),
     "a GIF": Bad("CAPTURE_UNKNOWN_FORMAT", "a.gif", one("a.gif", lambda: _picture("P", "GIF"))),
     "a cut film": Bad("CAPTURE_UNREADABLE", "a.mp4", one("a.mp4", lambda: pictures.film()[:150])),
     # recordings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -54,6 +54,7 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
             "</tr>",
             *_rows(certificates),
             "</table>",
+            *_photos(report["capture"]["photos"]),
             *(f'<p class="warning">{escape(warning)}</p>' for warning in report["warnings"]),
             "</html>\n",
         ]
@@ -74,6 +75,17 @@ _VERDICTS = {
     "even": "as good as the preview",
     "worse": "worse than the preview, which was kept",
 }
+
+
+def _photos(verdicts: Sequence[Mapping[str, str]]) -> Iterator[str]:
+    """What became of every photo, where the capture was photos."""
+    if not verdicts:
+        return
+    yield "<h2>Photos</h2><table>"
+    for each in verdicts:
+        name, verdict, advice = (escape(each[key]) for key in ("name", "verdict", "advice"))
+        yield f"<tr><td>{name}</td><td>{verdict.replace('_', ' ')}</td><td>{advice}</td></tr>"
+    yield "</table>"
 
 
 def _figure(state: str, png: bytes) -> str:

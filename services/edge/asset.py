@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -115,7 +115,12 @@ def manifest_of(
         "label": subject.label,
         "preset": subject.preset.name,
         "preset_because": subject.because,
-        "capture": {"kind": capture.kind, "format": capture.format, "frames": len(capture.frames)},
+        "capture": {
+            "kind": capture.kind,
+            "format": capture.format,
+            "frames": len(capture.frames) or len(capture.photos),
+            "photos": [asdict(verdict) for verdict in capture.verdicts],
+        },
         "points": len(points) + quality["held_out"],
         "scale_confidence": points.scale_confidence,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],

@@ -1,4 +1,4 @@
-"""The whole method on one page: capture → points → field → mesh → bundle.
+"""The whole method on one page: capture (→ depth) → points → field → mesh → bundle.
 
 Every stage is a plain function of the stage before it. `reconstruct` yields `Progress` on the way and a `Bundle`
 whenever there is something worth publishing: first the preview of the local field, then, where the preset trains, the
@@ -25,6 +25,7 @@ from services.edge.field.local import local_field
 from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
 from services.edge.mesh.band import part_of
 from services.edge.mesh.spacing import auto_resolution
+from services.edge.photos import to_depth
 from services.edge.points import Points, at_most, to_points, unit_frame
 from services.edge.preset import AUTOMATIC, Preset, load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, unwatched
@@ -41,9 +42,14 @@ STAGE_STARTS = {
     "PACKING": 0.80,
     "PUBLISHING": 0.95,
 }
+# The same of photos, which have to become depth images first: that takes longer than all the rest.
+PHOTO_STARTS = {"VALIDATING": 0.0, "ALIGNING": 0.01} | {
+    stage: 0.6 + 0.4 * start for stage, start in STAGE_STARTS.items() if stage != "VALIDATING"
+}
 # The same of the second pass, whose training takes most of its time.
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.92, "PACKING": 0.94, "PUBLISHING": 0.99}
 PREVIEW_SHARE = 0.15  # of the bar, where a second pass follows
+PHOTO_PREVIEW_SHARE = 0.6  # the same of photos
 PREVIEW_FINEST = 192  # cells of a preview that is followed: it is to be there within seconds
 EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
@@ -81,15 +87,24 @@ def reconstruct(
     """
     clock = Clock()
     bar = Bar(watch)
-    bar.covers(STAGE_STARTS, 0.0, PREVIEW_SHARE if preset.fit or preset.name == AUTOMATIC else 1.0)
+    starts, share = (PHOTO_STARTS, PHOTO_PREVIEW_SHARE) if capture.kind == "photos" else (STAGE_STARTS, PREVIEW_SHARE)
+    bar.covers(starts, 0.0, share if preset.fit or preset.name == AUTOMATIC else 1.0)
+
+    measured_capture = capture
+    if capture.kind == "photos":
+        yield bar.starts("ALIGNING", f"{len(capture.photos)} photos")
+        with clock("ALIGNING"):
+            measured_capture = to_depth(capture, tick=bar.inside("ALIGNING"))
+            capture = replace(capture, verdicts=measured_capture.verdicts)
 
     yield bar.starts("POINT_CLOUD", f"reading {capture.format}")
     with clock("POINT_CLOUD"):
-        points = to_points(capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
+        points = to_points(measured_capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
+        del measured_capture  # depth images of photos are a gigabyte that no later stage wants
         preset, because = _settled(preset, points, device)
         held = hold_out(len(points), sets=2 if preset.fit and preset.fit.patience else 1)
         shown = at_most(_part(points, held == 0), preset.most_points)
-    bar.covers(STAGE_STARTS, 0.0, PREVIEW_SHARE if preset.fit else 1.0)
+    bar.covers(starts, 0.0, share if preset.fit else 1.0)
 
     yield bar.starts("FITTING", f"{len(shown):,} points" + (f", preset {preset.name}: {because}" if because else ""))
     with clock("FITTING"):
@@ -106,7 +121,7 @@ def reconstruct(
     quality = preview.quality(preset, clock.seconds)
     yield from _bundle(preview.mesh_unit, subject, "preview", quality, (), clock, bar)
     if preset.fit:
-        bar.covers(REFINED_STARTS, PREVIEW_SHARE, 1.0)
+        bar.covers(REFINED_STARTS, share, 1.0)
         seen, weighed = (xyz_unit, None) if preset.denoised else (measured, noise)
         watched = unit.to_unit(points.xyz[held == 2])
         config = preset.fit if len(watched) else replace(preset.fit, patience=0)  # too few to spare any

@@ -71,7 +71,7 @@ class RealWork:
         return pb.Inspection(
             kind=capture.kind,
             format=capture.format,
-            frames=len(capture.frames),
+            frames=len(capture.frames) or len(capture.photos),
             points=len(capture.cloud.xyz) if capture.cloud else 0,
             warnings=capture.warnings,
         )

@@ -122,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--preset", default="ours-paper", help="whose losses; any preset that trains")
     parser.add_argument("--rows", default="", help=f"only rows whose label contains this, of: {'; '.join(SHAPES)}")
     parser.add_argument("--steps", type=int, default=1_500, help="0: as the preset says")
-    parser.add_argument("--batch", type=int, default=1_000, help="0: as the preset says")
+    parser.add_argument("--batch", type=int, default=500, help="0: as the preset says")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--fresh", action="store_true", help="measure again what is already stored")

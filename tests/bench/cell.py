@@ -31,7 +31,7 @@ from services.edge.mesh.nouns import Mesh
 from tests.bench.methods import Settings, Unavailable, make
 from tests.bench.records import code_version
 
-_ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[2]
 
 
 def run_cell(points: Floats, truth: Mesh, settings: Settings, timeout_s: float) -> dict[str, Any]:
@@ -42,12 +42,12 @@ def run_cell(points: Floats, truth: Mesh, settings: Settings, timeout_s: float) 
         np.savez(task, points=points, vertices=whole.vertices, faces=whole.faces, settings=json.dumps(asdict(settings)))
         command = [sys.executable, "-m", "tests.bench.cell", str(task)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, cwd=_ROOT, check=False)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, cwd=ROOT, check=False)
         except subprocess.TimeoutExpired:
             return {"failed": f"not done after {timeout_s:.0f} s"}
     if done.returncode:
         last = (done.stderr.strip() or f"ended with {done.returncode}").splitlines()[-1]
-        return {"failed": last.replace(f"{_ROOT}/", "")[:200]}
+        return {"failed": last.replace(f"{ROOT}/", "")[:200]}
     result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     if "unavailable" in result:
         raise Unavailable(result["unavailable"])

@@ -67,7 +67,7 @@ SINGLE: dict[str, tuple[str, str, Callable[[], bytes]]] = {
     "text called .ply": ("CAPTURE_UNREADABLE", "scan.ply", lambda: b"Dear reader,\nthis is a letter.\n"),
     "text called .las": ("CAPTURE_UNREADABLE", "scan.las", lambda: b"Dear reader,\nthis is a letter.\n"),
     "a letter": ("CAPTURE_UNKNOWN_FORMAT", "letter.txt", lambda: b"Dear reader,\nthis is a letter.\n"),
-    "a photo": ("CAPTURE_UNKNOWN_FORMAT", "IMG_1.JPG", lambda: b"\xff\xd8\xff\xe0" + b"\0" * 64),
+    "a photo": ("CAPTURE_UNREADABLE", "IMG_1.JPG", lambda: b"\xff\xd8\xff\xe0" + b"\0" * 64),
     "a zip": ("CAPTURE_UNKNOWN_FORMAT", "scan.zip", lambda: b"PK\x03\x04" + b"\0" * 64),
     "cut PLY": ("CAPTURE_TRUNCATED", "scan.ply", lambda: captures.ply_bytes(XYZ, RGB)[:-100]),
     "cut ASCII PLY": ("CAPTURE_TRUNCATED", "scan.ply", lambda: captures.ply_bytes(XYZ, form="ascii")[:-400]),
@@ -300,10 +300,23 @@ RECORDINGS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     ),
     "no frames": ("nerfstudio", "CAPTURE_EMPTY", nerf(lambda tree: tree.update(frames=[]))),
     "frames of words": ("nerfstudio", "CAPTURE_UNREADABLE", nerf(lambda tree: tree.update(frames=["a"]))),
-    "images without depth": (
+    "images missing, without depth": (
         "nerfstudio",
-        "CAPTURE_UNKNOWN_FORMAT",
-        nerf(lambda tree: [frame.pop("depth_file_path") for frame in tree["frames"]]),
+        "CAPTURE_COUNT_MISMATCH",
+        nerf(
+            lambda tree: [
+                (frame.pop("depth_file_path"), frame.update(file_path="gone.jpg")) for frame in tree["frames"]
+            ]
+        ),
+    ),
+    "mirrored photos without depth": (
+        "nerfstudio",
+        "CAPTURE_BAD_POSE",
+        nerf(
+            lambda tree: [
+                (frame.pop("depth_file_path"), frame.update(transform_matrix=MIRROR)) for frame in tree["frames"]
+            ]
+        ),
     ),
     "all depth missing": ("nerfstudio", "CAPTURE_COUNT_MISMATCH", remove(*ALL_DEPTH)),
     "not JSON": ("nerfstudio", "CAPTURE_UNREADABLE", write("transforms.json", b"{")),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.capture import depth16, nerfstudio, polycam, record3d, scanner3d, stray, tum
+from services.edge.capture import colmap, depth16, nerfstudio, photos, polycam, record3d, scanner3d, stray, tum
 from services.edge.capture.cloud import cloud_format, read_cloud
 from services.edge.capture.files import Folder, open_folder, reading, unreadable
 from services.edge.capture.nouns import Capture
@@ -20,12 +20,12 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (polycam.matches, polycam.read),
     (scanner3d.matches, scanner3d.read),
     (nerfstudio.matches, nerfstudio.read),
+    (colmap.matches, colmap.read),
     (depth16.matches, depth16.read),
     (tum.matches, tum.read),  # last: any folder called "depth" is enough for it
 )
 _CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf")
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
-_PHOTO_MAGIC = (b"\xff\xd8\xff", b"\x89PNG", b"II*\0", b"MM\0*", b"RIFF")
 # Tables of numbers that belong to a recording and are no clouds.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
 _HINT = "send a point cloud, a mesh, or the export of a LiDAR scanning app; see the list of formats"
@@ -73,6 +73,8 @@ def _read_files(folder: Folder) -> Capture:
         return record3d.read_archive(folder.path(archive), archive)
     candidates = [(name, kind) for name in folder.names if (kind := _candidate(folder, name)) is not None]
     if not candidates:
+        if photos.matches(folder):  # not before: a mesh's textures are pictures too
+            return photos.read(folder)
         raise _not_found(folder)
     candidates.sort(key=lambda found: -folder.path(found[0]).stat().st_size)
     (name, kind), others = candidates[0], [other for other, _ in candidates[1:]]
@@ -101,12 +103,12 @@ def _not_found(folder: Folder) -> CaptureError:
             return unreadable(name, what) if sizes[name] else CaptureError("CAPTURE_EMPTY", what, file=name)
     heads = [_head(folder.path(name)) for name in folder.names]
     only = folder.names[0] if len(folder.names) == 1 else None
-    if any(head.startswith(_PHOTO_MAGIC) or head[4:8] == b"ftyp" for head in heads):
+    if any(head[4:8] == b"ftyp" for head in heads):
         return CaptureError(
             "CAPTURE_UNKNOWN_FORMAT",
-            "holds photos or video without depth, which are not read yet",
+            "holds video without depth, which is not read yet",
             file=only,
-            hints=("scan with a LiDAR app such as Stray Scanner, Record3D or Polycam",),
+            hints=("take 15 to 30 photos around the thing instead",),
         )
     archive = next((name for name, head in zip(folder.names, heads, strict=True) if head.startswith(_ARCHIVES)), None)
     if archive is not None:

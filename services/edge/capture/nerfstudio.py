@@ -1,4 +1,4 @@
-"""nerfstudio and instant-ngp: `transforms.json`, images and depth. Poses camera-to-world in OpenGL axes, depth in mm.
+"""nerfstudio and instant-ngp: `transforms.json` and images, depth or not. Poses camera-to-world, OpenGL axes, depth mm.
 
 Its pixels have their corners at integers (COLMAP's convention), ours their centres: cx and cy lose half a pixel.
 """
@@ -6,8 +6,9 @@ Its pixels have their corners at integers (COLMAP's convention), ours their cent
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from services.edge.arrays import Bytes, Floats
 from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, depth_file
 from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
 from services.edge.capture.images import image_size
-from services.edge.capture.nouns import Capture, Intrinsics
+from services.edge.capture.nouns import Capture, Intrinsics, Photo
+from services.edge.capture.photos import read_photo, spread, spread_warning
+from services.edge.capture.posed import GivenCamera, posed, sound_photos
 from services.edge.capture.shots import Shot, checked_intrinsics, missing_warning, rgbd_capture
 from services.edge.errors import CaptureError
 
@@ -40,8 +43,7 @@ def read(folder: Folder) -> Capture:
         raise CaptureError("CAPTURE_EMPTY", "lists no frames", file=FILE)
     named = [(frame, _depth_name(folder, frame)) for frame in frames]
     if all(name is None for _, name in named):
-        hint = ("record with depth (LiDAR), or send a point cloud",)
-        raise CaptureError("CAPTURE_UNKNOWN_FORMAT", "lists images without depth", file=FILE, hints=hint)
+        return _photos(folder, tree, frames)
     missing = [name for _, name in named if name is not None and not folder.has(name)]
     shots = [_shot(folder, tree | frame, name) for frame, name in named if name is not None and folder.has(name)]
     if not shots:
@@ -49,6 +51,34 @@ def read(folder: Folder) -> Capture:
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the depth folder too",))
     warnings = missing_warning(missing, "depth images")
     return rgbd_capture("nerfstudio", shots, axes="opengl", up=None, file=FILE, warnings=warnings)
+
+
+def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
+    """Images without depth: posed photos. The file's scale is whatever made it."""
+    named = [(tree | frame, _image_name(folder, frame)) for frame in frames]
+    missing = [name for _, name in named if not folder.has(name)]
+    there = [(frame, name) for frame, name in named if folder.has(name)]
+    if not there:
+        reason = f"none of its {len(missing)} images is there; the first is {missing[0]}"
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the images too",))
+    photos, verdicts, dropped = sound_photos([partial(_photo, folder, frame, name) for frame, name in spread(there)])
+    warnings = (*missing_warning(missing, "images"), *spread_warning(len(there)), *dropped)
+    return Capture("photos", "nerfstudio", photos=photos, verdicts=verdicts, warnings=warnings)
+
+
+def _image_name(folder: Folder, frame: Mapping[str, Any]) -> str:
+    """instant-ngp's synthetic sets leave the ending away."""
+    name = folder.inside(frame.get("file_path"), by=FILE)
+    return name if folder.has(name) else next((name + end for end in (".png", ".jpg") if folder.has(name + end)), name)
+
+
+def _photo(folder: Folder, frame: Mapping[str, Any], name: str) -> Photo:
+    photo = read_photo(folder, name)
+    camera = _camera(frame, lambda: photo.size)
+    lens = _lens(frame, camera)
+    pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {name}").reshape(4, 4)
+    key = f"{camera.fx:.2f} {camera.cx:.2f} {camera.cy:.2f}"
+    return posed(photo, GivenCamera(key, camera, lens.coefficients if lens else (0.0,) * 5, pose, "opengl"))
 
 
 def _depth_name(folder: Folder, frame: Mapping[str, Any]) -> str | None:
@@ -62,7 +92,7 @@ def _shot(folder: Folder, frame: Mapping[str, Any], depth: str) -> Shot:
     colour = colour if colour is not None and folder.has(colour) else None
     pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {depth}").reshape(4, 4)
     source = depth_file(folder.path(depth), depth, _metres_per_step(frame))
-    camera = _camera(folder, frame, colour, source)
+    camera = _camera(frame, source.size if colour is None else partial(image_size, folder.path(colour), colour))
     lens = _lens(frame, camera)
     rgb: ColourSource | None = None if colour is None else ImageColour(folder.path(colour), colour)
     if lens is not None:
@@ -78,11 +108,12 @@ def _metres_per_step(frame: Mapping[str, Any]) -> float:
     return scale
 
 
-def _camera(folder: Folder, frame: Mapping[str, Any], colour: str | None, depth: DepthSource) -> Intrinsics:
+def _camera(frame: Mapping[str, Any], measured: Callable[[], tuple[int, int]]) -> Intrinsics:
+    """For images of the size that the file gives, or else of the `measured` one."""
     if "w" in frame and "h" in frame:
         width, height = number(frame, "w", file=FILE), number(frame, "h", file=FILE)
     else:
-        width, height = image_size(folder.path(colour), colour) if colour is not None else depth.size()
+        width, height = measured()
     if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
         raise unreadable(FILE, f"has images of {width} x {height} pixels")
     fx = _focal(frame, "x", width)

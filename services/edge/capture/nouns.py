@@ -1,14 +1,14 @@
-"""What a phone sent, normalised: a `Capture` is a point cloud or a list of posed RGB-D `Frame`s."""
+"""What a phone sent, normalised: a `Capture` is a point cloud, posed RGB-D `Frame`s, or `Photo`s."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 from services.edge.arrays import Bytes, Floats
 
-CaptureKind = Literal["points", "rgbd"]
+CaptureKind = Literal["points", "rgbd", "photos"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]
 
 
@@ -49,6 +49,50 @@ class Frame:
     load_rgb: Callable[[], Bytes] | None = None
 
 
+class LoadPhoto(Protocol):
+    """The pixels of a photo, (h,w,3) uint8 sRGB as stored: not turned by the orientation tag, so that photos held
+    upright and sideways share one camera. `longest` scales the longer side down to at most that many pixels."""
+
+    def __call__(self, longest: int | None = None) -> Bytes: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Photo:
+    """One picture, read when asked for: 300 of them cost no memory.
+
+    name             file inside the capture
+    size             (width, height) in pixels as stored
+    camera           what photos have in common that one camera took at one focal length and size
+    focal_px         focal length in pixels at `size` as the file tells it, or None
+    turns            quarter turns clockwise that bring the stored picture upright: 0 to 3
+    intrinsics       of the picture at `size`, or None where it is to be solved
+    distortion       OpenCV's (k1, k2, p1, p2, k3), for photos with intrinsics
+    camera_to_world  (4,4) float64, OpenCV axes, or None where it is to be solved
+    """
+
+    name: str
+    size: tuple[int, int]
+    camera: str
+    load: LoadPhoto
+    focal_px: float | None = None
+    turns: int = 0
+    intrinsics: Intrinsics | None = None
+    distortion: tuple[float, ...] = ()
+    camera_to_world: Floats | None = None
+
+
+PhotoFault = Literal["ok", "blur", "dark", "duplicate", "no_overlap", "unreadable"]
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoVerdict:
+    """What became of one photo; `advice` is a sentence for the person who took it, "" where it was used."""
+
+    name: str
+    verdict: PhotoFault
+    advice: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class Cloud:
     """Points as read from files: capture frame and units.
@@ -65,8 +109,9 @@ class Cloud:
 class Capture:
     """A validated capture.
 
-    kind              "points" (cloud is set) or "rgbd" (frames is not empty)
+    kind              "points" (cloud is set), "rgbd" (frames is not empty) or "photos" (photos is not empty)
     format            the detected format's name: "ply", "pcd", "record3d", "tum", ...
+    verdicts          of the photos that reading alone refused, of kind "photos"
     metres_per_unit   metres per unit of the capture frame, as far as known
     scale_confidence  "metric" where format or sensor guarantee it, "unknown" for a bare cloud
     up                (3,) unit vector against gravity in the capture frame, or None when nothing tells
@@ -77,6 +122,8 @@ class Capture:
     format: str
     cloud: Cloud | None = None
     frames: tuple[Frame, ...] = ()
+    photos: tuple[Photo, ...] = ()
+    verdicts: tuple[PhotoVerdict, ...] = ()
     metres_per_unit: float = 1.0
     scale_confidence: ScaleConfidence = "unknown"
     up: Floats | None = None

@@ -3,6 +3,7 @@ import { Problem, followJob, getJson, keyFrom, postJson, uploadCapture } from '.
 
 const STAGES = [
   ['VALIDATING', 'Checking'],
+  ['ALIGNING', 'Finding where the photos were taken'], // shown once it is heard of: other captures know
   ['POINT_CLOUD', 'Gathering points'],
   ['FITTING', 'Fitting the surface'],
   ['EXTRACTING', 'Making the mesh'],
@@ -120,6 +121,7 @@ function watch(made) {
   job = made.id;
   show('working');
   fill(at('stages'), STAGES.map(([, label]) => label));
+  STAGES.forEach(([name], place) => { at('stages').children[place].hidden = name === 'ALIGNING'; });
   apply(made);
   if (TERMINAL.includes(made.state)) return;
   const stop = followJob(job, (type, data) => {
@@ -166,6 +168,7 @@ function showProgress({ stage, fraction, message, eta_s: eta }) {
   [...at('stages').children].forEach((item, place) => {
     item.dataset.is = place < index ? 'past' : place === index ? 'now' : 'next';
     item.ariaCurrent = place === index ? 'step' : null;
+    if (place === index) item.hidden = false;
   });
 }
 

@@ -1,0 +1,76 @@
+"""The pictures that stereo works on: grey, of a common size, with the lens's distortion taken out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats
+from services.edge.capture.nouns import Intrinsics
+from services.edge.photos.nouns import View
+
+_STRAIGHT = 1e-6
+"""Distortion coefficients below it move no pixel by a hundredth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A view as stereo sees it.
+
+    grey             (H,W) uint8, undistorted
+    camera           of `grey`, a pinhole
+    world_to_camera  (4,4) float64, OpenCV axes
+    """
+
+    view: View
+    grey: Bytes
+    camera: Intrinsics
+    world_to_camera: Floats
+
+    @property
+    def k(self) -> Floats:
+        """(3,3) camera matrix."""
+        return matrix(self.camera)
+
+    @property
+    def eye(self) -> Floats:
+        """(3,) where the camera stood."""
+        return np.asarray(self.view.camera_to_world[:3, 3], np.float64)
+
+    def halved(self) -> Picture:
+        """The same at half the size."""
+        import cv2
+
+        height, width = self.grey.shape
+        size = (max(1, width // 2), max(1, height // 2))
+        grey = np.asarray(cv2.resize(self.grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+        return Picture(self.view, grey, self.camera.scaled_to(*size), self.world_to_camera)
+
+
+def picture(view: View, longest: int) -> Picture:
+    """Decode a view at no more than `longest` pixels along its longer side."""
+    import cv2
+
+    rgb, camera = colours(view, longest)
+    grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
+    return Picture(view, grey, camera, np.linalg.inv(view.camera_to_world))
+
+
+def colours(view: View, longest: int) -> tuple[Bytes, Intrinsics]:
+    """(H,W,3) uint8 sRGB, undistorted, and its pinhole."""
+    import cv2
+
+    rgb = view.photo.load(longest)
+    camera = view.intrinsics.scaled_to(rgb.shape[1], rgb.shape[0])
+    if max(map(abs, view.distortion)) <= _STRAIGHT:
+        return rgb, camera
+    k = matrix(camera)
+    return np.asarray(
+        cv2.undistort(rgb, k, np.asarray(view.distortion, np.float64), newCameraMatrix=k), np.uint8
+    ), camera
+
+
+def matrix(camera: Intrinsics) -> Floats:
+    """(3,3) of the pinhole."""
+    return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], np.float64)

@@ -1,0 +1,364 @@
+"""Photos to depth images: the parts on closed forms, the whole on a rendered walk-around whose truth is known."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from services.edge.arrays import Floats
+from services.edge.capture import Capture, read_capture
+from services.edge.capture.nouns import Frame, Intrinsics, Photo
+from services.edge.errors import Cancelled, CaptureError
+from services.edge.photos import to_depth
+from services.edge.photos.agree import confirmations
+from services.edge.photos.align import align
+from services.edge.photos.depths import depth_frames
+from services.edge.photos.nouns import Alignment, View
+from services.edge.photos.pictures import Picture
+from services.edge.photos.sgm import P1, aggregate
+from services.edge.photos.sources import choose_sources
+from services.edge.photos.sweep import vertex
+from services.edge.photos.zncc import BestTwo, Windows
+from services.edge.pipeline import reconstruct
+from services.edge.points import to_points
+from services.edge.preset import load_preset
+from services.edge.progress import Progress
+from services.storage.bundle import Bundle
+from tests.edge.walkaround import Walkaround, render_walkaround
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes <-> OpenGL camera axes
+SIZE_M = 0.4  # of the thing that is walked around
+
+
+# The parts
+
+
+def _slow_paths(cost: np.ndarray) -> np.ndarray:
+    """Eq. 13 of the paper word for word, in a picture without edges, where P2 is what `aggregate` has on them."""
+    from services.edge.photos.sgm import P2
+
+    rows, columns, planes = cost.shape
+    total = np.zeros(cost.shape, int)
+    for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        path = np.zeros(cost.shape, int)
+        for i in range(rows)[:: down or 1]:
+            for j in range(columns)[:: right or 1]:
+                before = (i - down, j - right)
+                first = not (0 <= before[0] < rows and 0 <= before[1] < columns)
+                for d in range(planes):
+                    path[i, j, d] = cost[i, j, d]
+                    if first:
+                        continue
+                    last = path[before]
+                    sides = [last[e] + P1 for e in (d - 1, d + 1) if 0 <= e < planes]
+                    path[i, j, d] += min(last[d], *sides, last.min() + P2) - last.min()
+        total += path
+    return total
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.tuples(st.integers(1, 5), st.integers(1, 5), st.integers(3, 6)))
+def test_paths_are_summed_as_the_paper_says(seed: int, shape: tuple[int, int, int]) -> None:
+    cost = np.random.default_rng(seed).integers(0, 256, shape).astype(np.uint8)
+    grey = np.full(shape[:2], 100, np.uint8)
+    assert np.array_equal(aggregate(cost, grey), _slow_paths(cost))
+
+
+def test_a_lone_mismatch_follows_its_neighbours_and_an_edge_lets_depth_jump() -> None:
+    cost = np.full((20, 30, 8), 120, np.uint8)
+    cost[:, :15, 2], cost[:, 15:, 6] = 20, 20
+    cost[10, 5] = 120
+    cost[10, 5, 7] = 60  # by itself this pixel would choose plane 7
+    grey = np.repeat(np.repeat([[50, 200]], 15, axis=1), 20, axis=0).astype(np.uint8)
+    chosen = aggregate(cost, grey).argmin(axis=2)
+    assert (chosen[:, :15] == 2).all()
+    assert (chosen[:, 15:] == 6).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.5, 1.5), st.floats(-40, 40))
+def test_exposure_changes_no_correlation(seed: int, gain: float, offset: float) -> None:
+    grey = np.random.default_rng(seed).integers(60, 160, (24, 32)).astype(np.uint8)
+    same = Windows.of(grey).zncc(grey.astype(np.float32) * np.float32(gain) + np.float32(offset))
+    assert same.min() > 0.98
+    assert same.max() <= 1.001
+
+
+def test_plain_walls_correlate_with_nothing() -> None:
+    rng = np.random.default_rng(0)
+    wall = np.full((40, 40), 128, np.float32)
+    seen = Windows.of((wall + rng.normal(0, 0.3, wall.shape)).round().astype(np.uint8))
+    assert np.abs(seen.zncc(wall + rng.normal(0, 0.3, wall.shape).astype(np.float32))).max() < 0.3
+
+
+def test_the_best_two_of_the_scores_count_or_the_only_one() -> None:
+    best = BestTwo((1,))
+    best.add(np.array([0.5], np.float32))
+    assert best.mean()[0] == pytest.approx(0.5)
+    for score in (-0.2, 0.9, 0.1):
+        best.add(np.array([score], np.float32))
+    assert best.mean()[0] == pytest.approx(0.7)
+
+
+@given(st.floats(-0.9, 0.9), st.floats(0.1, 10), st.floats(-5, 5))
+def test_a_parabola_is_least_at_its_vertex(at: float, bend: float, level: float) -> None:
+    values = [np.array([bend * (x - at) ** 2 + level]) for x in (-1, 0, 1)]
+    assert vertex(*values)[0] == pytest.approx(at, abs=1e-5)
+
+
+def test_where_there_is_no_least_value_the_lower_side_is_taken() -> None:
+    assert vertex(np.array([1.0]), np.array([2.0]), np.array([1.5]))[0] == -1
+    assert vertex(np.array([3.0]), np.array([2.0]), np.array([1.0]))[0] == 1
+
+
+def _view(eye: list[float], turn_deg: float = 0.0, size: tuple[int, int] = (80, 60)) -> View:
+    """A camera that looks along +Z, turned about Y."""
+    turn = np.radians(turn_deg)
+    pose = np.eye(4)
+    pose[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+    pose[:3, 3] = eye
+    camera = Intrinsics(80.0, 80.0, (size[0] - 1) / 2, (size[1] - 1) / 2, *size)
+
+    def load(longest: int | None = None) -> np.ndarray:
+        return np.zeros((size[1], size[0], 3), np.uint8)
+
+    return View(Photo(f"{eye}", size, "one", load), camera, (0.0,) * 5, pose)
+
+
+def _wall(view: View, distance: float) -> tuple[Picture, Floats]:
+    """How the view sees the plane z = distance: its picture without content, and the depth."""
+    camera = view.intrinsics
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    ray = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+    along = (ray @ view.camera_to_world[:3, :3].T)[..., 2]
+    depth = ((distance - view.camera_to_world[2, 3]) / along).astype(np.float32)
+    grey = np.zeros(u.shape, np.uint8)
+    return Picture(view, grey, camera, np.linalg.inv(view.camera_to_world)), depth
+
+
+def test_views_confirm_what_they_see_alike_and_nothing_else() -> None:
+    seen = [_wall(view, 2.0) for view in (_view([0, 0, 0]), _view([0.3, 0, 0], -8), _view([-0.3, 0.1, 0], 8))]
+    pictures, depths = [each[0] for each in seen], [each[1] for each in seen]
+    agreed = confirmations(0, (1, 2), pictures, depths)
+    assert np.median(agreed) == 2
+    off = [depths[0] * 1.03, depths[1], depths[2]]
+    assert not confirmations(0, (1, 2), pictures, off).any()
+    unknown = [np.zeros_like(depths[0]), *depths[1:]]
+    assert not confirmations(0, (1, 2), pictures, unknown).any()
+
+
+def test_sources_see_the_same_from_both_sides_at_angles_that_show_depth() -> None:
+    points = np.random.default_rng(0).uniform([-0.3, -0.3, 1.9], [0.3, 0.3, 2.1], (50, 3))
+    angles = (0, 9, -9, 0.5, 60, 18)
+    eyes = [[2 * np.sin(np.radians(a)), 0.0, 2 - 2 * np.cos(np.radians(a))] for a in angles]
+    views = (*(_view(eye, -angle) for eye, angle in zip(eyes, angles, strict=True)), _view([9, 9, 9]))
+    seen_view = np.repeat(np.arange(len(eyes)), len(points))  # the last view shares nothing
+    alignment = Alignment(views, points, np.tile(np.arange(len(points)), len(eyes)), seen_view, 0.3, ())
+    chosen = choose_sources(alignment, 3)
+    assert set(chosen[0][:2]) == {1, 2}
+    assert chosen[0][2] == 5
+    assert chosen[-1] == ()
+
+
+# The whole
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Walkaround:
+    """A third of the way round, in small pictures."""
+    return render_walkaround(tmp_path_factory.mktemp("walk"), views=9, size=(400, 300), arc=100)
+
+
+@pytest.fixture(scope="module")
+def posed(walk: Walkaround, tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """The walk with its true cameras, as a program writes them."""
+    folder = tmp_path_factory.mktemp("posed")
+    camera = walk.intrinsics
+    tree = {
+        "w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy,
+        "cx": camera.cx + 0.5, "cy": camera.cy + 0.5,
+        "frames": [
+            {"file_path": f"images/{photo.name}", "transform_matrix": (pose @ FLIP).tolist()}
+            for photo, pose in zip(walk.photos, walk.camera_to_world, strict=True)
+        ],
+    }  # fmt: skip
+    (folder / "transforms.json").write_text(json.dumps(tree))
+    (folder / "images").mkdir()
+    for photo in walk.photos:
+        (folder / "images" / photo.name).write_bytes(photo.read_bytes())
+    return read_capture(folder)
+
+
+@pytest.fixture(scope="module")
+def aligned(posed: Capture) -> Alignment:
+    return align(posed.photos)
+
+
+@pytest.fixture(scope="module")
+def frames(aligned: Alignment) -> tuple[Frame, ...]:
+    return depth_frames(aligned)
+
+
+def _world(frame: Frame) -> Floats:
+    """(N,3) the points of a frame."""
+    depth, camera, pose = frame.load_depth_m(), frame.intrinsics, frame.camera_to_world
+    rows, columns = np.nonzero(depth)
+    z = depth[rows, columns]
+    local = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z])
+    return (pose[:3, :3] @ local).T + pose[:3, 3]
+
+
+def _errors(xyz: Floats, walk: Walkaround) -> tuple[Floats, Floats]:
+    """Distances of points to the thing or the table, whichever is nearer, and of the thing's visible half to them."""
+    truth, _ = trimesh.sample.sample_surface(trimesh.Trimesh(walk.thing.vertices, walk.thing.faces), 60_000, seed=0)
+    thing, _ = cKDTree(truth).query(xyz)
+    gaps, _ = cKDTree(xyz).query(truth[::20])
+    return np.minimum(thing, np.abs(xyz[:, 2] - walk.floor_z)), gaps
+
+
+def test_depth_lies_on_the_thing_and_on_the_table(frames: tuple[Frame, ...], walk: Walkaround) -> None:
+    assert len(frames) == len(walk.photos)
+    xyz = np.concatenate([_world(frame) for frame in frames])
+    near = xyz[np.linalg.norm(xyz[:, :2], axis=1) < 0.3]
+    errors, gaps = _errors(near[:: len(near) // 50_000 + 1], walk)
+    assert np.median(errors) < 0.003 * SIZE_M
+    assert np.percentile(errors, 95) < 0.02 * SIZE_M
+    assert (
+        np.percentile(gaps, 60) < 0.01 * SIZE_M
+    )  # of all sides, of which the walk saw a third and through the open top
+
+
+def test_frames_are_what_a_depth_sensor_would_have_recorded(frames: tuple[Frame, ...]) -> None:
+    for frame in frames:
+        depth, rgb = frame.load_depth_m(), frame.load_rgb() if frame.load_rgb else None
+        confidence = frame.load_confidence() if frame.load_confidence else None
+        assert depth.dtype == np.float32
+        assert depth.shape == (frame.intrinsics.height, frame.intrinsics.width)
+        assert rgb is not None
+        assert rgb.shape == (*depth.shape, 3)
+        assert confidence is not None
+        assert 0.25 < confidence.min() <= confidence.max() <= 1
+        assert (depth > 0).mean() > 0.15
+
+
+def test_a_photo_held_sideways_becomes_an_upright_frame_of_the_same_points(aligned: Alignment) -> None:
+    views = aligned.views[:4]
+    seen = np.isin(aligned.seen_view, range(4))
+    part = replace(aligned, views=views, seen_point=aligned.seen_point[seen], seen_view=aligned.seen_view[seen])
+    turned = tuple(replace(view, photo=replace(view.photo, turns=turns)) for turns, view in enumerate(views))
+    for turns, (plain, sideways) in enumerate(
+        zip(depth_frames(part, longest=160), depth_frames(replace(part, views=turned), longest=160), strict=True)
+    ):
+        shape = plain.load_depth_m().shape
+        assert sideways.load_depth_m().shape == (shape if turns % 2 == 0 else shape[::-1])
+        here, there = _world(plain), _world(sideways)
+        assert len(here) == len(there) > 500
+        assert cKDTree(here).query(there)[0].max() < 1e-5
+        assert sideways.load_rgb is not None
+        assert plain.load_rgb is not None
+        assert np.array_equal(np.rot90(plain.load_rgb(), -turns), sideways.load_rgb())
+
+
+def test_the_sweep_ends_soon_after_its_job_is_cancelled(aligned: Alignment) -> None:
+    began: list[float] = []
+
+    def cancel(fraction: float) -> None:
+        if not began:
+            began.append(time.perf_counter())
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        depth_frames(aligned, tick=cancel)
+    assert time.perf_counter() - began[0] < 2
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool")]
+
+
+def test_views_that_share_nothing_are_an_error_that_says_what_to_do(aligned: Alignment) -> None:
+    strangers = replace(aligned, seen_view=aligned.seen_view[:0], seen_point=aligned.seen_point[:0])
+    with pytest.raises(CaptureError, match="no two of the 9 placed photos") as caught:
+        depth_frames(strangers)
+    assert caught.value.code == "CAPTURE_LOW_OVERLAP"
+    assert caught.value.hints
+
+
+def test_photos_without_poses_come_out_at_arms_length_in_the_same_shape(walk: Walkaround) -> None:
+    capture = read_capture(walk.photos[0].parent)
+    assert (capture.kind, len(capture.photos)) == ("photos", 9)
+    said: list[float] = []
+    depth = to_depth(capture, tick=said.append)
+    assert said == sorted(said)
+    assert said[-1] == pytest.approx(1)
+    assert (depth.kind, depth.scale_confidence) == ("rgbd", "unknown")
+    assert [(verdict.name, verdict.verdict) for verdict in depth.verdicts] == [(p.name, "ok") for p in walk.photos]
+    points = to_points(depth, isolate=True)
+    # The thing is 0.4 m high where cameras are 0.95 m away; at arm's length it is smaller by their ratio.
+    eyes = np.stack([frame.camera_to_world[:3, 3] for frame in depth.frames])
+    truth = walk.camera_to_world[:, :3, 3]
+    scale = np.linalg.norm(np.diff(truth, axis=0), axis=1).sum() / np.linalg.norm(np.diff(eyes, axis=0), axis=1).sum()
+    height = (points.xyz - eyes[0]) @ points.up * scale if points.up is not None else np.zeros(1)
+    assert np.ptp(height) == pytest.approx(SIZE_M, rel=0.15)
+
+
+def test_a_black_capture_says_so(walk: Walkaround) -> None:
+    capture = read_capture(walk.photos[0].parent)
+
+    def black(photo: Photo) -> Photo:
+        return replace(photo, load=lambda longest=None: np.zeros((60, 80, 3), np.uint8))
+
+    with pytest.raises(CaptureError, match="dark") as caught:
+        to_depth(replace(capture, photos=tuple(map(black, capture.photos))))
+    assert caught.value.code == "CAPTURE_LOW_OVERLAP"
+
+
+def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Capture) -> None:
+    steps = list(reconstruct(posed, replace(load_preset("draft"), resolution=48), isolate=True, label="Shell"))
+    stages = list(dict.fromkeys(step.stage for step in steps if isinstance(step, Progress)))
+    assert stages[:2] == ["ALIGNING", "POINT_CLOUD"]
+    fractions = [step.fraction for step in steps if isinstance(step, Progress)]
+    assert fractions == sorted(fractions)
+    (bundle,) = [step for step in steps if isinstance(step, Bundle)]
+    told = bundle.manifest["capture"]
+    assert (told["kind"], told["format"], told["frames"]) == ("photos", "nerfstudio", 9)
+    assert [photo["verdict"] for photo in told["photos"]] == ["ok"] * 9
+    # Given poses keep their units, and the thing stands upright.
+    assert bundle.manifest["size_m"][1] == pytest.approx(SIZE_M, rel=0.15)
+
+
+@pytest.mark.data
+def test_photographed_fruit_lies_on_the_reference_surface(data_dir: Path) -> None:
+    """Its mesh was made by another program from larger pictures; the cameras, then the surface, are laid over ours."""
+    folder = data_dir / "photos_fruit"
+    depth = to_depth(read_capture(folder / "images"))
+    assert [verdict.verdict for verdict in depth.verdicts] == ["ok"] * 20
+    given = {
+        f"{camera.get('label')}.JPG": np.array((camera.findtext("transform") or "").split(), float).reshape(4, 4)
+        for camera in ElementTree.parse(folder / "camera.xml").getroot().iter("camera")
+    }
+    ours = np.stack([frame.camera_to_world[:3, 3] for frame in depth.frames])
+    theirs = np.stack([given[frame.name][:3, 3] for frame in depth.frames])
+    to_theirs, _, _ = trimesh.registration.procrustes(ours, theirs, reflection=False)
+    xyz = trimesh.transform_points(to_points(depth, isolate=True).xyz, to_theirs)
+    assert len(xyz) > 20_000
+    mesh = trimesh.load_mesh(folder / "foo.obj", process=False)
+    truth, face = trimesh.sample.sample_surface(mesh, 100_000, seed=0)
+    # A long lens leaves the focal length open by a percent, and with it the scale between cameras and thing.
+    tree, some = cKDTree(truth), np.random.default_rng(0).permutation(xyz)[:20_000]
+    for _ in range(30):
+        step, some, _ = trimesh.registration.procrustes(some, truth[tree.query(some)[1]], reflection=False)
+        xyz = trimesh.transform_points(xyz, step)
+    gap, nearest = tree.query(xyz)
+    off = np.abs(np.einsum("ni,ni->n", xyz - truth[nearest], mesh.face_normals[face[nearest]]))
+    size = np.ptp(mesh.vertices, axis=0).max()
+    assert np.median(off) < 0.003 * size
+    assert np.percentile(gap, 95) < 0.02 * size
