@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from services.edge.capture import Cloud, read_capture
 from services.edge.capture.surface import SAMPLES
-from services.edge.errors import CaptureError
 from tests.edge import captures
 
 pytestmark = pytest.mark.data
@@ -109,8 +108,13 @@ def test_a_phone_with_a_time_of_flight_sensor(data_dir: Path) -> None:
     assert 0.3 < frame.load_confidence()[depth_m > 0].mean() < 0.9
 
 
-def test_photos_without_depth_are_named(data_dir: Path) -> None:
-    with pytest.raises(CaptureError, match="photos or video") as caught:
-        read_capture(data_dir / "photos_fruit/images")
-    assert caught.value.code == "CAPTURE_UNKNOWN_FORMAT"
-    assert caught.value.hints
+def test_photos_alone_are_read(data_dir: Path) -> None:
+    capture = read_capture(data_dir / "photos_fruit/images")
+    assert (capture.kind, capture.format, capture.scale_confidence) == ("photos", "photos", "unknown")
+    assert [photo.name for photo in capture.photos] == [f"IMG_{number}.JPG" for number in range(4190, 4210)]
+    assert {photo.size for photo in capture.photos} == {(600, 400)}
+    assert len({photo.camera for photo in capture.photos}) == 1
+
+
+def test_a_mesh_beside_its_pictures_is_the_mesh(data_dir: Path) -> None:
+    assert read_capture(data_dir / "photos_fruit").format == "obj"
