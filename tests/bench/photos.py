@@ -28,11 +28,11 @@ from services.edge.photos.to_depth import to_depth
 from services.edge.points import to_points
 from tests.bench.cell import ROOT
 from tests.conftest import data_folder
+from tests.edge.registration import laid_over
 from tests.edge.walkaround import render_walkaround
 
 CASES = ("fruit, 20 photos of 600 x 400", "rendered shell, 25 of 1280 x 960", "rendered shell, 100 of 1280 x 960")
 _SAMPLES = 200_000
-_LAYING_STEPS = 30  # of iterated closest points; the cameras have laid the surfaces over each other to a percent
 _ON_THE_THING = 0.05  # of its size: points farther from it are its surroundings
 
 
@@ -93,13 +93,7 @@ def _errors(
     ours = np.stack([frame.camera_to_world[:3, 3] for frame in frames])
     theirs = np.stack([cameras[frame.name][:3, 3] for frame in frames])
     laid, _, _ = trimesh.registration.procrustes(ours, theirs, reflection=False)
-    for _ in range(_LAYING_STEPS):
-        some = trimesh.transform_points(np.random.default_rng(0).permutation(xyz)[:20_000], laid)
-        gap, nearest = tree.query(some)
-        on = gap < _ON_THE_THING * size
-        step, _, _ = trimesh.registration.procrustes(some[on], surface[nearest[on]], reflection=False)
-        laid = step @ laid
-    xyz = trimesh.transform_points(xyz, laid)
+    xyz = laid_over(xyz, surface, truth.face_normals[face], laid)
     gap, nearest = tree.query(xyz)
     on = gap < _ON_THE_THING * size
     nearest = nearest[on]
