@@ -72,6 +72,15 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
         "label": "My <shirt>",
         "preset": "standard",
         "preset_because": "",
+        "capture": {
+            "kind": "photos",
+            "format": "photos",
+            "frames": 2,
+            "photos": [
+                {"name": "1.jpg", "verdict": "ok", "advice": ""},
+                {"name": "<2>.jpg", "verdict": "no_overlap", "advice": "take more between 1.jpg and this one"},
+            ],
+        },
         "points": 10_000,
         "size_m": [1.0, 2.0, 3.0],
         "scale_confidence": "metric",
@@ -141,6 +150,7 @@ def test_the_page_needs_nothing_from_anywhere_and_trusts_no_name(results: Result
     assert "http" not in page
     assert "My &lt;shirt&gt;" in page
     assert "<shirt>" not in page
+    assert "<td>&lt;2&gt;.jpg</td><td>no overlap</td><td>take more between 1.jpg and this one</td>" in page
 
 
 def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:
