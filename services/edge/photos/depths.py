@@ -47,7 +47,8 @@ def depth_frames(alignment: Alignment, *, longest: int = LONGEST_PX, tick: Tick 
 
     Raises CaptureError: CAPTURE_LOW_OVERLAP where no view has another to be compared with.
     """
-    sources, witnesses = choose_sources(alignment, SOURCES), choose_sources(alignment, _WITNESSES)
+    witnesses = choose_sources(alignment, _WITNESSES)
+    sources = [others[:SOURCES] for others in witnesses]  # the best come first
     pictures = [picture(view, longest) for view in alignment.views]
     swept = [view for view, others in enumerate(sources) if others]
     if not swept:

@@ -33,11 +33,6 @@ class Picture:
         """(3,3) camera matrix."""
         return matrix(self.camera)
 
-    @property
-    def eye(self) -> Floats:
-        """(3,) where the camera stood."""
-        return np.asarray(self.view.camera_to_world[:3, 3], np.float64)
-
     def halved(self) -> Picture:
         """The same at half the size."""
         import cv2

@@ -25,7 +25,7 @@ def sightings(alignment: Alignment) -> Bools:
     return seen
 
 
-def choose_sources(alignment: Alignment, most: int = SOURCES) -> tuple[tuple[int, ...], ...]:
+def choose_sources(alignment: Alignment, most: int) -> tuple[tuple[int, ...], ...]:
     """For each view the others to compare it with, best first; () for a view that has none."""
     seen = sightings(alignment)
     eyes = np.stack([view.camera_to_world[:3, 3] for view in alignment.views])
