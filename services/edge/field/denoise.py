@@ -1,14 +1,14 @@
 """Noise off, folds kept: every point moves along the normal onto a robust local quadric.
 
 σ_i        the noise at the point (`noise.py`, `folds.py`); 0 share of noise means: leave the point where it is
-k          neighbours of one fit, growing from 16 to 160
+k          neighbours of one fit, growing from 16 to 288
 o_j        a neighbour's offset across the surface;  r_j its residual to the quadric
 w_j        (1 − d_j²/R²) · exp(−½(r_j / 2.5σ)²): what lies farther off than the noise explains is another layer
 a_k, s_k   the quadric's height at the point, and its standard error σ·√(Σ l_j²), l_j the fit's weights
 
 The largest neighbourhood wins of those that all agree (A. Goldenshluger, A. Nemirovski, "On spatially adaptive
 estimation of nonparametric regression", 1997): the intervals a_k ± 2 s_k must meet, and the residuals must not exceed
-the noise. So a flat place is averaged over 160 points and a pleat over as many as fit on it: no setting is per cloud.
+the noise. So a flat place is averaged over 288 points and a pleat over as many as fit on it: no setting is per cloud.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ from services.edge.field.noise import Noise
 from services.edge.field.quadrics import TINY, fit_quadric, monomials, tangents, weighted_pca
 from services.edge.threads import in_threads, slices
 
-NEIGHBOURS = (16, 28, 50, 90, 160)  # each ×1.8: steps of ×1.5 gain nothing and cost a third more; 240 gains 1 %
+NEIGHBOURS = (16, 28, 50, 90, 160, 288)  # each ×1.8: steps of ×1.5 gain nothing; 518 gains 1 % and doubles the time
 REACH = 2.5  # in σ: 99 % of the noise keeps half its weight; a layer 5 σ away keeps an eighth
 AGREE = 2.0  # in standard errors
-EXCESS = 1.15  # residual over noise that still counts as noise: 160 residuals spread by 6 %, 16 by 18 %
+# Residuals over noise that still count as noise: 1 plus this many of the spreads 1/√(2k) that k residuals have. A bound
+# that does not fall with k lets wide quadrics cut off bumps (8 % more error), or keeps them from flat places.
+EXCESS = 1.5
 FARTHEST = 4.0  # in σ: what lies farther from its surface than this is a stray, and is not drawn in
 WIDER = 1.05  # of the farthest neighbour's distance: it keeps a tenth of the weight
 # The weights cut the tails: Gaussian noise σ shows a weighted deviation of σ·c/√(1+c²), c = REACH.
@@ -34,7 +36,7 @@ _SEEN = REACH / np.sqrt(1 + REACH * REACH)
 ANCHORS = 40_000  # points with a fit of their own: 3 s; in larger clouds the others take the sheet of one beside them
 FIT_SHARE = 0.95  # of the time
 _SEED = 0
-CHUNK = 1_024  # points at once: 161 neighbours × 6 terms × 8 B are 8 MB
+CHUNK = 1_024  # points at once: 289 neighbours × 6 terms × 8 B are 14 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +122,7 @@ def _sheets(index: Ints, xyz: Floats, tree: cKDTree, noise: Noise, tick: Tick) -
             bottom = np.maximum(low[alive], height - AGREE * fit.error)
             top = np.minimum(high[alive], height + AGREE * fit.error)
             # The least neighbourhood is taken as it is: there is nothing smaller to fall back on.
-            agrees = ((bottom <= top) & (fit.excess < EXCESS)) | (k == NEIGHBOURS[0])
+            agrees = ((bottom <= top) & (fit.excess < 1 + EXCESS / np.sqrt(2 * k))) | (k == NEIGHBOURS[0])
             alive = alive[agrees]
             low[alive], high[alive] = bottom[agrees], top[agrees]
             won.normal[alive], won.coefficients[alive] = fit.normal[agrees], fit.coefficients[agrees]

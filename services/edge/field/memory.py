@@ -14,8 +14,10 @@ LAYERS = {"separable": 6, "mlp": 8}
 # after the slope. A ReLU's slope has no gradient of its own, so that the values beside it need not be kept.
 KEPT_BY_VALUE = 2
 KEPT_BY_GRADIENT = {"separable": 4, "mlp": 3}
+BACKWARD = 1.5  # of what is kept: with the gradients that the sweep back makes of it; the same at 1,000 and 20,000
 TREE_BYTES = 64  # per point and tree: coordinates, index and its share of the nodes
-RUNTIME = {"cpu": 16 << 20, "cuda": 600 << 20}  # torch's workspaces; on a GPU the context and the graph's pool as well
+# torch's workspaces, and what it imports for a first step; on a GPU the context and the graph's pool as well.
+RUNTIME = {"cpu": 64 << 20, "cuda": 600 << 20}
 # A fit of anchors: one block of edges with its activations; and per point some nine edges of 110 bytes, the patch,
 # Adam's state, and on a CPU the neighbours and the edges' making in double precision.
 ANCHORS = {"cpu": 100 << 20, "cuda": 1_200 << 20}
@@ -60,4 +62,4 @@ def _step_bytes(batch: int, config: FitConfig) -> int:
     with_gradient = batch * (1 + (config.projection > 0))
     by_value = batch * ((config.self_consistency > 0) + (config.surface > 0)) + far_batch(config, batch)
     kept = KEPT_BY_GRADIENT[config.model] * with_gradient + KEPT_BY_VALUE * by_value
-    return kept * LAYERS[config.model] * width * FLOAT
+    return round(BACKWARD * kept * LAYERS[config.model] * width * FLOAT)

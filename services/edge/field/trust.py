@@ -90,7 +90,7 @@ def chosen(errors_of: Sequence[Floats]) -> float | None:
     """μ, from the errors (H,) of each candidate at the held-out points; the least one where there are none.
 
     None where the least predicts best: the surface is so smooth that the denoised points, averaged over neighbourhoods
-    of up to 160, are better than what the scanned ones add. On flat faces that meet in creases the error is then a
+    of up to 288, are better than what the scanned ones add. On flat faces that meet in creases the error is then a
     quarter less, on a smooth sheet a tenth.
     """
     if not errors_of or len(errors_of[0]) == 0:
