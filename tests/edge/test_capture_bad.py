@@ -188,6 +188,11 @@ def nerf(change: Callable[[dict], object]) -> Callable[[Path], None]:
     return lambda folder: edit_json(folder / "transforms.json", change)
 
 
+def photos_of(change: Callable[[dict], object]) -> Callable[[Path], None]:
+    """The same without depth."""
+    return nerf(lambda tree: [change(tree), *(frame.pop("depth_file_path") for frame in tree["frames"])])
+
+
 def set_pose(entry: object) -> Callable[[dict], object]:
     def change(tree: dict) -> None:
         for frame in tree["frames"]:
@@ -303,20 +308,23 @@ RECORDINGS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "images missing, without depth": (
         "nerfstudio",
         "CAPTURE_COUNT_MISMATCH",
-        nerf(
-            lambda tree: [
-                (frame.pop("depth_file_path"), frame.update(file_path="gone.jpg")) for frame in tree["frames"]
-            ]
-        ),
+        photos_of(lambda tree: [frame.update(file_path="gone.jpg") for frame in tree["frames"]]),
     ),
-    "mirrored photos without depth": (
+    "mirrored photos without depth": ("nerfstudio", "CAPTURE_BAD_POSE", photos_of(set_pose(MIRROR))),
+    "NaN poses without depth": (
         "nerfstudio",
         "CAPTURE_BAD_POSE",
-        nerf(
-            lambda tree: [
-                (frame.pop("depth_file_path"), frame.update(transform_matrix=MIRROR)) for frame in tree["frames"]
-            ]
-        ),
+        photos_of(set_pose(np.full((4, 4), np.nan).tolist())),
+    ),
+    "focal length 0 without depth": (
+        "nerfstudio",
+        "CAPTURE_BAD_INTRINSICS",
+        photos_of(lambda tree: tree.update(fl_x=0)),
+    ),
+    "NaN distortion without depth": (
+        "nerfstudio",
+        "CAPTURE_BAD_INTRINSICS",
+        photos_of(lambda tree: tree.update(k1=float("nan"))),
     ),
     "all depth missing": ("nerfstudio", "CAPTURE_COUNT_MISMATCH", remove(*ALL_DEPTH)),
     "not JSON": ("nerfstudio", "CAPTURE_UNREADABLE", write("transforms.json", b"{")),
@@ -372,6 +380,34 @@ def test_a_bad_recording_has_its_code(name: str, tmp_path: Path) -> None:
     assert caught.value.code == code
     assert caught.value.message
     assert caught.value.hints
+
+
+def spoil_one(frame: dict) -> None:
+    frame["transform_matrix"] = MIRROR
+
+
+def lose_one(frame: dict) -> None:
+    frame["file_path"] = "images/gone.jpg"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [(spoil_one, "images/2.jpg: has a pose that mirrors"), (lose_one, "1 images missing: images/gone.jpg")],
+)
+def test_one_bad_photo_among_posed_ones_is_a_warning(spoil: Callable[[dict], None], says: str, tmp_path: Path) -> None:
+    folder = captures.write_nerfstudio(tmp_path)
+    photos_of(lambda tree: spoil(tree["frames"][2]))(folder)
+    capture = read_capture(folder)
+    assert (capture.kind, len(capture.photos)) == ("photos", 3)
+    assert says in capture.warnings[0]
+
+
+def test_mirrored_axes_say_what_to_do(tmp_path: Path) -> None:
+    folder = captures.write_nerfstudio(tmp_path)
+    nerf(set_pose(MIRROR))(folder)
+    with pytest.raises(CaptureError) as caught:
+        read_capture(folder)
+    assert "right-handed" in caught.value.hints[0]
 
 
 def test_an_unpacking_bomb_in_an_r3d_is_refused(tmp_path: Path) -> None:

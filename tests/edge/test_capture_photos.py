@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -265,6 +266,57 @@ def test_two_photos_are_too_few_and_three_a_capture(tmp_path: Path) -> None:
         photos.read(folder_of(tmp_path, a=encoded(), b=encoded()))
     assert caught.value.code == "CAPTURE_LOW_OVERLAP"
     assert len(photos.read(folder_of(tmp_path, c=encoded())).photos) == 3
+
+
+def test_one_photo_is_too_few(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="holds 1 photo; at least 3") as caught:
+        photos.read(folder_of(tmp_path, a=encoded()))
+    assert (caught.value.code, caught.value.file) == ("CAPTURE_LOW_OVERLAP", "a.jpg")
+    assert "15 to 30 photos" in caught.value.hints[0]
+
+
+def huge_heic() -> bytes:
+    """It says 12,000 x 9,000 in its box of the image's extent, as those of phones with 108 megapixels do."""
+    data = bytearray(encoded(np.zeros((64, 64, 3), np.uint8), "HEIF"))
+    struct.pack_into(">II", data, data.index(b"ispe") + 8, 12_000, 9_000)
+    return bytes(data)
+
+
+def test_a_heic_of_108_megapixels_is_told_and_the_rest_goes_on(tmp_path: Path) -> None:
+    for number in range(3):
+        (tmp_path / f"{number}.heic").write_bytes(encoded(kind="HEIF"))
+    (tmp_path / "large.heic").write_bytes(huge_heic())
+    capture = photos.read(open_folder(tmp_path))
+    assert len(capture.photos) == 3
+    (verdict,) = capture.verdicts
+    assert (verdict.name, verdict.verdict) == ("large.heic", "unreadable")
+    assert verdict.advice == "It is 12000 x 9000 pixels; at most 100 megapixels are read; send a smaller picture."
+
+
+def test_heics_of_108_megapixels_alone_have_their_name(tmp_path: Path) -> None:
+    for number in range(4):
+        (tmp_path / f"{number}.heic").write_bytes(huge_heic())
+    with pytest.raises(CaptureError, match="12000 x 9000") as caught:
+        photos.read(open_folder(tmp_path))
+    assert (caught.value.code, caught.value.file) == ("IMAGE_TOO_LARGE", "0.heic")
+    assert caught.value.hints
+
+
+def test_photos_of_every_kind_make_one_capture(tmp_path: Path) -> None:
+    """Level, upright by tag and by pixels, CMYK, 16 bits: a phone held both ways is one camera where its files are."""
+    (tmp_path / "1 level.jpg").write_bytes(encoded())
+    (tmp_path / "2 by tag.jpg").write_bytes(encoded(exif=exif(6)))
+    (tmp_path / "3 by pixels.jpg").write_bytes(encoded(np.rot90(RGB).copy()))
+    (tmp_path / "4 cmyk.jpg").write_bytes(MODES["CMYK JPEG"][0]())
+    (tmp_path / "5 deep.png").write_bytes(MODES["16-bit PNG"][0]())
+    (tmp_path / "6 deep.tiff").write_bytes(MODES["16-bit TIFF"][0]())
+    capture = photos.read(open_folder(tmp_path))
+    level, tagged, upright, *_ = capture.photos
+    assert len(capture.photos) == 6
+    assert level.camera == tagged.camera != upright.camera
+    for photo in capture.photos:
+        assert photo.size == ((48, 64) if photo is upright else (64, 48))
+        assert photo.load().shape == (photo.size[1], photo.size[0], 3)
 
 
 def test_hundreds_of_photos_are_thinned_evenly(tmp_path: Path) -> None:

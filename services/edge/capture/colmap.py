@@ -20,8 +20,8 @@ from services.edge.arrays import Floats
 from services.edge.capture.files import Folder, number_order, numbers, read_text, unreadable
 from services.edge.capture.images import read_bytes
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
-from services.edge.capture.photos import read_photo, spread, spread_warning
-from services.edge.capture.posed import GivenCamera, posed, sound_photos
+from services.edge.capture.photos import read_photo
+from services.edge.capture.posed import GivenCamera, posed, posed_capture
 from services.edge.capture.poses import pose_from_quaternion
 from services.edge.capture.shots import checked_intrinsics, missing_warning
 from services.edge.capture.tables import truncated
@@ -80,10 +80,8 @@ def read(folder: Folder) -> Capture:
         reason = f"none of its {len(missing)} photos is there; the first is {missing[0]}"
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=images_file, hints=("send the photos too",))
     there = [image for image in images if image.name in places]
-    tries = [partial(_photo, folder, places[image.name], image, cameras, images_file) for image in spread(there)]
-    photos, verdicts, dropped = sound_photos(tries)
-    warnings = (*missing_warning(missing, "photos"), *spread_warning(len(there)), *dropped)
-    return Capture("photos", "colmap", photos=photos, verdicts=verdicts, warnings=warnings)
+    tries = [partial(_photo, folder, places[image.name], image, cameras, images_file) for image in there]
+    return posed_capture("colmap", tries, warnings=missing_warning(missing, "photos"))
 
 
 def _model(folder: Folder) -> tuple[str, str] | None:

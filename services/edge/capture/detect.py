@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from services.edge.capture import colmap, depth16, nerfstudio, photos, polycam, record3d, scanner3d, stray, tum
+from services.edge.capture import colmap, depth16, film, nerfstudio, photos, polycam, record3d, scanner3d, stray, tum
 from services.edge.capture.cloud import cloud_format, read_cloud
 from services.edge.capture.files import Folder, open_folder, reading, unreadable
-from services.edge.capture.nouns import Capture
+from services.edge.capture.nouns import MIN_PHOTOS, Capture
 from services.edge.errors import CaptureError
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
@@ -28,7 +28,7 @@ _CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
 # Tables of numbers that belong to a recording and are no clouds.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
-_HINT = "send a point cloud, a mesh, or the export of a LiDAR scanning app; see the list of formats"
+_HINT = "send photos, a video, a point cloud, a mesh, or the export of a scanning app; see the list of formats"
 
 
 def read_capture(folder: Path) -> Capture:
@@ -73,9 +73,7 @@ def _read_files(folder: Folder) -> Capture:
         return record3d.read_archive(folder.path(archive), archive)
     candidates = [(name, kind) for name in folder.names if (kind := _candidate(folder, name)) is not None]
     if not candidates:
-        if photos.matches(folder):  # not before: a mesh's textures are pictures too
-            return photos.read(folder)
-        raise _not_found(folder)
+        return _read_pictures(folder)
     candidates.sort(key=lambda found: -folder.path(found[0]).stat().st_size)
     (name, kind), others = candidates[0], [other for other, _ in candidates[1:]]
     capture = read_cloud(folder, name, kind)
@@ -83,6 +81,17 @@ def _read_files(folder: Folder) -> Capture:
         return capture
     more = f"{name} was read; {len(others)} other clouds or meshes were not ({', '.join(others[:3])})"
     return replace(capture, warnings=(*capture.warnings, more))
+
+
+def _read_pictures(folder: Folder) -> Capture:
+    """Photos, or a video where there are too few of them. Not before clouds: a mesh's textures are pictures too."""
+    videos = film.videos(folder)
+    if videos and len(photos.pictures(folder)) < MIN_PHOTOS:
+        return film.read(folder)
+    if not photos.matches(folder):
+        raise _not_found(folder)
+    capture = photos.read(folder)
+    return replace(capture, warnings=(*capture.warnings, *film.unused(videos)))
 
 
 def _candidate(folder: Folder, name: str) -> str | None:
@@ -103,13 +112,6 @@ def _not_found(folder: Folder) -> CaptureError:
             return unreadable(name, what) if sizes[name] else CaptureError("CAPTURE_EMPTY", what, file=name)
     heads = [_head(folder.path(name)) for name in folder.names]
     only = folder.names[0] if len(folder.names) == 1 else None
-    if any(head[4:8] == b"ftyp" for head in heads):
-        return CaptureError(
-            "CAPTURE_UNKNOWN_FORMAT",
-            "holds video without depth, which is not read yet",
-            file=only,
-            hints=("take 15 to 30 photos around the thing instead",),
-        )
     archive = next((name for name, head in zip(folder.names, heads, strict=True) if head.startswith(_ARCHIVES)), None)
     if archive is not None:
         hint = "unpack it and send the files"

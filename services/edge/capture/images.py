@@ -50,10 +50,11 @@ def _ends(path: Path, file: str) -> tuple[bytes, bytes]:
         raise broken_image(file, f"cannot be opened ({error.strerror})") from None
 
 
-def check_pixels(size: tuple[int, int], file: str) -> tuple[int, int]:
+def check_pixels(size: tuple[int, int], file: str, most: int = MAX_PIXELS) -> tuple[int, int]:
+    """The `size`. Raises IMAGE_TOO_LARGE above `most` pixels, and IMAGE_UNREADABLE without any."""
     width, height = size
-    if width * height > MAX_PIXELS:
-        reason = f"is {width} x {height} pixels; at most {MAX_PIXELS // 10**6} megapixels are read"
+    if width * height > most:
+        reason = f"is {width} x {height} pixels; at most {most // 10**6} megapixels are read"
         raise CaptureError("IMAGE_TOO_LARGE", reason, file=file, hints=("send a smaller picture",))
     if width < 1 or height < 1:
         raise broken_image(file, "has no pixels")

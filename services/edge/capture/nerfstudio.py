@@ -18,8 +18,8 @@ from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, 
 from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
 from services.edge.capture.images import image_size
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
-from services.edge.capture.photos import read_photo, spread, spread_warning
-from services.edge.capture.posed import GivenCamera, posed, sound_photos
+from services.edge.capture.photos import read_photo
+from services.edge.capture.posed import GivenCamera, posed, posed_capture
 from services.edge.capture.shots import Shot, checked_intrinsics, missing_warning, rgbd_capture
 from services.edge.errors import CaptureError
 
@@ -61,9 +61,8 @@ def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any
     if not there:
         reason = f"none of its {len(missing)} images is there; the first is {missing[0]}"
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the images too",))
-    photos, verdicts, dropped = sound_photos([partial(_photo, folder, frame, name) for frame, name in spread(there)])
-    warnings = (*missing_warning(missing, "images"), *spread_warning(len(there)), *dropped)
-    return Capture("photos", "nerfstudio", photos=photos, verdicts=verdicts, warnings=warnings)
+    tries = [partial(_photo, folder, frame, name) for frame, name in there]
+    return posed_capture("nerfstudio", tries, warnings=missing_warning(missing, "images"))
 
 
 def _image_name(folder: Folder, frame: Mapping[str, Any]) -> str:

@@ -11,6 +11,9 @@ from services.edge.arrays import Bytes, Floats
 CaptureKind = Literal["points", "rgbd", "photos"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]
 
+MIN_PHOTOS = 3  # two views give no depth that a third confirms
+AROUND = "take 15 to 30 photos around the thing, each overlapping the last by two thirds"
+
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
@@ -39,6 +42,7 @@ class Frame:
     load_depth_m     -> (H,W) float32 metres, 0 where unknown
     load_confidence  -> (H,W) float32 in [0,1], or None where the format has none
     load_rgb         -> (h,w,3) uint8 sRGB with the field of view of the depth image, any resolution, or None
+    window_px        side of the window that a pixel's depth was found with: within it errors are alike. 1 for sensors
     """
 
     name: str
@@ -47,6 +51,7 @@ class Frame:
     load_depth_m: Callable[[], Floats]
     load_confidence: Callable[[], Floats] | None = None
     load_rgb: Callable[[], Bytes] | None = None
+    window_px: int = 1
 
 
 class LoadPhoto(Protocol):

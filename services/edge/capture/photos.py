@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from services.edge.capture.files import Folder
-from services.edge.capture.nouns import Capture, Photo, PhotoVerdict
+from services.edge.capture.images import read_bytes
+from services.edge.capture.nouns import AROUND, MIN_PHOTOS, Capture, Photo, PhotoVerdict
 from services.edge.capture.picture import PhotoPixels, camera_key, first_bytes, focal_px, read_header
 from services.edge.errors import CaptureError
 
 MAX_PHOTOS = 300  # a walk-around has 20 to 100; beyond, each photo costs seconds and adds next to nothing
-MIN_PHOTOS = 3  # that must be left when some cannot be read: two see a thing from one side
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif")
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif")
 _SEND_AGAIN = "send it again as a JPEG or HEIC"
-_AROUND = "take 15 to 30 photos around the thing, each overlapping the last by two thirds"
 
 _T = TypeVar("_T")
 
@@ -27,13 +27,18 @@ def matches(folder: Folder) -> bool:
     return any(_is_picture(folder, name) for name in folder.names)
 
 
+def pictures(folder: Folder) -> list[str]:
+    """The files that are pictures by their bytes, or call themselves so."""
+    return [name for name in folder.names if name.lower().endswith(_SUFFIXES) or _is_picture(folder, name)]
+
+
 def read(folder: Folder) -> Capture:
     """Every picture in the folder, those that cannot be read as verdicts.
 
     Raises CAPTURE_UNREADABLE or IMAGE_TOO_LARGE, naming the first such file, when fewer than MIN_PHOTOS are left, and
     CAPTURE_LOW_OVERLAP when there never were more.
     """
-    names = [name for name in folder.names if name.lower().endswith(_SUFFIXES) or _is_picture(folder, name)]
+    names = pictures(folder)
     photos: list[Photo] = []
     errors: list[CaptureError] = []
     for name in spread(names):
@@ -58,7 +63,7 @@ def read_photo(folder: Folder, name: str) -> Photo:
     header = read_header(path, name)
     focal = focal_px(header.tags, header.size)
     camera = camera_key(header.tags, focal, header.size)
-    pixels = PhotoPixels(path, name, header.decoder, header.size, header.turned)
+    pixels = PhotoPixels(partial(read_bytes, path, name), name, header.decoder, header.size, header.turned)
     return Photo(name, header.size, camera, pixels, focal, header.turns)
 
 
@@ -88,7 +93,7 @@ def _too_few(error: CaptureError, left: int) -> CaptureError:
 
 def _too_few_taken(photos: Sequence[Photo]) -> CaptureError:
     reason = f"holds {len(photos)} photo{'s' if len(photos) > 1 else ''}; at least {MIN_PHOTOS} are needed"
-    return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=photos[0].name, hints=(_AROUND,))
+    return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=photos[0].name, hints=(AROUND,))
 
 
 def _is_picture(folder: Folder, name: str) -> bool:

@@ -175,7 +175,7 @@ def _as_image(file: str) -> Iterator[None]:
 class PhotoPixels:
     """Where a photo's pixels come from: a `LoadPhoto`. Raises IMAGE_UNREADABLE."""
 
-    path: Path
+    read: Callable[[], bytes]
     file: str
     decoder: _Decoder
     size: tuple[int, int]
@@ -185,7 +185,7 @@ class PhotoPixels:
         import cv2
 
         shrink = max(1.0, max(self.size) / (longest or math.inf))
-        data = read_bytes(self.path, self.file)
+        data = self.read()
         with _as_image(self.file):
             pixels = np.rot90(self._decoded(data, shrink), self.turned)
         width, height = self.size

@@ -1,7 +1,7 @@
 """Polycam's raw export: `keyframes/{corrected_images,corrected_cameras,depth,confidence}` and `mesh_info.json`.
 
 Depth is u16 mm; poses are t_00 ... t_23, row-major camera-to-world in ARKit's axes and world, Y against gravity.
-The corrected folders are bundle-adjusted and preferred to `images` and `cameras`.
+The corrected folders are bundle-adjusted and preferred to `images` and `cameras`. Phones without LiDAR leave depth out.
 """
 
 from __future__ import annotations
@@ -11,9 +11,12 @@ from functools import partial
 
 import numpy as np
 
+from services.edge.arrays import Floats
+from services.edge.capture import photos
 from services.edge.capture.depth import ImageColour, confidence_image, depth_file
 from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
-from services.edge.capture.nouns import Capture, Intrinsics
+from services.edge.capture.nouns import Capture, Intrinsics, Photo
+from services.edge.capture.posed import app_camera, posed_capture
 from services.edge.capture.shots import Shot, mostly_matched, no_poses, rgbd_capture
 
 METRES_PER_STEP = 1e-3
@@ -32,7 +35,7 @@ def read(folder: Folder) -> Capture:
     cameras = corrected or _by_stem(folder, "cameras")
     images = _by_stem(folder, "corrected_images" if corrected else "images")
     if not depths:
-        raise unreadable("keyframes", "holds no depth folder: recorded without LiDAR", "scan in Polycam's LiDAR mode")
+        return _photos(folder, images, cameras)
     if not cameras:
         raise no_poses("keyframes/depth", "keyframes/corrected_cameras")
     both = [stem for stem in depths if stem in cameras]
@@ -42,12 +45,31 @@ def read(folder: Folder) -> Capture:
     return rgbd_capture("polycam", shots, axes="opengl", up=_UP_Y, file="keyframes/depth", warnings=warnings)
 
 
+def _photos(folder: Folder, images: dict[str, str], cameras: dict[str, str]) -> Capture:
+    """The images with their poses, or alone where those were left out."""
+    if not cameras:
+        images = _by_stem(folder, "corrected_images") or images
+    if not images:
+        raise unreadable("keyframes", "holds neither depth nor images", "send the whole raw export")
+    if not cameras:
+        return photos.read(Folder(folder.root, tuple(images.values())))
+    both = [stem for stem in images if stem in cameras]
+    warnings = mostly_matched(len(both), len(images), len(cameras), file="keyframes", what="cameras", of="images")
+    tries = [partial(_photo, folder, images[stem], cameras[stem]) for stem in both]
+    return posed_capture("polycam", tries, scale="metric", up=_UP_Y, warnings=warnings)
+
+
+def _photo(folder: Folder, image: str, camera: str) -> Photo:
+    return app_camera(photos.read_photo(folder, image), *_camera(folder, camera), "opengl")
+
+
 def _by_stem(folder: Folder, part: str) -> dict[str, str]:
     names = folder.directly_in(f"keyframes/{part}")
     return {posixpath.splitext(posixpath.basename(name))[0]: name for name in names}
 
 
-def _shot(folder: Folder, depth: str, camera: str, image: str | None, confidence: str | None) -> Shot:
+def _camera(folder: Folder, camera: str) -> tuple[Intrinsics, Floats]:
+    """Of the image, and (3,4) camera-to-world."""
     record = read_json(folder.path(camera), camera)
     pose = numbers([record.get(key) for key in _POSE], 12, file=camera, what="t_00 ... t_23").reshape(3, 4)
     fx, fy, cx, cy = (number(record, key, file=camera) for key in ("fx", "fy", "cx", "cy"))
@@ -55,7 +77,11 @@ def _shot(folder: Folder, depth: str, camera: str, image: str | None, confidence
              for key, side in zip(("width", "height"), _SIZE, strict=True)]  # fmt: skip
     if not all(1 <= side <= 1e6 for side in sides):
         raise unreadable(camera, f"has an image of {sides[0]} x {sides[1]} pixels")
-    intrinsics = Intrinsics(fx, fy, cx, cy, int(sides[0]), int(sides[1]))
+    return Intrinsics(fx, fy, cx, cy, int(sides[0]), int(sides[1])), pose
+
+
+def _shot(folder: Folder, depth: str, camera: str, image: str | None, confidence: str | None) -> Shot:
+    intrinsics, pose = _camera(folder, camera)
     return Shot(
         depth,
         intrinsics,

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from services.edge.arrays import Floats
-from services.edge.capture.nouns import Intrinsics, Photo, PhotoVerdict
-from services.edge.capture.photos import refused
+from services.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdict, ScaleConfidence
+from services.edge.capture.photos import refused, spread, spread_warning
 from services.edge.capture.poses import Axes, checked_pose
-from services.edge.capture.shots import MAX_BAD_SHARE
+from services.edge.capture.shots import MAX_BAD_SHARE, checked_intrinsics
 from services.edge.errors import CaptureError
 
 _SAME_SHAPE = 0.02  # by which the sides' ratio may differ: copies at another scale have rounded sides
@@ -50,11 +50,37 @@ def posed(photo: Photo, given: GivenCamera) -> Photo:
     )
 
 
-def sound_photos(tries: Sequence[Callable[[], Photo]]) -> tuple[tuple[Photo, ...], tuple[PhotoVerdict, ...], list[str]]:
-    """The photos, verdicts on those that cannot be read, and warnings of broken poses.
+def app_camera(photo: Photo, intrinsics: Intrinsics, camera_to_world: Floats, axes: Axes) -> Photo:
+    """The photo with its camera as a scanning app tells it: without distortion, and the lens refocused on the way.
 
-    Of more errors than one and than MAX_BAD_SHARE, the first is raised.
+    Raises what `posed` raises.
     """
+    at = checked_intrinsics(intrinsics, photo.name)
+    name = f"{at.fx:.2f} {at.cx:.2f} {at.cy:.2f}"
+    return posed(photo, GivenCamera(name, at, (0.0,) * 5, camera_to_world, axes))
+
+
+def posed_capture(
+    kind: str,
+    tries: Sequence[Callable[[], Photo]],
+    *,
+    scale: ScaleConfidence = "unknown",
+    up: Floats | None = None,
+    warnings: Sequence[str] = (),
+) -> Capture:
+    """Of a format's photos, each read by its call: at most MAX_PHOTOS of them, spread evenly.
+
+    kind, scale, up: as `Capture` has them. Of more errors than one and than MAX_BAD_SHARE, the first is raised.
+    """
+    photos, verdicts, dropped = _sound_photos(spread(tries))
+    told = (*warnings, *spread_warning(len(tries)), *dropped)
+    return Capture("photos", kind, photos=photos, verdicts=verdicts, scale_confidence=scale, up=up, warnings=told)
+
+
+def _sound_photos(
+    tries: Sequence[Callable[[], Photo]],
+) -> tuple[tuple[Photo, ...], tuple[PhotoVerdict, ...], list[str]]:
+    """The photos, verdicts on those that cannot be read, and warnings of broken poses."""
     photos: list[Photo] = []
     errors: list[CaptureError] = []
     for each in tries:

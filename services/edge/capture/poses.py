@@ -21,8 +21,8 @@ _EXACT = 1e-13  # rounding of float64; rotations from quaternions are as exact a
 MAX_DISTANCE = 1e6  # metres; the bound that points have
 
 
-def bad_pose(file: str, reason: str) -> CaptureError:
-    return CaptureError("CAPTURE_BAD_POSE", reason, file=file, hints=("record again: tracking was lost",))
+def bad_pose(file: str, reason: str, hint: str = "record again: tracking was lost") -> CaptureError:
+    return CaptureError("CAPTURE_BAD_POSE", reason, file=file, hints=(hint,))
 
 
 def pose_from_quaternion(xyz: Floats, xyzw: Floats) -> Floats:
@@ -65,7 +65,7 @@ def _nearest_rotation(rotation: Floats, file: str) -> Floats:
     if off > 2 * ORTHONORMAL_TOLERANCE:  # an error e in the entries shows as 2e in the product
         raise bad_pose(file, f"has a pose whose rotation is not orthonormal (off by {off:.3g})")
     if np.linalg.det(rotation) < 0:
-        raise bad_pose(file, "has a pose that mirrors")
+        raise bad_pose(file, "has a pose that mirrors", "export with right-handed axes: flip one axis of every pose")
     if off < _EXACT:
         return rotation
     u, _, vt = np.linalg.svd(rotation)

@@ -2,7 +2,7 @@
 
 depth is LZFSE(float32 metres) of dh x dw, conf LZFSE(uint8 0 ... 2), K column-major for the colour image of w x h.
 Poses are camera-to-world in OpenGL axes, relative to frame 0; times `initPose` they are in
-ARKit's world, Y against gravity.
+ARKit's world, Y against gravity. Phones without a depth sensor leave .depth out.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.depth import known_depth
 from services.edge.capture.files import MAX_FILES, Folder, number, numbers, parse_json, reading, unreadable
-from services.edge.capture.images import broken_image, check_pixels, decode_rgb, read_bytes
-from services.edge.capture.nouns import Capture, Intrinsics
+from services.edge.capture.images import broken_image, check_pixels, decode_rgb, header_size, read_bytes
+from services.edge.capture.nouns import Capture, Intrinsics, Photo
+from services.edge.capture.picture import PhotoPixels
+from services.edge.capture.posed import app_camera, posed_capture
 from services.edge.capture.poses import checked_pose, pose_from_quaternion
 from services.edge.capture.shots import Shot, matrix_pinhole, mostly_matched, pinhole, rgbd_capture
 from services.edge.errors import CaptureError
@@ -96,17 +98,34 @@ def read_archive(path: Path, file: str) -> Capture:
 def _read(files: _Files) -> Capture:
     meta = parse_json(files.read(_METADATA).decode("utf-8", "replace"), _METADATA)
     poses = _poses(meta)
-    depths = {name[5:-6]: name for name in files.names if name.startswith("rgbd/") and name.endswith(".depth")}
-    numbered = {int(stem): name for stem, name in depths.items() if stem.isascii() and stem.isdigit() and len(stem) < 9}
+    depths, pictures = _numbered(files, ".depth"), _numbered(files, ".jpg")
+    numbered, of = (depths, "depth images") if depths else (pictures, "pictures")
     posed = sorted(index for index in numbered if index < len(poses))
-    warnings = mostly_matched(len(posed), len(numbered), len(poses), file=_METADATA, what="poses")
+    warnings = mostly_matched(len(posed), len(numbered), len(poses), file=_METADATA, what="poses", of=of)
     cameras = _cameras(meta, len(poses))
+    up = _UP_Y if "initPose" in meta else None
+    if not depths:
+        tries = [partial(_photo, files, pictures[index], cameras[index], poses[index]) for index in posed]
+        return posed_capture("record3d", tries, scale="metric", up=up, warnings=warnings)
     size = _whole(meta, "dw"), _whole(meta, "dh")
     check_pixels(size, _METADATA)
     there = frozenset(files.names)
     shots = [_shot(files, there, index, numbered[index], cameras[index], poses[index], size) for index in posed]
-    up = _UP_Y if "initPose" in meta else None
     return rgbd_capture("record3d", shots, axes="opengl", up=up, file="rgbd", warnings=warnings)
+
+
+def _numbered(files: _Files, suffix: str) -> dict[int, str]:
+    """Frame's number -> its file of this kind."""
+    stems = {name[5 : -len(suffix)]: name for name in files.names if name.startswith("rgbd/") and name.endswith(suffix)}
+    return {int(stem): name for stem, name in stems.items() if stem.isascii() and stem.isdigit() and len(stem) < 9}
+
+
+def _photo(files: _Files, name: str, camera: Intrinsics, pose: Floats) -> Photo:
+    size = header_size(files.read(name))
+    if size is None:
+        raise broken_image(name, "is not a JPEG image")
+    pixels = PhotoPixels(partial(files.read, name), name, "opencv", check_pixels(size, name), 0)
+    return app_camera(Photo(name, size, "", pixels), camera, pose, "opengl")
 
 
 def _shot(

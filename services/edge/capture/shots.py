@@ -196,15 +196,17 @@ def matched(depths: int, others: int, *, file: str, what: str) -> None:
         )
 
 
-def mostly_matched(both: int, depths: int, poses: int, *, file: str, what: str) -> tuple[str, ...]:
+def mostly_matched(
+    both: int, images: int, poses: int, *, file: str, what: str, of: str = "depth images"
+) -> tuple[str, ...]:
     """Recordings stop raggedly: up to MAX_BAD_SHARE of one may lack the other, with a warning; more is a mismatch."""
-    if both == 0 or max(depths, poses) - both > max(1, MAX_BAD_SHARE * max(depths, poses)):
-        reason = f"{depths} depth images and {poses} {what}, of which {both} belong together"
+    if both == 0 or max(images, poses) - both > max(1, MAX_BAD_SHARE * max(images, poses)):
+        reason = f"{images} {of} and {poses} {what}, of which {both} belong together"
         hint = ("send the whole recording, every file of it",)
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=file, hints=hint)
-    if both == depths == poses:
+    if both == images == poses:
         return ()
-    return (f"{depths} depth images and {poses} {what}; the {both} that belong together are used",)
+    return (f"{images} {of} and {poses} {what}; the {both} that belong together are used",)
 
 
 def missing_warning(names: Sequence[str], what: str) -> tuple[str, ...]:

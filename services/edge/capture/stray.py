@@ -1,7 +1,7 @@
 """Stray Scanner: `rgb.mp4`, `depth/`, `confidence/`, `odometry.csv`, `camera_matrix.csv`.
 
 Depth is u16 PNG (older: .npy) in mm; the camera matrix holds for the video's size; poses are camera-to-world in OpenCV
-axes in ARKit's world, Y against gravity.
+axes in ARKit's world, Y against gravity. Phones without LiDAR leave depth out.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import numpy as np
 from services.edge.arrays import Floats
 from services.edge.capture.depth import confidence_image, depth_file
 from services.edge.capture.files import Folder, numbers, read_text, reading, unreadable
-from services.edge.capture.nouns import Capture, Intrinsics
-from services.edge.capture.poses import pose_from_quaternion
+from services.edge.capture.film import read_film
+from services.edge.capture.nouns import Capture, Intrinsics, Photo
+from services.edge.capture.posed import app_camera, posed_capture
+from services.edge.capture.poses import bad_pose, pose_from_quaternion
 from services.edge.capture.shots import Shot, matrix_pinhole, mostly_matched, no_poses, pinhole, rgbd_capture
 from services.edge.capture.video import VideoColour, VideoFrames
 from services.edge.errors import CaptureError
@@ -29,13 +31,16 @@ _UP_Y = np.array([0.0, 1.0, 0.0])
 
 
 def matches(folder: Folder) -> bool:
-    return (folder.has(ODOMETRY) or folder.has(CAMERA) or folder.has(VIDEO)) and folder.has_folder("depth")
+    depth = folder.has_folder("depth") and (folder.has(ODOMETRY) or folder.has(CAMERA) or folder.has(VIDEO))
+    return depth or (folder.has(ODOMETRY) and folder.has(VIDEO))
 
 
 def read(folder: Folder) -> Capture:
     if not folder.has(ODOMETRY):
         raise no_poses("depth", ODOMETRY)
     rows = _odometry(folder)
+    if not folder.has_folder("depth"):
+        return _photos(folder, rows)
     depths = {_index(name): name for name in folder.directly_in("depth", ".png", ".npy")}
     posed = sorted(index for index in depths if index in rows)
     warnings = mostly_matched(len(posed), len(depths), len(rows), file=ODOMETRY, what="poses")
@@ -46,6 +51,21 @@ def read(folder: Folder) -> Capture:
     shared = None if "fx" in rows[posed[0]] else _matrix(folder, size)
     shots = [_shot(folder, index, depths[index], rows[index], shared, size, video) for index in posed]
     return rgbd_capture("stray", shots, axes="opencv", up=_UP_Y, file="depth", warnings=warnings)
+
+
+def _photos(folder: Folder, rows: Mapping[int, Mapping[str, str]]) -> Capture:
+    """The video's key frames with their poses."""
+    film = read_film(folder, VIDEO)
+    shared = None if "fx" in next(iter(rows.values())) else _matrix(folder, film.photos[0].size)
+    frames = zip(film.photos, film.numbers, strict=True)
+    tries = [partial(_photo, photo, index, rows.get(index), shared) for photo, index in frames]
+    return posed_capture("stray", tries, scale="metric", up=_UP_Y, warnings=film.warnings)
+
+
+def _photo(photo: Photo, index: int, row: Mapping[str, str] | None, shared: Intrinsics | None) -> Photo:
+    if row is None:
+        raise bad_pose(photo.name, f"is frame {index}, which {ODOMETRY} leaves out")
+    return app_camera(photo, shared or _row_camera(row, photo.size), _pose(row, index), "opencv")
 
 
 def _index(name: str) -> int:
@@ -76,14 +96,18 @@ def _shot(
     size: tuple[int, int],
     video: VideoFrames | None,
 ) -> Shot:
-    words = [row.get(key) for key in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    vector = numbers(words, 7, file=ODOMETRY, what=f"pose of frame {index}")
-    pose = pose_from_quaternion(vector[:3], vector[3:])
     source = depth_file(folder.path(depth), depth, METRES_PER_STEP)
     confidence = f"confidence/{posixpath.splitext(posixpath.basename(depth))[0]}.png"
     load_confidence = partial(confidence_image, folder.path(confidence), confidence) if folder.has(confidence) else None
     colour = None if video is None else VideoColour(video, index, size)
-    return Shot(depth, shared or _row_camera(row, size), pose, source, load_confidence, colour)
+    return Shot(depth, shared or _row_camera(row, size), _pose(row, index), source, load_confidence, colour)
+
+
+def _pose(row: Mapping[str, str], index: int) -> Floats:
+    """(4,4) camera-to-world."""
+    words = [row.get(key) for key in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    vector = numbers(words, 7, file=ODOMETRY, what=f"pose of frame {index}")
+    return pose_from_quaternion(vector[:3], vector[3:])
 
 
 def _row_camera(row: Mapping[str, str], size: tuple[int, int]) -> Intrinsics:

@@ -10,14 +10,13 @@ import cv2
 import numpy as np
 
 from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.capture.nouns import Intrinsics, Photo, PhotoVerdict
+from services.edge.capture.nouns import AROUND, MIN_PHOTOS, Intrinsics, Photo, PhotoVerdict
 from services.edge.errors import CaptureError
 from services.edge.photos.features import FAST, FINE, Features, Setting, find_features, pixel_of
 from services.edge.photos.nouns import Alignment, View
 from services.edge.photos.pairs import exhaustive, sequential
 from services.edge.photos.solve import Answer, Lens, Problem, solve
 
-MIN_PHOTOS = 3  # two views give no depth that a third confirms
 _GOOD = 0.9  # share of the photos placed with which nothing more is tried
 _ENOUGH = 0.6  # share with which the capture is used, with a warning
 _ENOUGH_OF_PIECES = 1 / 3  # share that the largest piece must hold where the pieces together hold _ENOUGH
@@ -25,9 +24,7 @@ _USUAL_FOCAL = 1.2  # longer sides; a phone's main camera has 0.7 to 0.8, and th
 _FEATURES = 0.35  # of a rung's time goes into the key points
 _UNTEXTURED = 100  # key points below which a photo itself is why it cannot be placed
 _NAMED = 8  # photos that a sentence names at most
-_AROUND = (
-    "take 15 to 30 photos around the thing, each overlapping the last by two thirds, with textured things beside it"
-)
+_AROUND = f"{AROUND}, with textured things beside it"
 
 
 @dataclass(frozen=True, slots=True)

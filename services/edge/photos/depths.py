@@ -23,6 +23,7 @@ from services.edge.photos.nouns import Alignment, View
 from services.edge.photos.pictures import Picture, colours, picture
 from services.edge.photos.sources import SOURCES, choose_sources
 from services.edge.photos.sweep import DepthMap, sweep
+from services.edge.photos.zncc import WINDOW
 
 LONGEST_PX = 640
 """Longer side of the pictures: 960 takes three times as long and gains nothing on a thing that fills the picture."""
@@ -125,6 +126,7 @@ def _frame(seen: Picture, depth: Floats, score: Floats, longest: int) -> Frame:
         lambda: np.ascontiguousarray(depth),
         lambda: np.ascontiguousarray(confidence, np.float32),
         partial(_colours, seen.view, longest),
+        window_px=WINDOW,
     )
 
 

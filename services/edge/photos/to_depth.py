@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.capture.nouns import Capture, PhotoVerdict
+from services.edge.capture.nouns import MIN_PHOTOS, Capture, PhotoVerdict
 from services.edge.errors import CaptureError
-from services.edge.photos.align import MIN_PHOTOS, align
+from services.edge.photos.align import align
 from services.edge.photos.depths import depth_frames
 from services.edge.photos.nouns import Alignment, View
 from services.edge.photos.screen import screen

@@ -27,6 +27,8 @@ _VOTING_VIEWS = 48
 """Views kept in memory to vote: 48 of 256x192 are 50 MB, and more of a walk around a thing add little."""
 _VOXEL_PIXELS = 1.2
 """Voxel over the size of a depth pixel on the surface: just above 1, a surface seen once leaves no holes."""
+_WINDOWED_VOXEL_PIXELS = 2.0
+"""The same of depth that windows were compared for, whose pixels tell less each."""
 _SURROUNDINGS = 4.0
 """Cell, in voxels, in which points compare how many views agree on them."""
 _OUTVOTED = 5
@@ -60,7 +62,8 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     """
     survey = survey_frames(frames)
     origin = np.asarray(frames[0].camera_to_world, np.float64)[:3, 3]
-    grid = VoxelGrid(voxel or survey.pixel_m * _VOXEL_PIXELS, MAX_POINTS)
+    pixels = _WINDOWED_VOXEL_PIXELS if windowed(frames) else _VOXEL_PIXELS
+    grid = VoxelGrid(voxel or survey.pixel_m * pixels, MAX_POINTS)
     voters = set(np.linspace(0, len(frames) - 1, min(len(frames), _VOTING_VIEWS)).round().astype(int).tolist())
     views: list[DepthView] = []
     aims: list[Floats] = []
@@ -84,6 +87,11 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     return Fused(xyz, rgb, np.clip(merged.confidence, 0, 1), grid.voxel, cameras, aim, survey.warnings)
 
 
+def windowed(frames: Sequence[Frame]) -> bool:
+    """Whether the depth is that of stereo, not of a sensor."""
+    return any(frame.window_px > 1 for frame in frames)
+
+
 def _observe(view: DepthView, frame: Frame, origin: Floats) -> Samples:
     """Back-project the believed pixels; weight = cosine · confidence / z² (depth noise grows with z)."""
     rows, columns = np.nonzero(view.inverse_depth)
@@ -98,13 +106,13 @@ def _observe(view: DepthView, frame: Frame, origin: Floats) -> Samples:
     light: Floats = np.zeros((len(xyz), 3), np.float32)
     seen = np.zeros(len(xyz), bool)
     if frame.load_rgb is not None:
-        light = to_linear(_at_depth_resolution(frame.load_rgb(), view.inverse_depth.shape)[rows, columns])
+        light = to_linear(at_resolution(frame.load_rgb(), view.inverse_depth.shape)[rows, columns])
         seen = np.ones(len(xyz), bool)
     return Samples(xyz, normal, light, seen, confidence, weight)
 
 
-def _at_depth_resolution(rgb: Bytes, shape: tuple[int, ...]) -> Bytes:
-    """The picture with one pixel per depth pixel: a depth pixel's colour is the mean of what it covers."""
+def at_resolution(rgb: Bytes, shape: tuple[int, ...]) -> Bytes:
+    """The picture (h,w,3) at the depth's (H,W), with one pixel per depth pixel: a depth pixel's colour is the mean of what it covers."""
     import cv2
 
     if rgb.shape[:2] == shape:

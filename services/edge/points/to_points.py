@@ -8,10 +8,11 @@ from services.edge.arrays import Tick, no_tick
 from services.edge.capture.nouns import Capture
 from services.edge.errors import CaptureError
 from services.edge.points.cloud import MIN_POINTS, cloud_points
-from services.edge.points.fuse import Fused, fuse
+from services.edge.points.fuse import Fused, fuse, windowed
 from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Points
 from services.edge.points.outliers import inliers
+from services.edge.points.smooth import smoothed
 from services.edge.points.upright import estimate_up, level_up
 
 
@@ -34,7 +35,8 @@ def to_points(capture: Capture, *, voxel: float | None = None, isolate: bool = F
 
 
 def _rgbd_points(capture: Capture, fused: Fused, tick: Tick) -> Points:
-    keep = inliers(fused.xyz - fused.cameras[0], tick)
+    stereo = windowed(capture.frames)
+    keep = inliers(fused.xyz - fused.cameras[0], (lambda part: tick(0.4 * part)) if stereo else tick)
     if keep.sum() < MIN_POINTS:
         raise CaptureError(
             "CAPTURE_TOO_FEW_POINTS",
@@ -42,6 +44,8 @@ def _rgbd_points(capture: Capture, fused: Fused, tick: Tick) -> Points:
             hints=("Move slowly, in good light, and keep the thing in view.",),
         )
     xyz = fused.xyz[keep]
+    if stereo:
+        xyz = smoothed(xyz, fused.confidence[keep], lambda part: tick(0.4 + 0.6 * part))
     poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in capture.frames])
     return Points(
         xyz=xyz,
