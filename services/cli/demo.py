@@ -27,7 +27,8 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     key = key_from(capture) if capture else _KEY
     source = capture or _simulated(out)
     with running("127.0.0.1", _port(), out / "data") as stack:
-        job = push_capture(source, stack.url, key=key, preset=_PRESET, label=key, isolate=capture is None)
+        cut = None if capture else True
+        job = push_capture(source, stack.url, key=key, preset=_PRESET, label=key, isolate=cut)
         entry = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         with client_of(stack.url) as client:
             manifest = answer_of(client.get(entry["manifest"]["url"]))

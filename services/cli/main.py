@@ -19,23 +19,35 @@ app = typer.Typer(
 )
 
 Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
+Isolate = Annotated[
+    bool | None,
+    typer.Option(
+        "--isolate/--whole", help="Remove the supporting plane and clutter; else photos of one thing are cut."
+    ),
+]
+Longest = Annotated[
+    float | None,
+    typer.Option(min=0.001, max=1_000, help="Metres between the farthest points of the thing, if you measured it."),
+]
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 
 
 @app.command()
 def run(
-    capture: Annotated[Path, typer.Argument(help="A point cloud, a mesh, an RGB-D folder, or a zip of one.")],
+    capture: Annotated[Path, typer.Argument(help="Photos, a video, a point cloud, a mesh, an RGB-D folder, or a zip.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
     preset: Annotated[str, typer.Option(help="How to reconstruct; `presets` lists them. Else the points decide.")] = "",
     device: Annotated[str, typer.Option(help="Where to train: cpu, cuda, cuda:1, or auto.")] = "auto",
     resolution: Annotated[int, typer.Option(min=0, max=1024, help="Cells along the longest side; 0 chooses.")] = 0,
-    isolate: Annotated[bool, typer.Option("--isolate", help="Remove the supporting plane and clutter.")] = False,
+    isolate: Isolate = None,
+    longest: Longest = None,
     key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",
 ) -> None:
     """The whole pipeline in one process: capture in, meshes, picture, report and bundle out."""
-    from services.cli.run import run_capture
+    from services.cli.run import Wanted, run_capture
 
-    run_capture(capture, out, preset=preset, device=device, resolution=resolution, isolate=isolate, key=key)
+    wanted = Wanted(key=key, isolate=isolate, longest_m=longest)
+    run_capture(capture, out, wanted, preset=preset, device=device, resolution=resolution)
 
 
 @app.command()
@@ -65,12 +77,13 @@ def push(
     gateway: Gateway = DEFAULT_GATEWAY,
     preset: Annotated[str, typer.Option(help="How to reconstruct; else the worker chooses.")] = "",
     label: Annotated[str, typer.Option(help="A name for people.")] = "",
-    isolate: Annotated[bool, typer.Option("--isolate", help="Remove the supporting plane and clutter.")] = False,
+    isolate: Isolate = None,
+    longest: Longest = None,
 ) -> None:
     """Upload a capture as a phone would, follow the job, print where the asset stands."""
     from services.cli.push import push_capture
 
-    push_capture(capture, gateway, key=key, preset=preset, label=label, isolate=isolate)
+    push_capture(capture, gateway, key=key, preset=preset, label=label, isolate=isolate, longest_m=longest)
 
 
 @app.command()

@@ -25,16 +25,25 @@ _AWAY = {502, 503, 504}
 _TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
 
 
-def push_capture(source: Path, gateway: str, *, key: str, preset: str, label: str, isolate: bool) -> dict[str, Any]:
+def push_capture(
+    source: Path,
+    gateway: str,
+    *,
+    key: str,
+    preset: str,
+    label: str,
+    isolate: bool | None = None,
+    longest_m: float | None = None,
+) -> dict[str, Any]:
     """Upload, start a job, follow it; the final job. Raises BadInput with the gateway's own reason."""
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             capture = upload(client, source, bar)
-            request = {"capture": capture["capture"], "asset_key": key, "label": label or key, "isolate": isolate}
-            if preset:
-                request["preset"] = preset
+            told = {"preset": preset or None, "isolate": isolate, "longest_m": longest_m}
+            request = {"capture": capture["capture"], "asset_key": key, "label": label or key}
+            request |= {name: value for name, value in told.items() if value is not None}
             # One key for the whole command: a retry after a lost answer finds the job instead of making a second one.
             job = answer_of(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
             for state in follow(client, job["id"]):

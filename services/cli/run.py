@@ -10,7 +10,7 @@ import tempfile
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,31 +30,46 @@ _PICTURE = "preview.png"  # its name in a bundle of either state
 _OF_AN_EARLIER_RUN = ("bundle", "preview", "refined.png")
 
 
-def run_capture(source: Path, out: Path, *, preset: str, device: str, resolution: int, isolate: bool, key: str) -> None:
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is asked of the pipeline besides a preset.
+
+    key        asset key; "": from the capture's name
+    isolate    cut the thing from its surroundings; None: where photos were taken around one thing
+    longest_m  metres between the farthest points of the thing, or None
+    """
+
+    key: str = ""
+    isolate: bool | None = None
+    longest_m: float | None = None
+
+
+DEFAULTS = Wanted()
+
+
+def run_capture(source: Path, out: Path, wanted: Wanted, *, preset: str, device: str, resolution: int) -> None:
     """Reconstruct `source` into `out` with a preset by name. Raises BadInput."""
     try:
         chosen = load_preset(preset)
     except EdgeError as error:
         raise BadInput(sentence(error.message, hints=error.hints)) from error
     chosen = replace(chosen, resolution=resolution or chosen.resolution)
-    run_preset(source, out, chosen, device=device, isolate=isolate, key=key)
+    run_preset(source, out, chosen, wanted, device=device)
 
 
-def run_preset(
-    source: Path, out: Path, preset: Preset, *, device: str = "auto", isolate: bool = False, key: str = ""
-) -> None:
+def run_preset(source: Path, out: Path, preset: Preset, wanted: Wanted = DEFAULTS, *, device: str = "auto") -> None:
     """Reconstruct `source` into `out`, which is only touched once there is a result. Raises BadInput.
 
     Killed while it trained and begun again with the same arguments, it goes on from `out`/fit.checkpoint.
     """
-    key = key or key_from(source)
+    key = wanted.key or key_from(source)
     if not valid_key(key):
         raise BadInput(NO_KEY.format(key))
     _check_writable(out)
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
             results = Results(out, key)
-            _reconstruct_into(results, opened(source, Path(scratch)), preset, device, isolate, plain(source.stem))
+            _reconstruct_into(results, opened(source, Path(scratch)), preset, device, wanted, plain(source.stem))
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_told(error, source)) from error
 
@@ -87,7 +102,7 @@ def opened(source: Path, scratch: Path) -> Path:
     return source
 
 
-def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: str, isolate: bool, label: str) -> None:
+def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: str, wanted: Wanted, label: str) -> None:
     from services.edge.capture import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
     from services.edge.progress import Progress
@@ -101,7 +116,14 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
         capture = read_capture(folder)
         place = _room_for(preset, capture, device)
         steps = reconstruct(
-            capture, preset, device=place, checkpoint=results.checkpoint, isolate=isolate, label=label, watch=show
+            capture,
+            preset,
+            device=place,
+            checkpoint=results.checkpoint,
+            isolate=wanted.isolate,
+            longest_m=wanted.longest_m,
+            label=label,
+            watch=show,
         )
         for step in steps:
             match step:

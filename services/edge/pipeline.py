@@ -26,7 +26,7 @@ from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_by
 from services.edge.mesh.band import part_of
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.photos import to_depth
-from services.edge.points import Points, at_most, to_points, unit_frame
+from services.edge.points import Points, at_most, to_points, unit_frame, with_longest
 from services.edge.preset import AUTOMATIC, Preset, load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, unwatched
 from services.edge.training import Training, train
@@ -72,7 +72,8 @@ def reconstruct(
     *,
     device: str = "cpu",
     checkpoint: Path | None = None,
-    isolate: bool = False,
+    isolate: bool | None = None,
+    longest_m: float | None = None,
     label: str = "",
     watch: Watch = unwatched,
 ) -> Generator[Progress | Bundle | PreviewKept, None, None]:
@@ -80,7 +81,9 @@ def reconstruct(
 
     device      where a field is trained: "cpu", "cuda:0"
     checkpoint  file that the training writes and goes on from; removing it is the caller's business
-    isolate     removes the supporting plane and clutter; label is the human name kept in the manifest
+    isolate     removes the supporting plane and clutter; None: where photos were taken around one thing
+    longest_m   the greatest distance between two points of the thing, metres, where the person knows it
+    label       the human name kept in the manifest
 
     Raises CaptureError where the capture cannot give a surface, Cancelled when `watch` does; what fails behind the
     preview is no error but `PreviewKept`. Whoever stops iterating should close the generator: it may be training.
@@ -100,6 +103,7 @@ def reconstruct(
     yield bar.starts("POINT_CLOUD", f"reading {capture.format}")
     with clock("POINT_CLOUD"):
         points = to_points(measured_capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
+        points = with_longest(points, longest_m) if longest_m else points
         del measured_capture  # depth images of photos are a gigabyte that no later stage wants
         preset, because = _settled(preset, points, device)
         held = hold_out(len(points), sets=2 if preset.fit and preset.fit.patience else 1)

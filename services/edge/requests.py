@@ -20,6 +20,10 @@ LABEL_MAX_CHARS = 200
 """A label is a caption in a headset; more would not be read."""
 
 
+LEAST_M, MOST_M = 0.001, 1_000.0
+"""Metres between two points of a thing that a person can have measured: a tick, a street."""
+
+
 class RefusedError(Exception):
     """A call that is answered with a status: `details` reads "CODE: sentence"."""
 
@@ -43,7 +47,8 @@ class JobRequest:
     preset: str
     asset_key: str
     target: str
-    isolate: bool
+    isolate: bool | None
+    longest_m: float | None
     label: str
 
     @classmethod
@@ -58,12 +63,20 @@ class JobRequest:
         preset = header.preset or offer.names[0]
         _require_offered(preset, offer)
         label = header.label or header.asset_key
-        return cls(header.job, header.fence, preset, header.asset_key, header.target, header.isolate, label)
+        isolate = header.isolate if header.HasField("isolate") else None
+        longest_m = _length("longest_m", header.longest_m) if header.longest_m else None
+        return cls(header.job, header.fence, preset, header.asset_key, header.target, isolate, longest_m, label)
 
 
 def _require_name(code: str, field: str, value: str) -> None:
     if not _NAME.fullmatch(value):
         raise invalid(code, f"{field} must be 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
+
+
+def _length(field: str, value: float) -> float:
+    if not LEAST_M <= value <= MOST_M:  # no number is neither
+        raise invalid("LENGTH_INVALID", f"{field} must be {LEAST_M} to {MOST_M} metres")
+    return value
 
 
 def _require_offered(preset: str, offer: Offer) -> None:

@@ -85,6 +85,7 @@ class RealWork:
             device=self._device.name,
             checkpoint=checkpoint,
             isolate=request.isolate,
+            longest_m=request.longest_m,
             label=request.label,
             watch=lambda progress: say(_told(progress)),
         )

@@ -208,6 +208,7 @@ def _header(job: Job, size: int) -> pb.Header:
         isolate=order.isolate,
         capture_bytes=size,
         label=order.label,
+        longest_m=order.longest_m or 0.0,
     )
 
 

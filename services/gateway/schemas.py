@@ -33,11 +33,18 @@ class JobRequest(BaseModel):
     target: Annotated[str, Field(max_length=100, description="Device class whose budget must be met; empty: none.")] = (
         ""
     )
-    isolate: Annotated[bool, Field(description="Remove the supporting plane and clutter.")] = False
+    isolate: Annotated[
+        bool | None,
+        Field(description="Remove the supporting plane and clutter; null: where photos were taken around one thing."),
+    ] = None
+    longest_m: Annotated[
+        float | None,
+        Field(ge=0.001, le=1_000, description="Metres between the farthest points of the thing, where it is known."),
+    ] = None
 
     def order(self, preset: str) -> Order:
         """As the jobs know it, with the preset that was chosen."""
-        return Order(self.capture, preset, self.asset_key, self.label, self.target, self.isolate)
+        return Order(self.capture, preset, self.asset_key, self.label, self.target, self.isolate, self.longest_m)
 
 
 class ProblemView(BaseModel):

@@ -85,6 +85,18 @@ async def test_a_job_runs_to_its_end(client: Client, work: Scripted, scratch: Pa
     assert leftovers(scratch) == []
 
 
+@pytest.mark.parametrize(
+    ("header", "isolate", "longest_m"),
+    [({}, None, None), ({"isolate": False, "longest_m": 0.31}, False, 0.31)],
+)
+async def test_what_was_left_open_stays_open(
+    client: Client, work: Scripted, header: dict[str, object], isolate: bool | None, longest_m: float | None
+) -> None:
+    await client.ended(b"ticks 1", **header)
+    seen = work.seen["job_1"]
+    assert (seen.isolate, seen.longest_m) == (isolate, longest_m)
+
+
 async def test_the_fraction_never_goes_back(client: Client) -> None:
     events = await client.ended(b"fractions 0.2 0.1 nan 7 0.5 -1")
     assert [event.progress.fraction for event in events[:6]] == [0.2, 0.2, 0.2, 0.2, 0.5, 0.5]

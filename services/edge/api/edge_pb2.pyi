@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label", "longest_m")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -48,6 +48,7 @@ class Header(_message.Message):
     ISOLATE_FIELD_NUMBER: _ClassVar[int]
     CAPTURE_BYTES_FIELD_NUMBER: _ClassVar[int]
     LABEL_FIELD_NUMBER: _ClassVar[int]
+    LONGEST_M_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -56,7 +57,8 @@ class Header(_message.Message):
     isolate: bool
     capture_bytes: int
     label: str
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ...) -> None: ...
+    longest_m: float
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ...) -> None: ...
 
 class Data(_message.Message):
     __slots__ = ("offset", "data")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from services.edge.points.nouns import Points, UnitFrame
+from services.edge.points.scale import with_longest
 from services.edge.points.thin import at_most
 from services.edge.points.to_points import to_points
 from services.edge.points.unit import unit_frame
 
-__all__ = ["Points", "UnitFrame", "at_most", "to_points", "unit_frame"]
+__all__ = ["Points", "UnitFrame", "at_most", "to_points", "unit_frame", "with_longest"]

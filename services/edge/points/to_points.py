@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from services.edge.arrays import Tick, no_tick
 from services.edge.capture.nouns import Capture
 from services.edge.errors import CaptureError
+from services.edge.points.aim import around_one_thing
 from services.edge.points.cloud import MIN_POINTS, cloud_points
 from services.edge.points.fuse import Fused, fuse, windowed
 from services.edge.points.isolate import isolate_object
@@ -16,22 +19,37 @@ from services.edge.points.smooth import smoothed
 from services.edge.points.upright import estimate_up, level_up
 
 
-def to_points(capture: Capture, *, voxel: float | None = None, isolate: bool = False, tick: Tick = no_tick) -> Points:
+def to_points(
+    capture: Capture, *, voxel: float | None = None, isolate: bool | None = None, tick: Tick = no_tick
+) -> Points:
     """Clean, coloured points of a capture, in its frame and units.
 
     voxel    distance between points in capture units; None: from the depth pixels' size, and a cloud is left as it is
-    isolate  keep only the thing in the middle: without what it stands on and what stands around it
+    isolate  keep only the thing in the middle: without what it stands on and what stands around it. None: where photos
+             were taken around one thing, and such a thing is found
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too little survives, CAPTURE_NOTHING_LEFT where `isolate` finds no
     thing. `tick` may raise `Cancelled`.
     """
-    share = 0.9 if isolate else 1.0
+    share = 1.0 if isolate is False else 0.9
     if capture.kind == "points":
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
         return isolate_object(points, tick=tick) if isolate else points
     fused = fuse(capture.frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
-    return isolate_object(points, aim=fused.aim, cameras=fused.cameras, tick=tick) if isolate else points
+    if isolate is False or (isolate is None and not _of_one_thing(capture)):
+        return points
+    try:
+        return isolate_object(points, aim=fused.aim, cameras=fused.cameras, tick=tick)
+    except CaptureError as error:
+        if isolate:
+            raise
+        return replace(points, warnings=(*points.warnings, f"The surroundings were kept: {error.message}."))
+
+
+def _of_one_thing(capture: Capture) -> bool:
+    """Photos of a thing hold its surroundings too, whether wanted or not; who scans with a depth sensor aims it."""
+    return windowed(capture.frames) and around_one_thing(capture.frames)
 
 
 def _rgbd_points(capture: Capture, fused: Fused, tick: Tick) -> Points:

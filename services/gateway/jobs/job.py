@@ -33,7 +33,8 @@ class Order:
     asset_key: str
     label: str = ""
     target: str = ""
-    isolate: bool = False
+    isolate: bool | None = None  # None: where photos were taken around one thing
+    longest_m: float | None = None  # between the farthest points of the thing, where the person knows it
 
 
 @dataclass(frozen=True, slots=True)
