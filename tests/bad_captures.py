@@ -125,10 +125,6 @@ def _dark_png(side: int) -> bytes:
     return buffer.getvalue()
 
 
-def _no_poses(folder: Path) -> None:
-    (folder / "trajectory.log").unlink()
-
-
 def _few_poses(folder: Path) -> None:
     lines = (folder / "trajectory.log").read_text().splitlines()
     (folder / "trajectory.log").write_text("\n".join(lines[:10]) + "\n")
@@ -165,12 +161,11 @@ BAD: dict[str, Bad] = {
     ),
     "HTML named .jpg": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: HTML)),
     "a truncated JPEG": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: pictures.jpeg()[:1500])),
-    "a CMYK JPEG alone": Bad("CAPTURE_LOW_OVERLAP", "a.jpg", one("a.jpg", lambda: _picture("CMYK", "JPEG"))),
-    "a 16-bit PNG alone": Bad("CAPTURE_LOW_OVERLAP", "a.png", one("a.png", lambda: _picture("I;16", "PNG"))),
+    "a CMYK JPEG of nothing": Bad("CAPTURE_NO_OBJECT", "a.jpg", one("a.jpg", lambda: _picture("CMYK", "JPEG"))),
+    "a 16-bit PNG of nothing": Bad("CAPTURE_NO_OBJECT", "a.png", one("a.png", lambda: _picture("I;16", "PNG"))),
     "a GIF": Bad("CAPTURE_UNKNOWN_FORMAT", "a.gif", one("a.gif", lambda: _picture("P", "GIF"))),
     "a cut film": Bad("CAPTURE_UNREADABLE", "a.mp4", one("a.mp4", lambda: pictures.film()[:150])),
     # recordings
-    "depth without poses": Bad("CAPTURE_NO_POSES", "depth", recording(_no_poses)),
     "fewer poses than images": Bad("CAPTURE_COUNT_MISMATCH", "trajectory.log", recording(_few_poses)),
     "fewer depth images than colours": Bad(
         "CAPTURE_COUNT_MISMATCH", "trajectory.log", recording(lambda folder: (folder / "depth/00002.png").unlink())

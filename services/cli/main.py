@@ -42,11 +42,12 @@ def run(
     isolate: Isolate = None,
     longest: Longest = None,
     key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",
+    reference: Annotated[Path | None, typer.Option(help="A mesh of the same thing to measure the result by.")] = None,
 ) -> None:
     """The whole pipeline in one process: capture in, meshes, picture, report and bundle out."""
     from services.cli.run import Wanted, run_capture
 
-    wanted = Wanted(key=key, isolate=isolate, longest_m=longest)
+    wanted = Wanted(key=key, isolate=isolate, longest_m=longest, reference=reference)
     run_capture(capture, out, wanted, preset=preset, device=device, resolution=resolution)
 
 

@@ -54,6 +54,8 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
             "</tr>",
             *_rows(certificates),
             "</table>",
+            *_against(report["reference"]),
+            *_stages(report["seconds"]),
             *_photos(report["capture"]["photos"]),
             *(f'<p class="warning">{escape(warning)}</p>' for warning in report["warnings"]),
             "</html>\n",
@@ -75,6 +77,32 @@ _VERDICTS = {
     "even": "as good as the preview",
     "worse": "worse than the preview, which was kept",
 }
+
+
+def _against(reference: Mapping[str, float] | None) -> Iterator[str]:
+    """How far the surface lies from one that is known, where one was named."""
+    if not reference:
+        return
+    yield "<h2>Against the reference</h2><p><small>laid over it by the best similarity; shares of its size</small></p>"
+    yield "<table>"
+    for key, name in _AGAINST.items():
+        yield f'<tr><td>{name}</td><td class="figure">{reference[key]:.3%}</td></tr>'
+    yield "</table>"
+
+
+_AGAINST = {
+    "median": "median distance of the surface to it",
+    "p90": "90th percentile",
+    "complete": "share of it within 1 % of the surface",
+    "beside": "share of the surface that is no part of it",
+}
+
+
+def _stages(seconds: Mapping[str, float]) -> Iterator[str]:
+    yield "<h2>Seconds</h2><table>"
+    for stage, spent in seconds.items():
+        yield f'<tr><td>{escape(stage.lower().replace("_", " "))}</td><td class="figure">{spent:.1f}</td></tr>'
+    yield "</table>"
 
 
 def _photos(verdicts: Sequence[Mapping[str, str]]) -> Iterator[str]:

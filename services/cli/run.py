@@ -10,15 +10,19 @@ import tempfile
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+import numpy as np
 
 from services.cli.errors import NO_KEY, BadInput, plain, sentence
 from services.cli.progress import StageBar, console, warn
 from services.cli.report import page
 from services.edge.capture.nouns import Capture
 from services.edge.errors import EdgeError
+from services.edge.mesh.nouns import Mesh
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
@@ -37,11 +41,13 @@ class Wanted:
     key        asset key; "": from the capture's name
     isolate    cut the thing from its surroundings; None: where photos were taken around one thing
     longest_m  metres between the farthest points of the thing, or None
+    reference  a mesh of the same thing that the result is measured against, or None
     """
 
     key: str = ""
     isolate: bool | None = None
     longest_m: float | None = None
+    reference: Path | None = None
 
 
 DEFAULTS = Wanted()
@@ -66,12 +72,32 @@ def run_preset(source: Path, out: Path, preset: Preset, wanted: Wanted = DEFAULT
     if not valid_key(key):
         raise BadInput(NO_KEY.format(key))
     _check_writable(out)
+    reference = _surface_of(wanted.reference) if wanted.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            results = Results(out, key)
+            results = Results(out, key, reference)
             _reconstruct_into(results, opened(source, Path(scratch)), preset, device, wanted, plain(source.stem))
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_told(error, source)) from error
+
+
+def _surface_of(path: Path) -> Mesh:
+    """The reference in a file. Raises BadInput."""
+    try:
+        with path.open("rb") as stream:
+            mesh = _mesh_of(stream, path.suffix.lstrip(".").lower())
+    except Exception as error:  # readers of a dozen formats raise what they like
+        raise BadInput(f"{path} cannot be read as a mesh: {error}") from error
+    if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
+        raise BadInput(f"{path} is no surface: it has {len(mesh.faces)} faces; name a mesh with --reference")
+    return mesh
+
+
+def _mesh_of(stream: IO[bytes], kind: str) -> Mesh:
+    import trimesh
+
+    loaded = trimesh.load_mesh(stream, file_type=kind, process=False)
+    return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64))
 
 
 def key_from(source: Path) -> str:
@@ -166,8 +192,9 @@ class Results:
     Once there is a refined mesh, the files of the preview stand in `preview/`; the pictures stand side by side.
     """
 
-    def __init__(self, out: Path, key: str) -> None:
+    def __init__(self, out: Path, key: str, reference: Mesh | None = None) -> None:
         self.out = out
+        self._reference = reference
         self.checkpoint = out / "fit.checkpoint"
         self.report: dict[str, Any] = {}
         self._key = key
@@ -196,6 +223,7 @@ class Results:
                 "state": bundle.state,
                 "version": asset.version,
                 "bytes": {name: len(content) for name, content in bundle.files.items()},
+                "reference": self._measured(bundle.files["mesh.ply"]),
             },
             quality,
         )
@@ -218,6 +246,12 @@ class Results:
         (self.out / "report.json").write_text(json.dumps(self.report, indent=2) + "\n")
         (self.out / "report.html").write_text(page(self.report, self._pictures), encoding="utf-8")
 
+    def _measured(self, ply: bytes) -> dict[str, float] | None:
+        """How far the mesh lies from the reference, where there is one."""
+        from services.edge.mesh.registration import overlay
+
+        return asdict(overlay(_mesh_of(BytesIO(ply), "ply"), self._reference)) if self._reference else None
+
     def _move_preview(self) -> None:
         (self.out / "preview").mkdir()
         for name in self.report["bytes"]:
@@ -238,6 +272,11 @@ def _print_result(out: Path, report: dict[str, Any]) -> None:
         console.print(f"preset {report['preset']}: {report['preset_because']}")
     if report["verdict"] == "better":
         console.print(f"refined better than preview: {report['because']}")
+    if found := report["reference"]:
+        console.print(
+            f"against the reference, laid over it: median {found['median']:.3%} of its size, 90th percentile "
+            f"{found['p90']:.3%}; {found['complete']:.1%} of it within 1 %"
+        )
     for warning in report["warnings"]:
         warn(warning)
     console.print(f"look at {out / 'report.html'}; figures in {out / 'report.json'}")

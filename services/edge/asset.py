@@ -13,7 +13,7 @@ from services.edge.arrays import Floats
 from services.edge.capture.nouns import Capture
 from services.edge.certificate import Certificate, Evidence
 from services.edge.mesh import Mesh
-from services.edge.points import Points, UnitFrame
+from services.edge.points import Points, UnitFrame, hints
 from services.edge.preset import Preset
 
 _DEFAULT_UP = np.array(
@@ -121,7 +121,10 @@ def manifest_of(
             "frames": len(capture.frames) or len(capture.photos),
             "photos": [asdict(verdict) for verdict in capture.verdicts],
         },
+        "origin": "guess" if capture.kind == "image" else "measured",
+        "confidence": round(float(points.confidence.mean()), 3),
         "points": len(points) + quality["held_out"],
+        "anchors": _anchors(points, to_asset),
         "scale_confidence": points.scale_confidence,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],
         "unit_frame": {"centre": [float(value) for value in unit.centre], "size": float(unit.size)},
@@ -135,3 +138,10 @@ def manifest_of(
         "seconds": dict(seconds),
         "warnings": told,
     }
+
+
+def _anchors(points: Points, to_asset: Floats) -> dict[str, list[float] | list[int]]:
+    """Points that stand for the thing until a mesh is loaded: flat lists, metres in the asset frame, and sRGB bytes."""
+    xyz, rgb = hints(points.xyz, points.rgb)
+    placed = xyz @ to_asset[:3, :3].T + to_asset[:3, 3]
+    return {"xyz_m": placed.round(4).ravel().tolist(), "rgb": rgb.ravel().tolist()}

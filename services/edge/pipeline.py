@@ -102,7 +102,12 @@ def reconstruct(
 
     yield bar.starts("POINT_CLOUD", f"reading {capture.format}")
     with clock("POINT_CLOUD"):
-        points = to_points(measured_capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
+        if capture.kind == "image":
+            from services.edge.guess.to_points import to_points as guessed_points  # loads torch
+
+            points = guessed_points(capture, tick=bar.inside("POINT_CLOUD"))
+        else:
+            points = to_points(measured_capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
         points = with_longest(points, longest_m) if longest_m else points
         del measured_capture  # depth images of photos are a gigabyte that no later stage wants
         preset, because = _settled(preset, points, device)

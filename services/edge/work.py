@@ -11,6 +11,7 @@ from services.edge.api import edge_pb2 as pb
 from services.edge.capture import Capture, read_capture
 from services.edge.errors import CaptureError, EdgeError
 from services.edge.field.device import Device
+from services.edge.guess.cutout import cut_out
 from services.edge.memory import Memory
 from services.edge.pipeline import PreviewKept, reconstruct
 from services.edge.preset import AUTOMATIC, Preset, memory_bytes
@@ -68,6 +69,8 @@ class RealWork:
     def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
         """What kind of capture it is. Raises EdgeError when it cannot be used."""
         capture = _capture_of(archive, scratch)
+        if capture.kind == "image":
+            cut_out(capture.photos[0])  # a photo of nothing is told from its pixels alone
         return pb.Inspection(
             kind=capture.kind,
             format=capture.format,

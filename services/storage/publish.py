@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 SCHEMA = 1
 _RACE_S = 60.0  # how long to keep trying against other publishers of the same key
 _PAUSE_S = 0.02  # first pause after a lost race; doubles with jitter up to a second
-_FROM_MANIFEST = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "label")
+_FROM_MANIFEST = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "label", "origin")
 
 
 class StaleFence(Exception):  # noqa: N818 - not a fault: the job has moved to another worker

@@ -13,6 +13,7 @@ BENCHES = {
     "complexity": "parameters, bytes, seconds a step of our network and the ancestors' (the paper's Table 5)",
     "extraction": "seconds, memory and topology of the extraction, 64 to 512 cells, local and learned field",
     "photos": "photos to points: seconds per stage, and distance from a surface that is known",
+    "guess": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "pipeline": "capture to published LOD set: seconds per stage and peak memory",
     "uploads": "32 phones uploading 20 MB each: answers, gateway memory, latency of GET job",
 }

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
 from services.edge.capture import read_capture
 from services.edge.capture.nouns import Capture, Frame
+from services.edge.mesh.registration import laid_over, measured
 from services.edge.photos.align import align
 from services.edge.photos.depths import depth_frames
 from services.edge.photos.screen import screen
@@ -28,12 +28,10 @@ from services.edge.photos.to_depth import to_depth
 from services.edge.points import to_points
 from tests.bench.cell import ROOT
 from tests.conftest import data_folder
-from tests.edge.registration import laid_over
 from tests.edge.walkaround import render_walkaround
 
 CASES = ("fruit, 20 photos of 600 x 400", "rendered shell, 25 of 1280 x 960", "rendered shell, 100 of 1280 x 960")
 _SAMPLES = 200_000
-_ON_THE_THING = 0.05  # of its size: points farther from it are its surroundings
 
 
 def one(case: str) -> dict[str, Any]:
@@ -87,22 +85,16 @@ def _errors(
     xyz: Floats, frames: tuple[Frame, ...], cameras: dict[str, Floats], truth: trimesh.Trimesh
 ) -> dict[str, float]:
     """Of the points on the thing, in percent of its size, after the best similarity; completeness within 1 %."""
-    size = float(np.ptp(truth.vertices, axis=0).max())
     surface, face = trimesh.sample.sample_surface(truth, _SAMPLES, seed=0)
-    tree = cKDTree(surface)
     ours = np.stack([frame.camera_to_world[:3, 3] for frame in frames])
     theirs = np.stack([cameras[frame.name][:3, 3] for frame in frames])
     laid, _, _ = trimesh.registration.procrustes(ours, theirs, reflection=False)
-    xyz = laid_over(xyz, surface, truth.face_normals[face], laid)
-    gap, nearest = tree.query(xyz)
-    on = gap < _ON_THE_THING * size
-    nearest = nearest[on]
-    off = np.abs(np.einsum("ni,ni->n", xyz[on] - surface[nearest], truth.face_normals[face[nearest]]))
-    back, _ = cKDTree(xyz).query(surface[::10])
+    normals = truth.face_normals[face]
+    found = measured(laid_over(xyz, surface, normals, laid), surface, normals)
     return {
-        "median %": round(100 * float(np.median(off)) / size, 3),
-        "90th %": round(100 * float(np.percentile(off, 90)) / size, 3),
-        "within 1 %": round(100 * float((back < 0.01 * size).mean()), 1),
+        "median %": round(100 * found.median, 3),
+        "90th %": round(100 * found.p90, 3),
+        "within 1 %": round(100 * found.complete, 1),
     }
 
 

@@ -226,7 +226,6 @@ SCALED = np.diag([2.0, 2, 2, 1]).tolist()
 ALL_DEPTH = [f"depth/{index}.png" for index in range(4)]
 
 RECORDINGS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
-    "no trajectory": ("open3d", "CAPTURE_NO_POSES", remove("trajectory.log")),
     "empty trajectory": ("open3d", "CAPTURE_NO_POSES", write("trajectory.log", b"\n")),
     "cut trajectory": ("open3d", "CAPTURE_TRUNCATED", write("trajectory.log", b"0 0 1\n1 0 0 0\n0 1 0 0\n")),
     "a trajectory of words": ("open3d", "CAPTURE_UNREADABLE", write("trajectory.log", b"a b c d\n" * 20)),

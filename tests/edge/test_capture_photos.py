@@ -268,11 +268,31 @@ def test_two_photos_are_too_few_and_three_a_capture(tmp_path: Path) -> None:
     assert len(photos.read(folder_of(tmp_path, c=encoded())).photos) == 3
 
 
-def test_one_photo_is_too_few(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="holds 1 photo; at least 3") as caught:
-        photos.read(folder_of(tmp_path, a=encoded()))
-    assert (caught.value.code, caught.value.file) == ("CAPTURE_LOW_OVERLAP", "a.jpg")
-    assert "15 to 30 photos" in caught.value.hints[0]
+def test_one_photo_is_a_capture_of_its_own_kind(tmp_path: Path) -> None:
+    capture = photos.read(folder_of(tmp_path, a=encoded()))
+    assert capture.kind == "image"
+    assert [photo.name for photo in capture.photos] == ["a.jpg"]
+    assert "guess" in capture.warnings[0]
+    assert "15 to 30 photos" in capture.warnings[0]
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+def test_an_alpha_channel_comes_as_stored(tmp_path: Path, depth: type) -> None:
+    alpha = np.zeros((90, 60), np.uint8)
+    alpha[20:70, 10:40] = 255
+    rgba = np.dstack([np.full((90, 60, 3), 90, np.uint8), alpha]).astype(depth) * (257 if depth is np.uint16 else 1)
+    cv2.imwrite(str(tmp_path / "a.png"), rgba)
+    (photo,) = photos.read(Folder(tmp_path, ("a.png",))).photos
+    assert photo.load_alpha is not None
+    found = photo.load_alpha()
+    assert found is not None
+    assert np.array_equal(found, alpha)
+
+
+def test_most_photos_have_no_alpha_channel(tmp_path: Path) -> None:
+    (photo,) = photos.read(folder_of(tmp_path, a=encoded())).photos
+    assert photo.load_alpha is not None
+    assert photo.load_alpha() is None
 
 
 def huge_heic() -> bytes:

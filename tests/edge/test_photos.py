@@ -20,6 +20,7 @@ from services.edge.arrays import Floats
 from services.edge.capture import Capture, read_capture
 from services.edge.capture.nouns import Frame, Intrinsics, Photo
 from services.edge.errors import Cancelled, CaptureError
+from services.edge.mesh.registration import laid_over
 from services.edge.photos import to_depth
 from services.edge.photos.agree import confirmations
 from services.edge.photos.align import align
@@ -35,7 +36,6 @@ from services.edge.points import to_points
 from services.edge.preset import load_preset
 from services.edge.progress import Progress
 from services.storage.bundle import Bundle
-from tests.edge.registration import laid_over
 from tests.edge.walkaround import Walkaround, render_walkaround
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV camera axes <-> OpenGL camera axes

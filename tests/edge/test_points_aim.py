@@ -48,7 +48,7 @@ def test_from_the_middle_of_a_room_outward_is_no_thing(count: int, seed: int) ->
 
 def test_along_a_wall_is_no_thing() -> None:
     eyes = np.stack([np.linspace(0, 3, 12), np.zeros(12), np.zeros(12)], axis=1)
-    assert not around_one_thing(frames(eyes, eyes + [0, 0, 1.0]))
+    assert not around_one_thing(frames(eyes, eyes + np.array([0, 0, 1.0])))
 
 
 def test_some_photos_of_something_else_change_nothing() -> None:

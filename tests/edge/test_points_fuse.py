@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -17,7 +18,7 @@ from services.edge.points import to_points
 from services.edge.points.fuse import fuse
 from services.edge.points.grid import Samples, VoxelGrid
 from services.edge.srgb import to_linear, to_srgb
-from tests.edge.scenes import KINECT, PHONE, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
+from tests.edge.scenes import KINECT, PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
 
 CLEAN = Sensor()
 PHONE_LIKE = Sensor(noise_m=0.003, jitter_m=0.002, jitter_deg=0.1, flying=0.5)
@@ -68,6 +69,54 @@ def test_colours_stay_on_their_surfaces() -> None:
     high = fused.xyz[:, 2] > 0.05
     assert np.abs(fused.rgb[high].astype(int) - [200, 40, 40]).max(axis=1).mean() < 8
     assert np.array_equal(np.median(fused.rgb[~high], axis=0), [150, 120, 90])
+
+
+def chequered() -> Scene:
+    """A table of light and dark tiles of 5 cm; a tile is light where the sum of its column and row is odd."""
+    tiles = []
+    for column, row in np.ndindex(24, 24):
+        tile = plane(0.05, 0.05)
+        tile.apply_translation(((column + 0.5) * 0.05 - 0.6, (row + 0.5) * 0.05 - 0.6, 0))
+        tiles.append((tile, (220, 210, 190) if (column + row) % 2 else (60, 40, 30)))
+    return scene(*tiles)
+
+
+def tile_error(frames: tuple[Frame, ...]) -> float:
+    """Mean difference of the colours within tiles from the truth, in levels."""
+    fused = fuse(frames)
+    assert fused.rgb is not None
+    at = (fused.xyz[:, :2] + 0.6) / 0.05
+    within = (np.abs(at % 1 - 0.5).max(axis=1) < 0.4) & (np.abs(fused.xyz[:, :2]).max(axis=1) < 0.55)
+    light = np.floor(at[within]).sum(axis=1) % 2 == 1
+    truth = np.where(light[:, None], (220, 210, 190), (60, 40, 30))
+    return float(np.abs(fused.rgb[within].astype(float) - truth).mean())
+
+
+def _shaken(frame: Frame) -> Frame:
+    """With a picture that moved by 11 pixels while it was taken."""
+    assert frame.load_rgb is not None
+    rgb = cv2.blur(frame.load_rgb(), (11, 1))
+    return replace(frame, load_rgb=lambda: rgb)
+
+
+def test_sharp_pictures_give_the_colours() -> None:
+    frames = film(chequered(), WALK)
+    half = tuple(_shaken(frame) if number % 2 else frame for number, frame in enumerate(frames))
+    assert tile_error(frames) < 1
+    assert tile_error(half) < 0.3 * tile_error(tuple(map(_shaken, frames)))
+
+
+def test_frontal_pictures_give_the_colours() -> None:
+    """The same colour everywhere in each picture: the table's is that of who looks down on it."""
+    down, along = look_at((0, -0.1, 0.9), (0, 0, 0)), look_at((-0.9, 0, 0.25), (0, 0, 0))
+    frames = [
+        replace(frame, load_rgb=lambda level=level: np.full((192, 256, 3), level, np.uint8))
+        for frame, level in zip(film(chequered(), np.stack([down, along])), (200, 100), strict=True)
+    ]
+    fused = fuse(frames)
+    assert fused.rgb is not None
+    middle = np.linalg.norm(fused.xyz, axis=1) < 0.1
+    assert np.median(fused.rgb[middle]) > 190
 
 
 def test_what_most_views_see_through_goes() -> None:
@@ -130,7 +179,7 @@ def test_a_full_grid_grows_its_voxel() -> None:
         xyz=np.random.default_rng(0).uniform(-1, 1, (20_000, 3)).astype(np.float32),
         normal=np.zeros((20_000, 3), np.float32),
         light=np.zeros((20_000, 3), np.float32),
-        seen=np.zeros(20_000, bool),
+        clarity=np.zeros(20_000, np.float32),
         confidence=np.ones(20_000, np.float32),
         weight=np.ones(20_000, np.float32),
     )

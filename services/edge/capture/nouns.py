@@ -1,4 +1,4 @@
-"""What a phone sent, normalised: a `Capture` is a point cloud, posed RGB-D `Frame`s, or `Photo`s."""
+"""What a phone sent, normalised: a `Capture` is a cloud, posed RGB-D `Frame`s, `Photo`s, or one photo, an "image"."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 from services.edge.arrays import Bytes, Floats
 
-CaptureKind = Literal["points", "rgbd", "photos"]
+CaptureKind = Literal["points", "rgbd", "photos", "image"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]
 
 MIN_PHOTOS = 3  # two views give no depth that a third confirms
@@ -35,10 +35,10 @@ class Intrinsics:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One posed depth image. Images load lazily, so a capture of hundreds of frames costs no memory.
+    """One depth image. Images load lazily, so a capture of hundreds of frames costs no memory.
 
     intrinsics       of the depth image
-    camera_to_world  (4,4) float64, OpenCV axes (x right, y down, z forward), translation in metres
+    camera_to_world  (4,4) float64, OpenCV axes (x right, y down, z forward), translation in metres; None: to be tracked
     load_depth_m     -> (H,W) float32 metres, 0 where unknown
     load_confidence  -> (H,W) float32 in [0,1], or None where the format has none
     load_rgb         -> (h,w,3) uint8 sRGB with the field of view of the depth image, any resolution, or None
@@ -47,7 +47,7 @@ class Frame:
 
     name: str
     intrinsics: Intrinsics
-    camera_to_world: Floats
+    camera_to_world: Floats | None
     load_depth_m: Callable[[], Floats]
     load_confidence: Callable[[], Floats] | None = None
     load_rgb: Callable[[], Bytes] | None = None
@@ -73,6 +73,7 @@ class Photo:
     intrinsics       of the picture at `size`, or None where it is to be solved
     distortion       OpenCV's (k1, k2, p1, p2, k3), for photos with intrinsics
     camera_to_world  (4,4) float64, OpenCV axes, or None where it is to be solved
+    load_alpha       -> (h,w) uint8 as stored, or None where the file turns out to have no alpha channel
     """
 
     name: str
@@ -84,6 +85,7 @@ class Photo:
     intrinsics: Intrinsics | None = None
     distortion: tuple[float, ...] = ()
     camera_to_world: Floats | None = None
+    load_alpha: Callable[[], Bytes | None] | None = None
 
 
 PhotoFault = Literal["ok", "blur", "dark", "duplicate", "no_overlap", "unreadable"]

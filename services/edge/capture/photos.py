@@ -11,7 +11,7 @@ import numpy as np
 from services.edge.capture.files import Folder
 from services.edge.capture.images import read_bytes
 from services.edge.capture.nouns import AROUND, MIN_PHOTOS, Capture, Photo, PhotoVerdict
-from services.edge.capture.picture import PhotoPixels, camera_key, first_bytes, focal_px, read_header
+from services.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
 from services.edge.errors import CaptureError
 
 MAX_PHOTOS = 300  # a walk-around has 20 to 100; beyond, each photo costs seconds and adds next to nothing
@@ -35,10 +35,12 @@ def pictures(folder: Folder) -> list[str]:
 def read(folder: Folder) -> Capture:
     """Every picture in the folder, those that cannot be read as verdicts.
 
-    Raises CAPTURE_UNREADABLE or IMAGE_TOO_LARGE, naming the first such file, when fewer than MIN_PHOTOS are left, and
-    CAPTURE_LOW_OVERLAP when there never were more.
+    A single picture is a capture of its own kind, "image". Raises CAPTURE_UNREADABLE or IMAGE_TOO_LARGE, naming the
+    first such file, when fewer than MIN_PHOTOS are left, and CAPTURE_LOW_OVERLAP when there never were more.
     """
     names = pictures(folder)
+    if len(names) == 1:
+        return _alone(read_photo(folder, names[0]))
     photos: list[Photo] = []
     errors: list[CaptureError] = []
     for name in spread(names):
@@ -57,6 +59,11 @@ def read(folder: Folder) -> Capture:
     )
 
 
+def _alone(photo: Photo) -> Capture:
+    told = f"One photo shows one side: the rest is a guess. For its true shape, {AROUND}."
+    return Capture("image", "photo", photos=(photo,), verdicts=(PhotoVerdict(photo.name, "ok"),), warnings=(told,))
+
+
 def read_photo(folder: Folder, name: str) -> Photo:
     """One picture by its header. Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE."""
     path = folder.path(name)
@@ -64,7 +71,8 @@ def read_photo(folder: Folder, name: str) -> Photo:
     focal = focal_px(header.tags, header.size)
     camera = camera_key(header.tags, focal, header.size)
     pixels = PhotoPixels(partial(read_bytes, path, name), name, header.decoder, header.size, header.turned)
-    return Photo(name, header.size, camera, pixels, focal, header.turns)
+    alpha = partial(alpha_channel, path, name) if header.decoder != "heif" else None
+    return Photo(name, header.size, camera, pixels, focal, header.turns, load_alpha=alpha)
 
 
 def spread(photos: Sequence[_T]) -> list[_T]:

@@ -208,6 +208,18 @@ class PhotoPixels:
         return max((by for by in _REDUCTIONS if by <= shrink and not any(side % by for side in self.size)), default=1)
 
 
+def alpha_channel(path: Path, file: str) -> Bytes | None:
+    """(h,w) uint8 as stored, of a PNG, WebP or TIFF that has one. Raises IMAGE_UNREADABLE."""
+    import cv2
+
+    flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+    with _as_image(file):
+        pixels = cv2.imdecode(np.frombuffer(read_bytes(path, file), np.uint8), flags)
+    if pixels is None or pixels.ndim < 3 or pixels.shape[2] != 4:
+        return None
+    return np.asarray(pixels[..., 3] // (257 if pixels.dtype == np.uint16 else 1), np.uint8)
+
+
 def _decode_heif(data: bytes) -> Bytes:
     import pillow_heif
 

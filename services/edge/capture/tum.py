@@ -1,4 +1,5 @@
 """Depth and colour folders with a trajectory: Open3D's `trajectory.log`, or TUM's `groundtruth.txt` with time stamps.
+Without one the frames have no poses, and are in the order of their names or time stamps.
 
 Poses are camera-to-world in OpenCV axes. TUM's files (freiburg benchmark) scale depth by 5000 per metre, Open3D's by
 1000; a key "depth_scale" in the camera's JSON overrides both.
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,16 +39,22 @@ def read(folder: Folder) -> Capture:
     truth = next((name for name in ("groundtruth.txt", "trajectory.txt", "traj.txt") if folder.has(name)), None)
     if truth is not None:
         return _read_tum(folder, truth)
-    if not folder.has("trajectory.log"):
-        raise no_poses("depth", "trajectory.log or groundtruth.txt")
-    return _read_open3d(folder, "trajectory.log")
+    if folder.has("trajectory.log"):
+        return _read_open3d(folder, "trajectory.log")
+    return _unposed(_read_tum(folder, None) if folder.has("depth.txt") else _read_open3d(folder, None))
 
 
-def _read_open3d(folder: Folder, log: str) -> Capture:
+def _unposed(capture: Capture) -> Capture:
+    """Without the poses that stood in for those that nobody knows, and that the checks wanted."""
+    return replace(capture, frames=tuple(replace(frame, camera_to_world=None) for frame in capture.frames))
+
+
+def _read_open3d(folder: Folder, log: str | None) -> Capture:
+    """Images pair by their order, and with the poses of the log; without one all poses are the identity."""
     depths = folder.directly_in("depth", *_IMAGES)
     colours = _colour_files(folder)
-    poses = read_log(folder, log)
-    matched(len(depths), len(poses), file=log, what=f"poses in {log}")
+    poses = [np.eye(4)] * len(depths) if log is None else read_log(folder, log)
+    matched(len(depths), len(poses), file=log or "depth", what=f"poses in {log}")
     if colours:
         matched(len(depths), len(colours), file=posixpath.dirname(colours[0]), what="colour images")
     camera, scale = _camera(folder, depths, OPEN3D_STEPS_PER_METRE)
@@ -80,12 +88,13 @@ def read_log(folder: Folder, log: str) -> list[Floats]:
     return [numbers(" ".join(block[1:]).split(), 16, file=log, what="pose").reshape(4, 4) for block in blocks]
 
 
-def _read_tum(folder: Folder, truth: str) -> Capture:
-    """Associate depth, pose and colour by the nearest time stamp within MAX_APART_S."""
+def _read_tum(folder: Folder, truth: str | None) -> Capture:
+    """Associate depth, pose and colour by the nearest time stamp within MAX_APART_S; without a truth all poses are the
+    identity."""
     depths, colours = _stamped(folder, "depth"), _stamped(folder, "rgb")
     if not depths:
         raise CaptureError("CAPTURE_EMPTY", "holds no depth images with time stamps", file="depth.txt")
-    stamps, poses = _ground_truth(folder, truth)
+    stamps, poses = _no_truth(depths) if truth is None else _ground_truth(folder, truth)
     camera, scale = _camera(folder, [name for _, name in depths if folder.has(name)], TUM_STEPS_PER_METRE)
     colour_stamps = np.array([seconds for seconds, _ in colours])
     shots, missing, unposed = [], [], []
@@ -104,9 +113,14 @@ def _read_tum(folder: Folder, truth: str) -> Capture:
             "CAPTURE_COUNT_MISMATCH", "is listed in depth.txt and missing, as is all depth", file=missing[0]
         )
     if not shots:
-        raise no_poses(truth, f"a pose within {MAX_APART_S} s of a depth image")
+        raise no_poses(truth or "depth.txt", f"a pose within {MAX_APART_S} s of a depth image")
     warnings = (*missing_warning(missing, "depth images"), *missing_warning(unposed, "poses of depth images"))
-    return rgbd_capture("tum", shots, axes="opencv", up=_UP_Z, file="depth", warnings=warnings)
+    up = None if truth is None else _UP_Z
+    return rgbd_capture("tum", shots, axes="opencv", up=up, file="depth", warnings=warnings)
+
+
+def _no_truth(depths: Sequence[tuple[float, str]]) -> tuple[Floats, list[Floats]]:
+    return np.array([seconds for seconds, _ in depths]), [np.eye(4)] * len(depths)
 
 
 def _stamped(folder: Folder, what: str) -> list[tuple[float, str]]:

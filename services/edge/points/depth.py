@@ -88,9 +88,9 @@ def read_view(frame: Frame, limits: Limits) -> DepthView:
     noise = depth_noise(depth_m, known)
     smooth_m = _smooth(depth_m, known, noise)
     inverse = np.where(known, 1 / np.where(known, smooth_m, 1), 0).astype(np.float32)
-    max_jump = max(np.tan(np.radians(_MAX_GRAZING_DEG)) / max(camera.fx, camera.fy), _MIN_JUMP, 4 * noise)
-    dq_du, across = _slope(inverse, max_jump, axis=1)
-    dq_dv, down = _slope(inverse, max_jump, axis=0)
+    jump = max_jump(camera, noise)
+    dq_du, across = slopes(inverse, jump, axis=1)
+    dq_dv, down = slopes(inverse, jump, axis=0)
     normal, cosine = _normals(inverse, dq_du * camera.fx, dq_dv * camera.fy, camera)
     keep = known & across & down & (cosine > np.cos(np.radians(_MAX_GRAZING_DEG)))
     pose = np.asarray(frame.camera_to_world, np.float64)
@@ -119,14 +119,19 @@ def _smooth(depth_m: Floats, known: Bools, noise: float) -> Floats:
     return np.exp(cv2.bilateralFilter(log_m, _BILATERAL_PX, 3 * noise, _BILATERAL_PX / 2))
 
 
-def _slope(inverse: Floats, max_jump: float, *, axis: int) -> tuple[Floats, Bools]:
+def max_jump(camera: Intrinsics, noise: float) -> float:
+    """The largest relative depth step between two pixels of one surface."""
+    return float(max(np.tan(np.radians(_MAX_GRAZING_DEG)) / max(camera.fx, camera.fy), _MIN_JUMP, 4 * noise))
+
+
+def slopes(inverse: Floats, jump: float, *, axis: int) -> tuple[Floats, Bools]:
     """Change of q per pixel along an axis, from the sides without a jump, and whether there is such a side.
 
     A flying pixel lies between two surfaces and agrees with neither side; the last pixel of a surface agrees with one.
     """
     step = np.diff(inverse, axis=axis)
     first, second = (inverse[:, :-1], inverse[:, 1:]) if axis == 1 else (inverse[:-1], inverse[1:])
-    smooth = (np.abs(step) <= max_jump * np.minimum(first, second)) & (first > 0) & (second > 0)
+    smooth = (np.abs(step) <= jump * np.minimum(first, second)) & (first > 0) & (second > 0)
     step = np.where(smooth, step, 0)
     before, after = ((1, 0), (0, 1))
     pad = [(0, 0), (0, 0)]

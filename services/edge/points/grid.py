@@ -49,14 +49,14 @@ class Samples:
     """Observations of surface points, one row each; everything float32 but xyz.
 
     xyz (N,3) relative to the grid's origin; normal (N,3) unit, towards the viewer, or zeros;
-    light (N,3) linear, zeros where unseen; seen (N,) whether the light is known; confidence (N,) in [0,1];
-    weight (N,) how much the observation counts in averages.
+    light (N,3) linear, zeros where unseen; confidence (N,) in [0,1]; weight (N,) how much the observation counts in
+    averages; clarity (N,) how much its light counts beyond that, 0 where unseen.
     """
 
     xyz: Floats
     normal: Floats
     light: Floats
-    seen: Bools
+    clarity: Floats
     confidence: Floats
     weight: Floats
 
@@ -68,7 +68,7 @@ class Samples:
             self.xyz[index],
             self.normal[index],
             self.light[index],
-            self.seen[index],
+            self.clarity[index],
             self.confidence[index],
             self.weight[index],
         )
@@ -110,9 +110,9 @@ class VoxelGrid:
 
 
 def _moments(samples: Samples) -> Floats:
-    """(N,12) float32: w, w·xyz, w·normal, w·confidence, w·seen, w·seen·light."""
+    """(N,12) float32: w, w·xyz, w·normal, w·confidence, w·clarity, w·clarity·light."""
     w = samples.weight.astype(np.float32)[:, None]
-    lit = w * samples.seen[:, None]
+    lit = w * samples.clarity[:, None]
     columns: list[Floats] = [
         w,
         w * samples.xyz,
@@ -126,6 +126,5 @@ def _moments(samples: Samples) -> Floats:
 
 def _average(sums: Floats) -> Samples:
     w, lit = sums[:, :1], sums[:, 8:9]
-    seen = lit[:, 0] > 0
     light = sums[:, 9:12] / np.where(lit > 0, lit, 1)
-    return Samples(sums[:, 1:4] / w, sums[:, 4:7] / w, light, seen, sums[:, 7] / w[:, 0], w[:, 0])
+    return Samples(sums[:, 1:4] / w, sums[:, 4:7] / w, light, lit[:, 0] / w[:, 0], sums[:, 7] / w[:, 0], w[:, 0])

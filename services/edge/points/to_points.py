@@ -14,6 +14,7 @@ from services.edge.points.cloud import MIN_POINTS, cloud_points
 from services.edge.points.fuse import Fused, fuse, windowed
 from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Points
+from services.edge.points.odometry import track_frames
 from services.edge.points.outliers import inliers
 from services.edge.points.smooth import smoothed
 from services.edge.points.upright import estimate_up, level_up
@@ -29,8 +30,11 @@ def to_points(
              were taken around one thing, and such a thing is found
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too little survives, CAPTURE_NOTHING_LEFT where `isolate` finds no
-    thing. `tick` may raise `Cancelled`.
+    thing, CAPTURE_NO_POSES where frames without poses cannot be tracked. `tick` may raise `Cancelled`.
     """
+    if any(frame.camera_to_world is None for frame in capture.frames):
+        posed = _tracked(capture, lambda fraction: tick(0.5 * fraction))
+        return to_points(posed, voxel=voxel, isolate=isolate, tick=lambda fraction: tick(0.5 + 0.5 * fraction))
     share = 1.0 if isolate is False else 0.9
     if capture.kind == "points":
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
@@ -45,6 +49,11 @@ def to_points(
         if isolate:
             raise
         return replace(points, warnings=(*points.warnings, f"The surroundings were kept: {error.message}."))
+
+
+def _tracked(capture: Capture, tick: Tick) -> Capture:
+    found = track_frames(capture.frames, tick)
+    return replace(capture, frames=found.frames, warnings=capture.warnings + found.warnings)
 
 
 def _of_one_thing(capture: Capture) -> bool:

@@ -1,0 +1,151 @@
+"""One picture to points, on shapes that training never saw: our heads, the mean shape, the nearest training shape.
+
+Chamfer distance: mean squared distance to the nearest point, both ways added, in thousandths; F: within 0.05, 1,024
+points against 1,024 of the surface. Things reach 1 from the middle of their bounding box. The floor is what a second
+sample of the very surface gets. Pictures are spoilt as in training, unless `--clean` is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from services.edge.guess.examine import head_points
+from services.edge.guess.heads import anchors
+from services.edge.guess.lessons import BATCH, Lesson, held_out, lessons
+from services.edge.guess.looks import LOOKS, look
+from services.edge.guess.losses import chamfer, f_score
+from services.edge.guess.network import POINTS, Pixels
+from services.edge.guess.shapes import CLASSES, PAPER_CLASSES, about_vertical
+from services.edge.guess.weights import load_field, load_pixels, trained
+
+_EACH = 10  # held-out shapes of every class
+_TRAINING = 3000  # pictures of training shapes to choose the nearest from, as many as the proof of concept had
+_SEED = 1  # of the shipped weights' training
+_COARSE = 128  # points of both by which the truly nearest are looked for
+_FINALISTS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What one way of guessing made of every picture.
+
+    points (n,1024,3); seconds for one picture; short: its name in the table of the classes, "" where it is left out
+    """
+
+    name: str
+    points: Tensor
+    seconds: float = 0.0
+    short: str = ""
+
+
+def main(arguments: list[str]) -> None:
+    """Print one table of all ways, and one of the classes."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench guess")
+    parser.add_argument("--clean", action="store_true", help="perfect masks, no noise")
+    given = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    test = held_out(1, _EACH, clean=given.clean)
+    truth = test.surface[:, :POINTS]
+    rows = [*_baselines(test), *_heads(test)]
+    of_the_paper = torch.isin(test.label, torch.arange(len(PAPER_CLASSES)))
+    print(
+        f"{len(truth)} pictures of {len(CLASSES)} classes; of the proof of concept's {len(PAPER_CLASSES)} in brackets\n"
+    )
+    print("| guess | Chamfer, 1e-3 | F@.05 | ms a picture |\n|---|---|---|---|")
+    for row in rows:
+        distance, score = 1e3 * chamfer(row.points, truth), f_score(row.points, truth)
+        figures = f"{distance.mean():.1f} ({distance[of_the_paper].mean():.1f}) | {score.mean():.2f} "
+        figures += f"({score[of_the_paper].mean():.2f}) | {1e3 * row.seconds:.0f}"
+        print(f"| {row.name} | {figures} |", flush=True)
+    _print_classes(test.label, truth, rows)
+
+
+def _baselines(test: Lesson) -> list[Row]:
+    known = _known()
+    small = [functional.avg_pool2d(each.picture, 2).flatten(1) for each in (test, known)]
+    masks = [each.picture[:, 3].flatten(1) for each in (known, test)]
+    both = masks[1] @ masks[0].T
+    overlap = both / (masks[0].sum(dim=1)[None] + masks[1].sum(dim=1)[:, None] - both)
+    mean = anchors(known.surface[:, :64].reshape(1, -1, 3), POINTS).expand(len(test.label), -1, -1)
+    points = known.surface[:, :POINTS]
+    return [
+        Row("floor: the surface sampled again", test.surface[:, POINTS : 2 * POINTS], short="floor"),
+        Row("mean shape: k-means of all training points", mean),
+        Row("nearest training shape by silhouette", points[overlap.argmax(dim=1)], short="by silhouette"),
+        Row("nearest training shape by picture", points[torch.cdist(*small).argmin(dim=1)]),
+        Row(
+            "truly nearest training shape (needs the answer)", points[_truly_nearest(test.surface[:, :POINTS], points)]
+        ),
+    ]
+
+
+def _heads(test: Lesson) -> list[Row]:
+    rows = []
+    loaders: dict[str, Callable[[], nn.Module]] = {
+        "pixels": load_pixels,
+        "anchor-udf": lambda: load_field("anchor-udf"),
+        "implicit": lambda: load_field("implicit"),
+    }
+    for name, load in loaders.items():
+        head, how = load(), trained(name)
+        began = time.perf_counter()
+        points = torch.cat([head_points(head, picture[None]) for picture in test.picture])
+        seconds = (time.perf_counter() - began) / len(points)
+        rows.append(Row(f"{name}, {how.steps} steps in {how.seconds / 60:.0f} min", points, seconds, name))
+        if isinstance(head, Pixels):
+            rows += [Row(f"{name} if it were told the yaw", _told(head, test)), _four_looks(head, test)]
+    return rows
+
+
+def _four_looks(head: Pixels, test: Lesson) -> Row:
+    """As a photo's points are made; every fourth of them."""
+    began = time.perf_counter()
+    points = torch.cat([look(head, picture[None]).points for picture in test.picture])
+    seconds = (time.perf_counter() - began) / len(points)
+    return Row("pixels, four looks and the outline", points[:, :, ::LOOKS].flatten(1, 2), seconds, "four looks")
+
+
+@torch.no_grad()
+def _told(head: Pixels, test: Lesson) -> Tensor:
+    """Turned as the thing is: what is wrong with the shape alone."""
+    return about_vertical(torch.cat([head(part).own for part in test.picture.split(100)]), test.yaw)
+
+
+def _known() -> Lesson:
+    """Pictures and shapes of training, as many different ones as a bag has."""
+    batches = list(islice(lessons(_SEED, 0), _TRAINING // BATCH))
+    fields = (each.name for each in dataclasses.fields(Lesson))
+    return Lesson(*(torch.cat([getattr(batch, field) for batch in batches]) for field in fields))
+
+
+def _truly_nearest(truth: Tensor, known: Tensor) -> Tensor:
+    """(n,) by Chamfer distance: all by a few points, the best of them by all points."""
+    best = []
+    few = known[:, :_COARSE]
+    for one in truth:
+        coarse = chamfer(few, one[None, :_COARSE].expand(len(few), -1, -1))
+        last = coarse.topk(_FINALISTS, largest=False).indices
+        best.append(last[chamfer(known[last], one.expand(_FINALISTS, -1, -1)).argmin()])
+    return torch.stack(best)
+
+
+def _print_classes(label: Tensor, truth: Tensor, rows: list[Row]) -> None:
+    chosen = [row for row in rows if row.short]
+    print(f"\n| Chamfer, F of | {' | '.join(row.short for row in chosen)} |")
+    print(f"|{'---|' * (len(chosen) + 1)}")
+    for number, name in enumerate(CLASSES):
+        of = label == number
+        figures = [
+            f"{1e3 * chamfer(row.points[of], truth[of]).mean():.1f}, {f_score(row.points[of], truth[of]).mean():.2f}"
+            for row in chosen
+        ]
+        print(f"| {name} | {' | '.join(figures)} |")

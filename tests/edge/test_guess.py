@@ -1,0 +1,297 @@
+"""From one photo to points: the cut-out, the shipped network, the training, and what is no thing at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.edge.arrays import Bytes, no_tick
+from services.edge.capture import read_capture
+from services.edge.capture.nouns import Photo
+from services.edge.errors import Cancelled, CaptureError, EdgeError
+from services.edge.guess.cutout import CutOut, cut_out, square
+from services.edge.guess.examine import head_points
+from services.edge.guess.guess import MOST_CONFIDENT, Guess, guess
+from services.edge.guess.heads import Field, Implicit, anchors, field_points, with_gradient
+from services.edge.guess.lessons import HELD_OUT, held_out, lessons
+from services.edge.guess.looks import LOOKS, _turned, look
+from services.edge.guess.losses import chamfer, f_score
+from services.edge.guess.network import BINS, POINTS, Pixels
+from services.edge.guess.pictures import SIDE, photographed
+from services.edge.guess.shapes import SAMPLES, shapes
+from services.edge.guess.train import Training, train
+from services.edge.guess.weights import SHIPPED, load_field, load_pixels, trained
+from services.edge.pipeline import reconstruct
+from services.edge.preset import load_preset
+from services.storage.bundle import Bundle
+
+CPU = torch.device("cpu")
+W, H = 400, 300
+QUICK_STEPS = 6
+
+
+def photo(rgb: Bytes, *, turns: int = 0, name: str = "one.jpg") -> Photo:
+    def load(longest: int | None = None) -> Bytes:
+        by = min(1.0, (longest or max(rgb.shape)) / max(rgb.shape[:2]))
+        return np.asarray(cv2.resize(rgb, None, fx=by, fy=by, interpolation=cv2.INTER_AREA), np.uint8)
+
+    return Photo(name, rgb.shape[1::-1], "camera", load, turns=turns)
+
+
+def wall(level: int, noise: float, seed: int = 0) -> Bytes:
+    """A plain wall, darker towards the corners as lenses make it."""
+    y, x = np.mgrid[-1 : 1 : complex(H), -1 : 1 : complex(W)]
+    dimmed = level * (1 - 0.15 * (x * x + y * y))[..., None]
+    return np.clip(dimmed + np.random.default_rng(seed).normal(0, noise, (H, W, 3)), 0, 255).astype(np.uint8)
+
+
+def with_disc(centre: tuple[int, int], radius: int, colour: tuple[int, int, int]) -> tuple[Bytes, np.ndarray]:
+    rgb = wall(215, 4)
+    truth = np.zeros((H, W), np.uint8)
+    cv2.circle(truth, centre, radius, 1, -1)
+    rgb[truth > 0] = colour
+    return rgb, truth > 0
+
+
+@pytest.fixture(scope="module")
+def dress() -> tuple[Bytes, torch.Tensor]:
+    """A photo of a held-out dress before a wall, 512 pixels wide, and the dress."""
+    made = shapes(HELD_OUT + 77, 1, names=("dress",), samples=4 * SAMPLES)
+    seen = photographed(made, 3, clean=True).picture[0].permute(1, 2, 0).numpy()
+    large = cv2.resize(seen, (300, 300), interpolation=cv2.INTER_CUBIC).clip(0, 1)
+    rgb = cv2.resize(wall(210, 3), (512, 400)).astype(np.float32)
+    part = rgb[60:360, 100:400]
+    part[:] = part * (1 - large[..., 3:]) + 255 * large[..., :3]
+    return rgb.astype(np.uint8), made.xyz
+
+
+@pytest.fixture(scope="module")
+def guessed(dress: tuple[Bytes, torch.Tensor]) -> Guess:
+    return guess(photo(dress[0]), tick=no_tick)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(90, 310), st.integers(90, 210), st.integers(30, 70))
+def test_a_disc_before_a_wall_is_cut_out_wherever_it_is(x: int, y: int, radius: int) -> None:
+    rgb, truth = with_disc((x, y), radius, (170, 60, 40))
+    mask = cut_out(photo(rgb)).mask
+    truth = cv2.resize(truth.astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_AREA) > 0
+    assert (mask & truth).sum() / (mask | truth).sum() > 0.9
+
+
+@pytest.mark.parametrize(
+    "rgb",
+    [
+        wall(245, 0),
+        wall(235, 6),
+        wall(120, 12),
+        np.zeros((H, W, 3), np.uint8),
+        np.full((H, W, 3), 255, np.uint8),
+        np.random.default_rng(0).integers(0, 255, (H, W, 3)).astype(np.uint8),
+    ],
+    ids=["white wall", "wall", "grey wall", "black", "white", "noise"],
+)
+def test_nothing_to_see_is_an_error_with_advice(rgb: Bytes) -> None:
+    with pytest.raises(CaptureError) as caught:
+        guess(photo(rgb, name="wall.jpg"), tick=no_tick)
+    assert caught.value.code == "CAPTURE_NO_OBJECT"
+    assert caught.value.file == "wall.jpg"
+    assert len(caught.value.hints) >= 1
+
+
+def test_a_thing_that_is_cut_off_on_every_side_is_an_error() -> None:
+    rgb = wall(215, 3)
+    rgb[:, 90:310] = (160, 40, 30)
+    rgb[70:230] = (160, 40, 30)
+    with pytest.raises(CaptureError, match=r"wall|reaches beyond|stands out|differ"):
+        cut_out(photo(rgb))
+
+
+def test_a_sideways_photo_is_turned_upright() -> None:
+    rgb, _ = with_disc((120, 100), 60, (30, 60, 160))
+    upright, sideways = cut_out(photo(rgb)), cut_out(photo(np.rot90(rgb).copy(), turns=1))
+    assert upright.mask.shape == sideways.mask.shape
+    assert (upright.mask ^ sideways.mask).mean() < 0.02
+
+
+def test_an_alpha_channel_is_the_mask() -> None:
+    alpha = np.zeros((H, W), np.uint8)
+    alpha[50:200, 100:180] = 255
+    mask = cut_out(replace(photo(wall(200, 3)), load_alpha=lambda: alpha)).mask
+    rows, columns = np.nonzero(mask)
+    scale = 320 / W
+    assert np.allclose(
+        [rows.min(), rows.max() + 1, columns.min(), columns.max() + 1], np.array([50, 200, 100, 180]) * scale, atol=1
+    )
+
+
+def test_an_alpha_channel_that_hides_nothing_is_none() -> None:
+    rgb, truth = with_disc((120, 100), 60, (30, 60, 160))
+    opaque = replace(photo(rgb), load_alpha=lambda: np.full((H, W), 255, np.uint8))
+    assert cut_out(opaque).mask.mean() == pytest.approx(truth.mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("size", [20, 60, 300])
+def test_the_square_holds_the_thing_in_its_middle(size: int) -> None:
+    mask = np.zeros((400, 500), bool)
+    mask[40 : 40 + size, 100 : 100 + size // 2] = True
+    rgb = np.where(mask[..., None], np.uint8([200, 100, 50]), np.uint8(9)).astype(np.uint8)
+    picture = square(CutOut(rgb, mask), 64, 0.875)
+    assert picture.shape == (64, 64, 4)
+    covered = np.array([picture[..., 3].max(axis=axis).sum() for axis in (1, 0)])
+    assert np.allclose(covered, [56, 28], atol=2.5)
+    assert np.allclose(picture[30:34, 30:34, :3], np.array([200, 100, 50]) / 255, atol=0.02)
+    moved = square(CutOut(rgb, mask), 64, 0.875, shift=(0.05, 0.0))[..., 3]
+    centre = [(each.sum(axis=0) @ np.arange(64)) / each.sum() for each in (picture[..., 3], moved)]
+    assert centre[1] - centre[0] == pytest.approx(3.2, abs=0.5)
+
+
+def test_the_guess_of_a_held_out_dress_is_a_dress(guessed: Guess, dress: tuple[Bytes, torch.Tensor]) -> None:
+    assert 2000 <= len(guessed.xyz) == len(guessed.rgb) == len(guessed.confidence)
+    assert np.ptp(guessed.xyz, axis=0).max() == pytest.approx(1)
+    assert guessed.rgb.dtype == np.uint8
+    assert 0 <= guessed.confidence.min() <= guessed.confidence.max() <= MOST_CONFIDENT
+    truth = dress[1][:, :POINTS]
+    truth = truth / (truth.amax(dim=1) - truth.amin(dim=1)).amax()
+    some = torch.from_numpy(guessed.xyz).float()[None, :: len(guessed.xyz) // POINTS]
+    assert f_score(some, truth, near=0.1).item() > 0.75
+
+
+def test_the_dress_has_the_photo_s_colours(guessed: Guess, dress: tuple[Bytes, torch.Tensor]) -> None:
+    cut = cut_out(photo(dress[0]))
+    shown = np.median(cut.rgb[cut.mask], axis=0)
+    assert np.abs(np.median(guessed.rgb, axis=0) - shown).max() < 40
+
+
+def test_the_outline_tells_how_a_bar_is_turned() -> None:
+    along = torch.linspace(-1, 1, 400)
+    bar = torch.stack([0.1 * torch.sin(40 * along), 0.1 * torch.cos(40 * along), along], dim=1)[None]
+    camera = torch.tensor([[0.2, 0.0, 0.2, 0.8, 0.0, 0.0]])
+    mask = torch.zeros(1, SIDE, SIDE)
+    mask[:, 28:36, 4:60] = 1  # long from left to right
+    unsure = torch.zeros(1, BINS)
+    yaw = _turned(bar, unsure, camera, mask)
+    assert abs(yaw.sin().item()) > 0.9
+    unsure[0, 0] = 9.0  # and where the network is sure, outlines do not count
+    assert _turned(bar, unsure, camera, mask).cos().item() > 0.97
+
+
+def test_a_guess_can_be_cancelled(dress: tuple[Bytes, torch.Tensor]) -> None:
+    def stop(fraction: float) -> None:
+        if fraction > 0.5:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        guess(photo(dress[0]), tick=stop)
+
+
+def test_the_shipped_heads_are_small_and_much_better_than_the_mean_shape() -> None:
+    assert sum(file.stat().st_size for file in SHIPPED.iterdir()) <= 12e6
+    lesson = held_out(5, 2)
+    picture, truth = lesson.picture[:32], lesson.surface[:32, :POINTS]
+    mean = anchors(held_out(6, 2).surface[:, :256].reshape(1, -1, 3), POINTS).expand(32, -1, -1)
+    as_mean = chamfer(mean, truth)
+    pixels, some = load_pixels(), slice(0, 32, 4)
+    together = look(pixels, picture).points[:, :, ::LOOKS].flatten(1, 2)
+    assert chamfer(together, truth).mean() < 0.3 * as_mean.mean()
+    assert chamfer(head_points(pixels, picture), truth).mean() < 0.3 * as_mean.mean()
+    by_anchors = head_points(load_field("anchor-udf"), picture[some])
+    assert chamfer(by_anchors, truth[some]).mean() < 0.45 * as_mean[some].mean()
+    without = head_points(load_field("implicit"), picture[some])
+    assert chamfer(by_anchors, truth[some]).mean() < chamfer(without, truth[some]).mean()
+    assert all(trained(name).steps > 0 for name in ("pixels", "anchor-udf", "implicit"))
+
+
+@pytest.mark.parametrize("name", ["anchor-udf", "implicit"])
+def test_a_field_is_small_on_the_surface_and_its_points_lie_there(name: str) -> None:
+    field: Field = load_field(name)
+    lesson = held_out(5, 1)[torch.arange(0, 20, 3)]
+    seen = field.see(lesson.picture)
+    near, far = (field(seen, lesson.surface[:, :500] * grow).mean().item() for grow in (1.0, 1.5))
+    assert near < 0.6 * far
+    points = field_points(field, seen, torch.Generator().manual_seed(0))
+    left, gradient = with_gradient(field, seen, points)
+    assert left.median() < 0.03
+    assert gradient.shape == points.shape
+
+
+def test_anchors_are_means_of_what_is_near_them() -> None:
+    points = torch.rand(2, 800, 3, generator=torch.Generator().manual_seed(0))
+    found = anchors(points, 100)
+    assert found.shape == (2, 100, 3)
+    apart = torch.cdist(points, found).amin(dim=2).mean()
+    assert apart < torch.cdist(points, points[:, :100]).amin(dim=2).mean()
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Little bags, and a checkpoint after every other step or so."""
+    monkeypatch.setattr("services.edge.guess.lessons._SHEETS", 1)
+    monkeypatch.setattr("services.edge.guess.lessons._EACH", 1)
+    monkeypatch.setattr("services.edge.guess.lessons._VIEWS", 1)
+    monkeypatch.setattr("services.edge.guess.lessons._USES", 2)
+    monkeypatch.setattr("services.edge.guess.lessons.BATCH", 8)
+    monkeypatch.setattr("services.edge.guess.lessons.STEPS", QUICK_STEPS)
+    monkeypatch.setattr("services.edge.guess.train._SAVED_S", 0.2)
+    monkeypatch.setattr("services.edge.guess.train._TOLD", 1)
+
+
+@pytest.mark.usefixtures("quick")
+def test_lessons_begin_at_any_step_and_never_end() -> None:
+    whole = list(islice(lessons(3, 0), 2 * QUICK_STEPS + 1))
+    for step in (1, QUICK_STEPS - 1, QUICK_STEPS, 2 * QUICK_STEPS):
+        assert torch.equal(next(lessons(3, step)).picture, whole[step].picture)
+    assert not torch.equal(whole[0].picture, whole[QUICK_STEPS].picture)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("name", ["pixels", "implicit"])
+def test_a_killed_training_ends_like_one_that_nobody_stopped(name: str, tmp_path: Path) -> None:
+    training = Training(name, 7, seed=1)
+    whole = train(training, tmp_path / "whole", CPU, say=lambda line: None)
+
+    def killed_after(step: int) -> Callable[[str], None]:
+        def say(line: str) -> None:
+            if line.startswith(f"step {step}/"):
+                raise KeyboardInterrupt
+
+        return say
+
+    for step in (3, 6):
+        with pytest.raises(KeyboardInterrupt):
+            train(training, tmp_path / "killed", CPU, say=killed_after(step))
+    again = train(training, tmp_path / "killed", CPU, say=lambda line: None)
+    for key, value in whole.state_dict().items():
+        assert torch.equal(value, again.state_dict()[key]), key
+    assert trained(name, tmp_path / "killed").steps == 7
+
+
+def test_weights_that_are_missing_or_of_another_head_are_named(tmp_path: Path) -> None:
+    with pytest.raises(EdgeError, match="there is no"):
+        load_pixels(tmp_path)
+    torch.save({"head": Implicit(Pixels()).whole.state_dict(), "steps": 1, "seconds": 1.0}, tmp_path / "pixels.pt")
+    with pytest.raises(EdgeError, match="another version") as caught:
+        load_pixels(tmp_path)
+    assert caught.value.code == "WEIGHTS_ABSENT"
+
+
+def test_one_photo_in_an_asset_out_that_says_it_is_a_guess(tmp_path: Path, dress: tuple[Bytes, torch.Tensor]) -> None:
+    cv2.imwrite(str(tmp_path / "dress.png"), dress[0][..., ::-1])
+    steps = reconstruct(read_capture(tmp_path), replace(load_preset("draft"), resolution=48), label="Dress")
+    (bundle,) = (step for step in steps if isinstance(step, Bundle))
+    manifest = bundle.manifest
+    assert manifest["origin"] == "guess"
+    assert 0 < manifest["confidence"] <= MOST_CONFIDENT
+    assert manifest["scale_confidence"] == "unknown"
+    assert any("guess" in warning for warning in manifest["warnings"])
+    assert manifest["size_m"][1] == max(manifest["size_m"]) == pytest.approx(0.4, rel=0.1)
+    assert 100 <= len(manifest["anchors"]["xyz_m"]) // 3 == len(manifest["anchors"]["rgb"]) // 3 <= 1000
