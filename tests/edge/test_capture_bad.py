@@ -67,7 +67,7 @@ SINGLE: dict[str, tuple[str, str, Callable[[], bytes]]] = {
     "text called .ply": ("CAPTURE_UNREADABLE", "scan.ply", lambda: b"Dear reader,\nthis is a letter.\n"),
     "text called .las": ("CAPTURE_UNREADABLE", "scan.las", lambda: b"Dear reader,\nthis is a letter.\n"),
     "a letter": ("CAPTURE_UNKNOWN_FORMAT", "letter.txt", lambda: b"Dear reader,\nthis is a letter.\n"),
-    "a photo": ("CAPTURE_UNREADABLE", "IMG_1.JPG", lambda: b"\xff\xd8\xff\xe0" + b"\0" * 64),
+    "a photo": ("IMAGE_UNREADABLE", "IMG_1.JPG", lambda: b"\xff\xd8\xff\xe0" + b"\0" * 64),
     "a zip": ("CAPTURE_UNKNOWN_FORMAT", "scan.zip", lambda: b"PK\x03\x04" + b"\0" * 64),
     "cut PLY": ("CAPTURE_TRUNCATED", "scan.ply", lambda: captures.ply_bytes(XYZ, RGB)[:-100]),
     "cut ASCII PLY": ("CAPTURE_TRUNCATED", "scan.ply", lambda: captures.ply_bytes(XYZ, form="ascii")[:-400]),

@@ -119,6 +119,49 @@ def film() -> bytes:
     return start + box(b"mdat", frames, places) + moov + box(b"uuid", PLACE) + box(b"free", PLACE)
 
 
+def element(kind: int, *content: bytes, size: bytes = b"") -> bytes:
+    """An element of EBML; `size` as it is written, where it is to be another than the content's."""
+    body = b"".join(content)
+    identity = kind.to_bytes((kind.bit_length() + 7) // 8, "big")
+    return identity + (size or (1 << 56 | len(body)).to_bytes(8, "big")) + body
+
+
+OPEN = b"\x01" + b"\xff" * 7  # the size of an element that was written before its end was known
+EBML = element(0x1A45DFA3, element(0x4282, b"webm"))
+
+
+def webm(open_ended: bool = False) -> bytes:
+    """A film in Matroska's boxes: pictures, a track of places as subtitles, tags, and a block of each kind."""
+    size = OPEN if open_ended else b""
+    info = element(0x1549A966, element(0xBF, b"CRC4"), element(0x2AD7B1, b"\x0f\x42\x40"), element(0x7BA9, OWNER))
+    pictures = element(0xAE, element(0xD7, b"\1"), element(0x83, b"\1"), element(0x536E, OWNER))
+    places = element(0xAE, element(0xD7, b"\2"), element(0x83, b"\x11"), element(0x536E, b"GPS"))
+    cluster = element(
+        0x1F43B675,
+        element(0xE7, b"\0"),
+        element(0xA3, b"\x81\0\0\x80", b"FRAMES" * 10),
+        element(0xA3, b"\x82\0\0\x80", PLACE),
+        element(0xA0, element(0xA1, b"\x81\0\0\0", b"FRAMES" * 10), element(0x75A1, SERIAL)),
+        element(0xA0, element(0xA1, b"\x82\0\0\0", PLACE), element(0x9B, b"\1")),
+        size=size,
+    )
+    tags = element(0x1254C367, element(0x7373, element(0x67C8, element(0x45A3, b"LOCATION"), element(0x4487, PLACE))))
+    attached = element(0x1941A469, element(0x61A7, SERIAL))
+    tracks = element(0x1654AE6B, pictures, places)
+    return EBML + element(
+        0x18538067,
+        info,
+        tracks,
+        cluster,
+        cluster,
+        element(0xEC, PLACE),
+        tags,
+        attached,
+        element(0xA5, OWNER),
+        size=size,
+    )
+
+
 def exr(width: int = 4, height: int = 2) -> bytes:
     """The header of an OpenEXR picture."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +101,18 @@ async def test_photos_become_one_archive_without_places(gateway: Gateway, tmp_pa
     assert (receipt["bytes"], receipt["sha256"]) == (len(archive), sha256_hex(archive))
 
 
+@pytest.mark.parametrize("name", ["walk.mp4", "walk.MOV", "walk.m4v", "walk.webm", "walk.dat"])
+@pytest.mark.parametrize("make", [pictures.film, pictures.webm])
+async def test_a_film_is_told_by_its_content(
+    gateway: Gateway, tmp_path: Path, name: str, make: Callable[[], bytes]
+) -> None:
+    receipt = (await gateway.send((name, make()))).json()
+    (file,) = receipt["files"]
+    assert (file["verdict"], file["bytes"]) == ("ok", len(make()))
+    assert {"©xyz", "track meta"} <= set(file["stripped"]) or {"Tags", "track type 17"} <= set(file["stripped"])
+    assert pictures.PLACE not in gateway.stored(receipt["capture"], tmp_path)[name]
+
+
 async def test_the_receipt_is_on_the_store_beside_the_archive(gateway: Gateway) -> None:
     receipt = (await gateway.send(("a.ply", CLOUD))).json()
     assert json.loads(gateway.store.get(f"captures/{receipt['capture']}.json")) == receipt
@@ -181,6 +193,9 @@ async def test_files_that_no_capture_has_are_left_out_and_named(gateway: Gateway
         ("a.png", pictures.huge_png(100, 100), "IMAGE_UNREADABLE"),
         ("a.exr", pictures.exr(20_000, 20_000), "IMAGE_TOO_LARGE"),
         ("a.mp4", pictures.film()[:150], "CAPTURE_UNREADABLE"),
+        ("a.mov", b"no film at all", "CAPTURE_UNREADABLE"),
+        ("a.webm", pictures.webm()[:150], "CAPTURE_UNREADABLE"),
+        ("a.mkv", b"no film at all", "CAPTURE_UNREADABLE"),
         ("b.zip", zipped(a=b"1"), "ARCHIVE_NESTED"),
     ],
 )

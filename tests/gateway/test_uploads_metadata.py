@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.gateway.uploads import exr, heif, jpeg, png, tiff, video, webp
+from services.gateway.uploads import exr, heif, jpeg, matroska, png, tiff, video, webp
 from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError
 from services.gateway.uploads.exif import cleaned_exif
 from tests.gateway import pictures
@@ -35,6 +35,8 @@ PICTURES: dict[str, tuple[Clean, Callable[[], bytes]]] = {
 CLEANERS: dict[str, tuple[Clean, Callable[[], bytes]]] = {
     **PICTURES,
     "film": (video.clean, pictures.film),
+    "webm": (matroska.clean, pictures.webm),
+    "webm as it is filmed": (matroska.clean, lambda: pictures.webm(open_ended=True)),
     "exr": (exr.clean, pictures.exr),
 }
 

@@ -1,4 +1,4 @@
-"""What the format modules (jpeg, png, webp, heif, tiff, exr, video) have in common.
+"""What the format modules (jpeg, png, webp, heif, tiff, exr, video, matroska) have in common.
 
 Each has `clean(data) -> Cleaned`. It works in place on a writable memory map and moves no byte, so that a 20 MB photo
 costs no memory, offsets elsewhere in the file stay true, and the pixels are the same bits by construction.

@@ -25,11 +25,13 @@ def clean(data: Buffer) -> Cleaned:
     removed: list[str] = []
     meta: Box | None = None
     try:
-        for box in list(boxes(data, 0, len(data))):
+        top = list(boxes(data, 0, len(data)))
+        media = [(box.body, box.end) for box in top if box.kind == b"mdat"]
+        for box in top:
             if box.kind == b"meta":
                 meta = box
             elif box.kind == b"moov":
-                video.clean_box(data, box, removed)
+                removed += video.clean_sequence(data, box, media)
             elif box.kind not in _KEPT:
                 removed += [] if is_blank(data, box.body, box.end) else [box.kind.decode("latin-1")]
                 release(data, box)

@@ -18,6 +18,7 @@ class Kind(Enum):
     HEIF = "heif"
     EXR = "exr"
     VIDEO = "video"
+    MATROSKA = "matroska"
     ARCHIVE = "archive"
     DATA = "data"
     UNKNOWN = "unknown"
@@ -31,6 +32,7 @@ _MAGIC = (
     (b"II*\0", Kind.TIFF),
     (b"MM\0*", Kind.TIFF),
     (b"v/1\x01", Kind.EXR),
+    (b"\x1aE\xdf\xa3", Kind.MATROSKA),
     (b"PK\x03\x04", Kind.ARCHIVE),
     (b"PK\x05\x06", Kind.ARCHIVE),
     (b"\x1f\x8b\x08", Kind.ARCHIVE),
@@ -44,6 +46,7 @@ _HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b
 _OLD_MOVIE = {b"moov", b"mdat", b"wide", b"free", b"skip"}  # QuickTime before it had `ftyp`
 _IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".exr"}
 _VIDEO_SUFFIXES = {".mp4", ".mov", ".m4v"}
+_MATROSKA_SUFFIXES = {".webm", ".mkv"}
 # Clouds and meshes; Record3D's depth and confidence; Android's DEPTH16 and glTF's buffers; arrays; poses, intrinsics.
 _DATA_SUFFIXES = {".ply", ".pcd", ".xyz", ".pts", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf", ".mtl"}
 _DATA_SUFFIXES |= {".depth", ".conf", ".bin", ".npy", ".json", ".csv", ".txt", ".log", ".yaml", ".yml", ".xml", ".md"}
@@ -64,6 +67,8 @@ def sniff(name: str, head: bytes) -> Kind:
     suffix = PurePosixPath(name).suffix.lower()
     if suffix in _VIDEO_SUFFIXES or (head[4:8] in _OLD_MOVIE and suffix not in _DATA_SUFFIXES):
         return Kind.VIDEO
+    if suffix in _MATROSKA_SUFFIXES:
+        return Kind.MATROSKA
     if suffix in _IMAGE_SUFFIXES:
         return {".exr": Kind.EXR, ".png": Kind.PNG}.get(suffix, Kind.JPEG)
     return Kind.DATA if suffix in _DATA_SUFFIXES or _is_text(head) else Kind.UNKNOWN

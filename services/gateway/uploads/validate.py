@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from services.gateway.errors import Problem
-from services.gateway.uploads import exr, heif, jpeg, png, tiff, video, webp
+from services.gateway.uploads import exr, heif, jpeg, matroska, png, tiff, video, webp
 from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError
 from services.gateway.uploads.images import MOST_PIXELS, TooLargeError, check_image, mapped
 from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
@@ -23,6 +23,7 @@ _CLEANERS: dict[Kind, Callable[[Buffer], Cleaned]] = {
     Kind.HEIF: heif.clean,
     Kind.EXR: exr.clean,
     Kind.VIDEO: video.clean,
+    Kind.MATROSKA: matroska.clean,
 }
 _SIGNATURES = {Kind.JPEG: b"\xff\xd8\xff", Kind.PNG: b"\x89PNG\r\n\x1a\n"}
 

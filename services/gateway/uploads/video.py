@@ -1,60 +1,125 @@
-"""mp4 and mov: user data and metadata become free space; so do tracks that are neither picture nor sound.
+"""mp4 and mov: all that a film does not need to be seen becomes free space, tracks that are no picture or sound too.
 
 Phones write the place into `moov/udta/©xyz` or `moov/meta` (com.apple.quicktime.location.ISO6709); action cameras,
 drones and Street View write it once a second into a metadata or subtitle track. Size and rotation are elsewhere.
+What stays is listed, not what goes. No byte moves, and of the media data only samples of removed tracks change.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 from services.gateway.uploads.boxes import Box, boxes, find, release
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, blank_all, unique
+from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, blank_all, is_blank, unique
 
-_METADATA = {b"udta", b"meta", b"uuid"}
-_UNUSED = {b"free", b"skip"}
-_CONTAINERS = {b"moov", b"trak", b"mdia", b"minf", b"moof", b"traf"}
-_KEPT_TRACKS = {b"vide", b"auxv", b"pict", b"soun", b"tmcd"}
-_DEEPEST = 8  # moov, trak, mdia, minf are the deepest that films have
+_UNUSED = {b"free", b"skip", b"wide"}
+# Boxes that stay, by where they are (ISO/IEC 14496-12, QuickTime File Format); what is not a key is not looked into.
+_TOP = {b"ftyp", b"styp", b"moov", b"moof", b"mdat", b"mfra", b"sidx", b"ssix", b"pdin"}
+_WITHIN = {
+    b"moov": {b"mvhd", b"trak", b"mvex", b"iods", b"ctab", b"clip", b"pssh"},
+    b"trak": {b"tkhd", b"edts", b"tref", b"trgr", b"mdia", b"tapt", b"clip", b"matt", b"load"},
+    b"mdia": {b"mdhd", b"hdlr", b"minf", b"elng"},
+    b"minf": {b"vmhd", b"smhd", b"nmhd", b"gmhd", b"hdlr", b"dinf", b"stbl"},
+    b"moof": {b"mfhd", b"traf", b"pssh"},
+    b"traf": {b"tfhd", b"tfdt", b"trun", b"sbgp", b"sgpd", b"subs", b"saiz", b"saio", b"senc"},
+}
+_PICTURES = {b"vide", b"auxv", b"pict"}
+_KEPT_TRACKS = _PICTURES | {b"soun", b"tmcd"}
 _MOST_TRACKS = 32  # of metadata; phones write up to eight
 _MOST_ENTRIES = 1_000_000  # of one table: nine hours at 30 Hz
 _KEY = re.compile(rb"com\.[A-Za-z0-9.-]+")
 
+Range = tuple[int, int]
+"""First and end byte in the file."""
+
+
+@dataclass(slots=True)
+class _Film:
+    """media: where samples may be; gone: numbers of removed tracks; pictures: tracks that show something."""
+
+    data: Buffer
+    media: Sequence[Range]
+    removed: list[str] = field(default_factory=list)
+    gone: list[int] = field(default_factory=list)
+    pictures: int = 0
+
 
 def clean(data: Buffer) -> Cleaned:
     """Metadata in place. Raises UnreadableError."""
-    top = list(boxes(data, 0, len(data)))
+    top = _top(data)
     if not any(box.kind == b"moov" for box in top):
         raise UnreadableError("the film has no index: it is cut short, or its recording was interrupted")
-    removed: list[str] = []
+    film = _Film(data, [(box.body, box.end) for box in top if box.kind == b"mdat"])
     try:
-        for box in top:
-            clean_box(data, box, removed)
+        _clean_among(film, sorted(top, key=lambda box: box.kind != b"moov"), _TOP)  # fragments refer to its tracks
     except struct.error:
         raise UnreadableError("the film's index is damaged") from None
-    return Cleaned(unique(removed), len(data))
+    if not film.pictures:
+        raise UnreadableError("the film has no pictures in it")
+    return Cleaned(unique(film.removed), len(data))
 
 
-def clean_box(data: Buffer, box: Box, removed: list[str], depth: int = 0) -> None:
-    """One box and those within it."""
-    if depth > _DEEPEST:
-        raise UnreadableError("the film's index is damaged: its boxes are nested without end")
-    if box.kind in _METADATA:
-        removed += _names(data, box)
-        release(data, box)
-    elif box.kind in _UNUSED:
-        blank(data, box.body, box.end)
-    elif box.kind == b"trak" and _handler(data, box) not in _KEPT_TRACKS:
-        removed.append(f"track {_handler(data, box).decode('latin-1')}")
-        if sum(name.startswith("track ") for name in removed) > _MOST_TRACKS:
-            raise UnreadableError(f"the film has more than {_MOST_TRACKS} tracks of metadata")
-        blank_all(data, _samples(data, box))
-        release(data, box)
-    elif box.kind in _CONTAINERS:
-        for child in list(boxes(data, box.body, box.end)):
-            clean_box(data, child, removed, depth + 1)
+def clean_sequence(data: Buffer, index: Box, media: Sequence[Range]) -> list[str]:
+    """The index of a film that is inside another kind of file, whose samples are in `media`; what was removed."""
+    film = _Film(data, media)
+    _clean_among(film, [index], {b"moov"})
+    return film.removed
+
+
+def _top(data: Buffer) -> list[Box]:
+    """The boxes of the file. Where only the end of the media data is missing, what there is of it can be seen."""
+    found: list[Box] = []
+    try:
+        for box in boxes(data, 0, len(data)):
+            found.append(box)  # noqa: PERF402 - those before the broken one are needed
+    except UnreadableError:
+        at = found[-1].end if found else 0
+        if data[at + 4 : at + 8] != b"mdat" or not any(box.kind == b"moov" for box in found):
+            raise
+        found.append(Box(b"mdat", at, at + 8, len(data)))
+    return found
+
+
+def _clean_among(film: _Film, among: Iterable[Box], kept: set[bytes]) -> None:
+    """Boxes side by side, and those within them."""
+    for box in among:
+        if box.kind in _UNUSED:
+            blank(film.data, box.body, box.end)
+        elif box.kind not in kept:
+            _remove(film, box)
+        elif box.kind == b"trak" and _handler(film.data, box) not in _KEPT_TRACKS:
+            _remove_track(film, box)
+        elif box.kind == b"traf" and _track_number(film.data, box, b"tfhd", 4) in film.gone:
+            raise UnreadableError("the film is in fragments and has a track of metadata: export it as an ordinary mp4")
+        elif box.kind in _WITHIN:
+            film.pictures += box.kind == b"trak" and _handler(film.data, box) in _PICTURES
+            _clean_among(film, list(boxes(film.data, box.body, box.end)), _WITHIN[box.kind])
+
+
+def _remove(film: _Film, box: Box) -> None:
+    if not is_blank(film.data, box.body, box.end):
+        film.removed += _names(film.data, box)
+    release(film.data, box)
+
+
+def _remove_track(film: _Film, track: Box) -> None:
+    film.removed.append(f"track {_handler(film.data, track).decode('latin-1')}")
+    film.gone.append(_track_number(film.data, track, b"tkhd", 12))
+    if len(film.gone) > _MOST_TRACKS:
+        raise UnreadableError(f"the film has more than {_MOST_TRACKS} tracks of metadata")
+    blank_all(film.data, _within(_samples(film.data, track), film.media))
+    release(film.data, track)
+
+
+def _within(ranges: Iterable[Range], media: Sequence[Range]) -> Iterator[Range]:
+    """What of the ranges is media data: an index that lies must not have itself overwritten."""
+    for start, end in ranges:
+        for first, last in media:
+            if max(start, first) < min(end, last):
+                yield max(start, first), min(end, last)
 
 
 def _names(data: Buffer, box: Box) -> list[str]:
@@ -65,8 +130,8 @@ def _names(data: Buffer, box: Box) -> list[str]:
         except UnreadableError:
             kinds = []
         return [kind.decode("latin-1") for kind in kinds] or ["udta"]
-    keys = [key.decode() for key in _KEY.findall(data, box.body, box.end)]
-    return keys or [box.kind.decode()]
+    keys = [key.decode() for key in _KEY.findall(data, box.body, box.end)] if box.kind == b"meta" else []
+    return keys or [box.kind.decode("latin-1")]
 
 
 def _handler(data: Buffer, track: Box) -> bytes:
@@ -75,8 +140,17 @@ def _handler(data: Buffer, track: Box) -> bytes:
     return bytes(data[found.body + 8 : found.body + 12]) if found else b"vide"
 
 
-def _samples(data: Buffer, track: Box) -> Iterator[tuple[int, int]]:
-    """First and end byte of every chunk of the track's samples (ISO/IEC 14496-12, 8.7)."""
+def _track_number(data: Buffer, parent: Box, header: bytes, at: int) -> int:
+    """The track that a box belongs to, from its header; -1 where it has none. `at`: behind the header's times."""
+    found = find(data, parent, header)
+    if found is None:
+        return -1
+    wide = 8 if header == b"tkhd" and data[found.body] == 1 else 0
+    return int(struct.unpack_from(">I", data, found.body + at + wide)[0])
+
+
+def _samples(data: Buffer, track: Box) -> Iterator[Range]:
+    """Every chunk of the track's samples (ISO/IEC 14496-12, 8.7)."""
     table = find(data, track, b"mdia", b"minf", b"stbl")
     if table is None:
         return

@@ -1,4 +1,7 @@
 // /: choose, name, send, watch, see it turn, hand it to the headset.
+import { heading, mayHaveCompass, startCompass } from './compass.js';
+import { guide, noteHeading } from './guide.js';
+import { showUsed } from './used.js';
 import { Problem, followJob, getJson, keyFrom, postJson, uploadCapture } from './api.js';
 
 const STAGES = [
@@ -33,6 +36,7 @@ const LISTED = 6; // files named before "and N more"
 const at = (id) => document.getElementById(id);
 const page = document.body;
 let files = [];
+let compass = false; // whether the person lets the page ask the phone where its camera looks
 let job = '';
 let turning = 0; // version of the asset in the preview
 let curve = []; // log10 of the training's loss, oldest first
@@ -41,17 +45,33 @@ let showing = Promise.resolve();
 
 // ---- choosing -------------------------------------------------------------------------------------------------------
 
-for (const id of ['files', 'photos', 'folder']) {
-  at(id).addEventListener('change', (event) => {
-    files = id === 'photos' ? [...files, ...event.target.files] : [...event.target.files];
+for (const id of ['files', 'photos', 'film', 'folder']) {
+  at(id).addEventListener('change', async ({ target }) => {
+    const chosen = [...target.files];
+    if (chosen.length === 0) return;
+    target.value = ''; // the same file can be chosen again once it was removed
+    if (id === 'photos' && compass && chosen.length === 1) noteHeading(chosen[0], await heading());
+    const adds = id === 'photos' || id === 'film';
+    files = adds ? [...files, ...chosen] : chosen;
     showChosen();
   });
 }
+
+at('compass').hidden = !mayHaveCompass();
+at('compass').addEventListener('click', async () => {
+  compass = await startCompass();
+  at('compass').disabled = compass;
+  at('compass').textContent = compass ? 'The compass is used' : 'There is no compass; try again';
+});
 
 function showChosen() {
   const bytes = files.reduce((sum, file) => sum + file.size, 0);
   const what = files.length === 1 ? '1 file' : `${files.length} files`;
   at('chosen').textContent = files.length ? `${what}, ${(bytes / 1e6).toFixed(1)} MB` : 'Nothing chosen yet.';
+  at('list').hidden = guide(files, (gone) => {
+    files = files.filter((file) => !gone.includes(file));
+    showChosen();
+  });
   const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);
   if (files.length > LISTED) names.push(`… and ${files.length - LISTED} more`);
   fill(at('list'), names);
@@ -221,7 +241,8 @@ async function showResult(now, published) {
 
 /** The figures of the version on show and, in a refined one's manifest, those of the preview that it replaced. */
 async function showCertificate(entry) {
-  const { quality } = await getJson(entry.manifest.url).catch(() => ({}));
+  const { quality, capture } = await getJson(entry.manifest.url).catch(() => ({}));
+  showUsed(at('used'), capture);
   if (!quality) return;
   const columns = [quality.preview && ['Preview', quality.preview], [entry.state === 'refined' ? 'Refined' : 'Preview', quality]].filter(Boolean);
   const rows = FIGURES.filter(([key]) => columns.some(([, figures]) => typeof figures[key] === 'number'));

@@ -1,0 +1,43 @@
+// Photos are looked at in a worker, or beside the page where a browser cannot draw in one.
+import { lookAt } from './look.js';
+
+const waiting = new Map(); // number of a question → what to do with its answer
+let asked = 0;
+let worker = null;
+let mayWork = typeof Worker !== 'undefined' && typeof OffscreenCanvas !== 'undefined';
+let before = Promise.resolve();
+
+/** What look.js tells of a file, or null for one that this browser cannot show. */
+export function look(file) {
+  if (!mayWork) return lookHere(file);
+  worker ??= started();
+  return new Promise((resolve) => {
+    waiting.set(++asked, { file, resolve });
+    worker.postMessage({ number: asked, file });
+  });
+}
+
+function started() {
+  const made = new Worker('/web/looker.js', { type: 'module' });
+  made.addEventListener('message', ({ data: { number, look: found } }) => {
+    waiting.get(number)?.resolve(found);
+    waiting.delete(number);
+  });
+  // A browser without module workers, or one that lost its connection: the photos are seen all the same.
+  made.addEventListener('error', () => {
+    mayWork = false;
+    for (const { file, resolve } of waiting.values()) lookHere(file).then(resolve);
+    waiting.clear();
+  });
+  return made;
+}
+
+function lookHere(file) {
+  const found = before.then(() => lookAt(file, canvasOf)).catch(() => null);
+  before = found;
+  return found;
+}
+
+function canvasOf(width, height) {
+  return Object.assign(document.createElement('canvas'), { width, height });
+}

@@ -1,0 +1,197 @@
+"""Films keep every picture bit for bit and lose what tells who and where; what lies about its size is refused."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import av
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.gateway.uploads import matroska, video
+from services.gateway.uploads.cleaned import Cleaned, UnreadableError
+from tests.gateway import pictures
+from tests.gateway.pictures import EBML, OPEN, OWNER, PLACE, box, element, handler
+
+FRAMES = b"FRAMES" * 10
+JUNK = PLACE * 2
+Clean = Callable[[bytearray], Cleaned]
+
+kinds = st.sampled_from([b"udta", b"meta", b"uuid", b"gps ", b"meco", b"XMP_", b"free", b"\0\0\0\1", b"GPMF"])
+junk = st.lists(st.tuples(kinds, st.binary(max_size=20)), max_size=3).map(
+    lambda found: b"".join(box(kind, JUNK, content) for kind, content in found)
+)
+
+
+def cleaned(clean: Clean, data: bytes) -> tuple[bytes, tuple[str, ...]]:
+    buffer = bytearray(data)
+    result = clean(buffer)
+    assert result.length == len(buffer) == len(data)
+    return bytes(buffer), result.removed
+
+
+def filmed(*extra: bytes, media: bytes = FRAMES) -> bytes:
+    """A film of one picture track; `extra` in its index."""
+    moov = box(b"moov", box(b"mvhd", bytes(100)), box(b"trak", box(b"tkhd", bytes(84)), handler(b"vide")), *extra)
+    return box(b"ftyp", b"isom", bytes(4)) + moov + box(b"mdat", media)
+
+
+def places(chunk: int, size: int = len(PLACE), kind: bytes = b"meta") -> bytes:
+    """A metadata track, number 7, of one sample at the byte `chunk`."""
+    table = box(
+        b"stbl",
+        box(b"stsc", bytes(4), struct.pack(">I3I", 1, 1, 1, 1)),
+        box(b"stsz", bytes(4), struct.pack(">III", 0, 1, size)),
+        box(b"stco", bytes(4), struct.pack(">II", 1, chunk)),
+    )
+    header = box(b"tkhd", bytes(12), struct.pack(">I", 7), bytes(68))
+    return box(b"trak", header, box(b"mdia", box(b"hdlr", bytes(8), kind, bytes(12)), box(b"minf", table)))
+
+
+@given(top=junk, index=junk, track=junk, media=junk, frames=st.binary(min_size=1, max_size=60))
+@settings(deadline=None)
+def test_whatever_is_added_goes_and_no_picture_changes(
+    top: bytes, index: bytes, track: bytes, media: bytes, frames: bytes
+) -> None:
+    inner = box(b"mdia", box(b"hdlr", bytes(8), b"vide", bytes(12)), media)
+    moov = box(b"moov", index, box(b"trak", box(b"tkhd", bytes(84)), track, inner))
+    film = top + box(b"mdat", frames) + moov + top
+    after, _ = cleaned(video.clean, film)
+    assert PLACE not in after
+    assert after[len(top) + 8 : len(top) + 8 + len(frames)] == frames
+    assert cleaned(video.clean, after) == (after, ())
+
+
+@given(data=st.data())
+@settings(deadline=None)
+def test_a_damaged_index_never_reaches_the_pictures(data: st.DataObject) -> None:
+    film = bytearray(pictures.film())
+    media = film.index(b"mdat") + 4
+    end = film.index(b"moov") - 4
+    for _ in range(data.draw(st.integers(1, 6))):
+        film[data.draw(st.integers(end, len(film) - 1))] = data.draw(st.integers(0, 255))
+    before = bytes(film)
+    try:
+        result = video.clean(film)
+    except UnreadableError:
+        return
+    assert result.length == len(before)
+    has_lost_a_track = any(name.startswith("track") for name in result.removed)
+    assert has_lost_a_track or film[media:end] == before[media:end]
+
+
+def test_only_the_samples_of_the_removed_track_are_blanked() -> None:
+    film = filmed(places(0), media=FRAMES + PLACE + FRAMES)
+    film = filmed(places(film.index(PLACE)), media=FRAMES + PLACE + FRAMES)
+    after, removed = cleaned(video.clean, film)
+    assert after.endswith(FRAMES + bytes(len(PLACE)) + FRAMES)
+    assert removed == ("track meta",)
+
+
+@pytest.mark.parametrize("kind", [b"sbtl", b"text", b"GoPr", b"camm", b"mett"])
+def test_tracks_that_are_no_picture_or_sound_go(kind: bytes) -> None:
+    assert cleaned(video.clean, filmed(places(0, kind=kind)))[1] == (f"track {kind.decode()}",)
+
+
+@pytest.mark.parametrize("kind", [b"soun", b"tmcd", b"auxv"])
+def test_sound_and_depth_stay(kind: bytes) -> None:
+    film = filmed(places(0, kind=kind))
+    assert cleaned(video.clean, film) == (film, ())
+
+
+def test_a_track_that_lies_about_its_samples_does_not_have_the_index_overwritten() -> None:
+    after, _ = cleaned(video.clean, filmed(places(0, size=10_000)))
+    assert b"moov" in after
+    assert b"tkhd" in after
+    assert after.startswith(box(b"ftyp", b"isom", bytes(4)))
+
+
+def test_a_film_whose_end_is_missing_keeps_its_beginning() -> None:
+    film = filmed(box(b"udta", PLACE))
+    after, removed = cleaned(video.clean, film[:-20])
+    assert after.endswith(FRAMES[:-20])
+    assert (PLACE in after, removed) == (False, ("udta",))
+
+
+def hostile() -> Iterator[tuple[str, Clean, bytes]]:
+    index = filmed()[:-68]
+    header = box(b"tfhd", bytes(4), struct.pack(">I", 7))
+    yield "past the end", video.clean, index + struct.pack(">I4s", 0xFFFFFFFF, b"free")
+    yield "huge", video.clean, index + struct.pack(">I4sQ", 1, b"udta", 1 << 63)
+    yield "wraps", video.clean, index + struct.pack(">I4sQ", 1, b"udta", (1 << 64) - 8)
+    yield "negative", video.clean, index + struct.pack(">I4s", 4, b"udta")
+    yield "inside", video.clean, filmed(struct.pack(">I4s", 9999, b"udta"))
+    yield "no pictures", video.clean, box(b"moov", places(0))
+    yield "no index", video.clean, box(b"mdat", FRAMES)
+    yield "fragments", video.clean, filmed(places(0)) + box(b"moof", box(b"traf", header))
+    segment = element(0x1654AE6B)
+    yield "no header", matroska.clean, element(0x18538067, segment)
+    yield "no segment", matroska.clean, EBML
+    yield "no tracks", matroska.clean, EBML + element(0x18538067)
+    yield "size", matroska.clean, EBML + element(0x18538067, segment, size=b"\x01" + b"\xff" * 6 + b"\xfe")
+    yield "kind", matroska.clean, EBML + element(0x18538067, segment + b"\x00\x81\x00")
+    yield "open tags", matroska.clean, EBML + element(0x18538067, segment, element(0x1254C367, PLACE, size=OPEN))
+    yield "many", matroska.clean, EBML + element(0x18538067, segment, b"\xec\x80" * 400_000)
+    number = element(0xAE, element(0x83, bytes(9)))
+    yield "long number", matroska.clean, EBML + element(0x18538067, element(0x1654AE6B, number))
+
+
+HOSTILE = {name: (clean, data) for name, clean, data in hostile()}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_lies_about_its_size_is_refused(name: str) -> None:
+    clean, data = HOSTILE[name]
+    with pytest.raises(UnreadableError):
+        clean(bytearray(data))
+
+
+@pytest.mark.parametrize("open_ended", [False, True])
+def test_a_webm_keeps_its_blocks_and_loses_the_rest(open_ended: bool) -> None:
+    before = pictures.webm(open_ended)
+    after, removed = cleaned(matroska.clean, before)
+    assert after.count(FRAMES) == before.count(FRAMES) == 4
+    assert b"CRC4" not in after
+    assert removed == ("Title", "Name", "track type 17", "Tags", "Attachments", "element A5", "BlockAdditions")
+
+
+@given(cut=st.integers(0, len(pictures.webm()) - 1))
+@settings(deadline=None)
+def test_a_cut_webm_is_refused_or_clean(cut: int) -> None:
+    try:
+        after, _ = cleaned(matroska.clean, pictures.webm(open_ended=True)[:cut])
+    except UnreadableError:
+        return
+    assert PLACE not in after
+    assert OWNER not in after
+
+
+@pytest.mark.parametrize("options", [{}, {"live": "1"}])
+@pytest.mark.parametrize("suffix", ["webm", "mkv"])
+def test_a_real_webm_plays_the_same_frames(suffix: str, options: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / f"film.{suffix}"
+    with av.open(str(path), "w", options=options) as container:
+        container.metadata.update({"location": "+48.137154+011.575490/", "title": OWNER.decode()})
+        stream = container.add_stream("libvpx", rate=10, options={"deadline": "realtime", "cpu-used": "8"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for _ in range(5):
+            container.mux(stream.encode(av.VideoFrame.from_image(pictures.picture())))
+        container.mux(stream.encode())
+    before = path.read_bytes()
+    assert b"48.13" in before
+    after, removed = cleaned(matroska.clean, before)
+    assert b"48.13" not in after
+    assert OWNER not in after
+    assert {"Tags", "Title"} <= set(removed)
+
+    def frames(data: bytes) -> list[bytes]:
+        with av.open(io.BytesIO(data)) as film:
+            assert data is before or not {"LOCATION", "title"} & film.metadata.keys()
+            return [frame.to_ndarray().tobytes() for frame in film.decode(video=0)]
+
+    assert frames(after) == frames(before)
+    assert len(frames(after)) == 5
