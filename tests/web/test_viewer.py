@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,26 @@ def test_all_levels_come_and_distance_chooses_among_them(page: Page, stack: Stac
     for _ in range(60):
         page.mouse.wheel(0, 400)
     expect(page.locator("body")).to_have_attribute("data-lod", "2")
+
+
+def test_points_stand_for_the_thing_until_its_mesh_is_there(page: Page, stack: Stack) -> None:
+    page.route("**/lod*", lambda route: route.abort())
+    page.goto(f"{stack.url}/view/{KEY}")
+    expect(page.locator("body")).to_have_attribute("data-hints", "512")
+    page.wait_for_timeout(300)  # a frame or two
+    assert drawn(stage(page)) > 0.01
+    page.unroute("**/lod*")
+    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    assert drawn(stage(page)) > 0.05
+
+
+def test_a_guess_is_called_one(page: Page, stack: Stack, store: LocalStore, bundle: Bundle) -> None:
+    publish(replace(bundle, manifest={**bundle.manifest, "origin": "guess"}), store, key="guessed", job="one")
+    page.goto(f"{stack.url}/view/guessed")
+    expect(page.locator("#said")).to_contain_text("A guess from one photo")
+    page.goto(f"{stack.url}/view/{KEY}")
+    expect(page.locator("#said")).to_contain_text("triangles")
+    expect(page.locator("#said")).not_to_contain_text("guess")
 
 
 def test_a_level_that_was_lost_on_the_way_is_fetched_again(page: Page, stack: Stack) -> None:

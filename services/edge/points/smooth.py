@@ -18,13 +18,13 @@ _WIDER = 1.05
 _CHUNK = 4_096
 
 
-def smoothed(xyz: Floats, weight: Floats, tick: Tick = no_tick) -> Floats:
+def smoothed(xyz: Floats, weight: Floats, tick: Tick = no_tick, *, neighbours: tuple[int, int] = NEIGHBOURS) -> Floats:
     """Points (N,3) with weights (N,) moved along their normals onto planes through their neighbours; the same order.
 
     A neighbour counts by its weight and by 1 − d²/R². Clouds of fewer points than neighbours come back as they are.
     `tick` is called between chunks, on the caller's thread. Raises what it raises.
     """
-    wide, narrow = NEIGHBOURS
+    wide, narrow = neighbours
     xyz = _onto_planes(xyz, weight, wide, lambda part: tick(0.6 * part))
     return _onto_planes(xyz, weight, narrow, lambda part: tick(0.6 + 0.4 * part))
 

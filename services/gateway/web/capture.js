@@ -115,14 +115,25 @@ at('form').addEventListener('submit', async (event) => {
       at('detail').textContent = fraction < 1 ? `${Math.round(fraction * 100)} % sent` : 'Checking what was sent';
     });
     showReceipt(capture);
-    const request = { capture: capture.capture, asset_key: keyFrom(name), label: name, isolate: at('isolate').checked, preset: at('preset').value };
-    const made = await postJson('/v1/jobs', request, { 'Idempotency-Key': randomKey() });
+    const made = await postJson('/v1/jobs', orderOf(capture, name), { 'Idempotency-Key': randomKey() });
     location.hash = `job=${made.id}`;
     watch(made);
   } catch (problem) {
     trouble(problem);
   }
 });
+
+function orderOf(capture, name) {
+  const [isolate, centimetres] = [at('isolate').value, at('longest').valueAsNumber];
+  return {
+    capture: capture.capture,
+    asset_key: keyFrom(name),
+    label: name,
+    preset: at('preset').value,
+    isolate: isolate ? isolate === 'true' : null,
+    longest_m: centimetres > 0 ? centimetres / 100 : null,
+  };
+}
 
 /** crypto.randomUUID exists in secure contexts only, and a phone may come over plain HTTP in the home network. */
 function randomKey() {

@@ -60,6 +60,17 @@ export async function loadAsset(entry, onLevel = () => {}) {
   return object;
 }
 
+/** The manifest's few hundred points as THREE.Points, to be seen while the first level is on its way; null without any. */
+export function hintsOf(manifest, size) {
+  const { xyz_m: places, rgb } = manifest.anchors || {};
+  if (!places?.length) return null;
+  const geometry = new THREE.BufferGeometry();
+  const colours = Float32Array.from(rgb, (value) => new THREE.Color().setRGB(value / 255, 0, 0, THREE.SRGBColorSpace).r);
+  geometry.setAttribute('position', new THREE.Float32BufferAttribute(places, 3));
+  geometry.setAttribute('color', new THREE.Float32BufferAttribute(colours, 3));
+  return new THREE.Points(geometry, new THREE.PointsMaterial({ size: Math.hypot(...size) / 40, vertexColors: true }));
+}
+
 async function addFiner(object, lods, radius, onLevel) {
   let pause = RETRY_MS;
   while (lods.length > 0 && !object.disposed) {
@@ -92,7 +103,7 @@ async function addLevel(object, lod, radius, onLevel) {
 export function dispose(object) {
   object.disposed = true;
   object.traverse((node) => {
-    if (!node.isMesh) return;
+    if (!node.isMesh && !node.isPoints) return;
     node.geometry.dispose();
     for (const material of [node.material].flat()) {
       for (const value of Object.values(material)) if (value?.isTexture) value.dispose();

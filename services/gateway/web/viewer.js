@@ -2,7 +2,7 @@
 import * as THREE from './three-0.187.0.module.js';
 import { OrbitControls } from './three-0.187.0.orbit-controls.js';
 import { getJson } from './api.js';
-import { dispose, frame, loadAsset, makeStage, shownLevel } from './stage.js';
+import { dispose, frame, hintsOf, loadAsset, makeStage, shownLevel } from './stage.js';
 
 const POLL_MS = 3000; // while a refined version may come
 const AHEAD_M = 1.5; // arm's length and a step: the whole of a person-sized thing is in view
@@ -19,6 +19,7 @@ controls.enableDamping = true;
 controls.listenToKeyEvents(renderer.domElement);
 
 let shown = null; // { entry, object }
+let hints = null; // points that stand for the thing before anything is shown
 let placed = false;
 
 function stageOrReason(canvas) {
@@ -34,13 +35,29 @@ function stageOrReason(canvas) {
 async function refresh() {
   const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
   if (shown && shown.entry.version === entry.version) return;
+  if (!shown) showHints(entry);
   const object = await loadAsset(entry, (level) => {
     page.dataset.loaded = `${page.dataset.loaded || ''} ${level}`.trim();
   });
   swap(entry, object);
 }
 
+async function showHints(entry) {
+  const manifest = await getJson(entry.manifest.url).catch(() => ({}));
+  const points = shown || hints ? null : hintsOf(manifest, entry.size_m);
+  if (!points) return;
+  hints = points;
+  scene.add(hints);
+  page.dataset.hints = manifest.anchors.xyz_m.length / 3;
+  controls.target.copy(frame(camera, entry.size_m));
+}
+
 function swap(entry, object) {
+  if (hints) {
+    scene.remove(hints);
+    dispose(hints);
+    hints = null;
+  }
   if (shown) {
     object.position.copy(shown.object.position);
     object.quaternion.copy(shown.object.quaternion);
@@ -61,8 +78,9 @@ function describe(entry) {
   document.getElementById('label').textContent = entry.label || entry.key;
   const size = entry.size_m.map((side) => (side < 1 ? `${(side * 100).toFixed(0)} cm` : `${side.toFixed(2)} m`));
   const scale = entry.scale_confidence === 'unknown' ? ' (true size unknown)' : '';
+  const origin = entry.origin === 'guess' ? 'A guess from one photo · ' : '';
   const triangles = entry.lods[0].triangles.toLocaleString('en');
-  said.textContent = `${size.join(' × ')}${scale} · ${triangles} triangles · ${entry.state}, version ${entry.version}`;
+  said.textContent = `${origin}${size.join(' × ')}${scale} · ${triangles} triangles · ${entry.state}, version ${entry.version}`;
 }
 
 function tell(problem) {
