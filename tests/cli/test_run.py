@@ -38,8 +38,14 @@ def bowl(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def out(bowl: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The results of one run."""
     out = tmp_path_factory.mktemp("out")
-    result = capture2vr("run", bowl, "-o", out, "--preset", "draft")
+    reference = out.parent / "known.ply"
+    known = trimesh.creation.icosphere(subdivisions=4)
+    known.update_faces(known.triangles_center[:, 2] < 0)  # a hemisphere of another size, turned another way
+    known.export(reference)
+    told = ("--reference", reference, "--longest", "0.5")
+    result = capture2vr("run", bowl, "-o", out, "--preset", "draft", *told)
     assert result.returncode == 0, result.stderr
+    assert "against the reference" in result.stderr
     return out
 
 
@@ -62,8 +68,8 @@ def test_levels_of_detail_get_coarser_and_stand_on_the_floor(out: Path) -> None:
     assert faces == sorted(faces, reverse=True)
     assert faces[2] <= 5_000
     for level in levels:
-        assert level.bounds[0][1] == pytest.approx(0, abs=0.05)
-        assert level.extents == pytest.approx([6, 3, 6], abs=0.2)
+        assert level.bounds[0][1] == pytest.approx(0, abs=0.005)
+        assert level.extents == pytest.approx([0.5, 0.25, 0.5], rel=0.05)  # the length that was told
 
 
 def test_the_report_tells_figures_seconds_and_warnings(out: Path) -> None:
@@ -73,10 +79,29 @@ def test_the_report_tells_figures_seconds_and_warnings(out: Path) -> None:
     assert report["quality"]["non_manifold_edges"] == 0
     assert report["quality"]["boundary_loops"] == 1
     assert {"POINT_CLOUD", "FITTING", "EXTRACTING", "PACKING"} <= report["seconds"].keys()
-    assert report["scale_confidence"] == "unknown"
+    assert report["scale_confidence"] == "estimated"
     assert report["key"] == "my-bowl"
     to_asset = np.array(report["capture_to_asset"]).reshape(4, 4)
     assert (to_asset @ [10, 17, 30, 1])[1] == pytest.approx(0, abs=0.05), "the bottom of the bowl is the floor"
+
+
+def test_the_report_tells_how_far_the_reference_is(out: Path) -> None:
+    found = json.loads((out / "report.json").read_text())["reference"]
+    assert found["median"] < 0.002
+    assert found["complete"] > 0.97
+    page = (out / "report.html").read_text()
+    assert "Against the reference" in page
+    assert f"{found['median']:.3%}" in page
+
+
+@pytest.mark.parametrize("content", [b"", b"v 0 0 0\nv 1 0 0\n", b"\0" * 100])
+def test_a_reference_that_is_no_surface_is_refused_before_any_work(content: bytes, bowl: Path, tmp_path: Path) -> None:
+    (tmp_path / "known.obj").write_bytes(content)
+    result = capture2vr("run", bowl, "-o", tmp_path / "out", "--reference", tmp_path / "known.obj")
+    assert result.returncode == 2
+    assert "known.obj" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_picture_shows_something_on_four_sides(out: Path) -> None:
