@@ -169,9 +169,7 @@ def _elements(film: _Film, start: int, end: int) -> Iterator[_Element]:
     """The elements side by side in a range. Raises UnreadableError when one leaves it, and when there are too many."""
     at = start
     while at < end:
-        film.elements += 1
-        if film.elements > _MOST_ELEMENTS:
-            raise UnreadableError(f"the film has more than {_MOST_ELEMENTS:,} elements")
+        _count(film)
         kind, body = _kind(film.data, at, end)
         size, body = _number(film.data, body, end)
         stop = body + size
@@ -183,6 +181,12 @@ def _elements(film: _Film, start: int, end: int) -> Iterator[_Element]:
         at = stop
 
 
+def _count(film: _Film) -> None:
+    film.elements += 1
+    if film.elements > _MOST_ELEMENTS:
+        raise UnreadableError(f"the film has more than {_MOST_ELEMENTS:,} elements")
+
+
 def _open_end(film: _Film, kind: int, body: int, end: int) -> int:
     """Where an element of unknown size ends: only the segment and its clusters may be so."""
     if kind == _SEGMENT:
@@ -191,9 +195,7 @@ def _open_end(film: _Film, kind: int, body: int, end: int) -> int:
         raise UnreadableError(_BROKEN)
     at = body
     while at < end:
-        film.elements += 1
-        if film.elements > _MOST_ELEMENTS:
-            raise UnreadableError(f"the film has more than {_MOST_ELEMENTS:,} elements")
+        _count(film)
         kind, after = _kind(film.data, at, end)
         if kind in _TOP or kind in _NAMES:
             return at
