@@ -13,7 +13,7 @@ BENCHES = {
     "complexity": "parameters, bytes, seconds a step of our network and the ancestors' (the paper's Table 5)",
     "extraction": "seconds, memory and topology of the extraction, 64 to 512 cells, local and learned field",
     "photos": "photos to points: seconds per stage, and distance from a surface that is known",
-    "guess": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
+    "single-image": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "pipeline": "capture to published LOD set: seconds per stage and peak memory",
     "uploads": "32 phones uploading 20 MB each: answers, gateway memory, latency of GET job",
 }
@@ -27,12 +27,12 @@ def main(arguments: list[str]) -> int:
     if name not in {*known, "all"}:
         print("usage: python -m tests.bench NAME [OPTIONS]\n")
         for bench, what in {**known, "all": f"everything but {', '.join(ON_DEMAND)}"}.items():
-            print(f"  {bench:<11} {what}")
+            print(f"  {bench:<12} {what}")
         return 2
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
     for bench in BENCHES if name == "all" else [name]:
         print(f"## {bench}\n")
-        importlib.import_module(f"tests.bench.{bench}").main(rest)
+        importlib.import_module(f"tests.bench.{bench.replace('-', '_')}").main(rest)
         print()
     return 0
 

@@ -22,7 +22,7 @@ from services.edge.photos.agree import confirmations
 from services.edge.photos.nouns import Alignment, View
 from services.edge.photos.pictures import Picture, colours, picture
 from services.edge.photos.sources import SOURCES, choose_sources
-from services.edge.photos.sweep import DepthMap, sweep
+from services.edge.photos.sweep import DepthMap, StandOf, stand_on, sweep
 from services.edge.photos.zncc import WINDOW
 
 LONGEST_PX = 640
@@ -43,9 +43,12 @@ _LOOK_S = 0.2
 """Seconds between two looks at whether the job was cancelled."""
 
 
-def depth_frames(alignment: Alignment, *, longest: int = LONGEST_PX, tick: Tick = no_tick) -> tuple[Frame, ...]:
+def depth_frames(
+    alignment: Alignment, *, longest: int = LONGEST_PX, device: str = "cpu", tick: Tick = no_tick
+) -> tuple[Frame, ...]:
     """Posed depth images of the views, pictures of at most `longest` pixels, in units of the alignment.
 
+    device: where the sweep computes, "cpu" or a GPU as PyTorch names it.
     Raises CaptureError: CAPTURE_LOW_OVERLAP where no view has another to be compared with.
     """
     witnesses = choose_sources(alignment, _WITNESSES)
@@ -58,7 +61,8 @@ def depth_frames(alignment: Alignment, *, longest: int = LONGEST_PX, tick: Tick 
             f"no two of the {len(pictures)} placed photos see the same part from sides that show its depth",
             hints=("walk around the thing in steps of about 10 degrees, a photo at each",),
         )
-    maps = _all_swept(alignment, pictures, sources, swept, lambda fraction: tick(0.9 * fraction))
+    stand_of = stand_on(device)
+    maps = _all_swept(alignment, pictures, sources, swept, stand_of, lambda fraction: tick(0.9 * fraction))
     depths = [np.zeros(each.grey.shape, np.float32) for each in pictures]
     for view, found in maps.items():
         depths[view] = np.where(found.score > _LEAST_SCORE, found.depth, np.float32(0))
@@ -77,6 +81,7 @@ def _all_swept(
     pictures: Sequence[Picture],
     sources: Sequence[Sequence[int]],
     swept: Sequence[int],
+    stand_of: StandOf,
     tick: Tick,
 ) -> dict[int, DepthMap]:
     """The depth maps by view. `tick` is heard all the while; when it raises, sweeps under way end within a plane."""
@@ -87,7 +92,8 @@ def _all_swept(
             raise Cancelled
 
     def work(view: int) -> DepthMap:
-        return sweep(pictures[view], [pictures[other] for other in sources[view]], _depths_of(alignment, view), watch)
+        others = [pictures[other] for other in sources[view]]
+        return sweep(pictures[view], others, _depths_of(alignment, view), watch, stand_of=stand_of)
 
     pool = ThreadPoolExecutor(_WORKERS)
     try:

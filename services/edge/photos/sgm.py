@@ -20,7 +20,7 @@ P1 = 16
 """Penalty for a step of one plane, of 255 for the worst match: slanted surfaces take such steps all the time."""
 P2 = 120
 """Penalty for a jump where the picture is smooth; divided where it has an edge, as depth jumps at edges."""
-_EDGE = 12.0
+EDGE = 12.0
 """Difference of grey levels (0–255) between neighbours that halves P2."""
 
 
@@ -38,7 +38,7 @@ def aggregate(cost: Bytes, grey: Bytes) -> Costs:
 
 def _jump(step: NDArray[np.int16]) -> NDArray[np.int16]:
     """(n-1,m) penalty of a depth jump between neighbours whose grey levels differ by `step`."""
-    penalty: NDArray[np.int16] = np.maximum(P2 / (1 + step / _EDGE), P1 + 1).astype(np.int16)
+    penalty: NDArray[np.int16] = np.maximum(P2 / (1 + step / EDGE), P1 + 1).astype(np.int16)
     return penalty
 
 

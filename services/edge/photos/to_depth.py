@@ -23,9 +23,10 @@ _SCREENED, _ALIGNED = 0.05, 0.35
 """Where on the bar screening and aligning end; the sweep takes the rest. From 20 photos on two cores."""
 
 
-def to_depth(capture: Capture, *, tick: Tick = no_tick) -> Capture:
+def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> Capture:
     """The capture of kind "rgbd" that its photos show, with a verdict on every photo.
 
+    device: where the plane sweep computes, "cpu" or a GPU as PyTorch names it.
     Poses that came with the photos keep their units; solved ones are scaled so that the thing is at arm's length.
     Raises CaptureError: CAPTURE_LOW_OVERLAP where the photos do not hang together, with what to shoot next.
     """
@@ -35,7 +36,7 @@ def to_depth(capture: Capture, *, tick: Tick = no_tick) -> Capture:
     aligned = align(photos, tick=lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
     if any(photo.camera_to_world is None for photo in photos):
         aligned = _at_arms_length(aligned)
-    frames = depth_frames(aligned, tick=lambda fraction: tick(_ALIGNED + (1 - _ALIGNED) * fraction))
+    frames = depth_frames(aligned, device=device, tick=lambda fraction: tick(_ALIGNED + (1 - _ALIGNED) * fraction))
     verdicts = _in_order(capture, (*capture.verdicts, *refused, *aligned.verdicts))
     return replace(
         capture,

@@ -18,7 +18,7 @@ from services.edge.arrays import Bytes, Floats
 
 WINDOW = 7
 """Pixels along a side: 5 is noisier, 9 widens thin things."""
-_NOISE = 1.0
+NOISE = 1.0
 """Grey levels (of 255): a phone's noise in daylight after the picture was made smaller."""
 
 
@@ -65,4 +65,4 @@ def _box(values: Any) -> Floats:
 
 
 def _inverse(variance: Floats) -> Floats:
-    return np.float32(1) / np.sqrt(np.maximum(variance, 0) + np.float32(_NOISE**2))
+    return np.float32(1) / np.sqrt(np.maximum(variance, 0) + np.float32(NOISE**2))

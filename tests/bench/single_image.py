@@ -49,7 +49,7 @@ class Row:
 
 def main(arguments: list[str]) -> None:
     """Print one table of all ways, and one of the classes."""
-    parser = argparse.ArgumentParser(prog="python -m tests.bench guess")
+    parser = argparse.ArgumentParser(prog="python -m tests.bench single-image")
     parser.add_argument("--clean", action="store_true", help="perfect masks, no noise")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)

@@ -1,0 +1,63 @@
+"""The plane sweep's arithmetic on the CPU: what `sweep.py` asks of a stand, in OpenCV and numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats, Tick
+from services.edge.photos.pictures import Picture
+from services.edge.photos.sgm import Costs, aggregate
+from services.edge.photos.warp import Rays, Source
+from services.edge.photos.zncc import BestTwo, Windows
+
+
+class CpuStand:
+    """A reference and the pictures that it is compared with, at one size. Memory: 4 bytes a pixel and plane."""
+
+    def __init__(self, reference: Picture, sources: Sequence[Picture]) -> None:
+        self._windows = Windows.of(reference.grey)
+        self._rays = Rays.of(reference)
+        self._others = [Source.of(reference, source) for source in sources]
+
+    def chosen(self, planes: Floats, tick: Tick) -> Floats:
+        """(H,W) number of the plane that SGM chooses for each pixel, or a little beside it."""
+        grey = self._windows.grey
+        cost = np.empty((*grey.shape, len(planes)), np.uint8)
+        for number, q in enumerate(planes):
+            cost[..., number] = self._cost(q)
+            tick((number + 1) / len(planes))
+        return _lowest(aggregate(cost, grey.astype(np.uint8)))
+
+    def score(self, q: Floats) -> Floats:
+        """(H,W) ZNCC in [-1,1] at the inverse depths q (H,W): the mean of the two best sources."""
+        best = BestTwo(q.shape)
+        for other in self._others:
+            best.add(self._windows.zncc(other.at(self._rays, q)))
+        return best.mean()
+
+    def _cost(self, q: float) -> Bytes:
+        shape = self._windows.grey.shape
+        best = BestTwo(shape)
+        for other in self._others:
+            best.add(self._windows.zncc(other.on_plane(q, shape)))
+        return (127.5 * (1 - np.clip(best.mean(), -1, 1))).astype(np.uint8)
+
+
+def _lowest(total: Costs) -> Floats:
+    """(H,W) plane of the least sum, between planes by a parabola through it and its neighbours."""
+    count = total.shape[2]
+    index = np.clip(total.argmin(axis=2), 1, count - 2)[..., None]
+    before, here, after = (
+        np.take_along_axis(total, index + step, axis=2)[..., 0].astype(np.float32) for step in (-1, 0, 1)
+    )
+    plane: Floats = index[..., 0] + vertex(before, here, after)
+    return plane
+
+
+def vertex(before: Floats, here: Floats, after: Floats) -> Floats:
+    """Where the parabola through three values one step apart is least, in steps from the middle, at most one away."""
+    bend = before - 2 * here + after
+    offset = np.where(bend > 0, 0.5 * (before - after) / np.where(bend > 0, bend, 1), np.sign(before - after))
+    return np.clip(offset, -1, 1).astype(np.float32)

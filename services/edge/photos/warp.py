@@ -1,0 +1,81 @@
+"""How another picture lies in a view's: through a plane, or through a depth for every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.edge.arrays import Floats
+from services.edge.photos.pictures import Picture
+
+
+@dataclass(frozen=True, slots=True)
+class Rays:
+    """x (W,), y (H,): the pixel (u, v) looks along (x, y, 1)."""
+
+    x: Floats
+    y: Floats
+
+    @classmethod
+    def of(cls, picture: Picture) -> Rays:
+        height, width = picture.grey.shape
+        camera = picture.camera
+        x = ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32)
+        y = ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32)
+        return cls(x, y)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Another picture as seen from the reference: pixel ~ turn·(x, y, 1) + q·shift, with turn = K R and shift = K t.
+
+    turn (3,3), shift (3,); grey (H,W) float32; unproject (3,3): the reference's inverse camera matrix.
+    """
+
+    grey: Floats
+    turn: Floats
+    shift: Floats
+    unproject: Floats
+
+    @classmethod
+    def of(cls, reference: Picture, source: Picture) -> Source:
+        relative = source.world_to_camera @ np.linalg.inv(reference.world_to_camera)
+        k = source.k
+        unproject = np.linalg.inv(reference.k)
+        return cls(source.grey.astype(np.float32), k @ relative[:3, :3], k @ relative[:3, 3], unproject)
+
+    def on_plane(self, q: float, shape: tuple[int, ...]) -> Floats:
+        """The picture as the reference would see it if all of it lay on the plane at inverse depth q."""
+        import cv2
+
+        homography = self.turn @ self.unproject
+        homography = homography + q * np.outer(self.shift, self.unproject[2])
+        return np.asarray(
+            cv2.warpPerspective(
+                self.grey, homography, (shape[1], shape[0]), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            )
+        )
+
+    def at(self, rays: Rays, q: Floats) -> Floats:
+        """The picture brought to the reference through the inverse depth q (H,W) of each pixel."""
+        import cv2
+
+        turn, shift = self.turn.astype(np.float32), self.shift.astype(np.float32)
+        u, v, w = (
+            turn[axis, 0] * rays.x[None] + (turn[axis, 1] * rays.y + turn[axis, 2])[:, None] + shift[axis] * q
+            for axis in range(3)
+        )
+        w = np.where(w > 0, w, np.float32(np.nan))  # behind the source: outside its picture
+        return np.asarray(cv2.remap(self.grey, u / w, v / w, cv2.INTER_LINEAR))
+
+
+def shift_px(rays: Rays, others: Sequence[Source], q_far: float, q_near: float) -> float:
+    """How far the picture's middle moves between two inverse depths, pixels of the median source."""
+    middle = np.array([rays.x[len(rays.x) // 2], rays.y[len(rays.y) // 2], 1.0])
+    moved = []
+    for other in others:
+        far, near = (other.turn @ middle + q * other.shift for q in (q_far, q_near))
+        moved.append(float(np.linalg.norm(near[:2] / near[2] - far[:2] / far[2])))
+    return float(np.median(moved))
