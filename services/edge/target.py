@@ -1,0 +1,114 @@
+"""Device classes and what one asset may cost on them. `target=quest3` of a job names one; a bundle proves that it keeps
+within it, or the job fails.
+
+A Quest 3 draws 1 to 2 million triangles and 200 to 300 draw calls in the 11.1 ms of a frame at 90 Hz, the whole scene
+together; a Quest 2 half of that. The smallest level is to be on screen within a second at 20 Mbit/s.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from services.edge.errors import EdgeError
+from services.edge.mesh.glb import Packing
+
+_MIB = 1 << 20
+_ALL = 100_000_000  # triangles: more than any extraction makes
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What may be spent on one asset; a limit of 0 is none.
+
+    lod_faces        most triangles of each level, finest first; () leaves them to the preset
+    last_bytes       most bytes of the coarsest level's file
+    unpacked_bytes   most bytes of a level on the device: vertices, indices and textures with their mips
+    texture_px       longest side of a texture
+    packing          of the files; None: the smallest that can be written
+    """
+
+    name: str
+    summary: str
+    lod_faces: tuple[int, ...] = ()
+    last_bytes: int = 0
+    unpacked_bytes: int = 0
+    texture_px: int = 2048
+    packing: Packing | None = None
+
+
+NO_TARGET = Target("", "the preset's levels, nothing proved")
+TARGETS = {
+    target.name: target
+    for target in (
+        Target("quest3", "Meta Quest 3 and its like", (100_000, 25_000, 5_000), 300_000, 40 * _MIB),
+        Target("quest2", "Meta Quest 2 and its like", (50_000, 12_500, 2_500), 300_000, 20 * _MIB, 1024),
+        Target("web", "phones and laptops, in a page", (100_000, 25_000, 5_000), 150_000, 40 * _MIB, 1024),
+        Target("archive", "other programs: every triangle, as floats", (_ALL, 100_000, 25_000), packing="float"),
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What one level costs, read from its file. Bytes of textures are those on the device, with mips."""
+
+    triangles: int
+    vertices: int
+    draw_calls: int
+    bytes: int
+    unpacked_bytes: int
+    texture_bytes: int
+
+
+def target_of(name: str) -> Target:
+    """Raises EdgeError TARGET_UNKNOWN, naming all."""
+    if not name:
+        return NO_TARGET
+    if name not in TARGETS:
+        known = ", ".join(TARGETS)
+        raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=(f"use one of: {known}",))
+    return TARGETS[name]
+
+
+def cost_of(glb: bytes) -> Cost:
+    """The figures of a .glb that `to_glb` wrote."""
+    (length,) = struct.unpack_from("<I", glb, 12)
+    document = json.loads(glb[20 : 20 + length])
+    primitives = [primitive for mesh in document["meshes"] for primitive in mesh["primitives"]]
+    counts = [accessor["count"] for accessor in document["accessors"]]
+    geometry = sum(view["byteLength"] for view in document["bufferViews"] if "target" in view)
+    return Cost(
+        triangles=sum(counts[each["indices"]] for each in primitives) // 3,
+        vertices=sum(counts[each["attributes"]["POSITION"]] for each in primitives),
+        draw_calls=len(primitives),
+        bytes=len(glb),
+        unpacked_bytes=geometry,
+        texture_bytes=0,
+    )
+
+
+def require_within(target: Target, levels: Sequence[Cost]) -> None:
+    """Raises EdgeError BUDGET_UNREACHABLE that names every level and figure beyond the target's."""
+    over = [
+        f"LOD {level} has {having:,} {what} of {limit:,}"
+        for level, cost in enumerate(levels)
+        for what, having, limit in _limits(target, level, cost, last=level == len(levels) - 1)
+        if limit and having > limit
+    ]
+    if over:
+        wider = ", ".join(name for name in TARGETS if name != target.name)
+        hints = ("capture less around the thing, or use a coarser preset", f"other targets: {wider}")
+        raise EdgeError("BUDGET_UNREACHABLE", f"target {target.name} cannot be met: {'; '.join(over)}", hints=hints)
+
+
+def _limits(target: Target, level: int, cost: Cost, *, last: bool) -> list[tuple[str, int, int]]:
+    faces = target.lod_faces[level] if level < len(target.lod_faces) else 0
+    unpacked = cost.unpacked_bytes + cost.texture_bytes
+    return [
+        ("triangles", cost.triangles, faces),
+        ("bytes", cost.bytes, target.last_bytes if last else 0),
+        ("bytes on the device", unpacked, target.unpacked_bytes),
+    ]

@@ -1,0 +1,60 @@
+"""What an asset may cost on a device, and what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.edge.errors import EdgeError
+from services.edge.mesh import to_glb
+from services.edge.mesh.glb import best_packing
+from services.edge.target import NO_TARGET, TARGETS, Cost, cost_of, require_within, target_of
+from tests import surfaces
+
+WAVE = surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(9 * u)], 60, 60)
+CHEAP = Cost(triangles=2_000, vertices=1_100, draw_calls=1, bytes=40_000, unpacked_bytes=60_000, texture_bytes=0)
+
+
+@pytest.mark.parametrize("packing", ["float", "quantised", best_packing()])
+def test_costs_are_those_of_the_file(packing: str) -> None:
+    coloured = replace(WAVE, rgb=np.full((len(WAVE.vertices), 3), 200, np.uint8))
+    glb = to_glb(coloured, packing)  # type: ignore[arg-type]
+    cost = cost_of(glb)
+    assert (cost.triangles, cost.draw_calls, cost.bytes) == (len(WAVE.faces), 1, len(glb))
+    per_vertex = 12 + 12 + 8 if packing == "float" else 8 + 4 + 8
+    assert cost.unpacked_bytes == per_vertex * cost.vertices + 2 * 3 * cost.triangles
+    assert (cost.bytes < cost.unpacked_bytes) == (packing == "meshopt")
+
+
+@pytest.mark.parametrize("name", [*TARGETS, ""])
+def test_a_cheap_asset_is_within_every_target(name: str) -> None:
+    require_within(target_of(name), [CHEAP, CHEAP, CHEAP])
+
+
+@pytest.mark.parametrize(
+    ("level", "figure", "value", "told"),
+    [
+        (0, "triangles", 100_001, "LOD 0 has 100,001 triangles of 100,000"),
+        (2, "triangles", 5_001, "LOD 2 has 5,001 triangles of 5,000"),
+        (2, "bytes", 300_001, "LOD 2 has 300,001 bytes of 300,000"),
+        (0, "unpacked_bytes", 41 << 20, "bytes on the device"),
+        (1, "texture_bytes", 40 << 20, "LOD 1 has 42,003,040 bytes on the device"),
+    ],
+)
+def test_what_is_beyond_a_target_is_named(level: int, figure: str, value: int, told: str) -> None:
+    levels = [CHEAP, CHEAP, CHEAP]
+    levels[level] = replace(CHEAP, **{figure: value})
+    with pytest.raises(EdgeError, match="quest3") as caught:
+        require_within(target_of("quest3"), levels)
+    assert caught.value.code == "BUDGET_UNREACHABLE"
+    assert told in caught.value.message
+    require_within(NO_TARGET, levels)
+
+
+def test_a_target_that_there_is_not_names_those_that_there_are() -> None:
+    with pytest.raises(EdgeError, match="quest9") as caught:
+        target_of("quest9")
+    assert caught.value.code == "TARGET_UNKNOWN"
+    assert all(name in caught.value.hints[0] for name in TARGETS)
