@@ -57,5 +57,6 @@ def test_no_folder_of_protos_is_a_package() -> None:
 def test_every_command_that_the_readme_names_exists() -> None:
     named = set(re.findall(r"capture2vr (\w+)", (ROOT / "README.md").read_text()))
     commands = {command.callback.__name__ for command in app.registered_commands if command.callback}
+    commands |= {group.name for group in app.registered_groups}
     assert named - commands == set()
     assert {"run", "up", "push", "pull", "doctor"} <= named

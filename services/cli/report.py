@@ -57,6 +57,7 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
             *_against(report["reference"]),
             *_stages(report["seconds"]),
             *_photos(report["capture"]["photos"]),
+            *_unseen(report["capture"]["unseen"]),
             *(f'<p class="warning">{escape(warning)}</p>' for warning in report["warnings"]),
             "</html>\n",
         ]
@@ -114,6 +115,15 @@ def _photos(verdicts: Sequence[Mapping[str, str]]) -> Iterator[str]:
         name, verdict, advice = (escape(each[key]) for key in ("name", "verdict", "advice"))
         yield f"<tr><td>{name}</td><td>{verdict.replace('_', ' ')}</td><td>{advice}</td></tr>"
     yield "</table>"
+
+
+def _unseen(sides: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """From where to shoot again, where a side was seen too little."""
+    if not sides:
+        return
+    yield "<h2>To see more of it</h2><ul>"
+    yield from (f"<li>{escape(each['advice'])}</li>" for each in sides)
+    yield "</ul>"
 
 
 def _figure(state: str, png: bytes) -> str:

@@ -41,12 +41,14 @@ class Wanted:
     key        asset key; "": from the capture's name
     isolate    cut the thing from its surroundings; None: where photos were taken around one thing
     longest_m  metres between the farthest points of the thing, or None
+    target     device class whose budget the levels must keep within; "": none
     reference  a mesh of the same thing that the result is measured against, or None
     """
 
     key: str = ""
     isolate: bool | None = None
     longest_m: float | None = None
+    target: str = ""
     reference: Path | None = None
 
 
@@ -132,6 +134,7 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
     from services.edge.capture import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
     from services.edge.progress import Progress
+    from services.edge.target import target_of
 
     with StageBar() as bar:
 
@@ -149,6 +152,7 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
             isolate=wanted.isolate,
             longest_m=wanted.longest_m,
             label=label,
+            target=target_of(wanted.target),
             watch=show,
         )
         for step in steps:

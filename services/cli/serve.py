@@ -9,6 +9,7 @@ from services.storage.settings import StorageSettings, open_store
 
 def serve_edge() -> int:
     """Serve a worker until SIGTERM has drained it; the exit code."""
+    from services.edge.central import Central
     from services.edge.errors import EdgeError
     from services.edge.field.device import find_device
     from services.edge.memory import Memory, machine_bytes
@@ -28,7 +29,8 @@ def serve_edge() -> int:
         raise BadInput(f"{variable}: {error.message}") from error
     configure(settings.log_level)
     memory = Memory(settings.memory or device.memory_bytes or machine_bytes())
-    return serve(settings, RealWork(store, presets, device, memory))
+    central = Central(settings.central) if settings.central else None
+    return serve(settings, RealWork(store, presets, device, memory, central))
 
 
 def serve_gateway() -> int:

@@ -10,11 +10,12 @@ import numpy as np
 
 import services
 from services.edge.arrays import Floats
-from services.edge.capture.nouns import Capture
 from services.edge.certificate import Certificate, Evidence
 from services.edge.mesh import Mesh
 from services.edge.points import Points, UnitFrame, hints
+from services.edge.prepared import Source
 from services.edge.preset import Preset
+from services.edge.target import Cost, Target
 
 _DEFAULT_UP = np.array(
     [0.0, 1.0, 0.0]
@@ -54,13 +55,15 @@ class Subject:
 
     preset     as named, or as chosen from the points: then `because` says why
     points     those that the field is fitted to; xyz_unit (N,3) the same, denoised, in the unit frame
+    target     the device class that it is made for
     evidence   what its surfaces are judged by
     """
 
-    capture: Capture
+    source: Source
     preset: Preset
     because: str
     label: str
+    target: Target
     points: Points
     unit: UnitFrame
     xyz_unit: Floats
@@ -99,14 +102,18 @@ def manifest_of(
     subject: Subject,
     *,
     quality: Mapping[str, Any],
-    levels: Sequence[Mesh],
+    costs: Sequence[Cost],
+    finest: Mesh,
     to_asset: Floats,
     seconds: Mapping[str, float],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """Everything a client or an engineer may ask of the asset, as JSON; publishing adds names, sizes and hashes."""
-    capture, points, unit = subject.capture, subject.points, subject.unit
-    low, high = levels[0].vertices.min(axis=0), levels[0].vertices.max(axis=0)
+    """Everything a client or an engineer may ask of the asset, as JSON; publishing adds names, sizes and hashes.
+
+    costs: of the levels of detail, finest first; finest: the first of them, in the asset frame.
+    """
+    source, points, unit = subject.source, subject.points, subject.unit
+    low, high = finest.vertices.min(axis=0), finest.vertices.max(axis=0)
     told = [*points.warnings, *warnings]
     if points.up is None:
         told.append("nothing in the capture tells which way is up; Y was taken")
@@ -116,12 +123,13 @@ def manifest_of(
         "preset": subject.preset.name,
         "preset_because": subject.because,
         "capture": {
-            "kind": capture.kind,
-            "format": capture.format,
-            "frames": len(capture.frames) or len(capture.photos),
-            "photos": [asdict(verdict) for verdict in capture.verdicts],
+            "kind": source.kind,
+            "format": source.format,
+            "frames": source.frames,
+            "photos": [asdict(verdict) for verdict in source.verdicts],
+            "unseen": _unseen(points, to_asset),
         },
-        "origin": "guess" if capture.kind == "image" else "measured",
+        "origin": "guess" if source.kind == "image" else "measured",
         "confidence": round(float(points.confidence.mean()), 3),
         "points": len(points) + quality["held_out"],
         "anchors": _anchors(points, to_asset),
@@ -130,14 +138,21 @@ def manifest_of(
         "unit_frame": {"centre": [float(value) for value in unit.centre], "size": float(unit.size)},
         "bounds_m": [low.tolist(), high.tolist()],
         "size_m": (high - low).tolist(),
-        "lods": [
-            {"file": f"lod{level}.glb", "level": level, "triangles": len(mesh.faces), "vertices": len(mesh.vertices)}
-            for level, mesh in enumerate(levels)
-        ],
+        "target": subject.target.name,
+        "lods": [{"file": f"lod{level}.glb", "level": level, **asdict(cost)} for level, cost in enumerate(costs)],
         "quality": dict(quality),
         "seconds": dict(seconds),
         "warnings": told,
     }
+
+
+def _unseen(points: Points, to_asset: Floats) -> list[dict[str, Any]]:
+    """From where to shoot again; `toward` in the asset frame."""
+    turn = to_asset[:3, :3] / np.cbrt(np.linalg.det(to_asset[:3, :3]))
+    return [
+        {"advice": each.advice, "toward": (turn @ each.toward).round(3).tolist(), "share": round(each.share, 3)}
+        for each in points.unseen
+    ]
 
 
 def _anchors(points: Points, to_asset: Floats) -> dict[str, list[float] | list[int]]:

@@ -24,32 +24,21 @@ from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
 from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
 from services.edge.mesh.band import part_of
+from services.edge.mesh.glb import best_packing
 from services.edge.mesh.spacing import auto_resolution
-from services.edge.photos import to_depth
-from services.edge.points import Points, at_most, to_points, unit_frame, with_longest
+from services.edge.points import Points, at_most, unit_frame
+from services.edge.prepare import PREVIEW_SHARE, prepare, preview_share
+from services.edge.prepared import Prepared
 from services.edge.preset import AUTOMATIC, Preset, load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, unwatched
+from services.edge.target import NO_TARGET, Target, cost_of, require_within
 from services.edge.training import Training, train
 from services.storage.bundle import Bundle, State
 
-# Where each stage begins on the bar, from the seconds of a 10,000-point cloud and of an RGB-D room on two cores.
-STAGE_STARTS = {
-    "VALIDATING": 0.0,
-    "POINT_CLOUD": 0.05,
-    "FITTING": 0.25,
-    "EXTRACTING": 0.40,
-    "TEXTURING": 0.75,
-    "PACKING": 0.80,
-    "PUBLISHING": 0.95,
-}
-# The same of photos, which have to become depth images first: that takes longer than all the rest.
-PHOTO_STARTS = {"VALIDATING": 0.0, "ALIGNING": 0.01} | {
-    stage: 0.6 + 0.4 * start for stage, start in STAGE_STARTS.items() if stage != "VALIDATING"
-}
-# The same of the second pass, whose training takes most of its time.
+# Where each stage of a pass begins on its part of the bar: the preview's, whose local field is there at once, and the
+# refined one's, whose training takes most of its time.
+PREVIEW_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.2, "TEXTURING": 0.67, "PACKING": 0.73, "PUBLISHING": 0.93}
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.92, "PACKING": 0.94, "PUBLISHING": 0.99}
-PREVIEW_SHARE = 0.15  # of the bar, where a second pass follows
-PHOTO_PREVIEW_SHARE = 0.6  # the same of photos
 PREVIEW_FINEST = 192  # cells of a preview that is followed: it is to be there within seconds
 EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
@@ -75,45 +64,54 @@ def reconstruct(
     isolate: bool | None = None,
     longest_m: float | None = None,
     label: str = "",
+    target: Target = NO_TARGET,
     watch: Watch = unwatched,
 ) -> Generator[Progress | Bundle | PreviewKept, None, None]:
     """Turn a capture into bundles, the preview first.
 
-    device      where a field is trained: "cpu", "cuda:0"
+    device      where photos are compared and a field is trained: "cpu", "cuda:0"
     checkpoint  file that the training writes and goes on from; removing it is the caller's business
     isolate     removes the supporting plane and clutter; None: where photos were taken around one thing
     longest_m   the greatest distance between two points of the thing, metres, where the person knows it
     label       the human name kept in the manifest
+    target      the device class whose budget the bundles must keep within
 
-    Raises CaptureError where the capture cannot give a surface, Cancelled when `watch` does; what fails behind the
-    preview is no error but `PreviewKept`. Whoever stops iterating should close the generator: it may be training.
+    Raises CaptureError where the capture cannot give a surface, Cancelled when `watch` does, EdgeError
+    BUDGET_UNREACHABLE behind a preview and before a refined bundle that costs more than `target` allows; what else
+    fails behind the preview is no error but `PreviewKept`. Whoever stops iterating should close the generator.
     """
-    clock = Clock()
     bar = Bar(watch)
-    starts, share = (PHOTO_STARTS, PHOTO_PREVIEW_SHARE) if capture.kind == "photos" else (STAGE_STARTS, PREVIEW_SHARE)
-    bar.covers(starts, 0.0, share if preset.fit or preset.name == AUTOMATIC else 1.0)
+    refines = preset.fit is not None or preset.name == AUTOMATIC
+    prepared = yield from prepare(capture, bar, refines=refines, device=device, isolate=isolate, longest_m=longest_m)
+    share = preview_share(prepared.source.kind)
+    yield from bundles(
+        prepared, preset, bar, share=share, device=device, checkpoint=checkpoint, label=label, target=target
+    )
 
-    measured_capture = capture
-    if capture.kind == "photos":
-        yield bar.starts("ALIGNING", f"{len(capture.photos)} photos")
-        with clock("ALIGNING"):
-            measured_capture = to_depth(capture, tick=bar.inside("ALIGNING"))
-            capture = replace(capture, verdicts=measured_capture.verdicts)
 
-    yield bar.starts("POINT_CLOUD", f"reading {capture.format}")
+def bundles(
+    prepared: Prepared,
+    preset: Preset,
+    bar: Bar,
+    *,
+    share: float = PREVIEW_SHARE,
+    device: str = "cpu",
+    checkpoint: Path | None = None,
+    label: str = "",
+    target: Target = NO_TARGET,
+) -> Generator[Progress | Bundle | PreviewKept, None, None]:
+    """Fit a field to points and turn it into bundles: the second half of `reconstruct`, on what the bar has left.
+
+    share  of the whole bar up to the preview, where a second pass follows
+    """
+    points, clock = prepared.points, Clock()
+    clock.seconds.update(prepared.seconds)
     with clock("POINT_CLOUD"):
-        if capture.kind == "image":
-            from services.edge.guess.to_points import to_points as guessed_points  # loads torch
-
-            points = guessed_points(capture, tick=bar.inside("POINT_CLOUD"))
-        else:
-            points = to_points(measured_capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
-        points = with_longest(points, longest_m) if longest_m else points
-        del measured_capture  # depth images of photos are a gigabyte that no later stage wants
         preset, because = _settled(preset, points, device)
         held = hold_out(len(points), sets=2 if preset.fit and preset.fit.patience else 1)
         shown = at_most(_part(points, held == 0), preset.most_points)
-    bar.covers(starts, 0.0, share if preset.fit else 1.0)
+    share = share if preset.fit else 1.0
+    bar.covers(PREVIEW_STARTS, bar.reached, share)
 
     yield bar.starts("FITTING", f"{len(shown):,} points" + (f", preset {preset.name}: {because}" if because else ""))
     with clock("FITTING"):
@@ -123,7 +121,7 @@ def reconstruct(
         xyz_unit = denoise(measured, noise, tick=bar.inside("FITTING"))
         distance = local_field(xyz_unit, tick=bar.inside("FITTING"))
     evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held == 1]))
-    subject = Subject(capture, preset, because, label, shown, unit, xyz_unit, evidence)
+    subject = Subject(prepared.source, preset, because, label, target, shown, unit, xyz_unit, evidence)
 
     finest = min(preset.finest, PREVIEW_FINEST) if preset.fit else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
@@ -210,22 +208,34 @@ def _bundle(
         full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
         to_asset = asset_frame(full.vertices, points)
         tick = bar.inside("PACKING")
-        levels = _levels(full, to_asset, subject.preset, part_of(tick, 0, 0.4))
-        files = {f"lod{level}.glb": to_glb(mesh) for level, mesh in enumerate(levels)}
+        levels = _levels(full, to_asset, subject, part_of(tick, 0, 0.4))
+        packing = subject.target.packing or best_packing()
+        files = {f"lod{level}.glb": to_glb(mesh, packing) for level, mesh in enumerate(levels)}
+        costs = [cost_of(glb) for glb in files.values()]
         files["preview.png"] = render_sheet(levels[0], tick=part_of(tick, 0.5, 0.9))
         files["mesh.ply"] = ply_bytes(full)
     manifest = manifest_of(
-        subject, quality=quality, levels=levels, to_asset=to_asset, seconds=clock.seconds, warnings=warnings
+        subject,
+        quality=quality,
+        costs=costs,
+        finest=levels[0],
+        to_asset=to_asset,
+        seconds=clock.seconds,
+        warnings=warnings,
     )
+    if state == "refined":
+        require_within(subject.target, costs)
     # The last word before the store: a job cancelled by now must publish nothing.
     yield bar.starts("PUBLISHING", f"publishing the {state}")
     yield Bundle(state=state, files=files, manifest=manifest)
+    require_within(subject.target, costs)  # a preview is kept whatever it costs: better than nothing to look at
 
 
-def _levels(full: Mesh, to_asset: Floats, preset: Preset, tick: Tick) -> tuple[Mesh, ...]:
+def _levels(full: Mesh, to_asset: Floats, subject: Subject, tick: Tick) -> tuple[Mesh, ...]:
     """The LODs in the asset frame, finest first."""
     vertices = full.vertices @ to_asset[:3, :3].T + to_asset[:3, 3]
-    return lods(replace(full, vertices=vertices), preset.lod_faces, tick=tick)
+    budgets = subject.target.lod_faces or subject.preset.lod_faces
+    return lods(replace(full, vertices=vertices), budgets, tick=tick)
 
 
 def _settled(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:

@@ -36,6 +36,11 @@ class Bar:
         self._watch = watch
         self._reached = 0.0
 
+    @property
+    def reached(self) -> float:
+        """How far it is, in [0,1]."""
+        return self._reached
+
     def covers(self, starts: Mapping[str, float], begin: float, end: float) -> None:
         """From now on stages begin where `starts` says, in [0,1] of the bar's part from `begin` to `end`."""
         self._starts, self._begin, self._end = starts, begin, end

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import grpc
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.errors import EdgeError
 from services.edge.offer import Offer
+from services.edge.target import target_of
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
 """Job ids and asset keys: they become object names and log lines, so nothing that a path or a shell could read."""
@@ -50,14 +52,18 @@ class JobRequest:
     isolate: bool | None
     longest_m: float | None
     label: str
+    prepared: bool
 
     @classmethod
     def of(cls, header: pb.Header, offer: Offer) -> JobRequest:
-        """Raises RefusedError (INVALID_ARGUMENT) naming the field; the first preset on offer is the default."""
+        """The first preset on offer is the default.
+
+        Raises RefusedError: INVALID_ARGUMENT naming the field, UNAVAILABLE where only an absent central has the preset.
+        """
         _require_name("JOB_INVALID", "job", header.job)
         _require_name("KEY_INVALID", "asset_key", header.asset_key)
         if header.target:
-            _require_name("TARGET_INVALID", "target", header.target)
+            _require_target(header.target)
         if len(header.label) > LABEL_MAX_CHARS or not _LINE.fullmatch(header.label):
             raise invalid("LABEL_INVALID", f"label must be one line of at most {LABEL_MAX_CHARS} characters")
         preset = header.preset or offer.names[0]
@@ -65,12 +71,29 @@ class JobRequest:
         label = header.label or header.asset_key
         isolate = header.isolate if header.HasField("isolate") else None
         longest_m = _length("longest_m", header.longest_m) if header.longest_m else None
-        return cls(header.job, header.fence, preset, header.asset_key, header.target, isolate, longest_m, label)
+        return cls(
+            job=header.job,
+            fence=header.fence,
+            preset=preset,
+            asset_key=header.asset_key,
+            target=header.target,
+            isolate=isolate,
+            longest_m=longest_m,
+            label=label,
+            prepared=header.prepared,
+        )
 
 
 def _require_name(code: str, field: str, value: str) -> None:
     if not _NAME.fullmatch(value):
         raise invalid(code, f"{field} must be 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
+
+
+def _require_target(name: str) -> None:
+    try:
+        target_of(name)
+    except EdgeError as error:
+        raise invalid(error.code, f"{error.message}; {error.hints[0]}") from None
 
 
 def _length(field: str, value: float) -> float:
@@ -84,5 +107,8 @@ def _require_offered(preset: str, offer: Offer) -> None:
     if preset in {each.name for each in offer.withheld}:
         wanted = f"even its smallest fit takes more than the {offer.memory_bytes:,} bytes of this worker"
         raise invalid("MEMORY_EXCEEDED", f"preset {preset} is not offered: {wanted}; offered are {names}")
+    if preset in {each.name for each in offer.away}:
+        fits = f"central at {offer.central}, which alone offers preset {preset}, takes no jobs now"
+        raise RefusedError(grpc.StatusCode.UNAVAILABLE, "CENTRAL_UNAVAILABLE", fits)
     if preset not in offer.names:
         raise invalid("PRESET_UNKNOWN", f"there is no such preset; known are {names}")

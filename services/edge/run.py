@@ -19,10 +19,15 @@ from services.edge.offer import Offer
 from services.edge.requests import JobRequest
 
 Say = Callable[[Said], None]
-"""How the work speaks, at every slab of it: raises `Cancelled` once the work is no longer wanted."""
+"""How the work speaks, at every slab of it: raises `Cancelled` once the work is no longer wanted (of this worker:
+`HandedBack`)."""
 
 PROGRESS_APART_S = 0.25
 """Seconds between two progress events of one stage. The work may speak per slab; people look four times a second."""
+
+
+class HandedBack(Cancelled):
+    """The work is no longer wanted of this worker, but it is wanted: the job will run again, here or elsewhere."""
 
 
 class Work(Protocol):
@@ -56,7 +61,7 @@ class Run:
         self._archive = archive
         self._checkpoints = checkpoints
         self._stop_with: pb.Failure | None = None
-        self._last: tuple[pb.Stage, float] | None = None
+        self._last: tuple[pb.Progress, float] | None = None
 
     def start(self, work: Work, ended: Callable[[Ending], None], gone: Callable[[], None]) -> None:
         """Run `work` on a new thread. On the loop, `ended` hears the ending; on the thread, `gone` is called last.
@@ -99,8 +104,8 @@ class Run:
     def _say(self, loop: asyncio.AbstractEventLoop, what: Said) -> None:
         """Called on the run's thread."""
         if self._stop_with is not None:
-            raise Cancelled
-        if isinstance(what, pb.Progress) and self._too_soon(what):
+            raise HandedBack if _runs_again(self._stop_with) else Cancelled
+        if isinstance(what, pb.Progress) and self._no_news(what):
             return
         _post(loop, self._hear, what)
 
@@ -109,11 +114,14 @@ class Run:
         if self.log.ending is None:
             self.log.say(what)
 
-    def _too_soon(self, progress: pb.Progress) -> bool:
+    def _no_news(self, progress: pb.Progress) -> bool:
+        """Whether it repeats the last, as work does that waits and only asks to be stopped, or follows it too soon."""
         now = time.monotonic()
-        if self._last is not None and self._last[0] == progress.stage and now - self._last[1] < PROGRESS_APART_S:
-            return True
-        self._last = (progress.stage, now)
+        if self._last is not None:
+            last, said_at = self._last
+            if progress == last or (progress.stage == last.stage and now - said_at < PROGRESS_APART_S):
+                return True
+        self._last = (progress, now)
         return False
 
 

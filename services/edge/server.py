@@ -96,16 +96,19 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
         return pb.CancelReply(was_running=self._runs.cancel(request.job))
 
     async def GetWorker(self, request: pb.GetWorkerRequest, context: Context) -> pb.Worker:  # noqa: N802
+        offer = self._work.offer
         return pb.Worker(
             version=__version__,
-            device=self._work.offer.device,
-            presets=self._work.offer.presets,
+            device=offer.device,
+            presets=offer.presets,
             slots=self._settings.slots,
             free_slots=self._runs.free_slots,
             queued=self._runs.queued,
             draining=self._runs.draining,
             jobs=self._runs.live,
-            memory_bytes=self._work.offer.memory_bytes,
+            memory_bytes=offer.memory_bytes,
+            points_version=offer.points_version,
+            central=offer.central,
         )
 
 

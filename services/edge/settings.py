@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from pathlib import Path
 
-from pydantic import ByteSize, Field
+from pydantic import ByteSize, Field, field_validator
 from pydantic_settings import SettingsConfigDict
 
 from services.strict_settings import LOOPBACK, StrictSettings
+
+_ADDRESS = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?):(?P<port>\d{1,5})", re.ASCII)
+"""A name or an IPv4 address, or an IPv6 address in brackets, and a port."""
 
 
 class EdgeSettings(StrictSettings):
@@ -27,10 +31,19 @@ class EdgeSettings(StrictSettings):
     device: str = Field("cpu", pattern=r"^(auto|cpu|cuda(:\d+)?)$", description="What fields are trained on.")
     memory: ByteSize = Field(ByteSize(0), ge=0, description="What fits may take together; 0: a share of the device's.")
     presets: Path | None = Field(None, description="Folder of TOML files: the operator's presets beside the product's.")
+    central: str = Field("", description="host:port of a worker that fits the fields; empty: they are fitted here.")
     reflection: bool = Field(False, description="Answer gRPC reflection (grpcurl); for development.")
     log_level: str = Field("INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$", description="How much is logged.")
     drain_s: float = Field(30.0, ge=0, le=3600, description="Seconds that running jobs get after SIGTERM.")
     max_capture_bytes: int = Field(4 << 30, ge=1, description="Largest capture archive taken, in bytes.")
+
+    @field_validator("central")
+    @classmethod
+    def _an_address(cls, value: str) -> str:
+        found = _ADDRESS.fullmatch(value)
+        if value and not (found and 0 < int(found["port"]) <= 65535):
+            raise ValueError("must be host:port, as in central.example:50051")
+        return value
 
     @property
     def loopback(self) -> bool:

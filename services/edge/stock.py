@@ -11,6 +11,7 @@ from services.edge.api import edge_pb2 as pb
 from services.edge.errors import EdgeError
 from services.edge.field.device import Device
 from services.edge.offer import Offer
+from services.edge.prepared import VERSION
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
 
 CHOICES: tuple[str, ...] = get_args(choose.Preset)
@@ -43,7 +44,8 @@ def offer_of(presets: Mapping[str, Preset], device: Device, total_bytes: int) ->
     """What can be offered of these presets on that device with that much memory."""
     told = [_told(preset, presets, device) for preset in presets.values()]
     withheld = [each for each in told if least_bytes(presets[each.name], device) > total_bytes]
-    return Offer(device.description, tuple(each for each in told if each not in withheld), total_bytes, tuple(withheld))
+    offered = tuple(each for each in told if each not in withheld)
+    return Offer(device.description, offered, total_bytes, tuple(withheld), points_version=VERSION)
 
 
 def least_bytes(preset: Preset, device: Device) -> int:

@@ -1,70 +1,74 @@
-"""The worker's real work: archive → capture → bundles → store, told in the wire's words."""
+"""The worker's real work: archive → capture → points, and on to the store: here, or at the central worker."""
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from collections.abc import Generator, Mapping
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.capture import Capture, read_capture
+from services.edge.central import Central, CentralAway
 from services.edge.errors import CaptureError, EdgeError
 from services.edge.field.device import Device
+from services.edge.fitter import Fitter, told
 from services.edge.guess.cutout import cut_out
+from services.edge.kept_points import keep, kept
 from services.edge.memory import Memory
-from services.edge.pipeline import PreviewKept, reconstruct
-from services.edge.preset import AUTOMATIC, Preset, memory_bytes
-from services.edge.progress import Progress
+from services.edge.offer import Offer
+from services.edge.prepare import prepare
+from services.edge.prepared import Prepared, read_prepared
+from services.edge.preset import Preset
+from services.edge.progress import Bar, Progress
+from services.edge.relay import hand_over, take_up
 from services.edge.requests import JobRequest
 from services.edge.run import Say
 from services.edge.stock import offer_of
 from services.storage.archives import ArchiveError, unpack
-from services.storage.bundle import Bundle, Json
-from services.storage.publish import Asset, StaleFence, publish
 from services.storage.store import Store
+
+T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
 
 
 class RealWork:
-    """Reconstructs with the pipeline and publishes to `store`. presets: by name, the default first."""
+    """Reconstructs with the pipeline and publishes to `store`. presets: by name, the default first.
 
-    def __init__(self, store: Store, presets: Mapping[str, Preset], device: Device, memory: Memory) -> None:
-        self._store = store
-        self._presets = presets
+    With a `central` it makes the points and has that one fit the field, or fits it by itself where it must.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        presets: Mapping[str, Preset],
+        device: Device,
+        memory: Memory,
+        central: Central | None = None,
+    ) -> None:
+        self._fitter = Fitter(store, presets, device, memory)
         self._device = device
-        self._memory = memory
-        self.offer = offer_of(presets, device, memory.total_bytes)
+        self._own_offer = offer_of(presets, device, memory.total_bytes)
+        self._central = central
+
+    @property
+    def offer(self) -> Offer:
+        """Its own presets, and those of its central."""
+        if (central := self._central) is None:
+            return self._own_offer
+        return self._own_offer.joined(central.address, central.presets, takes_jobs=central.takes_jobs)
 
     def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
         """The whole job. Raises EdgeError, and Cancelled when `say` does."""
-        say(pb.Progress(stage=pb.VALIDATING, message="reading the capture"))
-        began = time.perf_counter()
-        capture = _capture_of(archive, scratch)
-        seconds = {"VALIDATING": time.perf_counter() - began, "PUBLISHING": 0.0}
-        warnings: Sequence[str] = ()
-        computing: Mapping[str, float] = {}
-        # In this order: a training that is given up lets go of its memory before another job hears that it is free.
-        with ExitStack() as held, closing(self._steps(capture, request, checkpoint, say)) as steps:
-            for step in steps:
-                match step:
-                    case Progress():
-                        say(_told(step))
-                    case Bundle():
-                        began = time.perf_counter()
-                        say(_published(_publish(step, self._store, request)))
-                        seconds["PUBLISHING"] += time.perf_counter() - began
-                        warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
-                        if step.state == "preview":  # what the fit behind it takes is known only now
-                            too_large = self._too_large(step.manifest)
-                            if too_large and request.preset == AUTOMATIC:
-                                warnings = (*warnings, f"the preview was kept: {too_large.message}")
-                                break
-                            if too_large:
-                                raise too_large
-                            held.enter_context(self._room_for(step.manifest, say))
-                    case PreviewKept():
-                        warnings, computing = (*warnings, step.warning), step.seconds
-        return pb.Finished(warnings=warnings, seconds={**seconds, **computing})
+        if self._central and not request.prepared:  # those are fitted where they arrive: no job is handed on twice
+            return self._shared(self._central, archive, request, scratch, checkpoint, say)
+        bar = Bar(lambda progress: say(told(progress)))
+        prepared, seconds = self._prepared(archive, request, scratch, bar, say)
+        return _with_validating(self._fitter.fit(prepared, bar, request, checkpoint, say), seconds)
 
     def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
         """What kind of capture it is. Raises EdgeError when it cannot be used."""
@@ -79,46 +83,56 @@ class RealWork:
             warnings=capture.warnings,
         )
 
-    def _steps(
-        self, capture: Capture, request: JobRequest, checkpoint: Path, say: Say
-    ) -> Generator[Progress | Bundle | PreviewKept, None, None]:
-        yield from reconstruct(
+    def _shared(
+        self, central: Central, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say
+    ) -> pb.Finished:
+        """The points here, unless they are there already, and the rest at central; all of it here where it must."""
+        if (finished := take_up(central, request, say)) is not None:
+            return finished
+        bar = Bar(lambda progress: say(told(progress)))
+        seconds = 0.0
+        if (prepared := kept(checkpoint, scratch / "kept")) is None:
+            prepared, seconds = self._prepared(archive, request, scratch, bar, say)
+        try:
+            finished = hand_over(central, keep(prepared, checkpoint), request, bar.reached, say)
+        except CentralAway as away:
+            _log.warning("job %s: %s", request.job, away)
+            if not self._own_offer.has(request.preset):
+                raise _unavailable(away, request.preset) from None
+            finished = self._fitter.fit(_warned(prepared, f"{away}: fitted here"), bar, request, checkpoint, say)
+        return _with_validating(finished, seconds)
+
+    def _prepared(
+        self, archive: Path, request: JobRequest, scratch: Path, bar: Bar, say: Say
+    ) -> tuple[Prepared, float]:
+        """The points of an archive, and the seconds that reading it took."""
+        say(pb.Progress(stage=pb.VALIDATING, message=f"reading the {'points' if request.prepared else 'capture'}"))
+        began = time.perf_counter()
+        if request.prepared:
+            return read_prepared(archive, scratch / "prepared"), time.perf_counter() - began
+        capture = _capture_of(archive, scratch)
+        seconds = time.perf_counter() - began
+        refines = self.offer.trains(request.preset)
+        steps = prepare(
             capture,
-            self._presets[request.preset],
+            bar,
+            refines=refines,
             device=self._device.name,
-            checkpoint=checkpoint,
             isolate=request.isolate,
             longest_m=request.longest_m,
-            label=request.label,
-            watch=lambda progress: say(_told(progress)),
         )
+        return _to_the_end(steps, say), seconds
 
-    def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
-        """MEMORY_EXCEEDED, where the fit behind a preview never finds the memory that it takes."""
-        wanted, total = self._wanted(manifest), self._memory.total_bytes
-        if wanted <= total:
-            return None
-        points = int(manifest["points"])
-        small = [
-            name for name, each in self._presets.items() if name != AUTOMATIC and self._bytes(each, points) <= total
-        ]
-        return EdgeError(
-            "MEMORY_EXCEEDED",
-            f"preset {manifest['preset']} takes {wanted:,} bytes for {points:,} points; this worker has {total:,}",
-            hints=(f"use one of: {', '.join(small)}", "or a worker with a larger EDGE_MEMORY"),
-        )
 
-    def _room_for(self, manifest: Mapping[str, Json], say: Say) -> AbstractContextManager[None]:
-        """The memory of the fit behind a preview, waited for."""
-        waiting = pb.Progress(stage=pb.FITTING, message="waiting for memory that other jobs hold")
-        return self._memory.held(self._wanted(manifest), lambda: say(waiting))
-
-    def _wanted(self, manifest: Mapping[str, Json]) -> int:
-        return self._bytes(self._presets[manifest["preset"]], int(manifest["points"]))
-
-    def _bytes(self, preset: Preset, points: int) -> int:
-        """0 where nothing is trained: the preview stands before it is counted."""
-        return memory_bytes(preset, points, self._device.name) if preset.fit else 0
+def _to_the_end(steps: Generator[Progress, None, T], say: Say) -> T:
+    """Say what is yielded; what is returned in the end."""
+    with closing(steps):
+        while True:
+            try:
+                say(told(next(steps)))
+            except StopIteration as ended:
+                result: T = ended.value
+                return result
 
 
 def _capture_of(archive: Path, scratch: Path) -> Capture:
@@ -130,22 +144,16 @@ def _capture_of(archive: Path, scratch: Path) -> Capture:
     return read_capture(folder)
 
 
-def _publish(bundle: Bundle, store: Store, request: JobRequest) -> Asset:
-    try:
-        return publish(bundle, store, key=request.asset_key, job=request.job, fence=request.fence)
-    except StaleFence:
-        message = "another worker has taken the job over; what this one made is void"
-        raise EdgeError("FENCE_STALE", message) from None
-    except OSError as error:
-        message = "the result could not be written to the store"
-        raise EdgeError("STORE_UNAVAILABLE", message, hints=("try again later",), retryable=True) from error
+def _warned(prepared: Prepared, warning: str) -> Prepared:
+    points = prepared.points
+    return replace(prepared, points=replace(points, warnings=(*points.warnings, warning)))
 
 
-def _published(asset: Asset) -> pb.Published:
-    return pb.Published(asset_key=asset.key, version=asset.version, state=asset.state, manifest=asset.manifest)
+def _with_validating(finished: pb.Finished, seconds: float) -> pb.Finished:
+    finished.seconds["VALIDATING"] += seconds
+    return finished
 
 
-def _told(progress: Progress) -> pb.Progress:
-    return pb.Progress(
-        stage=progress.stage, fraction=progress.fraction, message=progress.message, losses=progress.losses
-    )
+def _unavailable(away: CentralAway, preset: str) -> EdgeError:
+    message = f"{away}, and this worker does not offer preset {preset}"
+    return EdgeError("CENTRAL_UNAVAILABLE", message, hints=("try again later",), retryable=True)

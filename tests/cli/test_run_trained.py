@@ -80,6 +80,7 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
                 {"name": "1.jpg", "verdict": "ok", "advice": ""},
                 {"name": "<2>.jpg", "verdict": "no_overlap", "advice": "take more between 1.jpg and this one"},
             ],
+            "unseen": [{"advice": "Shoot from <behind>.", "toward": [0.0, 0.0, -1.0], "share": 0.2}],
         },
         "points": 10_000,
         "size_m": [1.0, 2.0, 3.0],
@@ -151,6 +152,7 @@ def test_the_page_needs_nothing_from_anywhere_and_trusts_no_name(results: Result
     assert "My &lt;shirt&gt;" in page
     assert "<shirt>" not in page
     assert "<td>&lt;2&gt;.jpg</td><td>no overlap</td><td>take more between 1.jpg and this one</td>" in page
+    assert "<li>Shoot from &lt;behind&gt;.</li>" in page
 
 
 def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:

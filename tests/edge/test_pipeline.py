@@ -10,10 +10,13 @@ import trimesh
 
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.errors import Cancelled, EdgeError
-from services.edge.pipeline import STAGE_STARTS, reconstruct
+from services.edge.pipeline import PREVIEW_STARTS, reconstruct
+from services.edge.prepare import STARTS
 from services.edge.preset import Preset, load_preset
 from services.edge.progress import Progress
+from services.edge.target import Target, target_of
 from services.storage.bundle import Bundle
+from tests.edge.glb_reader import Glb
 
 
 def _bowl(points: int = 5000, *, radius: float = 1.0, centre: float = 0.0) -> Capture:
@@ -42,7 +45,7 @@ def test_the_fraction_never_goes_back(steps: list[Progress | Bundle]) -> None:
 
 def test_stages_come_in_order_and_say_what_they_do(steps: list[Progress | Bundle]) -> None:
     stages = list(dict.fromkeys(step.stage for step in steps if isinstance(step, Progress)))
-    assert stages == [stage for stage in STAGE_STARTS if stage in stages]
+    assert stages == [stage for stage in {**STARTS, **PREVIEW_STARTS} if stage in stages]
     assert {"POINT_CLOUD", "FITTING", "EXTRACTING", "PACKING"} <= set(stages)
 
 
@@ -55,10 +58,38 @@ def test_the_bundle_holds_an_open_bowl_standing_upright(steps: list[Progress | B
     assert manifest["quality"]["boundary_loops"] == 1
     assert manifest["quality"]["non_manifold_edges"] == 0
     assert manifest["size_m"] == pytest.approx([2, 1, 2], abs=0.08)
-    glb = trimesh.load(io.BytesIO(bundle.files["lod0.glb"]), file_type="glb", force="mesh")
+    glb = Glb.of(bundle.files["lod0.glb"])
     assert len(glb.faces) == manifest["lods"][0]["triangles"]
     # The bowl's bottom touches the floor, its rim is up.
-    assert np.linalg.norm(glb.vertices - [0, 1, 0], axis=1) == pytest.approx(1, abs=0.05)
+    assert np.linalg.norm(glb.positions - [0, 1, 0], axis=1) == pytest.approx(1, abs=0.05)
+
+
+def test_an_asset_proves_that_it_keeps_within_its_target() -> None:
+    *_, bundle = reconstruct(_bowl(), load_preset("draft"), target=target_of("quest3"))
+    assert bundle.manifest["target"] == "quest3"
+    for level, most in zip(bundle.manifest["lods"], (100_000, 25_000, 5_000), strict=True):
+        assert level["bytes"] == len(bundle.files[level["file"]])
+        assert (level["draw_calls"], level["texture_bytes"]) == (1, 0)
+        assert 0 < level["triangles"] <= most
+        assert 0 < level["vertices"] < level["unpacked_bytes"] < 40 << 20
+    assert bundle.manifest["lods"][2]["bytes"] <= 300_000
+
+
+def test_a_budget_out_of_reach_is_an_error_behind_the_preview() -> None:
+    steps = reconstruct(_bowl(), load_preset("draft"), target=Target("watch", "", (2_000, 1_000), last_bytes=99))
+    bundle = next(step for step in steps if isinstance(step, Bundle))
+    assert bundle.state == "preview"
+    with pytest.raises(EdgeError, match="LOD 1 has") as caught:
+        next(steps)
+    assert caught.value.code == "BUDGET_UNREACHABLE"
+
+
+def test_an_archive_is_for_any_program_and_leaves_no_triangle_out() -> None:
+    *_, bundle = reconstruct(_bowl(), load_preset("draft"), target=target_of("archive"))
+    glb = trimesh.load(io.BytesIO(bundle.files["lod0.glb"]), file_type="glb", force="mesh")
+    full = trimesh.load(io.BytesIO(bundle.files["mesh.ply"]), file_type="ply")
+    assert len(glb.faces) >= 0.99 * len(full.faces)
+    assert "extensionsUsed" not in Glb.of(bundle.files["lod0.glb"]).document
 
 
 def test_a_georeferenced_cloud_keeps_its_place_and_precision() -> None:

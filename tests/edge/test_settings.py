@@ -45,6 +45,14 @@ def test_memory_may_have_a_unit(monkeypatch: pytest.MonkeyPatch) -> None:
         assert EdgeSettings().memory == 6 << 30
 
 
+@pytest.mark.parametrize("address", ["central:50051", "10.0.0.7:1", "gpu-1.example.org:65535", "[::1]:50051"])
+def test_a_central_is_named_with_its_port(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    assert EdgeSettings().central == ""
+    monkeypatch.setenv("EDGE_CENTRAL", address)
+    assert EdgeSettings().central == address
+    assert EdgeSettings().describe()["EDGE_CENTRAL"] == address
+
+
 @pytest.mark.parametrize("device", ["cpu", "cuda", "cuda:3", "auto"])
 def test_devices_have_torchs_names(monkeypatch: pytest.MonkeyPatch, device: str) -> None:
     monkeypatch.setenv("EDGE_DEVICE", device)
@@ -59,7 +67,7 @@ def test_an_unknown_variable_is_named_with_the_one_that_was_meant(monkeypatch: p
 
 def test_an_unknown_variable_far_from_any_gets_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("EDGE_XYZZY", "3")
-    with pytest.raises(SettingsError, match=r"EDGE_XYZZY is no setting; there are EDGE_DEVICE, .*EDGE_SLOTS"):
+    with pytest.raises(SettingsError, match=r"EDGE_XYZZY is no setting; there are EDGE_CENTRAL, .*EDGE_SLOTS"):
         EdgeSettings()
 
 
@@ -79,6 +87,12 @@ def test_other_services_variables_are_theirs(monkeypatch: pytest.MonkeyPatch) ->
         ("DRAIN_S", "-1"),
         ("DRAIN_S", "nan"),
         ("DEVICE", "gpu"),
+        ("CENTRAL", "nowhere"),
+        ("CENTRAL", "http://central:50051"),
+        ("CENTRAL", "central:0"),
+        ("CENTRAL", "central:65536"),
+        ("CENTRAL", "a:1,b:2"),
+        ("CENTRAL", "::1:50051"),
     ],
 )
 def test_a_value_that_does_not_fit_is_named_and_not_shown(

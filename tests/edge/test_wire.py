@@ -82,6 +82,7 @@ MALFORMED = {
     "a key with a path": [head(asset_key="a/b")],
     "a key of other letters": [head(asset_key="плащ")],
     "a target with a blank": [head(target="quest 3")],
+    "a target that there is not": [head(target="quest9")],
     "an over-long label": [head(label="l" * 201)],
     "a label with a line break": [head(label="a\nb")],
     "an unknown preset": [head(preset="nonesuch")],
@@ -233,6 +234,28 @@ def test_any_flipped_byte_is_found(
 async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
     for chunk in chunks:
         yield chunk
+
+
+NUMBERS = {
+    "Header": "job fence preset asset_key target isolate capture_bytes label longest_m prepared",
+    "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
+    "Event": "job seq elapsed_s progress heartbeat published failure finished",
+    "Failure": "code message file hints retryable stage",
+    "Progress": "stage fraction losses eta_s message",
+}
+
+
+@pytest.mark.parametrize("message", NUMBERS)
+def test_fields_keep_their_numbers(message: str) -> None:
+    """Gateways and workers of neighbouring versions talk to each other: a field may come, none may move."""
+    fields = {field.number: field.name for field in pb.DESCRIPTOR.message_types_by_name[message].fields}
+    assert [fields.get(number, "-") for number in range(1, 1 + max(fields))] == NUMBERS[message].split()
+
+
+def test_what_an_older_caller_says_is_no_prepared_points() -> None:
+    older = pb.Header(job="job_1", fence=1, asset_key="dress", capture_bytes=7).SerializeToString()
+    assert not pb.Header.FromString(older).prepared
+    assert pb.Worker.FromString(pb.Worker(version="0.0.1").SerializeToString()).points_version == 0
 
 
 def generator() -> ModuleType:

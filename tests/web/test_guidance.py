@@ -265,16 +265,17 @@ def test_twenty_real_photos_are_guided_and_sent(page: Page, stack: Stack, data_d
 
 
 def test_the_job_page_tells_which_photos_were_used(page: Page, stack: Stack) -> None:
-    """A job that is done, as the gateway tells it; the manifest's verdicts are the worker's."""
+    """A job that is done, as the gateway tells it; the manifest's verdicts and advice are the worker's."""
     verdicts = [{"name": f"{number}.jpg", "verdict": "ok", "advice": ""} for number in range(18)]
     verdicts += [{"name": "19.jpg", "verdict": "blur", "advice": "It is blurred; hold still while taking it."}]
     verdicts += [{"name": "20.jpg", "verdict": "no_overlap", "advice": "Take one between 18.jpg and 19.jpg."}]
+    sides = [{"advice": "Shoot from above: 9% of it is seen too little.", "toward": [0, 1, 0], "share": 0.09}]
     version = {"version": 1, "state": "preview"}
     job = {"id": "job_1", "state": "SUCCEEDED", "asset_key": "dress", "warnings": [], "preview": None, "asset": version}
     told = {
         "/v1/jobs/job_1": job,
         "/v1/assets/dress": {**version, "key": "dress", "manifest": {"url": "/told/manifest.json"}, "lods": []},
-        "/told/manifest.json": {"quality": {}, "capture": {"kind": "rgbd", "photos": verdicts}},
+        "/told/manifest.json": {"quality": {}, "capture": {"kind": "rgbd", "photos": verdicts, "unseen": sides}},
     }
 
     def tell(path: str) -> Callable[[Route], None]:
@@ -290,3 +291,5 @@ def test_the_job_page_tells_which_photos_were_used(page: Page, stack: Stack) -> 
     expect(used.locator("li").first).to_have_text("19.jpg blurred. It is blurred; hold still while taking it.")
     expect(used.locator("li").nth(1)).to_contain_text("no overlap. Take one between")
     expect(used.locator("li").nth(2)).to_have_text("0.jpg used")
+    expect(page.locator("#unseen li")).to_have_text([sides[0]["advice"]])
+    expect(page.locator("#unseen li")).to_be_visible()

@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label", "longest_m")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label", "longest_m", "prepared")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -49,6 +49,7 @@ class Header(_message.Message):
     CAPTURE_BYTES_FIELD_NUMBER: _ClassVar[int]
     LABEL_FIELD_NUMBER: _ClassVar[int]
     LONGEST_M_FIELD_NUMBER: _ClassVar[int]
+    PREPARED_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -58,7 +59,8 @@ class Header(_message.Message):
     capture_bytes: int
     label: str
     longest_m: float
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ...) -> None: ...
+    prepared: bool
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ...) -> None: ...
 
 class Data(_message.Message):
     __slots__ = ("offset", "data")
@@ -203,7 +205,7 @@ class GetWorkerRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class Worker(_message.Message):
-    __slots__ = ("version", "device", "presets", "slots", "free_slots", "queued", "draining", "jobs", "memory_bytes")
+    __slots__ = ("version", "device", "presets", "slots", "free_slots", "queued", "draining", "jobs", "memory_bytes", "points_version", "central")
     VERSION_FIELD_NUMBER: _ClassVar[int]
     DEVICE_FIELD_NUMBER: _ClassVar[int]
     PRESETS_FIELD_NUMBER: _ClassVar[int]
@@ -213,6 +215,8 @@ class Worker(_message.Message):
     DRAINING_FIELD_NUMBER: _ClassVar[int]
     JOBS_FIELD_NUMBER: _ClassVar[int]
     MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    POINTS_VERSION_FIELD_NUMBER: _ClassVar[int]
+    CENTRAL_FIELD_NUMBER: _ClassVar[int]
     version: str
     device: str
     presets: _containers.RepeatedCompositeFieldContainer[Preset]
@@ -222,7 +226,9 @@ class Worker(_message.Message):
     draining: bool
     jobs: _containers.RepeatedScalarFieldContainer[str]
     memory_bytes: int
-    def __init__(self, version: _Optional[str] = ..., device: _Optional[str] = ..., presets: _Optional[_Iterable[_Union[Preset, _Mapping]]] = ..., slots: _Optional[int] = ..., free_slots: _Optional[int] = ..., queued: _Optional[int] = ..., draining: _Optional[bool] = ..., jobs: _Optional[_Iterable[str]] = ..., memory_bytes: _Optional[int] = ...) -> None: ...
+    points_version: int
+    central: str
+    def __init__(self, version: _Optional[str] = ..., device: _Optional[str] = ..., presets: _Optional[_Iterable[_Union[Preset, _Mapping]]] = ..., slots: _Optional[int] = ..., free_slots: _Optional[int] = ..., queued: _Optional[int] = ..., draining: _Optional[bool] = ..., jobs: _Optional[_Iterable[str]] = ..., memory_bytes: _Optional[int] = ..., points_version: _Optional[int] = ..., central: _Optional[str] = ...) -> None: ...
 
 class Preset(_message.Message):
     __slots__ = ("name", "summary", "trained", "memory_bytes")

@@ -70,7 +70,7 @@ class EdgeReconstructionServicer:
         refusal costs no upload (and cannot be lost to a write that fails because the call is over).
         ALREADY_EXISTS      this worker knows the job: use Attach. One that failed here may be sent again under a higher fence
         RESOURCE_EXHAUSTED  no free slot and the queue is full
-        UNAVAILABLE         the worker is draining
+        UNAVAILABLE         the worker is draining, or only its central offers the preset and is away
         DATA_LOSS           offsets or sha256 do not match
         INVALID_ARGUMENT    header malformed, preset not on offer here, capture larger than the worker takes
         DEADLINE_EXCEEDED   the upload stood still for 30 s

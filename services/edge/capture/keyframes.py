@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from services.edge.arrays import Bools, Bytes, Floats
 
 LONGEST = 640  # pixels of the pictures that are judged: what is blurred by less is sharp enough to be aligned
 STILL = 0.15  # of the longer side: a way below it shows the thing from one side
@@ -30,7 +30,16 @@ _THUMB = (32, 24)
 # Mean difference of luma over its standard deviation, between pictures of which no point was found again: photos from
 # 2 degrees apart have 0.25, noise and a codec's pulse on a wall below 0.1.
 _OTHER_VIEW = 0.25
-_UPPER = 75  # percentile of the points' ways: on a turntable what stands still has most of them
+_UPPER = 75  # percentile of the points' ways: those of a far background are short
+_STANDS = 0.004  # of the longer side: a pixel and a bit of what is followed
+_CHANGED = 12.0  # grey levels after smoothing, of a turned texture; noise and a codec's pulse have 4
+_SMOOTH_PX = 1.5  # 1 sigma
+_SPECK_PX = 5  # narrower changes are edges that trembled
+_CHANGED_SHARES = (0.004, 0.5)  # of the picture, that turn before a camera that stands still
+_CHANGED_BORDER = 0.03  # share of the picture's border: more, and the camera moved, or somebody walked past
+_SAME_PLACE = 0.5  # share of what changed, or of what changed before, that both have: what turns stays where it is
+_BORDER_PX = 20
+_NARROWEST = 0.2  # of the longer side: what turns may seem smaller at first
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +83,17 @@ class Follower:
 
     Points by Jianbo Shi, Carlo Tomasi, "Good Features to Track", CVPR 1994, followed by pyramids of Bruce Lucas' and
     Takeo Kanade's method.
+
+    A camera that stands still before a turning thing gets somewhere too: only what changes is followed then, and the
+    way is told in sizes of it instead of the picture's.
     """
 
     _grey: Bytes | None = None
     _from: Floats = field(default_factory=lambda: np.empty((0, 1, 2), np.float32))
     _to: Floats = field(default_factory=lambda: np.empty((0, 1, 2), np.float32))
     _seeded: int = 0
+    _seen: Bytes | None = None
+    _turning: Bools | None = None
     _before: float = 0.0
     _way: float = 0.0
 
@@ -95,16 +109,47 @@ class Follower:
 
     def _move(self, last: Bytes, grey: Bytes) -> None:
         found = self._found(last, grey) if len(self._to) else 0
-        if found < _TOO_FEW:
+        if found < _TOO_FEW and self._turning is None:
             self._before = self._way + (_RENEWED if _differ(last, grey) else 0.0)
             self._way = self._before
             self._seed(grey)
             return
         moved = np.linalg.norm((self._to - self._from)[:, 0], axis=1) / max(grey.shape)
-        self._way = max(self._way, self._before + float(np.percentile(moved, _UPPER)))
+        far = float(np.percentile(moved, _UPPER)) if found else 0.0
+        self._way = max(self._way, self._before + far / self._size())
         if self._way - self._before > _RENEWED or found < _LOST * self._seeded:
+            self._turning = self._turns_now(grey, self._turning) if self._turning is not None else None
             self._before = self._way
             self._seed(grey)
+        elif self._turning is None and far < _STANDS:
+            self._turning = self._turns_now(grey, None)
+            if self._turning is not None:
+                self._before = self._way
+                self._seed(grey)
+
+    def _size(self) -> float:
+        """Of what is followed, in longer sides of the picture."""
+        if self._turning is None:
+            return 1.0
+        rows, columns = (np.flatnonzero(self._turning.any(axis=axis)) for axis in (1, 0))
+        longer = max(int(np.ptp(rows)), int(np.ptp(columns)))
+        return max(_NARROWEST, longer / float(max(self._turning.shape)))
+
+    def _turns_now(self, grey: Bytes, until_now: Bools | None) -> Bools | None:
+        """(H,W) what has changed since the points were seeded, within a border that has not; `until_now` where that is
+        too little; None where it was not something that turns."""
+        assert self._seen is not None
+        changed = _changed(self._seen, grey)
+        inner = np.zeros(changed.shape, bool)
+        inner[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = True
+        least, most = _CHANGED_SHARES
+        if changed.mean() > most or changed[~inner].mean() > _CHANGED_BORDER:
+            return None
+        if changed.mean() < least:
+            return until_now
+        if until_now is not None and (changed & until_now).sum() < _SAME_PLACE * min(changed.sum(), until_now.sum()):
+            return None
+        return changed
 
     def _found(self, last: Bytes, grey: Bytes) -> int:
         """Follow the points there and back; those that come back elsewhere were lost."""
@@ -120,9 +165,10 @@ class Follower:
         import cv2
 
         strength = cv2.cornerMinEigenVal(grey.astype(np.float32) / 255, 3)
-        points = cv2.goodFeaturesToTrack(grey, _POINTS, 0.01, _APART_PX, mask=(strength > _STRENGTH).astype(np.uint8))
+        wanted = strength > _STRENGTH if self._turning is None else (strength > _STRENGTH) & self._turning
+        points = cv2.goodFeaturesToTrack(grey, _POINTS, 0.01, _APART_PX, mask=wanted.astype(np.uint8))
         self._from = np.empty((0, 1, 2), np.float32) if points is None else np.asarray(points, np.float32)
-        self._to, self._seeded = self._from, len(self._from)
+        self._to, self._seeded, self._seen = self._from, len(self._from), grey
 
 
 def _shrunk(luma: Bytes) -> Bytes:
@@ -138,6 +184,18 @@ def _differ(last: Bytes, grey: Bytes) -> bool:
     """Whether two pictures are of different views, by their coarse tones; exposure may have changed between them."""
     one, other = (_thumb(picture) for picture in (last, grey))
     return float(np.abs(one - other).mean()) > _OTHER_VIEW * max(float(one.std()), 1.0)
+
+
+def _changed(before: Bytes, now: Bytes) -> Bools:
+    """(H,W) where two pictures differ, but for their exposure and for noise."""
+    import cv2
+
+    one, other = (cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTH_PX) for grey in (before, now))
+    apart = one - other
+    changed = (np.abs(apart - np.median(apart)) > _CHANGED).astype(np.uint8)
+    changed = cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((_SPECK_PX, _SPECK_PX), np.uint8))
+    kernel = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _APART_PX + 1,) * 2))
+    return np.asarray(cv2.morphologyEx(changed, cv2.MORPH_CLOSE, kernel), np.bool_)
 
 
 def _thumb(grey: Bytes) -> Floats:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from services.edge.arrays import Bytes, Floats
+from services.edge.arrays import Bools, Bytes, Floats
 
 CaptureKind = Literal["points", "rgbd", "photos", "image"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]
@@ -74,6 +74,7 @@ class Photo:
     distortion       OpenCV's (k1, k2, p1, p2, k3), for photos with intrinsics
     camera_to_world  (4,4) float64, OpenCV axes, or None where it is to be solved
     load_alpha       -> (h,w) uint8 as stored, or None where the file turns out to have no alpha channel
+    mask             (h,w) of any size, as stored: what of the picture may be used, or None for all of it
     """
 
     name: str
@@ -86,6 +87,7 @@ class Photo:
     distortion: tuple[float, ...] = ()
     camera_to_world: Floats | None = None
     load_alpha: Callable[[], Bytes | None] | None = None
+    mask: Bools | None = None
 
 
 PhotoFault = Literal["ok", "blur", "dark", "duplicate", "no_overlap", "unreadable"]
@@ -122,6 +124,7 @@ class Capture:
     metres_per_unit   metres per unit of the capture frame, as far as known
     scale_confidence  "metric" where format or sensor guarantee it, "unknown" for a bare cloud
     up                (3,) unit vector against gravity in the capture frame, or None when nothing tells
+    turntable         whether the thing turned and the cameras stand for how: nothing but it and its plate is there
     warnings          sentences for the report: frames skipped, points dropped, ...
     """
 
@@ -134,4 +137,5 @@ class Capture:
     metres_per_unit: float = 1.0
     scale_confidence: ScaleConfidence = "unknown"
     up: Floats | None = None
+    turntable: bool = False
     warnings: tuple[str, ...] = ()

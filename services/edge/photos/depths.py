@@ -65,7 +65,9 @@ def depth_frames(
     maps = _all_swept(alignment, pictures, sources, swept, stand_of, lambda fraction: tick(0.9 * fraction))
     depths = [np.zeros(each.grey.shape, np.float32) for each in pictures]
     for view, found in maps.items():
-        depths[view] = np.where(found.score > _LEAST_SCORE, found.depth, np.float32(0))
+        mask = pictures[view].mask
+        believed = found.score > _LEAST_SCORE if mask is None else (found.score > _LEAST_SCORE) & mask
+        depths[view] = np.where(believed, found.depth, np.float32(0))
     wanted = 1 if len(swept) < _FEW else 2 if len(swept) < _MANY else 3
     frames = []
     for number, view in enumerate(swept):

@@ -13,7 +13,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick
+from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick
 from services.edge.capture.nouns import Photo
 from services.edge.threads import in_threads
 
@@ -51,16 +51,28 @@ def find_features(photos: Sequence[Photo], setting: Setting, tick: Tick = no_tic
 
 def features_of(photo: Photo, setting: Setting) -> Features:
     grey = cv2.cvtColor(photo.load(setting.longest), cv2.COLOR_RGB2GRAY)
+    # SIFT leaves out what is masked only after it has counted: with a mask all are found, and the best taken here.
+    count = setting.count if photo.mask is None else 0
     # Without the precise upscaling every key point lies 0.25 pixels too far right and down.
-    sift = cv2.SIFT.create(setting.count, _OCTAVE_LAYERS, setting.contrast, _EDGE, _SIGMA, enable_precise_upscale=True)
-    points, histograms = sift.detectAndCompute(grey, None)
+    sift = cv2.SIFT.create(count, _OCTAVE_LAYERS, setting.contrast, _EDGE, _SIGMA, enable_precise_upscale=True)
+    mask = None if photo.mask is None else sized(photo.mask, grey.shape).astype(np.uint8)
+    points, histograms = sift.detectAndCompute(grey, mask)
     if not points:
         return Features(np.empty((0, 2), np.float32), np.empty((0, 128), np.uint8))
+    if photo.mask is not None:
+        best = np.argsort([-point.response for point in points], kind="stable")
+        points, histograms = [points[index] for index in best], histograms[best]
     # SIFT keeps one point beyond the count where two score alike.
     xy = np.array([point.pt for point in points[: setting.count]])
     ratio = np.divide(photo.size, grey.shape[::-1])
     stored = ((xy + 0.5) * ratio - 0.5).astype(np.float32)
     return Features(stored, root_sift(np.asarray(histograms[: setting.count], np.float32)))
+
+
+def sized(mask: Bools, shape: tuple[int, ...]) -> Bools:
+    """The mask at (H,W)."""
+    resized = cv2.resize(mask.astype(np.uint8), (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(resized, np.bool_)
 
 
 def root_sift(histograms: Floats) -> Bytes:

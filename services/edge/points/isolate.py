@@ -20,6 +20,8 @@ _UPRIGHT_DEG = 20.0
 """What things stand on is level within this."""
 _ONE_SIDE = 0.9
 """Share of the cameras, or without cameras of the other points, that must be on one side of a plane."""
+_BOTTOM = 0.15
+"""Of the height: where a plate is looked for."""
 _SLAB_SIGMAS = 4.0
 _FLAT_SLABS = 3.0
 """A thing lower than this many slabs is flat: 4 cm on a table that a phone saw with 3 mm of noise."""
@@ -37,23 +39,32 @@ _MIN_POINTS = 100
 
 
 def isolate_object(
-    points: Points, *, aim: Floats | None = None, cameras: Floats | None = None, tick: Tick = no_tick
+    points: Points,
+    *,
+    aim: Floats | None = None,
+    cameras: Floats | None = None,
+    turntable: bool = False,
+    tick: Tick = no_tick,
 ) -> Points:
     """Keep the thing in the middle: remove one supporting plane, and everything that does not touch the chosen cluster.
 
     aim (3,): what the cameras looked at, capture frame; None: the middle of the points. cameras (M,3) positions.
+    turntable: nothing is there but the thing and perhaps a plate that turns with it, wider than the thing.
     A flat thing that is its own plane stays, with a warning. Raises CaptureError: CAPTURE_NOTHING_LEFT where no cluster
     of at least `_MIN_POINTS` points exists.
     """
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
-    plane = _support(xyz, points.up, None if cameras is None else cameras - origin)
+    if turntable and points.up is not None:
+        plane = _plate(xyz, points.up)
+    else:
+        plane = _support(xyz, points.up, None if cameras is None else cameras - origin)
     tick(0.93)
     middle = aim - origin if aim is not None else None
     everything = np.ones(len(xyz), bool)
     if plane is None:
         kept = _thing(xyz, everything, middle)
-        warning = "No supporting plane was found; only separate clutter was removed."
+        warning = "" if turntable else "No supporting plane was found; only separate clutter was removed."
     else:
         above = plane.height(xyz) > _slab(plane)
         kept, warning = _thing(xyz, above, middle), ""
@@ -90,6 +101,23 @@ def _support(xyz: Floats, up: Floats | None, cameras: Floats | None) -> Plane | 
     if max(above, below) < _ONE_SIDE * (above + below):
         return None
     return plane if above >= below else plane.flipped()
+
+
+def _plate(xyz: Floats, up: Floats) -> Plane | None:
+    """The level plane below all else and wider than it, as a turntable's plate is; not a lid, a shelf or a foot."""
+    height = xyz @ up
+    low, high = np.percentile(height, [1, 99])
+    reach = _PLANE_REACH * float(np.ptp(xyz, axis=0).max())
+    bottom = xyz[height <= low + _BOTTOM * (high - low)]
+    plane = largest_plane(bottom, reach, along=up, within_deg=_UPRIGHT_DEG)
+    if plane is None:
+        return None
+    above = plane.height(xyz)
+    on, over = np.abs(above) <= _slab(plane), above > _slab(plane)
+    if np.mean(above < -_slab(plane)) > 1 - _ONE_SIDE or not over.any():
+        return None
+    away = np.linalg.norm(xyz - height[:, None] * up - np.median(xyz[on] - height[on, None] * up, axis=0), axis=1)
+    return plane if np.percentile(away[on], 95) > np.percentile(away[over], 95) else None
 
 
 def _is_flat(thing: Floats, plane: Plane) -> bool:

@@ -9,11 +9,26 @@ from services.edge.capture.nouns import ScaleConfidence
 
 
 @dataclass(frozen=True, slots=True)
+class Unseen:
+    """A side of the thing that the capture shows too little of.
+
+    advice  a sentence for the person: from where to shoot
+    toward  unit vector in the capture frame, from the thing's middle to where the camera should go
+    share   of the thing's surface that is seen too little from there, in (0,1]
+    """
+
+    advice: str
+    toward: tuple[float, float, float]
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
 class Points:
     """Clean points in the capture frame and its units.
 
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
-    metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report.
+    metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report;
+    unseen: sides to shoot again, the largest first.
     """
 
     xyz: Floats
@@ -23,6 +38,7 @@ class Points:
     scale_confidence: ScaleConfidence
     up: Floats | None
     warnings: tuple[str, ...] = ()
+    unseen: tuple[Unseen, ...] = ()
 
     def __len__(self) -> int:
         return len(self.xyz)

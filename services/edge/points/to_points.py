@@ -17,6 +17,7 @@ from services.edge.points.nouns import Points
 from services.edge.points.odometry import track_frames
 from services.edge.points.outliers import inliers
 from services.edge.points.smooth import smoothed
+from services.edge.points.unseen import unseen_sides
 from services.edge.points.upright import estimate_up, level_up
 
 
@@ -44,11 +45,12 @@ def to_points(
     if isolate is False or (isolate is None and not _of_one_thing(capture)):
         return points
     try:
-        return isolate_object(points, aim=fused.aim, cameras=fused.cameras, tick=tick)
+        thing = isolate_object(points, aim=fused.aim, cameras=fused.cameras, turntable=capture.turntable, tick=tick)
     except CaptureError as error:
         if isolate:
             raise
         return replace(points, warnings=(*points.warnings, f"The surroundings were kept: {error.message}."))
+    return replace(thing, unseen=unseen_sides(thing, capture.frames))
 
 
 def _tracked(capture: Capture, tick: Tick) -> Capture:

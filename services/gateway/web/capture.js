@@ -1,7 +1,7 @@
 // /: choose, name, send, watch, see it turn, hand it to the headset.
 import { heading, mayHaveCompass, startCompass } from './compass.js';
 import { guide, noteHeading } from './guide.js';
-import { showUsed } from './used.js';
+import { showUnseen, showUsed } from './used.js';
 import { Problem, followJob, getJson, keyFrom, postJson, uploadCapture } from './api.js';
 
 const STAGES = [
@@ -254,6 +254,7 @@ async function showResult(now, published) {
 async function showCertificate(entry) {
   const { quality, capture } = await getJson(entry.manifest.url).catch(() => ({}));
   showUsed(at('used'), capture);
+  showUnseen(at('unseen'), capture);
   if (!quality) return;
   const columns = [quality.preview && ['Preview', quality.preview], [entry.state === 'refined' ? 'Refined' : 'Preview', quality]].filter(Boolean);
   const rows = FIGURES.filter(([key]) => columns.some(([, figures]) => typeof figures[key] === 'number'));

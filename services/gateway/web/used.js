@@ -1,4 +1,4 @@
-// Which photos an asset was made of, and why the others were left out.
+// Which photos an asset was made of, why the others were left out, and from where to shoot again.
 
 const FAULTS = {
   blur: 'blurred',
@@ -23,4 +23,10 @@ function line({ name, verdict, advice }) {
   const told = verdict === 'ok' ? 'used' : (FAULTS[verdict] ?? verdict);
   item.append(Object.assign(document.createElement('strong'), { textContent: name }), ` ${told}${advice ? `. ${advice}` : ''}`);
   return item;
+}
+
+/** The sides of the thing that the capture shows too little of, on `details`; nothing where all was seen well. */
+export function showUnseen(details, { unseen: sides = [] } = {}) {
+  details.hidden = sides.length === 0;
+  details.querySelector('ul').replaceChildren(...sides.map(({ advice }) => Object.assign(document.createElement('li'), { textContent: advice })));
 }

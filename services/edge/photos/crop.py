@@ -1,0 +1,68 @@
+"""Photos of which only a part is looked at: the rest is cut off, exactly, whatever size they are asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from services.edge.arrays import Bytes
+from services.edge.capture.nouns import LoadPhoto, Photo
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A part of a picture, in shares of its width and height."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    def pixels(self, size: tuple[int, int]) -> tuple[int, int, int, int]:
+        """left, top, width and height in a picture of `size`; what is left and right of the middle stays alike."""
+        width, height = size
+        left, top = round(self.left * width), round(self.top * height)
+        right, bottom = round((1 - self.right) * width), round((1 - self.bottom) * height)
+        return left, top, max(1, width - left - right), max(1, height - top - bottom)
+
+
+def cropped(photo: Photo, box: Box) -> Photo:
+    """The part of a photo without pose as a photo; the lens's axis is in its middle where the box is in the photo's."""
+    left, top, width, height = box.pixels(photo.size)
+    mask = photo.mask
+    if mask is not None:
+        mask = _part(mask.astype(np.uint8), photo.size, (left, top, width, height), cv2.INTER_NEAREST).astype(bool)
+    load = _PartOf(photo.load, photo.size, (left, top, width, height))
+    return replace(photo, size=(width, height), load=load, load_alpha=None, mask=mask)
+
+
+@dataclass(frozen=True, slots=True)
+class _PartOf:
+    """Loads the part (left, top, width, height) of a photo of `size`."""
+
+    whole: LoadPhoto
+    size: tuple[int, int]
+    part: tuple[int, int, int, int]
+
+    def __call__(self, longest: int | None = None) -> Bytes:
+        wanted = None if longest is None else max(1, int(longest * max(self.size) / max(self.part[2:])))
+        return _part(self.whole(wanted), self.size, self.part, cv2.INTER_CUBIC)
+
+
+def _part(pixels: Bytes, size: tuple[int, int], part: tuple[int, int, int, int], method: int) -> Bytes:
+    """Cut between pixels where the picture's size asks for it: whole ones would move the lens's axis."""
+    left, top, width, height = part
+    by_x, by_y = pixels.shape[1] / size[0], pixels.shape[0] / size[1]
+    columns, rows = max(1, round(width * by_x)), max(1, round(height * by_y))
+    if (by_x, by_y) == (1, 1):
+        return np.ascontiguousarray(pixels[top : top + height, left : left + width])
+    step_x, step_y = width * by_x / columns, height * by_y / rows
+    warp = np.array(
+        [[step_x, 0, left * by_x + (step_x - 1) / 2], [0, step_y, top * by_y + (step_y - 1) / 2]], np.float64
+    )
+    flags = method | cv2.WARP_INVERSE_MAP
+    return np.asarray(
+        cv2.warpAffine(pixels, warp, (columns, rows), flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )

@@ -1,0 +1,230 @@
+"""Points on their way from the worker that made them to the one that fits the field: a zip that is fully checked.
+
+points.json     what is no array, with the version of all this
+xyz.npy         (N,3) float64 capture frame
+rgb.npy         (N,3) uint8 sRGB, absent where the capture has no colours
+confidence.npy  (N,) float32
+
+Nothing is compressed: coordinates hardly deflate, and the link between two workers is the fast one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from services.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict, ScaleConfidence
+from services.edge.errors import EdgeError
+from services.edge.points import Points
+from services.edge.points.cloud import MIN_POINTS
+from services.edge.points.nouns import Unseen
+from services.storage.archives import ArchiveError, Limits, unpack
+
+VERSION = 1
+"""Of this format. Workers tell each other theirs before any points are sent."""
+
+MOST_POINTS = 4_000_000
+"""More than twice what fusing and cleaning ever leave, 124 MB of arrays."""
+
+_HEAD, _XYZ, _RGB, _CONFIDENCE = "points.json", "xyz.npy", "rgb.npy", "confidence.npy"
+_HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB
+_POINT_BYTES = 24 + 3 + 4
+_LIMITS = Limits(entries=4, total_bytes=_HEAD_BYTES + MOST_POINTS * _POINT_BYTES + 3 * 1024)
+_FARTHEST = 1e12  # units from the origin: a squared distance stays far from overflowing
+_UNIT = 0.01  # by which a length or a share may miss 1: some are told to three digits
+_NPY_HEADER_BYTES = 1024
+
+Stage = Literal["ALIGNING", "POINT_CLOUD"]
+_Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What a manifest tells of the capture: kind, format, how many frames or photos, and what became of those."""
+
+    kind: CaptureKind
+    format: str
+    frames: Annotated[int, Field(ge=0)]
+    verdicts: tuple[PhotoVerdict, ...] = ()
+
+    @classmethod
+    def of(cls, capture: Capture) -> Source:
+        """The same of a capture at hand."""
+        return cls(capture.kind, capture.format, len(capture.frames) or len(capture.photos), capture.verdicts)
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Points that a field can be fitted to, and what is told of how they were come by; seconds by stage."""
+
+    points: Points
+    source: Source
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """points.json"""
+
+    version: int
+    points: Annotated[int, Field(ge=MIN_POINTS, le=MOST_POINTS)]
+    coloured: bool
+    metres_per_unit: Annotated[float, Field(gt=0)]
+    scale_confidence: ScaleConfidence
+    up: _Vector | None
+    warnings: tuple[str, ...]
+    unseen: tuple[Unseen, ...]
+    source: Source
+    seconds: dict[Stage, Annotated[float, Field(ge=0)]]
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+_HEADS = TypeAdapter(_Head)
+
+
+def write_prepared(prepared: Prepared, archive: Path) -> None:
+    """Write the zip, whole or not at all. Raises OSError where the disk will not."""
+    archive.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    torn = archive.with_name(archive.name + ".part")
+    points = prepared.points
+    arrays = {_XYZ: points.xyz, _CONFIDENCE: points.confidence} | ({} if points.rgb is None else {_RGB: points.rgb})
+    with zipfile.ZipFile(torn, "w", zipfile.ZIP_STORED) as packed:
+        packed.writestr(_HEAD, _HEADS.dump_json(_head_of(prepared)))
+        for name, array in arrays.items():
+            with packed.open(name, "w") as file:
+                contiguous = np.ascontiguousarray(array, _kind(name, len(points))[0])
+                np.lib.format.write_array(file, contiguous, version=(1, 0), allow_pickle=False)
+    with torn.open("rb") as file:
+        os.fsync(file.fileno())
+    torn.replace(archive)
+
+
+def read_prepared(archive: Path, scratch: Path) -> Prepared:
+    """The points in a zip, which is unpacked into the folder `scratch`.
+
+    Raises EdgeError POINTS_INVALID for whatever `write_prepared` would not have written, naming the file at fault.
+    """
+    try:
+        unpack(archive, scratch, _LIMITS)
+    except ArchiveError as error:
+        raise _invalid(error.message, error.file) from None
+    head = _read_head(scratch / _HEAD)
+    _require_files(scratch, {_HEAD, _XYZ, _CONFIDENCE} | ({_RGB} if head.coloured else set()))
+    xyz, confidence = (_read_array(scratch / name, head.points) for name in (_XYZ, _CONFIDENCE))
+    rgb = _read_array(scratch / _RGB, head.points) if head.coloured else None
+    _require_cloud(xyz)
+    if not ((confidence >= 0) & (confidence <= 1)).all():  # no number is neither
+        raise _invalid("has values that are no confidence in [0, 1]", _CONFIDENCE)
+    points = Points(
+        xyz=xyz,
+        rgb=rgb,
+        confidence=confidence,
+        metres_per_unit=head.metres_per_unit,
+        scale_confidence=head.scale_confidence,
+        up=None if head.up is None else np.array(head.up, np.float64),
+        warnings=head.warnings,
+        unseen=head.unseen,
+    )
+    return Prepared(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
+
+
+def _head_of(prepared: Prepared) -> _Head:
+    points = prepared.points
+    seconds: Any = dict(prepared.seconds)
+    return _Head(
+        version=VERSION,
+        points=len(points),
+        coloured=points.rgb is not None,
+        metres_per_unit=float(points.metres_per_unit),
+        scale_confidence=points.scale_confidence,
+        up=None if points.up is None else _vector(points.up),
+        warnings=points.warnings,
+        unseen=points.unseen,
+        source=prepared.source,
+        seconds=seconds,
+    )
+
+
+def _vector(direction: Any) -> _Vector:
+    x, y, z = (float(value) for value in direction)
+    return x, y, z
+
+
+def _read_head(path: Path) -> _Head:
+    if not path.is_file():
+        raise _invalid("is missing", _HEAD)
+    if path.stat().st_size > _HEAD_BYTES:
+        raise _invalid(f"has more than {_HEAD_BYTES:,} bytes", _HEAD)
+    text = path.read_bytes()
+    _require_version(text)
+    try:
+        head = _HEADS.validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        raise _invalid(f"{'.'.join(map(str, first['loc']))}: {first['msg']}", _HEAD) from None
+    for direction in ([] if head.up is None else [head.up]) + [each.toward for each in head.unseen]:
+        if not abs(np.linalg.norm(direction) - 1) < _UNIT:
+            raise _invalid(f"the direction {direction} is not of length 1", _HEAD)
+    if not all(0 < each.share <= 1 + _UNIT for each in head.unseen):
+        raise _invalid("the share of an unseen side is not in (0, 1]", _HEAD)
+    return head
+
+
+def _require_version(text: bytes) -> None:
+    """Before all else: another version may mean anything by its fields."""
+    try:
+        head = json.loads(text)
+    except (ValueError, RecursionError):
+        raise _invalid("is no JSON", _HEAD) from None
+    version = head.get("version") if isinstance(head, dict) else None
+    if version != VERSION:
+        raise _invalid(f"is of version {version!r}; this worker reads {VERSION}", _HEAD)
+
+
+def _require_files(folder: Path, wanted: set[str]) -> None:
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+    if found != wanted:
+        raise _invalid(f"the archive holds {', '.join(sorted(found))} where {', '.join(sorted(wanted))} are due")
+
+
+def _kind(name: str, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """What an array must be."""
+    kinds = {_XYZ: ("<f8", (count, 3)), _RGB: ("|u1", (count, 3)), _CONFIDENCE: ("<f4", (count,))}
+    kind, shape = kinds[name]
+    return np.dtype(kind), shape
+
+
+def _read_array(path: Path, count: int) -> Any:
+    """An array of exactly the due kind: its header is compared before a byte is reserved for it."""
+    kind, shape = _kind(path.name, count)
+    with path.open("rb") as file:
+        try:
+            version = np.lib.format.read_magic(file)
+            found = np.lib.format.read_array_header_1_0(file, max_header_size=_NPY_HEADER_BYTES)
+        except Exception:  # noqa: BLE001 - what a torn header makes its parser raise is nobody's promise
+            raise _invalid("is no array", path.name) from None
+        left = path.stat().st_size - file.tell()
+        if version != (1, 0) or found != (shape, False, kind) or left != int(np.prod(shape)) * kind.itemsize:
+            raise _invalid(f"is not an array of {kind} of the shape {shape}", path.name)
+        return np.fromfile(file, kind).reshape(shape)
+
+
+def _require_cloud(xyz: Any) -> None:
+    if not (np.abs(xyz) <= _FARTHEST).all():  # no number is not
+        raise _invalid("has coordinates that are none", _XYZ)
+    if not np.ptp(xyz, axis=0).any():
+        raise _invalid("has all its points in one place", _XYZ)
+
+
+def _invalid(message: str, file: str | None = None) -> EdgeError:
+    hints = ("give both workers the same version of capture2vr",)
+    return EdgeError("POINTS_INVALID", f"prepared points: {message}", file=file, hints=hints)

@@ -1,0 +1,550 @@
+"""Two workers on one job: the one near the phone makes the points, its central fits the field and publishes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+
+from services.edge.api import edge_pb2 as pb
+from services.edge.central import Central, CentralAway, Patience
+from services.edge.field.device import find_device
+from services.edge.memory import Memory
+from services.edge.offer import Offer
+from services.edge.prepare import STARTS
+from services.edge.prepared import VERSION, write_prepared
+from services.edge.run import Work
+from services.edge.scratch import Scratch
+from services.edge.server import EdgeServer
+from services.edge.settings import EdgeSettings
+from services.edge.stock import known_presets
+from services.edge.work import RealWork
+from services.storage.catalogue import entry
+from services.storage.local import LocalStore
+from services.storage.memory import MemoryStore
+from services.storage.store import Store
+from tests.edge.edge_client import Client, Scripted, leftovers, until, worker
+from tests.edge.test_prepared import prepared_points
+from tests.edge.test_work import BRIEF, ENDLESS, archive, hemisphere_ply
+
+QUICK = Patience(answer_s=1.0, admit_s=2.0, silence_s=6.0, lost_s=1.0, cancel_s=5.0, refresh_s=0.1)
+PLENTY = 1 << 40
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def store() -> MemoryStore:
+    return MemoryStore()
+
+
+@pytest.fixture
+def dome(tmp_path: Path) -> bytes:
+    return archive(tmp_path, dome_ply=hemisphere_ply(400))
+
+
+# A quick one without training, for tests that look at what happens around it.
+QUICK_PRESET = """
+resolution = 32
+lod_faces = [2000]
+"""
+
+
+@pytest.fixture
+def quick(tmp_path: Path) -> Path:
+    """The presets of a worker near the phone."""
+    folder = tmp_path / "quick"
+    folder.mkdir()
+    (folder / "quick.toml").write_text(QUICK_PRESET)
+    return folder
+
+
+@pytest.fixture
+def all_presets(tmp_path: Path) -> Path:
+    """Those of its central, of which it does not have all."""
+    folder = tmp_path / "all"
+    folder.mkdir()
+    for name, text in {"quick": QUICK_PRESET, "endless": ENDLESS, "brief": BRIEF}.items():
+        (folder / f"{name}.toml").write_text(text)
+    return folder
+
+
+def real_work(store: Store, presets: Path | None = None, central: Central | None = None) -> RealWork:
+    return RealWork(store, known_presets(presets), find_device("cpu"), Memory(PLENTY), central)
+
+
+@asynccontextmanager
+async def listening(work: Work, scratch: Path, **settings: object) -> AsyncIterator[tuple[Client, str]]:
+    """A worker in this process and its address."""
+    hurry = asyncio.Event()
+    hurry.set()
+    place = Scratch(scratch)
+    with place.held():
+        server = EdgeServer(EdgeSettings(port=0, scratch=scratch, **settings), work, place)
+        address = f"127.0.0.1:{await server.start()}"
+        try:
+            async with grpc.aio.insecure_channel(address) as channel:
+                yield Client(channel), address
+        finally:
+            await server.drain(hurry)
+
+
+@contextmanager
+def reaching(address: str, patience: Patience = QUICK) -> Iterator[Central]:
+    central = Central(address, patience)
+    try:
+        yield central
+    finally:
+        central.close()
+
+
+@asynccontextmanager
+async def pair(store: Store, folder: Path, presets: Path, quick: Path) -> AsyncIterator[tuple[Client, Client]]:
+    """(edge, central): two real workers with scratches of their own and one store."""
+    async with listening(real_work(store, presets), folder / "central") as (theirs, address):
+        with reaching(address) as central:
+            async with worker(real_work(store, quick, central), folder / "edge", slots=2) as ours:
+                await until(lambda: central.takes_jobs)
+                yield ours, theirs
+
+
+def timeless(manifest: dict[str, Any]) -> dict[str, Any]:
+    """A manifest without the seconds that anything took, and so without its own name."""
+    quality = {name: value for name, value in manifest["quality"].items() if name not in ("seconds", "preview")}
+    return {**manifest, "seconds": sorted(manifest["seconds"]), "quality": quality}
+
+
+def kinds(events: list[pb.Event]) -> list[str]:
+    return [str(event.WhichOneof("what")) for event in events]
+
+
+async def test_the_bundle_is_that_of_a_lone_worker(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    asked = {"asset_key": "dome", "label": "Dome", "preset": "quick", "longest_m": 0.5}
+    alone = MemoryStore()
+    async with worker(real_work(alone, quick), tmp_path / "alone") as client:
+        assert (await client.ended(dome, **asked))[-1].HasField("finished")
+    async with pair(store, tmp_path, quick, quick) as (edge, central):
+        events = await edge.ended(dome, **asked)
+        theirs = await central.attached()
+        assert (await edge.worker()).central
+        assert leftovers(tmp_path / "edge") == leftovers(tmp_path / "central") == []
+
+    finished = events[-1].finished
+    expected, made = (json.loads(each.get(entry(each, "dome").manifest)) for each in (alone, store))
+    assert timeless(made) == timeless(expected)
+    assert made["seconds"]["POINT_CLOUD"] == finished.seconds["POINT_CLOUD"] > 0
+    assert {"VALIDATING", "FITTING", "EXTRACTING", "PUBLISHING"} <= finished.seconds.keys()
+    assert list(finished.warnings) == made["warnings"]
+    assert [event.seq for event in events] == list(range(1, 1 + len(events)))
+    assert [event.published for event in events if event.HasField("published")] == [
+        event.published for event in theirs if event.HasField("published")
+    ]
+    fractions = [event.progress.fraction for event in events if event.HasField("progress")]
+    assert fractions == sorted(fractions)
+    stages = [event.progress.stage for event in events if event.HasField("progress")]
+    assert stages == sorted(stages)
+    assert {pb.VALIDATING, pb.POINT_CLOUD, pb.FITTING, pb.PUBLISHING} <= set(stages)
+    assert list(tmp_path.glob("*/checkpoints/*")) == []
+
+
+async def test_a_preset_that_only_central_has_trains_there(
+    store: MemoryStore, tmp_path: Path, quick: Path, all_presets: Path, dome: bytes
+) -> None:
+    async with pair(store, tmp_path, all_presets, quick) as (edge, _):
+        assert {"brief", "auto"} <= {preset.name for preset in (await edge.worker()).presets}
+        events = await edge.ended(dome, asset_key="dome", preset="brief")
+    assert events[-1].HasField("finished"), events[-1]
+    states = [event.published.state for event in events if event.HasField("published")]
+    kept = [warning for warning in events[-1].finished.warnings if "preview was kept" in warning]
+    assert states == (["preview"] if kept else ["preview", "refined"])
+    assert json.loads(store.get(entry(store, "dome").manifest))["preset"] == "brief"
+    fractions = [event.progress.fraction for event in events if event.HasField("progress")]
+    assert fractions == sorted(fractions)
+
+
+async def started(call: grpc.aio.StreamStreamCall) -> list[pb.Event]:
+    """What a job said up to its first words about losses: central trains."""
+    told = []
+    async for event in call:
+        told.append(event)
+        assert not event.HasField("failure"), event
+        if event.progress.losses:
+            return told
+    raise AssertionError(told)
+
+
+async def live(client: Client, *jobs: str, within_s: float = 2.0) -> None:
+    """Wait until exactly these jobs run on a worker."""
+    async with asyncio.timeout(within_s):
+        while list((await client.worker()).jobs) != list(jobs):
+            await asyncio.sleep(0.02)
+
+
+async def test_a_cancellation_reaches_central_within_two_seconds(
+    store: MemoryStore, tmp_path: Path, quick: Path, all_presets: Path, dome: bytes
+) -> None:
+    async with pair(store, tmp_path, all_presets, quick) as (edge, central):
+        call = edge.reconstruct(dome, asset_key="dome", preset="endless")
+        await started(call)
+        await live(central, "job_1")
+        began = time.monotonic()
+        assert await edge.cancel()
+        ending = [event async for event in call][-1].failure
+        await live(central)
+        assert time.monotonic() - began < 2.0
+        assert (ending.code, ending.stage) == ("CANCELLED", pb.FITTING)
+        assert (await edge.worker()).free_slots == 2
+        assert (await central.attached())[-1].failure.code == "CANCELLED"
+        await until(lambda: not list(tmp_path.glob("*/checkpoints/*")))
+
+
+async def test_a_run_that_central_still_has_is_taken_up_by_the_next_lease(
+    store: MemoryStore, tmp_path: Path, quick: Path, all_presets: Path, dome: bytes
+) -> None:
+    """The first worker drains, which hands its jobs back; the second need not make the points, nor wait for a fence."""
+    async with listening(real_work(store, all_presets), tmp_path / "central") as (theirs, address):
+        with reaching(address) as central:
+            async with worker(real_work(store, quick, central), tmp_path / "first") as edge:
+                await until(lambda: central.takes_jobs)
+                await started(edge.reconstruct(dome, asset_key="dome", preset="endless", fence=1))
+            await live(theirs, "job_1")
+            async with worker(real_work(store, quick, central), tmp_path / "second") as edge:
+                call = edge.reconstruct(dome, asset_key="dome", preset="endless", fence=2)
+                events = await started(call)
+                assert pb.VALIDATING not in {event.progress.stage for event in events}
+                assert await edge.cancel()
+                await live(theirs)
+
+
+async def test_a_run_that_ended_meanwhile_is_not_run_again(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    async with pair(store, tmp_path, quick, quick) as (edge, central):
+        assert (await edge.ended(dome, asset_key="dome", preset="quick", fence=1))[-1].HasField("finished")
+        said = len(await central.attached())
+        address = (await edge.worker()).central
+        with reaching(address) as again:
+            async with worker(real_work(store, quick, again), tmp_path / "second") as second:
+                events = await second.ended(dome, asset_key="dome", preset="quick", fence=2)
+        assert events[-1].HasField("finished")
+        assert len(await central.attached()) == said
+    assert entry(store, "dome").version == 1
+
+
+AWAY = "could not be reached: fitted here"
+
+
+async def test_without_central_it_fits_by_itself_and_says_so(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    with reaching(f"127.0.0.1:{free_port()}") as central:
+        async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+            events = await edge.ended(dome, asset_key="dome", preset="quick")
+    assert events[-1].HasField("finished"), events[-1]
+    said = f"central at {central.address} {AWAY}"
+    assert said in events[-1].finished.warnings
+    assert said in json.loads(store.get(entry(store, "dome").manifest))["warnings"]
+    fractions = [event.progress.fraction for event in events if event.HasField("progress")]
+    assert fractions == sorted(fractions)
+
+
+class Standing(Scripted):
+    """A central worker that takes points and does what a test wants."""
+
+    offer = replace(
+        Scripted.offer,
+        points_version=VERSION,
+        presets=(pb.Preset(name="quick"), pb.Preset(name="theirs", trained=True)),
+    )
+
+    def __init__(self, then: str = "wait", offer: Offer | None = None) -> None:
+        super().__init__()
+        self.offer = offer or self.offer
+        self._then = then
+        self.sizes: list[int] = []
+
+    def reconstruct(self, archive: Path, request: Any, scratch: Path, checkpoint: Path, say: Any) -> pb.Finished:
+        self.sizes.append(archive.stat().st_size)
+        say(pb.Published(asset_key=request.asset_key, version=1, state="preview", manifest="m"))
+        archive.write_bytes(self._then.encode())
+        return super().reconstruct(archive, request, scratch, checkpoint, say)
+
+
+@pytest.mark.parametrize(
+    ("offer", "said"),
+    [
+        (replace(Standing.offer, points_version=0), "takes points of version 0, not 1"),
+        (replace(Standing.offer, central="127.0.0.1:1"), "has a central itself, 127.0.0.1:1"),
+        (replace(Standing.offer, presets=(pb.Preset(name="theirs"),)), "does not offer preset quick"),
+    ],
+)
+async def test_a_worker_that_cannot_be_a_central_is_none(tmp_path: Path, offer: Offer, said: str) -> None:
+    async with listening(Standing(offer=offer), tmp_path / "central") as (_, address):
+        with reaching(address) as central, pytest.raises(CentralAway, match=said):
+            await asyncio.to_thread(central.require, "quick")
+
+
+async def test_a_worker_that_is_its_own_central_fits_here(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    port = free_port()
+    with reaching(f"127.0.0.1:{port}") as central:
+        scratch = Scratch(tmp_path / "edge")
+        with scratch.held():
+            settings = EdgeSettings(port=port, scratch=tmp_path / "edge")
+            server = EdgeServer(settings, real_work(store, quick, central), scratch)
+            await server.start()
+            await until(lambda: central.presets != ())
+            async with grpc.aio.insecure_channel(central.address) as channel:
+                finished = (await Client(channel).ended(dome, preset="quick"))[-1].finished
+            hurry = asyncio.Event()
+            hurry.set()
+            await server.drain(hurry)
+    assert "has a central itself" in finished.warnings[0]
+
+
+async def test_a_full_central_does_not_take_the_points(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    standing = Standing()
+    async with listening(standing, tmp_path / "central", queue=0) as (theirs, address):
+        held = theirs.reconstruct(b"wait", "other")
+        await anext(aiter(held))
+        with reaching(address) as central:
+            async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+                await until(lambda: central.takes_jobs)
+                failed = (await edge.ended(dome, preset="theirs"))[-1].failure
+        standing.release.set()
+    assert (failed.code, failed.retryable) == ("CENTRAL_UNAVAILABLE", True)
+    assert "did not take the points (QUEUE_FULL" in failed.message
+
+
+async def test_what_only_an_absent_central_has_is_refused_for_now(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    """The job that comes before the refresh fails as retryable, those behind it are not taken."""
+    patience = replace(QUICK, refresh_s=1.0)
+    async with listening(Standing("ticks 1"), tmp_path / "central") as (_, address), relaying(address) as wire:
+        with reaching(wire.address, patience) as central:
+            async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+                await until(lambda: central.takes_jobs)
+                assert (await edge.ended(dome, "job_1", preset="theirs"))[-1].HasField("finished")
+                wire.refuses = True
+                wire.cut()
+                failed = (await edge.ended(dome, "job_2", preset="theirs"))[-1].failure
+                assert (failed.code, failed.retryable) == ("CENTRAL_UNAVAILABLE", True)
+                await until(lambda: not central.takes_jobs)
+                assert "theirs" not in {preset.name for preset in (await edge.worker()).presets}
+                with pytest.raises(grpc.aio.AioRpcError, match="CENTRAL_UNAVAILABLE: ") as refused:
+                    await edge.ended(dome, "job_3", preset="theirs")
+                assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
+
+
+def fail() -> None:
+    from services.edge.errors import EdgeError
+
+    raise EdgeError("GPU_LOST", "the GPU fell off the bus", file="a.ply", hints=("turn it on",), retryable=True)
+
+
+async def test_a_failure_there_is_told_in_its_own_words(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    standing = Standing("fail")
+    standing._acts["fail"] = fail
+    async with listening(standing, tmp_path / "central") as (_, address):
+        with reaching(address) as central:
+            async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+                events = await edge.ended(dome, preset="quick")
+    told = events[-1].failure
+    assert (told.code, told.message, told.file) == ("GPU_LOST", "the GPU fell off the bus", "a.ply")
+    assert (list(told.hints), told.retryable) == (["turn it on"], True)
+    assert kinds(events)[-1] == "failure"
+    assert list((tmp_path / "edge").glob("checkpoints/job_1/*.points")), "its next lease sends them again"
+
+
+async def test_the_job_goes_up_as_it_was_asked_for(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    standing = Standing("ticks 3")
+    async with listening(standing, tmp_path / "central") as (_, address):
+        with reaching(address) as central:
+            async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+                asked = {"asset_key": "k", "preset": "quick", "label": "L", "target": "quest3", "fence": 7}
+                events = await edge.ended(dome, "job_x", isolate=False, longest_m=2.0, **asked)
+    seen = standing.seen["job_x"]
+    assert {name: getattr(seen, name) for name in asked} == asked
+    assert (seen.prepared, seen.isolate, seen.longest_m) == (True, None, None)
+    assert events[-1].finished.warnings == ["one"]
+    begun, ended = STARTS["FITTING"], [event.progress.fraction for event in events if event.HasField("progress")][-1]
+    assert ended == pytest.approx(begun + (1 - begun) * 2 / 3), "central's bar is the rest of this one"
+    assert events[-1].finished.seconds["FITTING"] == 1.5
+
+
+async def test_points_need_the_workers_flag(store: MemoryStore, tmp_path: Path, quick: Path) -> None:
+    """A phone's archive is a capture whatever it holds: it cannot claim to be metric."""
+    write_prepared(prepared_points(120), tmp_path / "points.zip")
+    sent = (tmp_path / "points.zip").read_bytes()
+    async with worker(real_work(store, quick), tmp_path / "central", slots=1) as client:
+        await client.ended(sent, "job_1", asset_key="claimed", preset="quick")
+        await client.ended(sent, "job_2", asset_key="made", preset="quick", prepared=True)
+        broken = (await client.ended(b"no zip", "job_3", preset="quick", prepared=True))[-1].failure
+    assert entry(store, "claimed").document["scale_confidence"] == "unknown"
+    assert entry(store, "made").document["scale_confidence"] == "metric"
+    assert json.loads(store.get(entry(store, "made").manifest))["capture"]["kind"] == "photos"
+    assert (broken.code, broken.retryable) == ("POINTS_INVALID", False)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Process:
+    """A worker of its own, which can be killed: `capture2vr edge`, configured by EDGE_* and STORAGE_*."""
+
+    def __init__(self, folder: Path, **variables: object) -> None:
+        self.address = f"127.0.0.1:{free_port()}"
+        self._log = folder / "central.log"
+        self._environment = {
+            **os.environ,
+            "EDGE_PORT": self.address.rpartition(":")[2],
+            "EDGE_SCRATCH": str(folder / "central"),
+            "STORAGE_KIND": "local",
+            "STORAGE_ROOT": str(folder / "objects"),
+            **{name: str(value) for name, value in variables.items()},
+        }
+        self.start()
+
+    def start(self) -> None:
+        with self._log.open("ab") as log:
+            command = [sys.executable, "-m", "services.cli", "edge"]
+            self._running = subprocess.Popen(command, cwd=ROOT, env=self._environment, stdout=log, stderr=log)
+
+    def kill(self) -> None:
+        self._running.send_signal(signal.SIGKILL)
+        self._running.wait()
+
+
+@contextmanager
+def process(folder: Path, **variables: object) -> Iterator[Process]:
+    started = Process(folder, **variables)
+    try:
+        yield started
+    finally:
+        started.kill()
+
+
+async def test_a_killed_central_loses_no_job(tmp_path: Path, quick: Path, all_presets: Path, dome: bytes) -> None:
+    """It is killed while it trains; the next lease sends the points that were kept, and the training goes on."""
+    store = LocalStore(tmp_path / "objects")
+    with (
+        process(tmp_path, EDGE_PRESETS=all_presets, OMP_NUM_THREADS=1) as there,
+        reaching(there.address) as central,
+    ):
+        async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+            await until(lambda: central.takes_jobs, within_s=30)
+            call = edge.reconstruct(dome, asset_key="dome", preset="endless", fence=1)
+            await started(call)
+            there.kill()
+            ending = [event async for event in call][-1].failure
+            assert (ending.code, ending.retryable) == ("CENTRAL_LOST", True)
+            assert "was out of reach" in ending.message
+            there.start()
+            await until(lambda: central.takes_jobs, within_s=30)
+            call = edge.reconstruct(dome, asset_key="dome", preset="endless", fence=2)
+            events = await started(call)
+            assert pb.VALIDATING not in {event.progress.stage for event in events}, "the points were made again"
+            assert await edge.cancel()
+            assert [event async for event in call][-1].failure.code == "CANCELLED"
+    assert entry(store, "dome").version == 1
+
+
+async def test_a_connection_that_breaks_is_found_again(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
+) -> None:
+    standing = Standing()
+    async with (
+        listening(standing, tmp_path / "central") as (_, address),
+        relaying(address) as wire,
+    ):
+        with reaching(wire.address, replace(QUICK, lost_s=10.0)) as central:
+            async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+                call = edge.reconstruct(dome, preset="quick")
+                told = [await anext(aiter(call))]
+                while told[-1].progress.stage < pb.FITTING:
+                    told.append(await anext(aiter(call)))
+                wire.cut()
+                await asyncio.sleep(1.2)
+                standing.release.set()
+                told += [event async for event in call]
+    assert kinds(told)[-2:] == ["published", "finished"], told[-1]
+    assert kinds(told).count("published") == 2, "what was heard before the cut is not said again"
+    assert len(standing.sizes) == 1, "the points were sent once"
+    said = [(event.progress.fraction, event.progress.message) for event in told if event.HasField("progress")]
+    assert all(one != other for one, other in pairwise(said)), "what waits repeats nothing"
+
+
+class Wire:
+    """A wire to a worker that can be cut; with `refuses`, it cannot be plugged in again."""
+
+    def __init__(self, far: str) -> None:
+        self.address = ""
+        self.refuses = False
+        self._far = far.split(":")
+        self._ends: set[asyncio.StreamWriter] = set()
+        self.pumps: set[asyncio.Task[None]] = set()
+
+    def cut(self) -> None:
+        for end in self._ends:
+            end.transport.abort()
+        self._ends.clear()
+
+    async def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self.refuses:
+            writer.close()
+            return
+        far_reader, far_writer = await asyncio.open_connection(*self._far)
+        self._ends.update((writer, far_writer))
+        for source, sink in ((reader, far_writer), (far_reader, writer)):
+            pump = asyncio.create_task(_pump(source, sink))
+            self.pumps.add(pump)
+            pump.add_done_callback(self.pumps.discard)
+
+
+async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+    with suppress(OSError):
+        while block := await source.read(1 << 16):
+            sink.write(block)
+            await sink.drain()
+    sink.close()
+
+
+@asynccontextmanager
+async def relaying(address: str) -> AsyncIterator[Wire]:
+    """A wire to the worker at `address`."""
+    wire = Wire(address)
+    server = await asyncio.start_server(wire.connected, "127.0.0.1", 0)
+    wire.address = f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    try:
+        yield wire
+    finally:
+        server.close()
+        wire.cut()
+        if wire.pumps:
+            await asyncio.wait(wire.pumps, timeout=5)

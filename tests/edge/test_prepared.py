@@ -1,0 +1,240 @@
+"""Prepared points: what is written is read again to the bit, and nothing else is read at all."""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from services.edge.capture import read_capture
+from services.edge.capture.nouns import PhotoVerdict
+from services.edge.errors import EdgeError
+from services.edge.kept_points import keep, kept
+from services.edge.points import Points
+from services.edge.points.nouns import Unseen
+from services.edge.prepared import MOST_POINTS, Prepared, Source, read_prepared, write_prepared
+from services.storage.archives import unpack
+
+VERDICTS = (PhotoVerdict("a.jpg", "ok"), PhotoVerdict("b.jpg", "blur", "hold still"))
+COORDINATES = st.floats(-1e9, 1e9)
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+
+
+def prepared_points(count: int = 120) -> Prepared:
+    """A photographed thing with everything that there may be."""
+    rng = np.random.default_rng(0)
+    points = Points(
+        xyz=rng.normal(size=(count, 3)),
+        rgb=rng.integers(0, 256, (count, 3), np.uint8),
+        confidence=rng.random(count).astype(np.float32),
+        metres_per_unit=0.5,
+        scale_confidence="metric",
+        up=np.array([0.0, 0.6, 0.8]),
+        warnings=("two photos were left out",),
+        unseen=(Unseen("shoot from the left", (-1.0, 0.0, 0.0), 0.25),),
+    )
+    return Prepared(points, Source("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
+
+
+@st.composite
+def anything(draw: st.DrawFn) -> Prepared:
+    """Points with whatever a capture may have or lack."""
+    count = draw(st.integers(100, 110))
+    xyz = draw(arrays(np.float64, (count, 3), elements=COORDINATES)).copy()
+    xyz[0, 0] = xyz[1, 0] + 1e6  # not all in one place
+    points = replace(
+        prepared_points(count).points,
+        xyz=xyz,
+        confidence=draw(arrays(np.float32, count, elements=st.floats(0, 1, width=32))),
+        metres_per_unit=draw(st.floats(1e-6, 1e6)),
+        scale_confidence=draw(st.sampled_from(["metric", "estimated", "unknown"])),
+        warnings=tuple(draw(st.lists(TEXT, max_size=3))),
+    )
+    if draw(st.booleans()):
+        points = replace(points, rgb=None, up=None, unseen=())
+    source = Source(draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40)))
+    return Prepared(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
+
+
+def same(first: Prepared, second: Prepared) -> bool:
+    ours, theirs = first.points, second.points
+    return (
+        all(
+            (one is None) == (other is None)
+            and (one is None or (one.dtype == other.dtype and one.tobytes() == other.tobytes()))
+            for one, other in [
+                (ours.xyz, theirs.xyz),
+                (ours.rgb, theirs.rgb),
+                (ours.confidence, theirs.confidence),
+                (ours.up, theirs.up),
+            ]
+        )
+        and (ours.metres_per_unit, ours.scale_confidence, ours.warnings, ours.unseen)
+        == (theirs.metres_per_unit, theirs.scale_confidence, theirs.warnings, theirs.unseen)
+        and (first.source, dict(first.seconds)) == (second.source, dict(second.seconds))
+    )
+
+
+@settings(max_examples=50, deadline=None)
+@given(anything())
+def test_what_is_written_is_read(prepared: Prepared) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        archive = Path(folder, "points.zip")
+        write_prepared(prepared, archive)
+        assert same(read_prepared(archive, Path(folder, "scratch")), prepared)
+        assert [path.name for path in Path(folder).glob("*.zip*")] == ["points.zip"]
+
+
+def test_everything_is_kept(tmp_path: Path) -> None:
+    write_prepared(prepared_points(), tmp_path / "points.zip")
+    assert same(read_prepared(tmp_path / "points.zip", tmp_path / "scratch"), prepared_points())
+
+
+Files = dict[str, bytes]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Files:
+    """What a good archive holds."""
+    write_prepared(prepared_points(), tmp_path / "good.zip")
+    with zipfile.ZipFile(tmp_path / "good.zip") as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
+
+
+def refusal(tmp_path: Path, files: Files) -> EdgeError:
+    with zipfile.ZipFile(tmp_path / "bad.zip", "w") as packed:
+        for name, content in files.items():
+            packed.writestr(name, content)
+    with pytest.raises(EdgeError) as refused:
+        read_prepared(tmp_path / "bad.zip", tmp_path / "scratch")
+    assert refused.value.code == "POINTS_INVALID"
+    assert refused.value.hints
+    assert not refused.value.retryable
+    return refused.value
+
+
+def npy(array: np.ndarray) -> bytes:
+    packed = io.BytesIO()
+    np.save(packed, array, allow_pickle=True)
+    return packed.getvalue()
+
+
+def spoilt(change: Callable[[np.ndarray], None]) -> bytes:
+    xyz = prepared_points().points.xyz.copy()
+    change(xyz)
+    return npy(xyz)
+
+
+def set_at(value: float) -> Callable[[np.ndarray], None]:
+    return lambda xyz: xyz.__setitem__((5, 1), value)
+
+
+ARRAYS: dict[str, tuple[str, bytes]] = {
+    "a NaN": ("xyz.npy", spoilt(set_at(np.nan))),
+    "an infinity": ("xyz.npy", spoilt(set_at(-np.inf))),
+    "a number whose square is none": ("xyz.npy", spoilt(set_at(1e300))),
+    "one place": ("xyz.npy", spoilt(lambda xyz: xyz.fill(3.0))),
+    "too few rows": ("xyz.npy", npy(np.zeros((119, 3)))),
+    "two columns": ("xyz.npy", npy(np.zeros((120, 2)))),
+    "single precision": ("xyz.npy", npy(np.zeros((120, 3), np.float32))),
+    "columns first": ("xyz.npy", npy(np.asfortranarray(np.ones((120, 3))))),
+    "pickled objects": ("xyz.npy", npy(np.full((120, 3), None, object))),
+    "no array": ("xyz.npy", b"xyz"),
+    "a torn array": ("xyz.npy", npy(prepared_points().points.xyz)[:-1]),
+    "more than an array": ("xyz.npy", npy(prepared_points().points.xyz) + b"more"),
+    "a header that promises more": ("xyz.npy", npy(np.zeros((120, 3))).replace(b"(120, 3)", b"(9**9,3)")),
+    "confidence above 1": ("confidence.npy", npy(np.full(120, 1.5, np.float32))),
+    "confidence that is no number": ("confidence.npy", npy(np.full(120, np.nan, np.float32))),
+    "colours as floats": ("rgb.npy", npy(np.zeros((120, 3), np.float32))),
+}
+
+HEADS: dict[str, Any] = {
+    "no version": {"version": None},
+    "a newer version": {"version": 2},
+    "a count below any capture's": {"points": 99},
+    "a count beyond any capture's": {"points": MOST_POINTS + 1},
+    "no scale": {"metres_per_unit": 0},
+    "a scale that is no number": {"metres_per_unit": "1"},
+    "an unknown confidence of scale": {"scale_confidence": "certain"},
+    "no direction": {"up": [0, 0, 0]},
+    "half a direction": {"up": [0, 1]},
+    "a side that is no direction": {"unseen": [{"advice": "a", "toward": [0, 0, 9], "share": 0.5}]},
+    "a side without a share": {"unseen": [{"advice": "a", "toward": [0, 0, 1], "share": 2}]},
+    "an unknown kind": {"source": {"kind": "dream", "format": "ply", "frames": 0, "verdicts": []}},
+    "less than no frames": {"source": {"kind": "points", "format": "ply", "frames": -1, "verdicts": []}},
+    "an unknown stage": {"seconds": {"DREAMING": 1}},
+    "seconds back": {"seconds": {"ALIGNING": -1}},
+    "an unknown field": {"owner": "root"},
+}
+
+
+@pytest.mark.parametrize("what", ARRAYS)
+def test_an_array_that_is_none_is_named(tmp_path: Path, files: Files, what: str) -> None:
+    name, content = ARRAYS[what]
+    assert refusal(tmp_path, {**files, name: content}).file == name
+
+
+@pytest.mark.parametrize("what", HEADS)
+def test_a_head_that_is_none_is_named(tmp_path: Path, files: Files, what: str) -> None:
+    head = {**json.loads(files["points.json"]), **HEADS[what]}
+    refused = refusal(tmp_path, {**files, "points.json": json.dumps(head).encode()})
+    assert refused.file == "points.json"
+    if what == "a newer version":
+        assert "is of version 2; this worker reads 1" in refused.message
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"[]", b"7", b"[" * 100_000, b'{"version": 1}', b"\xff", b" " * (5 << 20)])
+def test_a_head_that_is_no_document_is_named(tmp_path: Path, files: Files, text: bytes) -> None:
+    assert refusal(tmp_path, {**files, "points.json": text}).file == "points.json"
+
+
+@pytest.mark.parametrize("name", ["points.json", "xyz.npy", "rgb.npy", "confidence.npy"])
+def test_a_missing_file_is_named(tmp_path: Path, files: Files, name: str) -> None:
+    refused = refusal(tmp_path, {each: content for each, content in files.items() if each != name})
+    assert name in f"{refused.message} {refused.file}"
+
+
+def test_a_file_too_many_and_a_way_out_are_refused(tmp_path: Path, files: Files) -> None:
+    assert "5 entries" in refusal(tmp_path, {**files, "more.npy": b"x"}).message
+    named = {("other.npy" if name == "rgb.npy" else name): content for name, content in files.items()}
+    assert "other.npy" in refusal(tmp_path, named).message
+    refusal(tmp_path, {**files, "../escaped": b"x"})
+    assert not (tmp_path.parent / "escaped").exists()
+
+
+def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "bad.zip").write_bytes(b"no zip at all")
+    with pytest.raises(EdgeError) as refused:
+        read_prepared(tmp_path / "bad.zip", tmp_path / "scratch")
+    assert refused.value.code == "POINTS_INVALID"
+
+
+def test_read_as_a_capture_they_claim_no_scale(tmp_path: Path) -> None:
+    """Without the workers' flag they are a phone's upload like any other."""
+    write_prepared(prepared_points(), tmp_path / "points.zip")
+    unpack(tmp_path / "points.zip", tmp_path / "capture")
+    capture = read_capture(tmp_path / "capture")
+    assert (capture.kind, capture.format, capture.scale_confidence) == ("points", "npy", "unknown")
+
+
+def test_points_are_kept_from_lease_to_lease(tmp_path: Path) -> None:
+    assert kept(tmp_path / "job" / "1.checkpoint", tmp_path / "none") is None
+    older, newer = prepared_points(110), prepared_points(120)
+    keep(older, tmp_path / "job" / "9.checkpoint")
+    keep(newer, tmp_path / "job" / "10.checkpoint")
+    found = kept(tmp_path / "job" / "11.checkpoint", tmp_path / "first")
+    assert found is not None
+    assert same(found, newer)
+    (tmp_path / "job" / "10.points").write_bytes(b"torn")
+    assert kept(tmp_path / "job" / "11.checkpoint", tmp_path / "second") is None
