@@ -19,6 +19,7 @@ copy examples/jsm/loaders/GLTFLoader.js gltf-loader
 copy examples/jsm/controls/OrbitControls.js orbit-controls
 copy examples/jsm/utils/BufferGeometryUtils.js buffer-geometry-utils
 copy examples/jsm/utils/SkeletonUtils.js skeleton-utils
+copy examples/jsm/libs/meshopt_decoder.module.js meshopt-decoder
 sed -i -E "s#(from|import) '(\./three\.core\.js)'#\1 './$(name core)'#; s#from 'three'#from './$(name module)'#
   s#'\.\./utils/BufferGeometryUtils\.js'#'./$(name buffer-geometry-utils)'#; s#'\.\./utils/SkeletonUtils\.js'#'./$(name skeleton-utils)'#" \
   "$web"/three-"$version".*.js

@@ -70,8 +70,8 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
-    """A browser without a past, as wide as a phone."""
-    context = browser.new_context(viewport=PHONE, has_touch=True, device_scale_factor=1)
+    """A browser without a past, as wide as a phone. Without service workers, whose requests no test could intercept."""
+    context = browser.new_context(viewport=PHONE, has_touch=True, device_scale_factor=1, service_workers="block")
     yield context
     context.close()
 

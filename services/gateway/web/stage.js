@@ -1,11 +1,14 @@
 // An asset on a stage: loading LODs, showing the right one, swapping versions. Shared by both pages.
 import * as THREE from './three-0.187.0.module.js';
 import { GLTFLoader } from './three-0.187.0.gltf-loader.js';
+import { MeshoptDecoder } from './three-0.187.0.meshopt-decoder.js';
+import { bytesOf } from './vault.js';
 
 // A level is fine enough while the asset's diameter takes less than this share of the view's height.
 const SCREEN_SHARE = [Infinity, 0.3, 0.1];
 const RETRY_MS = 2000; // doubles from try to try
 const RETRY_MOST_MS = 60_000;
+const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
 
 /** A renderer, a scene with soft light, and a camera that fit `canvas`. */
 export function makeStage(canvas) {
@@ -85,7 +88,7 @@ async function addFiner(object, lods, radius, onLevel) {
 }
 
 async function addLevel(object, lod, radius, onLevel) {
-  const gltf = await new GLTFLoader().loadAsync(lod.url);
+  const gltf = await loader.parseAsync(await bytesOf(lod), '');
   if (object.disposed) {
     dispose(gltf.scene);
     return;

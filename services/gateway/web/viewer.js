@@ -154,6 +154,7 @@ document.getElementById('qr').src = `/v1/assets/${encodeURIComponent(key)}/qr.sv
 document.getElementById('address').textContent = location.href;
 navigator.xr?.addEventListener('devicechange', offerVr);
 offerVr();
+navigator.serviceWorker?.register('/web/sw.js', { scope: '/' }).catch(() => {}); // a private window does without
 
 async function poll() {
   try {
