@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.arrays import Tick, no_tick
 from services.edge.capture import Capture, read_capture
 from services.edge.central import Central, CentralAway
 from services.edge.errors import CaptureError, EdgeError
@@ -106,11 +107,12 @@ class RealWork:
         self, archive: Path, request: JobRequest, scratch: Path, bar: Bar, say: Say
     ) -> tuple[Prepared, float]:
         """The points of an archive, and the seconds that reading it took."""
-        say(pb.Progress(stage=pb.VALIDATING, message=f"reading the {'points' if request.prepared else 'capture'}"))
+        reading = pb.Progress(stage=pb.VALIDATING, message=f"reading the {'points' if request.prepared else 'capture'}")
+        say(reading)
         began = time.perf_counter()
         if request.prepared:
             return read_prepared(archive, scratch / "prepared"), time.perf_counter() - began
-        capture = _capture_of(archive, scratch)
+        capture = _capture_of(archive, scratch, lambda fraction: say(reading))
         seconds = time.perf_counter() - began
         refines = self.offer.trains(request.preset)
         steps = prepare(
@@ -135,13 +137,13 @@ def _to_the_end(steps: Generator[Progress, None, T], say: Say) -> T:
                 return result
 
 
-def _capture_of(archive: Path, scratch: Path) -> Capture:
+def _capture_of(archive: Path, scratch: Path, tick: Tick = no_tick) -> Capture:
     folder = scratch / "capture"
     try:
         unpack(archive, folder)
     except ArchiveError as error:
         raise CaptureError(error.code, error.message, file=error.file, hints=error.hints) from None
-    return read_capture(folder)
+    return read_capture(folder, tick=tick)
 
 
 def _warned(prepared: Prepared, warning: str) -> Prepared:

@@ -24,7 +24,7 @@ from services.edge.capture import read_capture, streams, viewing
 from services.edge.capture.keyframes import MOST, STILL, Follower, Look, key_frames
 from services.edge.capture.nouns import Capture, Photo
 from services.edge.capture.video import VideoFrames
-from services.edge.errors import CaptureError
+from services.edge.errors import Cancelled, CaptureError
 from services.edge.photos.align import align
 from services.edge.photos.screen import screen
 from tests.edge.walkaround import render_walkaround
@@ -468,3 +468,17 @@ def test_of_two_films_the_larger_is_read(tmp_path: Path) -> None:
     capture = read_capture(tmp_path)
     assert capture.photos[0].name.startswith("b.mp4 at ")
     assert capture.warnings == ("a.mp4 was not used",)
+
+
+def test_looking_through_a_film_can_be_cancelled(film: Path) -> None:
+    heard: list[float] = []
+
+    def stop_halfway(fraction: float) -> None:
+        heard.append(fraction)
+        if fraction > 0.5:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        read_capture(film.parent, tick=stop_halfway)
+    assert heard == sorted(heard)
+    assert 0.5 < heard[-1] < 0.7

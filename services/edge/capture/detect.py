@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from services.edge.arrays import Tick, no_tick
 from services.edge.capture import colmap, depth16, film, nerfstudio, photos, polycam, record3d, scanner3d, stray, tum
 from services.edge.capture.cloud import cloud_format, read_cloud
 from services.edge.capture.files import Folder, open_folder, reading, unreadable
@@ -31,19 +32,20 @@ _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "gr
 _HINT = "send photos, a video, a point cloud, a mesh, or the export of a scanning app; see the list of formats"
 
 
-def read_capture(folder: Path) -> Capture:
+def read_capture(folder: Path, *, tick: Tick = no_tick) -> Capture:
     """Read and check what a phone sent: an unpacked folder or a single file.
 
     Poses, intrinsics, counts, image headers and the first and last depth image are checked here; images load lazily.
-    Raises CaptureError, naming the file, the reason and what to do.
+    `tick` is called while a film is looked through. Raises CaptureError, naming the file, the reason and what to do,
+    and Cancelled when `tick` does.
     """
     # Values that overflow or are no numbers are judged once they are read; on the way they are no event.
     with np.errstate(all="ignore"), reading(folder.name, "capture"):
         if not folder.exists():
             raise CaptureError("CAPTURE_EMPTY", "there is no such file or folder", file=folder.name)
         if folder.is_dir():
-            return _read_folder(_top(open_folder(folder)))
-        return _read_files(Folder(folder.parent, (folder.name,)))
+            return _read_folder(_top(replace(open_folder(folder), tick=tick)))
+        return _read_files(Folder(folder.parent, (folder.name,), tick))
 
 
 def _top(folder: Folder) -> Folder:
@@ -54,7 +56,8 @@ def _top(folder: Folder) -> Folder:
     (top,) = tops
     if top in ("depth", "keyframes", "rgbd"):
         return folder
-    return _top(Folder(folder.root / top, tuple(name.split("/", 1)[1] for name in folder.names)))
+    inner = tuple(name.split("/", 1)[1] for name in folder.names)
+    return _top(replace(folder, root=folder.root / top, names=inner))
 
 
 def _read_folder(folder: Folder) -> Capture:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Floats
+from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.errors import Cancelled, CaptureError
 
 MAX_FILES = 20_000  # a minute of LiDAR at 60 frames/s with three files each is 10,800
@@ -53,10 +53,14 @@ def number_order(name: str) -> tuple[tuple[int, str], ...]:
 
 @dataclass(frozen=True, slots=True)
 class Folder:
-    """A capture's folder: `names` are the regular files in it, relative, with forward slashes, in number order."""
+    """A capture's folder: `names` are the regular files in it, relative, with forward slashes, in number order.
+
+    tick is called while something that takes seconds is read, and may raise Cancelled.
+    """
 
     root: Path
     names: tuple[str, ...]
+    tick: Tick = field(default=no_tick, repr=False, compare=False)
     _known: frozenset[str] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

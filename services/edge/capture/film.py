@@ -57,7 +57,7 @@ def read_film(folder: Folder, name: str) -> Film:
     """Raises CAPTURE_LOW_OVERLAP where nothing moves, CAPTURE_EMPTY, CAPTURE_UNREADABLE and IMAGE_TOO_LARGE."""
     path = folder.path(name)
     with reading(name, "video"):
-        seen = view(path, name)
+        seen = view(path, name, folder.tick)
         stamps = [look.stamp for look in key_frames(seen.looks)]
     if len(stamps) < MIN_PHOTOS:
         raise _too_little(seen, name)

@@ -7,6 +7,7 @@ The corrected folders are bundle-adjusted and preferred to `images` and `cameras
 from __future__ import annotations
 
 import posixpath
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -52,7 +53,7 @@ def _photos(folder: Folder, images: dict[str, str], cameras: dict[str, str]) -> 
     if not images:
         raise unreadable("keyframes", "holds neither depth nor images", "send the whole raw export")
     if not cameras:
-        return photos.read(Folder(folder.root, tuple(images.values())))
+        return photos.read(replace(folder, names=tuple(images.values())))
     both = [stem for stem in images if stem in cameras]
     warnings = mostly_matched(len(both), len(images), len(cameras), file="keyframes", what="cameras", of="images")
     tries = [partial(_photo, folder, images[stem], cameras[stem]) for stem in both]

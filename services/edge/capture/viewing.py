@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from services.edge.arrays import Bytes
+from services.edge.arrays import Bytes, Tick, no_tick
 from services.edge.capture.keyframes import LONGEST, Follower, Look, sharpness
 from services.edge.capture.streams import Skip, Stream, Table, decoded, open_video, read_table
 from services.edge.errors import CaptureError
@@ -45,12 +45,13 @@ class Viewing:
         """Since the first frame."""
         return float((stamp - self.table.stamps[0]) * self.stream.film.time_base)
 
-    def watch(self) -> None:
+    def watch(self, tick: Tick) -> None:
         """Fill the fields, once."""
         follower, due, every = Follower(), 0.0, max(_LOOK_S, self._length_s() / _LOOKS)
         for frame in self._frames():
             at = self.seconds(frame.pts)
             self.end_s = max(self.end_s, at)
+            tick(min(1.0, self.end_s / max(self._length_s(), 1e-9)))
             if at >= due:
                 due = at + 0.99 * every  # stamps are rounded
                 luma = _luma(frame, self.stream.size)
@@ -118,13 +119,13 @@ class Viewing:
         return ()
 
 
-def view(path: Path, name: str) -> Viewing:
+def view(path: Path, name: str, tick: Tick = no_tick) -> Viewing:
     """Raises CAPTURE_EMPTY, CAPTURE_UNREADABLE and IMAGE_TOO_LARGE."""
     table = read_table(open_video(path, name), name)
     if not table.stamps:
         raise CaptureError("CAPTURE_EMPTY", "holds no frames", file=name, hints=("film the thing again",))
     viewing = Viewing(open_video(path, name, SKIP), table)
-    viewing.watch()
+    viewing.watch(tick)
     return viewing
 
 
