@@ -8,6 +8,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 CAPTURE ?=
 DEMO_FLAGS ?=
+TEST_PROCESSES ?= 2
 export OMP_NUM_THREADS ?= 2
 
 .PHONY: help demo test setup test-setup bench proto clean
@@ -35,7 +36,7 @@ test: .venv/.test-ready
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
-	.venv/bin/pytest
+	.venv/bin/pytest -n $(TEST_PROCESSES) --dist loadgroup
 
 bench: .venv/.test-ready
 	.venv/bin/python -m tests.bench all

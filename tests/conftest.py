@@ -11,6 +11,17 @@ import pytest
 from tests.s3.server import S3Server, available, running
 
 _IN_CI = os.environ.get("CI") == "true"
+_WITH_SERVERS = {"cli", "deploy", "gateway", "storage", "web"}  # folders whose tests start real ones
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # before anything loads torch
+    os.environ["OMP_NUM_THREADS"] = "1"  # threads of two processes on two cores would spin against each other
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Side by side (`pytest -n 2 --dist loadgroup`) real servers stand in one process, and a file's tests in one."""
+    for item in items:
+        folder = item.path.relative_to(Path(__file__).parent).parts[0]
+        item.add_marker(pytest.mark.xdist_group("servers" if folder in _WITH_SERVERS else item.path.name))
 
 
 def missing(what: str) -> None:

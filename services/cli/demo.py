@@ -28,7 +28,7 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     source = capture or _simulated(out)
     with running("127.0.0.1", _port(), out / "data") as stack:
         cut = None if capture else True
-        job = push_capture(source, stack.url, key=key, preset=_PRESET, label=key, isolate=cut)
+        job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "isolate": cut})
         entry = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         with client_of(stack.url) as client:
             manifest = answer_of(client.get(entry["manifest"]["url"]))

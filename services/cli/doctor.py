@@ -20,7 +20,7 @@ from services.cli.progress import console
 _NEEDED = {
     "edge": ("numpy", "scipy", "trimesh", "cv2", "av", "embreex", "laspy", "lzfse", "grpc", "torch"),
     "gateway": ("fastapi", "uvicorn", "sqlalchemy", "grpc", "PIL", "pillow_heif", "multipart"),
-    "storage": ("boto3",),
+    "storage": ("boto3", "cryptography"),
 }
 _MIN_FREE_BYTES = 2 << 30  # a capture of 300 frames with its staging, bundle and store copy
 

@@ -1,4 +1,4 @@
-"""The command line: `capture2vr run | presets | up | push | pull | edge | gateway | demo | doctor`."""
+"""The command line: `capture2vr run | presets | up | push | pull | ls | rm | restore | catalogue | gateway`, …"""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 import services
+from services.cli.catalogue import app as catalogue
 from services.cli.errors import BadInput, plain
 
 app = typer.Typer(
@@ -17,6 +18,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(catalogue, name="catalogue")
 
 Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
 Isolate = Annotated[
@@ -28,6 +30,9 @@ Isolate = Annotated[
 Longest = Annotated[
     float | None,
     typer.Option(min=0.001, max=1_000, help="Metres between the farthest points of the thing, if you measured it."),
+]
+Target = Annotated[
+    str, typer.Option(help="quest3, quest2, web or archive: levels of detail that keep within its budget, or an error.")
 ]
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 
@@ -41,13 +46,14 @@ def run(
     resolution: Annotated[int, typer.Option(min=0, max=1024, help="Cells along the longest side; 0 chooses.")] = 0,
     isolate: Isolate = None,
     longest: Longest = None,
+    target: Target = "",
     key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",
     reference: Annotated[Path | None, typer.Option(help="A mesh of the same thing to measure the result by.")] = None,
 ) -> None:
     """The whole pipeline in one process: capture in, meshes, picture, report and bundle out."""
     from services.cli.run import Wanted, run_capture
 
-    wanted = Wanted(key=key, isolate=isolate, longest_m=longest, reference=reference)
+    wanted = Wanted(key=key, isolate=isolate, longest_m=longest, target=target, reference=reference)
     run_capture(capture, out, wanted, preset=preset, device=device, resolution=resolution)
 
 
@@ -80,11 +86,13 @@ def push(
     label: Annotated[str, typer.Option(help="A name for people.")] = "",
     isolate: Isolate = None,
     longest: Longest = None,
+    target: Target = "",
 ) -> None:
     """Upload a capture as a phone would, follow the job, print where the asset stands."""
     from services.cli.push import push_capture
 
-    push_capture(capture, gateway, key=key, preset=preset, label=label, isolate=isolate, longest_m=longest)
+    options = {"preset": preset or None, "isolate": isolate, "longest_m": longest, "target": target or None}
+    push_capture(capture, gateway, key=key, label=label, options=options)
 
 
 @app.command()
@@ -101,8 +109,39 @@ def pull(
 
 
 @app.command()
+def ls(
+    gateway: Gateway = DEFAULT_GATEWAY,
+    collection: Annotated[str, typer.Option(help="Which collection.")] = "default",
+    label: Annotated[str, typer.Option(help="Part of the label, or one of the labels.")] = "",
+) -> None:
+    """The assets of a collection."""
+    from services.cli.assets import list_assets
+
+    list_assets(gateway, collection=collection, label=label)
+
+
+@app.command()
+def rm(key: Annotated[str, typer.Argument(help="Asset key.")], gateway: Gateway = DEFAULT_GATEWAY) -> None:
+    """Take an asset out of sight. Its files stay: `restore` or a new version brings it back."""
+    from services.cli.assets import mark
+
+    mark(key, gateway, "remove")
+
+
+@app.command()
+def restore(key: Annotated[str, typer.Argument(help="Asset key.")], gateway: Gateway = DEFAULT_GATEWAY) -> None:
+    """Bring a removed asset back as it was."""
+    from services.cli.assets import mark
+
+    mark(key, gateway, "restore")
+
+
+@app.command()
 def edge() -> None:
-    """A worker alone, configured by EDGE_* and STORAGE_* variables."""
+    """A worker alone, configured by EDGE_* and STORAGE_* variables.
+
+    EDGE_CENTRAL=host:port: it makes the points, and the worker there fits the field and publishes to the same store.
+    """
     from services.cli.serve import serve_edge
 
     raise typer.Exit(serve_edge())

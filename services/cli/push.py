@@ -6,7 +6,7 @@ import json
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,20 +30,20 @@ def push_capture(
     gateway: str,
     *,
     key: str,
-    preset: str,
     label: str,
-    isolate: bool | None = None,
-    longest_m: float | None = None,
+    options: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Upload, start a job, follow it; the final job. Raises BadInput with the gateway's own reason."""
+    """Upload, start a job, follow it; the final job. Raises BadInput with the gateway's own reason.
+
+    options: what else the job asks for, by the API's names; None: not told.
+    """
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             capture = upload(client, source, bar)
-            told = {"preset": preset or None, "isolate": isolate, "longest_m": longest_m}
             request = {"capture": capture["capture"], "asset_key": key, "label": label or key}
-            request |= {name: value for name, value in told.items() if value is not None}
+            request |= {name: value for name, value in options.items() if value is not None}
             # One key for the whole command: a retry after a lost answer finds the job instead of making a second one.
             job = answer_of(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
             for state in follow(client, job["id"]):

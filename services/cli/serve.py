@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from services.cli.errors import BadInput
 from services.logs import configure
-from services.storage.settings import StorageSettings, open_store
+from services.storage.settings import StorageSettings, open_keys, open_publish, open_store
 
 
 def serve_edge() -> int:
@@ -19,7 +19,8 @@ def serve_edge() -> int:
     from services.edge.work import RealWork
 
     try:
-        settings, store = EdgeSettings(), open_store(StorageSettings())
+        settings, storage = EdgeSettings(), StorageSettings()
+        store, publish = open_store(storage), open_publish(storage)
         device = find_device(settings.device)
         presets = known_presets(settings.presets)
     except ValueError as error:
@@ -30,7 +31,7 @@ def serve_edge() -> int:
     configure(settings.log_level)
     memory = Memory(settings.memory or device.memory_bytes or machine_bytes())
     central = Central(settings.central) if settings.central else None
-    return serve(settings, RealWork(store, presets, device, memory, central))
+    return serve(settings, RealWork(store, presets, device, memory, central, publish))
 
 
 def serve_gateway() -> int:
@@ -39,7 +40,8 @@ def serve_gateway() -> int:
     from services.gateway.settings import GatewaySettings
 
     try:
-        settings, store = GatewaySettings(), open_store(StorageSettings())
+        settings, storage = GatewaySettings(), StorageSettings()
+        store, keys = open_store(storage), open_keys(storage)
     except ValueError as error:
         raise BadInput(str(error)) from error
-    return serve(settings, store)
+    return serve(settings, store, keys)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing
@@ -20,15 +21,25 @@ from services.edge.requests import JobRequest
 from services.edge.run import Say
 from services.edge.target import target_of
 from services.storage.bundle import Bundle, Json
-from services.storage.publish import Asset, StaleFence, publish
+from services.storage.publish import Asset, Publish, StaleFence, publish
 from services.storage.store import Store
+
+_log = logging.getLogger(__name__)
 
 
 class Fitter:
     """Fits fields to points on `device`, within `memory`, and publishes to `store`. presets: by name."""
 
-    def __init__(self, store: Store, presets: Mapping[str, Preset], device: Device, memory: Memory) -> None:
+    def __init__(
+        self,
+        store: Store,
+        presets: Mapping[str, Preset],
+        device: Device,
+        memory: Memory,
+        publish: Publish = publish,
+    ) -> None:
         self._store = store
+        self._publish = publish
         self._presets = presets
         self._device = device
         self._memory = memory
@@ -56,7 +67,7 @@ class Fitter:
                         say(told(step))
                     case Bundle():
                         began = time.perf_counter()
-                        say(_published(_publish(step, self._store, request)))
+                        say(_published(self._published(step, request)))
                         publishing += time.perf_counter() - began
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
                         if step.state == "preview":  # what the fit behind it takes is known only now
@@ -70,6 +81,18 @@ class Fitter:
                     case PreviewKept():
                         warnings, computing = (*warnings, step.warning), step.seconds
         return pb.Finished(warnings=warnings, seconds={"PUBLISHING": publishing, **computing})
+
+    def _published(self, bundle: Bundle, request: JobRequest) -> Asset:
+        """Raises EdgeError FENCE_STALE, STORE_UNAVAILABLE."""
+        try:
+            return self._publish(bundle, self._store, key=request.asset_key, job=request.job, fence=request.fence)
+        except StaleFence:
+            message = "another worker has taken the job over; what this one made is void"
+            raise EdgeError("FENCE_STALE", message) from None
+        except OSError as error:
+            _log.warning("job %s: %s", request.job, error)
+            message = "the result could not be written to the store"
+            raise EdgeError("STORE_UNAVAILABLE", message, hints=("try again later",), retryable=True) from error
 
     def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
         """MEMORY_EXCEEDED, where the fit behind a preview never finds the memory that it takes."""
@@ -104,17 +127,6 @@ def told(progress: Progress) -> pb.Progress:
     return pb.Progress(
         stage=progress.stage, fraction=progress.fraction, message=progress.message, losses=progress.losses
     )
-
-
-def _publish(bundle: Bundle, store: Store, request: JobRequest) -> Asset:
-    try:
-        return publish(bundle, store, key=request.asset_key, job=request.job, fence=request.fence)
-    except StaleFence:
-        message = "another worker has taken the job over; what this one made is void"
-        raise EdgeError("FENCE_STALE", message) from None
-    except OSError as error:
-        message = "the result could not be written to the store"
-        raise EdgeError("STORE_UNAVAILABLE", message, hints=("try again later",), retryable=True) from error
 
 
 def _published(asset: Asset) -> pb.Published:

@@ -30,6 +30,7 @@ from services.edge.requests import JobRequest
 from services.edge.run import Say
 from services.edge.stock import offer_of
 from services.storage.archives import ArchiveError, unpack
+from services.storage.publish import Publish, publish
 from services.storage.store import Store
 
 T = TypeVar("T")
@@ -50,8 +51,9 @@ class RealWork:
         device: Device,
         memory: Memory,
         central: Central | None = None,
+        publish: Publish = publish,
     ) -> None:
-        self._fitter = Fitter(store, presets, device, memory)
+        self._fitter = Fitter(store, presets, device, memory, publish)
         self._device = device
         self._own_offer = offer_of(presets, device, memory.total_bytes)
         self._central = central

@@ -27,9 +27,10 @@ from services.gateway.jobs.tables import open_engine
 from services.gateway.jobs.transitions import Retry
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import Around
-from services.gateway.routes import assets, captures, health, jobs, pages
+from services.gateway.routes import assets, captures, collections, files, health, jobs, pages
 from services.gateway.settings import GatewaySettings
 from services.logs import configure
+from services.storage.signing import NO_KEYS, Keys
 from services.storage.store import Store
 
 _GRACE_S = 5  # that answers under way get when the gateway is told to stop
@@ -37,10 +38,10 @@ _GRACE_S = 5  # that answers under way get when the gateway is told to stop
 _log = logging.getLogger(__name__)
 
 
-def create_app(settings: GatewaySettings, store: Store) -> FastAPI:
+def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> FastAPI:
     """The app; its database, its dispatcher and its connections live from startup to shutdown.
 
-    Routes find what they need in `app.state`: settings, store, edge, metrics, desk, dispatcher.
+    Routes find what they need in `app.state`: settings, store, keys, rows_of, edge, metrics, desk, dispatcher.
     """
     app = FastAPI(
         title="capture2vr",
@@ -53,10 +54,12 @@ def create_app(settings: GatewaySettings, store: Store) -> FastAPI:
     metrics = Metrics()
     app.state.settings = settings
     app.state.store = store
+    app.state.keys = keys
+    app.state.rows_of = collections.kept_rows(store)
     app.state.metrics = metrics
     app.state.edge = EdgePool(settings.workers, silence_s=settings.silence_s, job_timeout_s=settings.job_timeout_s)
     errors.install(app)
-    for routes in (captures, jobs, assets, health, pages):
+    for routes in (captures, jobs, assets, collections, files, health, pages):
         app.include_router(routes.router)
     app.mount("/web", pages.Web(directory=pages.WEB), name="web")
     if settings.cors_origins:
@@ -111,7 +114,7 @@ def _report_death(task: asyncio.Task[None]) -> None:
         _log.critical("a background task of the gateway died", exc_info=error)
 
 
-def serve(settings: GatewaySettings, store: Store) -> int:
+def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     """Serve until SIGTERM or SIGINT; the process's exit status: 0, or 1 when it could not start."""
     configure(settings.log_level)
     try:
@@ -123,8 +126,10 @@ def serve(settings: GatewaySettings, store: Store) -> int:
         return 1
     with listening:
         _announce(settings, listening.getsockname()[1])
+        if not keys.believed:
+            _log.warning("collections are believed as they are: name the keys in STORAGE_SIGNING_KEY or _TRUSTED_KEYS")
         config = uvicorn.Config(
-            create_app(settings, store),
+            create_app(settings, store, keys),
             log_config=None,
             access_log=False,
             timeout_graceful_shutdown=_GRACE_S,

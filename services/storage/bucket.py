@@ -1,6 +1,7 @@
-"""`python -m services.storage.bucket`: make the bucket and let anybody read `assets/`, nothing else.
+"""`python -m services.storage.bucket`: make the bucket and let anybody read `assets/` and `collections/`, nothing else.
 
-Assets carry their sha256 in their names and are meant for any headset; captures and catalogues stay with the services.
+They are meant for any headset, which checks them by signature and hash; captures, and the entries and aliases that
+services work with, stay with the services.
 """
 
 from __future__ import annotations
@@ -14,17 +15,17 @@ from services.strict_settings import SettingsError
 
 _log = logging.getLogger(__name__)
 
-PUBLIC_PREFIX = "assets/"
+PUBLIC_PREFIXES = ("assets/", "collections/")
 
 
 def read_policy(bucket: str) -> str:
-    """The bucket policy (JSON) under which anybody may get an asset by its name, and list nothing."""
+    """The bucket policy (JSON) under which anybody may get an asset or a collection by its name, and list nothing."""
     statement = {
-        "Sid": "ReadAssets",
+        "Sid": "ReadAssetsAndCollections",
         "Effect": "Allow",
         "Principal": {"AWS": ["*"]},
         "Action": ["s3:GetObject"],
-        "Resource": [f"arn:aws:s3:::{bucket}/{PUBLIC_PREFIX}*"],
+        "Resource": [f"arn:aws:s3:::{bucket}/{prefix}*" for prefix in PUBLIC_PREFIXES],
     }
     return json.dumps({"Version": "2012-10-17", "Statement": [statement]})
 
@@ -44,7 +45,7 @@ def main() -> None:
         store.set_policy(read_policy(settings.bucket))
     except (OSError, SettingsError) as error:
         sys.exit(f"bucket: {error}")
-    _log.info("bucket %s is ready; %s is readable by anybody", settings.bucket, PUBLIC_PREFIX)
+    _log.info("bucket %s is ready; anybody may read %s", settings.bucket, ", ".join(PUBLIC_PREFIXES))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,8 @@ from services.storage.store import Head, Store
 _KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _PREFIX, _SUFFIX = "catalog/", ".json"
 
+DEFAULT_COLLECTION = "default"
+
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -40,6 +42,16 @@ class Entry:
     def versions(self) -> list[dict[str, Any]]:
         return list(self.document["versions"])
 
+    @property
+    def removed(self) -> bool:
+        """Whether the asset was taken out of sight; its files stay for a restoration."""
+        return bool(self.document.get("removed"))
+
+    @property
+    def collections(self) -> list[str]:
+        """Where the asset is listed; an entry older than collections belongs to the default one."""
+        return list(self.document.get("collections", (DEFAULT_COLLECTION,)))
+
 
 def valid_key(key: str) -> bool:
     """Whether a client may name an asset so: 1 to 100 letters, digits and ._- that begin with a letter or digit."""
@@ -51,6 +63,15 @@ def check_key(key: str) -> str:
     if not valid_key(key):
         raise ValueError(f"{key!r} is no asset key: use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
     return key
+
+
+def check_collection(name: str) -> str:
+    """The name itself. Raises ValueError for one that `valid_key` refuses: collections are named by the same rules."""
+    if not valid_key(name):
+        raise ValueError(
+            f"{name!r} is no collection: use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
+        )
+    return name
 
 
 def entry_name(key: str) -> str:

@@ -1,29 +1,35 @@
 """publish(): put a bundle under an asset key so that every reader, at every moment, finds a whole asset.
 
-Order: files, manifest, catalogue entry, moving alias. Whatever is written refers only to what was written before it, so
-a crash between any two steps leaves unreferenced files at worst, and the next run completes the work.
+Order: files, manifest, catalogue entry, moving alias, the collection's shard, its index, its Unity catalogues. Whatever
+is written refers only to what was written before it, so a crash between any two steps leaves unreferenced files at
+worst, and the next run completes the work.
 """
 
 from __future__ import annotations
 
 import json
-import random
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from typing import Any, TypeVar
+from typing import Any, Protocol
 
 from services.storage.bundle import Bundle, Json, content_name, content_type, sha256_hex
-from services.storage.catalogue import Entry, alias_name, check_key, entry, entry_name
-from services.storage.store import NO_CACHE, ConditionFailed, Store
-
-_T = TypeVar("_T")
+from services.storage.catalogue import (
+    DEFAULT_COLLECTION,
+    Entry,
+    alias_name,
+    check_collection,
+    check_key,
+    entry,
+    entry_name,
+)
+from services.storage.collect import enter
+from services.storage.signing import NO_KEYS, Keys
+from services.storage.store import Store
+from services.storage.unity.keep import keep
+from services.storage.writing import encoded, now_iso, put_mutable, until_won
 
 SCHEMA = 1
-_RACE_S = 60.0  # how long to keep trying against other publishers of the same key
-_PAUSE_S = 0.02  # first pause after a lost race; doubles with jitter up to a second
-_FROM_MANIFEST = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "label", "origin")
+_FROM_MANIFEST = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "label", "labels", "origin")
 
 
 class StaleFence(Exception):  # noqa: N818 - not a fault: the job has moved to another worker
@@ -53,22 +59,51 @@ class _Stored:
         return {"file": self.file, "name": self.name, "sha256": self.sha256, "bytes": self.size}
 
 
-def publish(bundle: Bundle, store: Store, *, key: str, job: str = "", fence: int = 0) -> Asset:
-    """Publish a bundle under `key` and make it the current version.
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """On whose behalf something is published, and where it is listed."""
+
+    job: str
+    fence: int
+    collection: str
+
+
+class Publish(Protocol):
+    """`publish` with its collection and its keys chosen: what a worker is given."""
+
+    def __call__(self, bundle: Bundle, store: Store, *, key: str, job: str, fence: int) -> Asset: ...
+
+
+def publish(
+    bundle: Bundle,
+    store: Store,
+    *,
+    key: str,
+    job: str = "",
+    fence: int = 0,
+    collection: str = DEFAULT_COLLECTION,
+    keys: Keys = NO_KEYS,
+) -> Asset:
+    """Publish a bundle under `key`, make it the current version, and list it in `collection`, signed with `keys`.
 
     Publishing the same (job, state) twice adds no version and answers with the first; without a job the content
-    decides. Raises StaleFence when a publisher of the same job had a higher fence, ValueError for an invalid key,
-    OSError when the store fails; after the last one, publish again.
+    decides. A new version of a removed asset brings it back. Raises StaleFence when a publisher of the same job had a
+    higher fence, ValueError for an invalid key or collection, OSError when the store fails, of which CatalogueFault is
+    one; after that, publish again.
     """
+    order = _Order(job, fence, check_collection(collection))
     present = _entry_or_none(store, check_key(key))
     settled = _settled(present, bundle.state, job, fence)
-    if settled is not None and settled["fence"] >= fence:
+    is_listed = present is not None and collection in present.collections
+    if settled is not None and settled["fence"] >= fence and is_listed:
         asset = _asset(key, settled)
     else:
         files = [_put_content(store, key, file, data) for file, data in sorted(bundle.files.items())]
         manifest = _put_manifest(store, key, bundle, files)
-        asset = _enter(store, key, bundle, files, manifest, job, fence)
+        asset = _enter(store, key, bundle, files, manifest, order)
     _move_alias(store, asset)
+    enter(store, key, keys)
+    keep(store, key)
     return asset
 
 
@@ -97,27 +132,27 @@ def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[_Stored]) 
         "lods": _lods(bundle.manifest, files),
         "files": [file.document() for file in files],
     }
-    return _put_content(store, key, "manifest.json", _encoded(document))
+    return _put_content(store, key, "manifest.json", encoded(document))
 
 
-def _enter(
-    store: Store, key: str, bundle: Bundle, files: list[_Stored], manifest: _Stored, job: str, fence: int
-) -> Asset:
+def _enter(store: Store, key: str, bundle: Bundle, files: list[_Stored], manifest: _Stored, order: _Order) -> Asset:
     """Add a version to the catalogue entry; among concurrent publishers every one gets a version of its own."""
 
     def attempt() -> Asset:
         present = _entry_or_none(store, key)
         versions = present.versions if present else []
-        record = _settled(present, bundle.state, job, fence, manifest.name)
+        record = _settled(present, bundle.state, order.job, order.fence, manifest.name)
         if present and record:
-            document = {**present.document, "versions": _with_fence(versions, record, fence)}
+            document = {**present.document, "versions": _with_fence(versions, record, order.fence)}
         else:
-            record = _new_record(versions, bundle.state, manifest.name, job, fence)
+            record = _new_record(versions, bundle.state, manifest.name, order)
             document = _document(key, bundle, files, manifest, record, versions)
-        _put_mutable(store, entry_name(key), document, present.etag if present else None)
+        listed = present.collections if present else []
+        document["collections"] = list(dict.fromkeys((*listed, order.collection)))
+        put_mutable(store, entry_name(key), encoded(document), present.etag if present else None)
         return _asset(key, record)
 
-    return _until_won(attempt)
+    return until_won(attempt)
 
 
 def _settled(present: Entry | None, state: str, job: str, fence: int, manifest: str = "") -> dict[str, Any] | None:
@@ -138,14 +173,14 @@ def _with_fence(versions: list[dict[str, Any]], record: dict[str, Any], fence: i
     return [{**each, "fence": fence} if each["version"] == record["version"] else each for each in versions]
 
 
-def _new_record(versions: list[dict[str, Any]], state: str, manifest: str, job: str, fence: int) -> dict[str, Any]:
+def _new_record(versions: list[dict[str, Any]], state: str, manifest: str, order: _Order) -> dict[str, Any]:
     return {
         "version": 1 + max((int(each["version"]) for each in versions), default=0),
         "state": state,
-        "job": job,
-        "fence": fence,
+        "job": order.job,
+        "fence": order.fence,
         "manifest": manifest,
-        "created": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        "created": now_iso(),
     }
 
 
@@ -188,34 +223,9 @@ def _move_alias(store: Store, asset: Asset) -> None:
                 return
         except FileNotFoundError:
             etag = None
-        _put_mutable(store, name, {"version": asset.version, "manifest": asset.manifest}, etag)
+        put_mutable(store, name, encoded({"version": asset.version, "manifest": asset.manifest}), etag)
 
-    _until_won(attempt)
-
-
-def _put_mutable(store: Store, name: str, document: Mapping[str, Json], etag: str | None) -> None:
-    """Replace the document read under `etag`, or create it where there was none. Raises ConditionFailed."""
-    store.put(
-        name,
-        _encoded(document),
-        content_type="application/json",
-        cache_control=NO_CACHE,
-        if_match=etag,
-        if_absent=etag is None,
-    )
-
-
-def _until_won(attempt: Callable[[], _T]) -> _T:
-    """Repeat read-and-replace until nobody came between. Raises OSError after a minute of lost races."""
-    pause, deadline = _PAUSE_S, time.monotonic() + _RACE_S
-    while True:
-        try:
-            return attempt()
-        except ConditionFailed as lost:
-            if time.monotonic() > deadline:
-                raise OSError(f"too many publishers at once: {lost}") from None
-            time.sleep(pause * random.uniform(0.5, 1.5))
-            pause = min(2 * pause, 1.0)
+    until_won(attempt)
 
 
 def _entry_or_none(store: Store, key: str) -> Entry | None:
@@ -230,7 +240,3 @@ def _lods(manifest: Mapping[str, Json], files: list[_Stored]) -> list[dict[str, 
     places = {file.file: file.document() for file in files}
     levels = ({**level, **places[level["file"]]} for level in manifest.get("lods", ()))
     return sorted(levels, key=lambda level: int(level["level"]))
-
-
-def _encoded(document: Mapping[str, Json]) -> bytes:
-    return json.dumps(document, sort_keys=True, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()

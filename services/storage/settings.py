@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import SecretStr
+from pydantic import AfterValidator, SecretStr
 from pydantic_settings import SettingsConfigDict
 
+from services.storage.catalogue import DEFAULT_COLLECTION, valid_key
 from services.storage.local import LocalStore
+from services.storage.publish import Publish, publish
+from services.storage.signing import KeyFileError, Keys, read_public, read_signer
 from services.storage.store import Store
-from services.strict_settings import SettingsError, StrictSettings
+from services.strict_settings import CommaList, SettingsError, StrictSettings
+
+
+def _collection(name: str) -> str:
+    if not valid_key(name):
+        raise ValueError("use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
+    return name
 
 
 class StorageSettings(StrictSettings):
@@ -18,6 +28,9 @@ class StorageSettings(StrictSettings):
 
     public_endpoint  the S3 service as clients reach it; presigned URLs are signed for this host
     base_url         what stands before an object's name in the URLs that clients get: a CDN, or the gateway's /v1/files
+    collection       which collection publishing enters
+    signing_key      private keys (PEM) that sign collections; one, or two while they are exchanged; none: unsigned
+    trusted_keys     public keys (PEM) whose collections are believed, besides those of signing_key; none: anybody's
     """
 
     model_config = SettingsConfigDict(env_prefix="STORAGE_")
@@ -31,6 +44,9 @@ class StorageSettings(StrictSettings):
     region: str = "us-east-1"
     access_key: SecretStr = SecretStr("")
     secret_key: SecretStr = SecretStr("")
+    collection: Annotated[str, AfterValidator(_collection)] = DEFAULT_COLLECTION
+    signing_key: CommaList = ()
+    trusted_keys: CommaList = ()
 
 
 def open_store(settings: StorageSettings) -> Store:
@@ -41,6 +57,22 @@ def open_store(settings: StorageSettings) -> Store:
     if bool(access) != bool(secret):
         raise SettingsError("STORAGE_ACCESS_KEY and STORAGE_SECRET_KEY go together: set both or none")
     return _open_s3(settings, access, secret)
+
+
+def open_keys(settings: StorageSettings) -> Keys:
+    """The keys of these settings. Raises SettingsError that names the variable and the file at fault."""
+    try:
+        variable = "STORAGE_SIGNING_KEY"
+        signers = tuple(read_signer(Path(path)) for path in settings.signing_key)
+        variable = "STORAGE_TRUSTED_KEYS"
+        return Keys(signers, tuple(read_public(Path(path)) for path in settings.trusted_keys))
+    except KeyFileError as error:
+        raise SettingsError(f"{variable}: {error}") from None
+
+
+def open_publish(settings: StorageSettings) -> Publish:
+    """`publish` as these settings want it: into their collection, signed with their keys. Raises SettingsError."""
+    return partial(publish, collection=settings.collection, keys=open_keys(settings))
 
 
 def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:

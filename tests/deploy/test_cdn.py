@@ -16,6 +16,7 @@ import pytest
 
 from services.cli.up import free_port
 from services.storage.s3 import S3Store
+from services.storage.store import NO_CACHE
 from tests.conftest import missing
 from tests.s3.server import S3Server
 
@@ -24,6 +25,8 @@ pytestmark = pytest.mark.s3
 CONF = Path(__file__).parents[2] / "deploy" / "nginx.conf"
 BUCKET = "capture2vr"  # the name that the configuration knows
 CONTENT = os.urandom(3 << 20)  # three slices
+ROWS = b'{"rows":[' + b'["thing"],' * 400 + b'["thing"]]}'
+SHARD = f"collections/default/shard.{hashlib.sha256(ROWS).hexdigest()}.json"
 NAME = f"assets/thing/lod0.{hashlib.sha256(CONTENT).hexdigest()}.glb"
 
 
@@ -48,6 +51,7 @@ def bucket(s3_server: S3Server) -> S3Store:
     )
     store.put(NAME, CONTENT, content_type="model/gltf-binary")
     store.put("captures/private.zip", b"private", content_type="application/zip")
+    store.put(SHARD, ROWS, content_type="application/json")
     return store
 
 
@@ -121,17 +125,41 @@ def test_a_range_comes_from_the_cache(cdn: str) -> None:
     assert part.headers["X-Cache"] == "HIT"
 
 
-OUT_OF_ASSETS = ["assets/../captures/private.zip", "assets/%2e%2e/captures/private.zip"]
+def test_a_shard_is_cached_and_may_come_packed(cdn: str) -> None:
+    for cache in ("MISS", "HIT"):
+        answer = httpx.get(f"{cdn}/{SHARD}")
+        assert (answer.status_code, answer.content, answer.headers["X-Cache"]) == (200, ROWS, cache)
+        assert answer.headers["Access-Control-Allow-Origin"] == "*"
+        assert answer.headers["Content-Encoding"] == "gzip"
+    assert httpx.get(f"{cdn}/{SHARD}", headers={"Accept-Encoding": "identity"}).content == ROWS
+
+
+def test_an_index_is_never_old(cdn: str, bucket: S3Store) -> None:
+    name = "collections/default/index.json"
+    for content in (b"1", b"2"):
+        put = bucket.put(name, content, content_type="application/json", cache_control=NO_CACHE)
+        answer = httpx.get(f"{cdn}/{name}")
+        assert (answer.status_code, answer.content, answer.headers["Cache-Control"]) == (200, content, NO_CACHE)
+    known = {"If-None-Match": f'"{put.etag}"'}
+    assert httpx.get(f"{cdn}/{name}", headers=known).status_code == 304
+
+
+ABSENT = ["assets/thing/absent.glb", "collections/none/index.json", "collections/default/shard.0.json"]
+OUT_OF_ASSETS = [
+    "assets/../captures/private.zip",
+    "assets/%2e%2e/captures/private.zip",
+    "collections/../captures/private.zip",
+]
 
 
 @pytest.mark.parametrize(
-    ("path", "status"), [("assets/thing/absent.glb", 404), *((path, 502) for path in OUT_OF_ASSETS)]
+    ("path", "status"), [*((path, 404) for path in ABSENT), *((path, 502) for path in OUT_OF_ASSETS)]
 )
 def test_what_is_absent_or_private_is_not_served(cdn: str, path: str, status: int) -> None:
     url = httpx.URL(f"{cdn}/").copy_with(raw_path=f"/{path}".encode())
     with httpx.Client() as client:
         answer = client.send(httpx.Request("GET", url))
-    # A path that leaves /assets/ is the gateway's to answer, and none runs here.
+    # A path that leaves the public folders is the gateway's to answer, and none runs here.
     assert answer.status_code == status
     assert b"private" not in answer.content
 
@@ -139,6 +167,7 @@ def test_what_is_absent_or_private_is_not_served(cdn: str, path: str, status: in
 def test_nobody_reads_captures_or_lists_the_bucket(bucket: S3Store, s3_server: S3Server) -> None:
     home = f"{s3_server.endpoint}/{BUCKET}"
     assert httpx.get(f"{home}/{NAME}").status_code == 200
+    assert httpx.get(f"{home}/{SHARD}").status_code == 200
     assert httpx.get(f"{home}/captures/private.zip").status_code == 403
     assert httpx.get(f"{home}?list-type=2").status_code == 403
     assert httpx.put(f"{home}/assets/thing/mine.glb", content=b"x").status_code == 403

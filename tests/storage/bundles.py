@@ -1,10 +1,12 @@
-"""Bundles and a failing store for the tests of publishing."""
+"""Bundles, what a collection has, and a failing store for the tests of publishing."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from services.storage.bundle import Bundle, State
+from services.storage.collection import Row, index_name, load_shard, read_index
+from services.storage.signing import Public
 from services.storage.store import IMMUTABLE, Head, Store
 
 
@@ -17,6 +19,19 @@ def bundle(state: State = "preview", content: str = "a", **manifest: object) -> 
     ]
     facts = {"label": "Dress", "scale_confidence": "metric", "bounds_m": [[0, 0, 0], [1, 2, 3]], "size_m": [1, 2, 3]}
     return Bundle(state=state, files=files, manifest={"lods": lods, "quality": {"triangles": 100}} | facts | manifest)
+
+
+def listed(store: Store, collection: str = "default", believed: tuple[Public, ...] = ()) -> dict[str, Row]:
+    """The rows of a collection by key, each shard as the index says and in order."""
+    index = read_index(store.get(index_name(collection)), collection, believed)
+    rows: list[Row] = []
+    for shard in index.shards:
+        part = load_shard(store, shard)
+        assert (len(part), part[0].key, part[-1].key) == (shard.count, shard.first, shard.last)
+        assert store.head(shard.name).size == shard.bytes
+        rows += part
+    assert [row.key for row in rows] == sorted({row.key for row in rows})
+    return {row.key: row for row in rows}
 
 
 class Crash(Exception):  # noqa: N818 - it reads as what it is

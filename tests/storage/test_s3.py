@@ -22,18 +22,20 @@ def bucket() -> str:
     return f"test-{uuid.uuid4().hex[:12]}"
 
 
-def test_anybody_reads_assets_and_nothing_else(s3_server: S3Server, bucket: str) -> None:
+def test_anybody_reads_assets_and_collections_and_nothing_else(s3_server: S3Server, bucket: str) -> None:
     store = s3_store(s3_server, bucket)
     store.set_policy(read_policy(bucket))
-    for name in ("assets/a/lod0.glb", "captures/c.zip", "catalog/a.json"):
+    for name in ("assets/a/lod0.glb", "collections/c/index.json", "captures/c.zip", "catalog/a.json"):
         store.put(name, b"12345", content_type=TEXT)
     answer = httpx.get(store.url("assets/a/lod0.glb"), headers={"Range": "bytes=1-2"})
     assert (answer.status_code, answer.content) == (206, b"23")
     assert "immutable" in answer.headers["cache-control"]
+    assert httpx.get(store.url("collections/c/index.json")).content == b"12345"
     for name in ("captures/c.zip", "catalog/a.json", "assets/a/absent", ""):
         address = f"{s3_server.endpoint}/{bucket}/{name}"
         assert httpx.get(address).status_code == 403
-    assert httpx.put(store.url("assets/a/mine"), content=b"x").status_code == 403
+    for name in ("assets/a/mine", "collections/c/index.json"):
+        assert httpx.put(store.url(name), content=b"x").status_code == 403
 
 
 def test_presigned_addresses_are_for_the_public_host(s3_server: S3Server, bucket: str) -> None:

@@ -8,8 +8,10 @@ import pytest
 
 from services.storage.local import LocalStore
 from services.storage.s3 import S3Store
-from services.storage.settings import StorageSettings, open_store
+from services.storage.settings import StorageSettings, open_publish, open_store
+from services.storage.signing import generate
 from services.strict_settings import SettingsError
+from tests.storage.bundles import bundle, listed
 
 
 def test_a_folder_is_the_default(tmp_path: Path) -> None:
@@ -38,3 +40,11 @@ def test_s3_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_half_a_pair_of_keys_is_an_error() -> None:
     with pytest.raises(SettingsError, match="STORAGE_SECRET_KEY"):
         open_store(StorageSettings(kind="s3", access_key="key"))
+
+
+def test_a_worker_publishes_into_the_collection_and_with_the_keys_of_its_settings(tmp_path: Path) -> None:
+    public = generate(tmp_path / "key")
+    settings = StorageSettings(root=tmp_path / "objects", collection="mine", signing_key=(str(tmp_path / "key"),))
+    store = open_store(settings)
+    open_publish(settings)(bundle(), store, key="dress", job="job_1", fence=1)
+    assert list(listed(store, "mine", believed=(public,))) == ["dress"]

@@ -68,10 +68,10 @@ def test_another_base_url_is_not_taken_for_ours(form: int) -> None:
 def test_names_are_unitys_and_hashes_come_last() -> None:
     names = file_names("museum")
     assert [each.catalogue for each in names] == [
-        "unity/museum/catalog.json",
-        "unity/museum/catalog_v1.bin",
-        "unity/museum/catalog_v2.bin",
-        "unity/museum/catalog_v3.bin",
+        "collections/museum/unity/catalog.json",
+        "collections/museum/unity/catalog_v1.bin",
+        "collections/museum/unity/catalog_v2.bin",
+        "collections/museum/unity/catalog_v3.bin",
     ]
     for each in names:
         assert each.hash == str(Path(each.catalogue).with_suffix(".hash"))

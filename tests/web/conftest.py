@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_play
 
 from services.cli.up import Stack, running
 from tests.conftest import missing
+from tests.pinned import installed
 
 # Software rendering, and none of the connections that a browser opens for itself.
 CHROMIUM_FLAGS = [
@@ -88,12 +88,7 @@ def page(context: BrowserContext) -> Iterator[Page]:
 
 
 @pytest.fixture(scope="session")
-def iwer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def iwer() -> Path:
     """Meta's WebXR emulator, as one script."""
-    if shutil.which("npm") is None:
-        missing("npm")
-    folder = tmp_path_factory.mktemp("iwer")
-    for name in ("package.json", "package-lock.json"):
-        shutil.copy(Path(__file__).parent / name, folder)
-    subprocess.run(["npm", "ci", "--no-audit", "--no-fund", "--silent"], cwd=folder, check=True)
+    folder = installed("iwer", Path(__file__).parent, what="the WebXR emulator")
     return folder / "node_modules" / "iwer" / "build" / "iwer.min.js"

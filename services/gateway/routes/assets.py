@@ -1,37 +1,32 @@
-"""/v1/assets: what was published, by key. /v1/files: the files themselves, where the store is a folder of ours."""
+"""/v1/assets: what was published, by key."""
 
 from __future__ import annotations
 
 import hashlib
 import io
 import json
-import pathlib
-from collections.abc import AsyncIterator, Callable
-from typing import Annotated, TypeVar
+from collections.abc import Callable
+from typing import Annotated
 from urllib.parse import urljoin
 
-import anyio
-import anyio.to_thread
 from fastapi import APIRouter, Path, Query, Request, Response
-from fastapi.responses import RedirectResponse, StreamingResponse
+from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
 from services.gateway.errors import Problem
-from services.gateway.routes.ranges import UnsatisfiableError, matches, wanted_range
+from services.gateway.routes.objects import ANYBODY, home_of, in_thread, store_of, url_of
+from services.gateway.routes.ranges import matches
 from services.gateway.schemas import problems
 from services.storage.catalogue import Entry, entry, list_keys, valid_key
-from services.storage.local import LocalStore
-from services.storage.store import NO_CACHE, Head, Store
+from services.storage.removal import remove, restore
+from services.storage.signing import Keys
+from services.storage.store import NO_CACHE, Store
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 
-_PUBLIC = ("assets/", "catalog/")  # captures are people's rooms; they leave this service only towards a worker
-_READ_BYTES = 256 << 10  # from the disk at once
-_ANYBODY = {"Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": "ETag, Content-Range, Accept-Ranges"}
 _QR_SCALE, _QR_BORDER = 8, 4  # pixels per module; the quiet zone that ISO/IEC 18004 asks for
 
 Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
-_T = TypeVar("_T")
 
 
 class AssetSummary(BaseModel):
@@ -54,6 +49,15 @@ class AssetPage(BaseModel):
     next: str | None
 
 
+class AssetMark(BaseModel):
+    """Whether an asset is out of sight."""
+
+    key: str
+    version: int
+    removed: bool
+    updated: str
+
+
 @router.get("/assets", response_model=AssetPage, responses=problems(422, 503))
 async def page(
     request: Request,
@@ -63,29 +67,29 @@ async def page(
     """The assets there are."""
     if after and not valid_key(after):
         raise Problem(422, "KEY_INVALID", "`after` is no asset key", hints=("use the `next` of the page before",))
-    store = _store(request)
-    entries = await _in_thread(lambda: _entries(store, after, limit))
+    store = store_of(request)
+    entries = await in_thread(lambda: _entries(store, after, limit))
     last = entries[-1].key if len(entries) == limit else None
     return AssetPage(assets=[_summary(request, each) for each in entries], next=last)
 
 
-@router.get("/assets/{key}", responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)})
+@router.get("/assets/{key}", responses={200: {"content": {"application/json": {}}}, **problems(404, 410, 422, 503)})
 async def asset(key: Key, request: Request) -> Response:
     """The catalogue entry of an asset with the address of every file; 304 under a known ETag."""
     found = await _entry(request, key)
     document = json.loads(json.dumps(found.document))
     for file in [document["manifest"], document["preview"], *document["lods"], *document["files"]]:
         if file is not None:
-            file["url"] = _url(request, file["name"])
+            file["url"] = url_of(request, file["name"])
     body = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
     etag = hashlib.sha256(body).hexdigest()[:32]
-    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **_ANYBODY}
+    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **ANYBODY}
     if matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
 
 
-@router.get("/assets/{key}/lod/{level}", status_code=307, responses=problems(404, 422, 503))
+@router.get("/assets/{key}/lod/{level}", status_code=307, responses=problems(404, 410, 422, 503))
 async def lod(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Request) -> Response:
     """To the file of a level of detail, 0 being the finest, of the current version."""
     levels = (await _entry(request, key)).document["lods"]
@@ -94,93 +98,74 @@ async def lod(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Reque
         known = ", ".join(str(each["level"]) for each in levels)
         hints = (f"ask for one of: {known}",)
         raise Problem(404, "LOD_UNKNOWN", f"asset {key} has no level {level}; there are {known}", hints=hints)
-    return RedirectResponse(_url(request, name), 307, {"Cache-Control": NO_CACHE, **_ANYBODY})
+    return RedirectResponse(url_of(request, name), 307, {"Cache-Control": NO_CACHE, **ANYBODY})
 
 
 @router.get(
     "/assets/{key}/qr.svg",
     response_class=Response,
-    responses={200: {"content": {"image/svg+xml": {}}}, **problems(404, 422, 503)},
+    responses={200: {"content": {"image/svg+xml": {}}}, **problems(404, 410, 422, 503)},
 )
 async def qr(key: Key, request: Request) -> Response:
     """The address of the asset's viewer as a QR code, to hand it from a screen to a headset."""
     await _entry(request, key)
-    return Response(_qr_svg(urljoin(_home(request), f"view/{key}")), media_type="image/svg+xml")
+    return Response(_qr_svg(urljoin(home_of(request), f"view/{key}")), media_type="image/svg+xml")
 
 
-@router.head("/files/{name:path}", include_in_schema=False)
-@router.get("/files/{name:path}", response_class=Response, responses=problems(404, 416, 503))
-async def file(name: str, request: Request) -> Response:
-    """A file of an asset, immutable under its name, in whole or in part."""
-    store = _store(request)
-    if not isinstance(store, LocalStore) or not name.startswith(_PUBLIC):
-        raise _no_file()
-    try:
-        head = await _in_thread(lambda: store.head(name))
-    except (FileNotFoundError, ValueError):
-        raise _no_file() from None
-    if not name.startswith("assets/"):
-        return await _small_file(store, head, request)
-    return await _large_file(store, head, request)
+@router.post("/assets/{key}/remove", response_model=AssetMark, responses=problems(404, 422, 503))
+async def take_away(key: Key, request: Request) -> AssetMark:
+    """Take an asset out of sight. Its files stay: a restoration or a new version brings it back."""
+    return await _marked(request, key, remove)
 
 
-async def _small_file(store: LocalStore, head: Head, request: Request) -> Response:
-    """A document that may be replaced at any time: read at once, so that its length and content belong together."""
-    body = await _in_thread(lambda: store.get(head.name))
-    etag = hashlib.sha256(body).hexdigest()
-    if matches(request.headers.get("if-none-match"), etag):
-        return Response(status_code=304, headers=_file_headers(head, etag))
-    return Response(body, headers=_file_headers(head, etag), media_type=head.content_type)
-
-
-async def _large_file(store: LocalStore, head: Head, request: Request) -> Response:
-    headers = {**_file_headers(head, head.etag), "Accept-Ranges": "bytes"}
-    if matches(request.headers.get("if-none-match"), head.etag):
-        return Response(status_code=304, headers=headers)
-    given = request.headers
-    try:
-        part = wanted_range(given.get("range"), given.get("if-range"), head.etag, head.size)
-    except UnsatisfiableError as error:
-        content_range = {"Content-Range": f"bytes */{head.size}", **_ANYBODY}
-        hints = (f"begin below byte {head.size}",)
-        raise Problem(416, "RANGE_UNSATISFIABLE", str(error), hints=hints, headers=content_range) from None
-    start, end = part or (0, head.size)
-    headers["Content-Length"] = str(end - start)
-    if part:
-        headers["Content-Range"] = f"bytes {start}-{end - 1}/{head.size}"
-    status = 206 if part else 200
-    if request.method == "HEAD":
-        return Response(status_code=status, headers=headers, media_type=head.content_type)
-    return StreamingResponse(_blocks(store.path(head.name), start, end), status, headers, head.content_type)
-
-
-async def _blocks(path: pathlib.Path, start: int, end: int) -> AsyncIterator[bytes]:
-    async with await anyio.open_file(path, "rb") as source:
-        await source.seek(start)
-        while start < end and (block := await source.read(min(_READ_BYTES, end - start))):
-            start += len(block)
-            yield block
-
-
-def _file_headers(head: Head, etag: str) -> dict[str, str]:
-    return {"ETag": f'"{etag}"', "Cache-Control": head.cache_control, **_ANYBODY}
+@router.post("/assets/{key}/restore", response_model=AssetMark, responses=problems(404, 422, 503))
+async def bring_back(key: Key, request: Request) -> AssetMark:
+    """Bring a removed asset back as it was."""
+    return await _marked(request, key, restore)
 
 
 async def _entry(request: Request, key: str) -> Entry:
-    """The key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, STORE_UNAVAILABLE."""
+    """The key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, ASSET_REMOVED, STORE_UNAVAILABLE."""
+    _check_key(key)
+    store = store_of(request)
+    try:
+        found = await in_thread(lambda: entry(store, key))
+    except FileNotFoundError:
+        raise _unknown(key) from None
+    if found.removed:
+        hints = (f"POST /v1/assets/{key}/restore brings it back",)
+        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANYBODY))
+    return found
+
+
+async def _marked(request: Request, key: str, mark: Callable[[Store, str, Keys], Entry]) -> AssetMark:
+    _check_key(key)
+    store, keys = store_of(request), request.app.state.keys
+    try:
+        found = await in_thread(lambda: mark(store, key, keys))
+    except FileNotFoundError:
+        raise _unknown(key) from None
+    return AssetMark(key=key, version=found.version, removed=found.removed, updated=found.document["updated"])
+
+
+def _check_key(key: str) -> None:
     if not valid_key(key):
         detail = "an asset key has 1 to 100 letters, digits and ._- and begins with no sign"
         raise Problem(422, "KEY_INVALID", detail, hints=("check the address",))
-    store = _store(request)
-    try:
-        return await _in_thread(lambda: entry(store, key))
-    except FileNotFoundError:
-        hints = ("its first job may still be under way",)
-        raise Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints) from None
+
+
+def _unknown(key: str) -> Problem:
+    hints = ("its first job may still be under way",)
+    return Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints)
 
 
 def _entries(store: Store, after: str, limit: int) -> list[Entry]:
-    return [entry(store, key) for key in list_keys(store, after=after, limit=limit)]
+    """As many as are wanted, where there are so many, without those that were removed."""
+    found: list[Entry] = []
+    while len(found) < limit and (keys := list_keys(store, after=after, limit=limit - len(found))):
+        found += [each for each in (entry(store, key) for key in keys) if not each.removed]
+        after = keys[-1]
+    return found
 
 
 def _summary(request: Request, found: Entry) -> AssetSummary:
@@ -191,41 +176,10 @@ def _summary(request: Request, found: Entry) -> AssetSummary:
         state=found.state,
         updated=found.document["updated"],
         label=found.document["label"] or found.key,
-        preview=_url(request, preview["name"]) if preview else "",
+        preview=url_of(request, preview["name"]) if preview else "",
         self=f"/v1/assets/{found.key}",
         view=f"/view/{found.key}",
     )
-
-
-async def _in_thread(work: Callable[[], _T]) -> _T:
-    """Off the event loop, with the store's failures told as problems."""
-    try:
-        return await anyio.to_thread.run_sync(work)
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
-
-
-def _store(request: Request) -> Store:
-    store: Store = request.app.state.store
-    return store
-
-
-def _home(request: Request) -> str:
-    """How clients reach this gateway, with a slash at the end."""
-    public: str = request.app.state.settings.public_url
-    return (public or str(request.base_url)).rstrip("/") + "/"
-
-
-def _url(request: Request, name: str) -> str:
-    """The whole address of an object: a local store gives only a path."""
-    return urljoin(_home(request), _store(request).url(name))
-
-
-def _no_file() -> Problem:
-    hints = ("GET /v1/assets/{key} tells the names of an asset's files",)
-    return Problem(404, "FILE_UNKNOWN", "there is no such file here", hints=hints, headers=dict(_ANYBODY))
 
 
 def _qr_svg(text: str) -> bytes:

@@ -37,7 +37,7 @@ def file_names(collection: str) -> tuple[Names, ...]:
     Unity replaces a catalogue's extension by `.hash`, so each has a stem of its own: with a common hash, a change of
     one form would make clients of the others load a catalogue again that did not change.
     """
-    stems = {form: f"unity/{collection}/catalog" + (f"_v{form}" if form else "") for form in _WRITERS}
+    stems = {form: f"collections/{collection}/unity/catalog" + (f"_v{form}" if form else "") for form in _WRITERS}
     return tuple(
         Names(form, check_name(stem + (".bin" if form else ".json")), f"{stem}.hash") for form, stem in stems.items()
     )

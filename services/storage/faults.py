@@ -1,0 +1,32 @@
+"""What is wrong with a catalogue or with what it names: each fault has a class that a program can test."""
+
+from __future__ import annotations
+
+SIGNATURE_MISSING = "SIGNATURE_MISSING"
+SIGNATURE_WRONG = "SIGNATURE_WRONG"
+KEY_UNKNOWN = "KEY_UNKNOWN"
+CATALOGUE_MISSING = "CATALOGUE_MISSING"
+CATALOGUE_TRUNCATED = "CATALOGUE_TRUNCATED"
+CATALOGUE_OTHER = "CATALOGUE_OTHER"
+CATALOGUE_OLDER = "CATALOGUE_OLDER"
+SHARD_MISSING = "SHARD_MISSING"
+SHARD_CHANGED = "SHARD_CHANGED"
+MANIFEST_MISSING = "MANIFEST_MISSING"
+MANIFEST_CHANGED = "MANIFEST_CHANGED"
+FILE_MISSING = "FILE_MISSING"
+FILE_CHANGED = "FILE_CHANGED"
+SIGNING_KEY_MISSING = "SIGNING_KEY_MISSING"
+
+
+class CatalogueFault(OSError):  # noqa: N818 - a fault of what was read, not of this program
+    """Something on the store is not what it was when it was signed; nothing is built upon it.
+
+    An OSError, because to a caller the store has failed; `code` is one of this file's constants, `name` an object's.
+    """
+
+    def __init__(self, code: str, name: str, message: str, *, hint: str = "") -> None:
+        super().__init__(f"{name}: {message}" + (f" ({hint})" if hint else ""))
+        self.code = code
+        self.name = name
+        self.message = message
+        self.hint = hint

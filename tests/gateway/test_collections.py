@@ -1,0 +1,225 @@
+"""/v1/collections: the signed index as it stands, search by label, removal and restoration."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+
+import httpx
+import pytest
+
+from services.gateway.app import create_app
+from services.gateway.settings import GatewaySettings
+from services.storage.collection import RETIRED, index_name, read_index
+from services.storage.local import LocalStore
+from services.storage.memory import MemoryStore
+from services.storage.publish import publish
+from services.storage.signing import Keys, check_signatures, public_of
+from services.storage.store import Store
+from services.storage.verify import verify
+from tests.storage.bundles import Crash, CrashingStore, bundle, listed
+from tests.storage.test_signing import ONE, TWO
+
+SIGNED = Keys(signers=(ONE,))
+INDEX = index_name("default")
+
+
+def client(folder: Path, store: Store, keys: Keys = SIGNED) -> httpx.AsyncClient:
+    app = create_app(GatewaySettings(data_dir=folder / "data", workers=()), store, keys)
+    return httpx.AsyncClient(transport=httpx.ASGITransport(app, raise_app_exceptions=False), base_url="http://gateway")
+
+
+@pytest.fixture
+def store() -> MemoryStore:
+    """A boot, a shoe and a sofa."""
+    store = MemoryStore()
+    for key, label, labels in (
+        ("boot", "Walking Boot", ["footwear", "Leder"]),
+        ("shoe", "Straßenschuh", ["footwear"]),
+        ("sofa", "", ["furniture"]),
+    ):
+        publish(bundle(label=label, labels=labels), store, key=key, keys=SIGNED)
+    return store
+
+
+@pytest.fixture
+def gateway(tmp_path: Path, store: MemoryStore) -> httpx.AsyncClient:
+    return client(tmp_path, store)
+
+
+async def test_the_index_is_what_the_store_has(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
+    answer = await gateway.get("/v1/collections/default")
+    told, stored = answer.json(), json.loads(store.get(INDEX))
+    assert {**told, "base": ""} == {**stored, "base": ""}
+    assert (answer.headers["cache-control"], answer.headers["access-control-allow-origin"]) == ("no-cache", "*")
+    assert read_index(answer.content, "default", SIGNED.believed).version == 3
+    again = await gateway.get("/v1/collections/default", headers={"If-None-Match": answer.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    publish(bundle(), store, key="new", keys=SIGNED)
+    changed = await gateway.get("/v1/collections/default", headers={"If-None-Match": answer.headers["etag"]})
+    assert changed.status_code == 200
+
+
+async def test_everything_can_be_checked_from_the_index_on(tmp_path: Path) -> None:
+    """As a client would: the keys from /v1/keys, the objects below `base`."""
+    local = LocalStore(tmp_path / "objects")
+    publish(bundle(), local, key="dress", keys=SIGNED)
+    gateway = client(tmp_path, local)
+    (key,) = (await gateway.get("/v1/keys")).json()["keys"]
+    believed = public_of(base64.b64decode(key["ed25519"]))
+    assert (believed.id, believed) == (key["key"], ONE.public)
+    answer = await gateway.get("/v1/collections/default")
+    known = {INDEX: answer.content}
+    told = answer.json()
+    check_signatures("x", told["signed"].encode(), told["signatures"], (believed,))
+    for head in [*local.list("assets/"), *local.list("collections/default/shard.")]:
+        got = await gateway.get(told["base"] + head.name)
+        assert got.status_code == 200
+        assert "immutable" in got.headers["cache-control"]
+        known[head.name] = got.content
+    assert not any(line.faults for line in verify(lambda name: [known[name]], "default", (believed,)))
+    assert (await gateway.get(told["base"] + INDEX)).headers["cache-control"] == "no-cache"
+
+
+async def found(gateway: httpx.AsyncClient, **params: str | int) -> list[str]:
+    """Keys, over all pages."""
+    keys: list[str] = []
+    after: str | None = ""
+    while after is not None:
+        page = (await gateway.get("/v1/collections/default/assets", params={**params, "after": after})).json()
+        keys += [each["key"] for each in page["assets"]]
+        after = page["next"]
+    return keys
+
+
+@pytest.mark.parametrize(
+    ("label", "keys"),
+    [
+        ("", ["boot", "shoe", "sofa"]),
+        ("BOOT", ["boot"]),
+        ("strasse", ["shoe"]),
+        ("footwear", ["boot", "shoe"]),
+        ("leder", ["boot"]),
+        ("foot", []),  # a label counts as a whole
+        ("sofa", ["sofa"]),  # without a label the key stands for it
+        ("%", []),
+        ("nothing", []),
+    ],
+)
+@pytest.mark.parametrize("limit", [1, 2, 100])
+async def test_search_by_label(gateway: httpx.AsyncClient, label: str, keys: list[str], limit: int) -> None:
+    assert await found(gateway, label=label, limit=limit) == keys
+
+
+async def test_a_shard_that_is_retired_meanwhile_is_looked_up_anew(tmp_path: Path, store: MemoryStore) -> None:
+    """The index was read; before its shard is, so many versions are published that the shard has gone."""
+
+    class Slow(CrashingStore):
+        waits = True
+
+        def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
+            if "shard" in name and self.waits:
+                self.waits = False
+                for number in range(RETIRED + 1):
+                    publish(bundle(content=f"{number}"), store, key="new", keys=SIGNED)
+            return super().get(name, start=start, length=length)
+
+    assert await found(client(tmp_path, Slow(store, -1, after=False))) == ["boot", "new", "shoe", "sofa"]
+
+
+async def test_a_row_leads_to_the_rest(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
+    page = (await gateway.get("/v1/collections/default/assets", params={"label": "boot"})).json()
+    row, listed_row = page["assets"][0], listed(store)["boot"]
+    assert (page["version"], row["state"], row["labels"]) == (3, "preview", ["footwear", "Leder"])
+    assert row["manifest"].endswith(listed_row.manifest_name)
+    assert row["preview"].endswith(listed_row.preview_name)
+    assert (await gateway.get(row["self"])).json()["version"] == row["version"]
+
+
+async def test_removed_is_gone_everywhere_and_restored_is_back(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
+    for _ in range(2):
+        answer = await gateway.post("/v1/assets/shoe/remove")
+        assert (answer.status_code, answer.json()["removed"]) == (200, True)
+    for path in ("shoe", "shoe/lod/0", "shoe/qr.svg"):
+        gone = await gateway.get(f"/v1/assets/{path}")
+        assert (gone.status_code, gone.json()["code"]) == (410, "ASSET_REMOVED")
+        assert "restore" in gone.json()["hints"][0]
+    assert await found(gateway) == ["boot", "sofa"]
+    assert [each["key"] for each in (await gateway.get("/v1/assets")).json()["assets"]] == ["boot", "sofa"]
+    assert listed(store, believed=SIGNED.believed)["shoe"].removed
+    answer = await gateway.post("/v1/assets/shoe/restore")
+    assert (answer.status_code, answer.json()["removed"], answer.json()["version"]) == (200, False, 1)
+    assert (await gateway.get("/v1/assets/shoe")).status_code == 200
+    assert await found(gateway) == ["boot", "shoe", "sofa"]
+
+
+async def test_a_new_version_brings_it_back(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
+    await gateway.post("/v1/assets/shoe/remove")
+    publish(bundle(content="new"), store, key="shoe", keys=SIGNED)
+    assert (await gateway.get("/v1/assets/shoe")).json()["version"] == 2
+    assert "shoe" in await found(gateway)
+
+
+async def test_pages_of_assets_skip_what_was_removed(gateway: httpx.AsyncClient) -> None:
+    await gateway.post("/v1/assets/boot/remove")
+    first = (await gateway.get("/v1/assets", params={"limit": 1})).json()
+    assert ([each["key"] for each in first["assets"]], first["next"]) == (["shoe"], "shoe")
+    await gateway.post("/v1/assets/sofa/remove")
+    second = (await gateway.get("/v1/assets", params={"limit": 1, "after": "shoe"})).json()
+    assert second == {"assets": [], "next": None}
+
+
+@pytest.mark.parametrize("name", ["-a", ".a", "..%5ca", "a%20b", "%C3%A4", "x" * 150, "%F0%9F%91%9F"])
+async def test_impossible_names(gateway: httpx.AsyncClient, name: str) -> None:
+    for method, path in (
+        ("GET", f"collections/{name}"),
+        ("GET", f"collections/{name}/assets"),
+        ("POST", f"assets/{name}/remove"),
+        ("POST", f"assets/{name}/restore"),
+    ):
+        url = httpx.URL("http://gateway").copy_with(raw_path=f"/v1/{path}".encode())
+        answer = await gateway.request(method, url)
+        assert (answer.status_code, answer.json()["code"].split("_")[1]) == (422, "INVALID")
+
+
+async def test_unknown_names(gateway: httpx.AsyncClient) -> None:
+    for path in ("/v1/collections/none", "/v1/collections/none/assets"):
+        assert (await gateway.get(path)).json()["code"] == "COLLECTION_UNKNOWN"
+    for verb in ("remove", "restore"):
+        answer = await gateway.post(f"/v1/assets/none/{verb}")
+        assert (answer.status_code, answer.json()["code"]) == (404, "ASSET_UNKNOWN")
+
+
+async def test_without_the_key_a_signed_collection_is_not_changed(tmp_path: Path, store: MemoryStore) -> None:
+    before = store.get(INDEX)
+    answer = await client(tmp_path, store, Keys()).post("/v1/assets/shoe/remove")
+    assert (answer.status_code, answer.json()["code"]) == (503, "SIGNING_KEY_MISSING")
+    assert "STORAGE_SIGNING_KEY" in answer.json()["hints"][0]
+    assert store.get(INDEX) == before
+
+
+async def test_a_collection_of_a_stranger_is_not_searched(tmp_path: Path, store: MemoryStore) -> None:
+    answer = await client(tmp_path, store, Keys(trusted=(TWO.public,))).get("/v1/collections/default/assets")
+    assert (answer.status_code, answer.json()["code"]) == (503, "KEY_UNKNOWN")
+
+
+@pytest.mark.parametrize("damaged", [b"{", b"[]", b'{"signed": 1, "signatures": []}'])
+async def test_a_damaged_index_is_told(gateway: httpx.AsyncClient, store: MemoryStore, damaged: bytes) -> None:
+    store.put(INDEX, damaged, content_type="application/json")
+    for path in ("", "/assets"):
+        answer = await gateway.get(f"/v1/collections/default{path}")
+        assert (answer.status_code, answer.json()["code"]) == (503, "CATALOGUE_TRUNCATED")
+
+
+async def test_a_store_that_dies_in_mid_publish_leaves_the_last_version(
+    gateway: httpx.AsyncClient, store: MemoryStore
+) -> None:
+    before = (await gateway.get("/v1/collections/default")).content
+    for at in (1, 5, 8, 9):
+        dying = CrashingStore(store, at, after=False)
+        with pytest.raises(Crash):
+            publish(bundle(content=f"{at}"), dying, key="shoe", job=f"j{at}", keys=SIGNED)
+        assert (await gateway.get("/v1/collections/default")).content == before
+        assert await found(gateway) == ["boot", "shoe", "sofa"]
+        assert (await gateway.get("/v1/assets/shoe")).status_code == 200

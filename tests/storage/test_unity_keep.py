@@ -1,0 +1,96 @@
+"""Unity's catalogues follow what is published, removed and restored, whoever publishes at the same time."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from services.storage.catalogue import entry, entry_name
+from services.storage.memory import MemoryStore
+from services.storage.publish import publish
+from services.storage.removal import remove, restore
+from services.storage.store import NO_CACHE
+from services.storage.unity.binary_reader import read_binary_catalogue
+from services.storage.unity.json_reader import read_json_catalogue
+from services.storage.unity.keep import keep
+from services.storage.unity.nouns import Asset
+from services.storage.unity.plan import assets
+from services.storage.unity.publication import catalogue_hash, file_names
+from tests.storage.bundles import bundle
+
+
+@pytest.fixture
+def store() -> MemoryStore:
+    return MemoryStore()
+
+
+def listed(store: MemoryStore, collection: str = "default") -> dict[str, Asset]:
+    """The assets of all four catalogues, which must agree, and whose hashes must be those of their content."""
+    seen = []
+    for names in file_names(collection):
+        data = store.get(names.catalogue)
+        assert store.get(names.hash) == catalogue_hash(data)
+        assert {store.head(name).cache_control for name in (names.catalogue, names.hash)} == {NO_CACHE}
+        read = read_binary_catalogue if names.form else read_json_catalogue
+        seen.append({asset.key: asset for asset in assets(read(data))})
+    assert all(each == seen[0] for each in seen)
+    return seen[0]
+
+
+def test_what_is_published_is_listed_with_its_files(store: MemoryStore) -> None:
+    publish(bundle("preview"), store, key="dress")
+    publish(bundle("preview", "other"), store, key="chair", collection="mine")
+    assert set(listed(store)) == {"dress"}
+    assert set(listed(store, "mine")) == {"chair"}
+    asset = listed(store)["dress"]
+    lods = entry(store, "dress").document["lods"]
+    assert [(file.level, file.url, file.sha256, file.size) for file in asset.files] == [
+        (lod["level"], lod["name"], lod["sha256"], lod["bytes"]) for lod in lods
+    ]
+    publish(bundle("refined"), store, key="dress")
+    assert listed(store)["dress"].version == 2
+
+
+def test_a_removed_asset_is_left_out_until_it_is_restored(store: MemoryStore) -> None:
+    publish(bundle("preview"), store, key="dress")
+    publish(bundle("preview"), store, key="chair")
+    remove(store, "dress")
+    assert set(listed(store)) == {"chair"}
+    restore(store, "dress")
+    assert set(listed(store)) == {"chair", "dress"}
+
+
+def test_rivals_lose_nothing(store: MemoryStore) -> None:
+    keys = [f"key{number}" for number in range(12)]
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(lambda key: publish(bundle("preview"), store, key=key), keys))
+    assert set(listed(store)) == set(keys)
+
+
+@pytest.mark.parametrize("damage", [b"", b"{}", b"not json", b"[1,2"])
+def test_a_damaged_catalogue_is_made_anew_from_the_entries(store: MemoryStore, damage: bytes) -> None:
+    publish(bundle("preview"), store, key="dress")
+    publish(bundle("preview"), store, key="chair")
+    store.put(file_names("default")[0].catalogue, damage, content_type="application/json", cache_control=NO_CACHE)
+    keep(store, "dress")
+    assert set(listed(store)) == {"chair", "dress"}
+
+
+def test_what_was_lost_behind_the_table_is_written_again(store: MemoryStore) -> None:
+    publish(bundle("preview"), store, key="dress")
+    for names in file_names("default")[1:]:
+        store.delete(names.catalogue)
+        store.delete(names.hash)
+    keep(store, "dress")
+    assert set(listed(store)) == {"dress"}
+
+
+def test_an_asset_that_unity_would_misread_keeps_nobody_from_publishing(store: MemoryStore) -> None:
+    publish(bundle("preview"), store, key="dress")
+    document = {**entry(store, "dress").document, "labels": ["captures/dress"]}
+    store.put(entry_name("dress"), json.dumps(document).encode(), content_type="application/json")
+    publish(bundle("preview"), store, key="chair")
+    keep(store, "dress")
+    assert set(listed(store)) == {"chair"}

@@ -1,0 +1,117 @@
+"""verify(): every hash from the index to the last file, and a name for whatever does not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from services.storage.catalogue import entry
+from services.storage.collection import index_name, read_index
+from services.storage.faults import (
+    CATALOGUE_MISSING,
+    CATALOGUE_OLDER,
+    FILE_CHANGED,
+    FILE_MISSING,
+    KEY_UNKNOWN,
+    MANIFEST_CHANGED,
+    MANIFEST_MISSING,
+    SHARD_CHANGED,
+    SHARD_MISSING,
+    SIGNATURE_WRONG,
+)
+from services.storage.memory import MemoryStore
+from services.storage.publish import publish
+from services.storage.removal import remove
+from services.storage.signing import Keys, Public
+from services.storage.store import Store
+from services.storage.verify import Checked, fetch_from, verify
+from tests.storage.bundles import bundle, listed
+from tests.storage.test_signing import ONE, TWO
+
+INDEX = index_name("default")
+
+
+@pytest.fixture
+def whole() -> MemoryStore:
+    """Two assets, one of them removed, signed by ONE."""
+    store = MemoryStore()
+    for key in ("chair", "dress"):
+        publish(bundle(content=key), store, key=key, keys=Keys(signers=(ONE,)))
+    remove(store, "chair", Keys(signers=(ONE,)))
+    return store
+
+
+def checked(store: Store, *believed: Public, at_least: int = 0) -> list[Checked]:
+    return list(verify(fetch_from(store), "default", believed or (ONE.public,), at_least=at_least))
+
+
+def test_a_whole_collection_is_counted_to_the_last_byte(whole: MemoryStore) -> None:
+    lines = checked(whole, at_least=3)
+    assert [(line.what, line.count, line.faults) for line in lines] == [
+        ("index", 1, ()),
+        ("shards", 1, ()),
+        ("manifests", 2, ()),
+        ("files", 8, ()),
+    ]
+    assert lines[0].said.startswith("version 3, ")
+    files = [file for key in ("chair", "dress") for file in entry(whole, key).document["files"]]
+    assert lines[3].bytes == sum(file["bytes"] for file in files)
+
+
+def test_files_larger_than_a_block_are_read_to_their_end(whole: MemoryStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.storage.verify._BLOCK_BYTES", 5)
+    assert not any(line.faults for line in checked(whole))
+
+
+def _lod(store: Store) -> str:
+    return str(entry(store, "dress").document["lods"][1]["name"])
+
+
+def _manifest(store: Store) -> str:
+    return listed(store)["dress"].manifest_name
+
+
+def _shard(store: Store) -> str:
+    return read_index(store.get(INDEX), "default").shards[0].name
+
+
+@pytest.mark.parametrize(
+    ("of", "what", "missing", "changed"),
+    [
+        (_lod, "files", FILE_MISSING, FILE_CHANGED),
+        (_manifest, "manifests", MANIFEST_MISSING, MANIFEST_CHANGED),
+        (_shard, "shards", SHARD_MISSING, SHARD_CHANGED),
+    ],
+)
+def test_what_is_missing_or_changed_is_named(
+    whole: MemoryStore, of: Callable[[Store], str], what: str, missing: str, changed: str
+) -> None:
+    name = of(whole)
+    data = whole.get(name)
+    for damaged in (data[:-1], data + b" ", data[:-1] + bytes([data[-1] ^ 1]), b""):
+        whole.put(name, damaged, content_type="x/y")
+        assert_only(checked(whole), what, changed, name)
+    whole.delete(name)
+    assert_only(checked(whole), what, missing, name)
+
+
+def assert_only(lines: list[Checked], what: str, code: str, name: str) -> None:
+    """One fault, in the last class that was looked at."""
+    assert [line.what for line in lines if line.faults] == [what] == [lines[-1].what]
+    assert [(fault.code, fault.name) for fault in lines[-1].faults] == [(code, name)]
+
+
+def test_an_index_that_is_not_believed_ends_it(whole: MemoryStore) -> None:
+    assert_only(checked(whole, TWO.public), "index", KEY_UNKNOWN, INDEX)
+    assert_only(checked(whole, at_least=4), "index", CATALOGUE_OLDER, INDEX)
+    whole.put(INDEX, whole.get(INDEX).replace(b"version", b"Version"), content_type="x/y")
+    assert_only(checked(whole), "index", SIGNATURE_WRONG, INDEX)
+    assert_only(checked(MemoryStore()), "index", CATALOGUE_MISSING, INDEX)
+
+
+def test_another_assets_manifest_is_no_substitute(whole: MemoryStore) -> None:
+    """Whole and well-named, but not the one that was signed."""
+    rows = listed(whole)
+    whole.put(rows["dress"].manifest_name, whole.get(rows["chair"].manifest_name), content_type="x/y")
+    assert_only(checked(whole), "manifests", MANIFEST_CHANGED, rows["dress"].manifest_name)
