@@ -3,7 +3,7 @@
 // come from the device. Files of assets are not its business: vault.js keeps them by their hash.
 const NAME = 'shell-1';
 const VERSIONED = /-\d+\.\d+\.\d+\./;
-const ENTRY = /^\/v1\/assets\/[^/]+$/;
+const ENTRY = /^\/v1\/(assets\/[^/]+|collections\/[^/]+|keys)$/;
 const MANIFEST = /\/manifest\.[0-9a-f]{64}\.json$/;
 
 self.addEventListener('install', () => self.skipWaiting());

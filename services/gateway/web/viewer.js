@@ -2,6 +2,7 @@
 import * as THREE from './three-0.187.0.module.js';
 import { OrbitControls } from './three-0.187.0.orbit-controls.js';
 import { getJson } from './api.js';
+import { checked } from './catalogue.js';
 import { dispose, frame, hintsOf, loadAsset, makeStage, shownLevel } from './stage.js';
 
 const POLL_MS = 3000; // while a refined version may come
@@ -33,8 +34,9 @@ function stageOrReason(canvas) {
 
 /** Fetch the entry; when its version is new, load it beside the old one and swap. */
 async function refresh() {
-  const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
-  if (shown && shown.entry.version === entry.version) return;
+  const told = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
+  if (shown && shown.entry.version === told.version) return;
+  const entry = await checked(told);
   if (!shown) showHints(entry);
   const object = await loadAsset(entry, (level) => {
     page.dataset.loaded = `${page.dataset.loaded || ''} ${level}`.trim();

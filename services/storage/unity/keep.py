@@ -27,8 +27,8 @@ _PAGE = 1000  # keys at once, which is what S3 lists in one request
 def keep(store: Store, key: str) -> None:
     """Bring the Unity catalogues of every collection that the asset belongs to up to its entry.
 
-    Writes nothing where all is as it should be. A removed asset is left out, and one that Unity would misread, which is logged. Raises FileNotFoundError where
-    nothing was published under the key, OSError when the store fails.
+    Writes nothing where all is as it should be. A removed asset is left out, and one that Unity would misread, which is
+    logged. Raises FileNotFoundError where nothing was published under the key, OSError when the store fails.
     """
     for collection in entry(store, key).collections:
         until_won(lambda collection=collection: _replace(store, key, collection))  # type: ignore[misc]
