@@ -37,7 +37,7 @@ from services.storage.faults import (
 )
 from services.storage.signing import NO_KEYS, Keys
 from services.storage.store import ConditionFailed, Store
-from services.storage.writing import now_iso, put_mutable, until_won
+from services.storage.writing import now_iso, put_mutable, read_mutable, until_won
 
 _PAGE = 1000  # keys at once, which is what S3 lists in one request
 
@@ -60,7 +60,7 @@ def rebuild(store: Store, collection: str, keys: Keys = NO_KEYS) -> Index:
     """
 
     def attempt() -> Index:
-        data, etag = _read(store, collection)
+        data, etag = read_mutable(store, index_name(collection))
         present = _present_or_none(data, collection)
         rows = _all_rows(store, collection)
         if not rows and data is None:
@@ -79,7 +79,7 @@ def rebuild(store: Store, collection: str, keys: Keys = NO_KEYS) -> Index:
 
 def _enter(store: Store, collection: str, key: str, keys: Keys) -> None:
     def attempt() -> None:
-        data, etag = _read(store, collection)
+        data, etag = read_mutable(store, index_name(collection))
         present = _checked(data, collection, keys)
         row = row_of(entry(store, key))
         place, rows = present.place(key), _rows(store, present, key, etag)
@@ -95,16 +95,6 @@ def _enter(store: Store, collection: str, key: str, keys: Keys) -> None:
         _replace(store, index, made, keys, etag)
 
     until_won(attempt)
-
-
-def _read(store: Store, collection: str) -> tuple[bytes | None, str | None]:
-    """The index's object and its etag, None where there is none. The tag is read first, as in `entry`."""
-    name = index_name(collection)
-    try:
-        etag = store.head(name).etag
-        return store.get(name), etag
-    except FileNotFoundError:
-        return None, None
 
 
 def _check_unchanged(store: Store, collection: str, etag: str | None) -> None:
@@ -207,7 +197,7 @@ def _take_back(store: Store, version: int, collection: str, made: Sequence[Shard
     A version is won only once, so from then on nobody begins to list them. An answer that was lost on the way looks
     like a lost race too; then the index lists ours.
     """
-    winner = _present_or_none(_read(store, collection)[0], collection)
+    winner = _present_or_none(read_mutable(store, index_name(collection))[0], collection)
     if winner is not None and winner.version >= version:
         known = {*(shard.sha256 for shard in winner.shards), *winner.retired}
         _delete(store, collection, [shard.sha256 for shard in made if shard.sha256 not in known])

@@ -18,6 +18,18 @@ _RACE_S = 60.0  # how long to keep trying against other publishers of the same d
 _PAUSE_S = 0.02  # first pause after a lost race; doubles with jitter up to a second
 
 
+def read_mutable(store: Store, name: str) -> tuple[bytes | None, str | None]:
+    """A document and the etag to replace it under; None and None where there is none.
+
+    The tag is read first: if a writer comes between, the tag is the older one and a put under it is refused.
+    """
+    try:
+        etag = store.head(name).etag
+        return store.get(name), etag
+    except FileNotFoundError:
+        return None, None
+
+
 def put_mutable(store: Store, name: str, data: bytes, etag: str | None) -> None:
     """Replace the document read under `etag`, or create it where there was none. Raises ConditionFailed."""
     store.put(

@@ -17,7 +17,7 @@ from services.storage.unity.json_reader import read_json_catalogue
 from services.storage.unity.nouns import Asset, Catalogue, LodFile
 from services.storage.unity.plan import assets, locations
 from services.storage.unity.publication import file_names, publication
-from services.storage.writing import until_won
+from services.storage.writing import read_mutable, until_won
 
 _log = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ def keep(store: Store, key: str) -> None:
 def _replace(store: Store, key: str, collection: str) -> None:
     """One attempt. Raises ConditionFailed where somebody came between."""
     first = file_names(collection)[0].catalogue
-    data, etag = _read(store, first)
+    data, etag = read_mutable(store, first)
     known = {asset.key: asset for asset in _known(store, collection, data)}
     known.pop(key, None)
     known |= {asset.key: asset for asset in _wanted(entry(store, key))}
@@ -64,15 +64,6 @@ def _holds(store: Store, name: str, content: bytes) -> bool:
         return store.head(name).size == len(content) and store.get(name) == content
     except FileNotFoundError:
         return False
-
-
-def _read(store: Store, name: str) -> tuple[bytes | None, str | None]:
-    """The object and its etag, None where there is none. The tag is read first, as in `entry`."""
-    try:
-        etag = store.head(name).etag
-        return store.get(name), etag
-    except FileNotFoundError:
-        return None, None
 
 
 def _known(store: Store, collection: str, data: bytes | None) -> tuple[Asset, ...]:
