@@ -7,8 +7,10 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
 
 import httpx
@@ -85,7 +87,7 @@ def cdn(bucket: S3Store, s3_server: S3Server, tmp_path_factory: pytest.TempPathF
         conf = conf.replace(deployed, here)
     (folder / "nginx.conf").write_text(conf)
     folder.chmod(0o777)  # nginx's workers are another user
-    for parent in folder.parents[:2]:
+    for parent in takewhile(lambda parent: parent != Path(tempfile.gettempdir()), folder.parents):
         parent.chmod(0o755)
     child = subprocess.Popen([_nginx(), "-c", folder / "nginx.conf", "-g", "daemon off;"])
     try:
