@@ -1,0 +1,59 @@
+using System;
+using System.Globalization;
+using System.Linq;
+using UnityEngine.ResourceManagement.ResourceLocations;
+
+namespace Capture2vr
+{
+    /// <summary>What the locations of an asset and of its files say.</summary>
+    internal static class AssetLocation
+    {
+        public const string Prefix = "captures/";
+        private const string LodPrefix = "lod";
+
+        /// <summary>The asset's key in its collection.</summary>
+        public static string Key(IResourceLocation location) => location.PrimaryKey.Substring(Prefix.Length);
+
+        /// <summary>The asset's version, from data such as {"version":3}. Throws CaptureFault LOCATION_INVALID.</summary>
+        public static int Version(IResourceLocation location)
+        {
+            try
+            {
+                return checked((int)Json.Parse(location.Data as string ?? "").In("version").Whole());
+            }
+            catch (Exception fault) when (fault is FormatException || fault is OverflowException)
+            {
+                throw Invalid(location, "it has no version");
+            }
+        }
+
+        /// <summary>The level of detail of a file, from a key such as captures/shoe/lod2.</summary>
+        public static int Level(IResourceLocation location)
+        {
+            var name = location.PrimaryKey.Substring(location.PrimaryKey.LastIndexOf('/') + 1);
+            var digits = name.StartsWith(LodPrefix, StringComparison.Ordinal) ? name.Substring(LodPrefix.Length) : "";
+            if (int.TryParse(digits, NumberStyles.None, CultureInfo.InvariantCulture, out var level)) return level;
+            throw Invalid(location, "it is no level of detail");
+        }
+
+        /// <summary>
+        /// The same location under an id of its own for every version. Addressables hands out what it has loaded under an
+        /// id for as long as anybody holds it: with the id of the catalogue that would be the old version.
+        /// </summary>
+        public static IResourceLocation Versioned(IResourceLocation location)
+        {
+            var id = $"{location.InternalId}#{Version(location)}";
+            var dependencies = location.Dependencies?.ToArray() ?? new IResourceLocation[0];
+            return new ResourceLocationBase(location.PrimaryKey, id, location.ProviderId, location.ResourceType, dependencies)
+            {
+                Data = location.Data,
+            };
+        }
+
+        private static CaptureFault Invalid(IResourceLocation location, string reason)
+        {
+            return new CaptureFault(CaptureFault.LocationInvalid, $"{location.PrimaryKey}: {reason}",
+                "Is this a catalogue of capture2vr?");
+        }
+    }
+}

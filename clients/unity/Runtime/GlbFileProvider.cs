@@ -1,0 +1,65 @@
+using System;
+using System.IO;
+using UnityEngine.ResourceManagement.AsyncOperations;
+using UnityEngine.ResourceManagement.ResourceLocations;
+using UnityEngine.ResourceManagement.ResourceProviders;
+using UnityEngine.Scripting;
+
+namespace Capture2vr
+{
+    /// <summary>
+    /// Brings the .glb of a location onto the device and checks it; the result is its path. Network, hashing and storage
+    /// are the business of other threads. The catalogue names this class.
+    /// </summary>
+    [Preserve]
+    public sealed class GlbFileProvider : ResourceProviderBase
+    {
+        [Preserve]
+        public GlbFileProvider()
+        {
+        }
+
+        public override async void Provide(ProvideHandle handle)
+        {
+            try
+            {
+                var file = GlbFile.Of(handle.Location, handle.ResourceManager);
+                var download = Catalogue.Cache.Load(file.Url, file.Sha256, file.Size);
+                handle.SetProgressCallback(() => Status(download).Percent);
+                handle.SetDownloadProgressCallbacks(() => Status(download));
+                handle.SetWaitForCompletionCallback(Waiting.Refuse);
+                handle.Complete(await download.Task, true, null);
+            }
+            catch (Exception fault)
+            {
+                handle.Complete<string>(null, false, fault);
+            }
+        }
+
+        public override void Release(IResourceLocation location, object asset)
+        {
+            if (asset is string path) Catalogue.Cache.Release(Path.GetFileName(path));
+        }
+
+        private static DownloadStatus Status(Download download)
+        {
+            return new DownloadStatus
+            {
+                TotalBytes = download.Size,
+                DownloadedBytes = download.Received,
+                IsDone = download.Task.IsCompleted,
+            };
+        }
+    }
+
+    internal static class Waiting
+    {
+        /// <summary>
+        /// Answers WaitForCompletion, which would hold the thread that loading needs: the app would stand still for ever.
+        /// </summary>
+        public static bool Refuse()
+        {
+            throw new NotSupportedException("captures load in the background: await the handle's Task, or use Completed");
+        }
+    }
+}

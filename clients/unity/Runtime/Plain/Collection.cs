@@ -1,0 +1,210 @@
+using System;
+using System.Collections.Generic;
+using System.Linq;
+using System.Text;
+
+namespace Capture2vr
+{
+    /// <summary>The signed index of a collection: which shards are current.</summary>
+    public sealed class CollectionIndex
+    {
+        public string Collection { get; private set; }
+        public long Version { get; private set; }
+        public IReadOnlyList<ShardName> Shards { get; private set; }
+
+        public static string ObjectName(string collection) => $"collections/{collection}/index.json";
+
+        /// <summary>
+        /// The index in its object, once its signature holds for one of the keys. Throws CaptureFault of classes
+        /// SIGNATURE_*, KEY_UNKNOWN and CATALOGUE_*.
+        /// </summary>
+        /// <param name="keys">whose signature to believe, 32 bytes each</param>
+        public static CollectionIndex Read(byte[] data, string collection, IReadOnlyList<byte[]> keys)
+        {
+            var name = ObjectName(collection);
+            var index = Reading.Of(name, () =>
+            {
+                var envelope = Json.Parse(Encoding.UTF8.GetString(data));
+                var text = envelope.In("signed").Text();
+                Signatures.Check(name, Encoding.UTF8.GetBytes(text), envelope.In("signatures").List(), keys);
+                return From(Json.Parse(text));
+            });
+            if (index.Collection == collection) return index;
+            throw new CaptureFault(CaptureFault.CatalogueOther, $"{name} is the catalogue of collection {index.Collection}");
+        }
+
+        /// <summary>The shard that has the asset if any has it, or null.</summary>
+        public ShardName ShardOf(string key)
+        {
+            return Shards.LastOrDefault(shard => string.CompareOrdinal(shard.First, key) <= 0);
+        }
+
+        private static CollectionIndex From(object document)
+        {
+            var collection = document.In("collection").Text();
+            return new CollectionIndex
+            {
+                Collection = collection,
+                Version = document.In("version").Whole(),
+                Shards = document.In("shards").List().Select(each => ShardName.From(collection, each)).ToList(),
+            };
+        }
+    }
+
+    /// <summary>A shard as the index lists it: rows of assets whose keys begin with First.</summary>
+    public sealed class ShardName
+    {
+        public string Sha256 { get; private set; }
+        public long Bytes { get; private set; }
+        public string First { get; private set; }
+
+        /// <summary>Follows from collection and hash, whatever the index may say.</summary>
+        public string ObjectName { get; private set; }
+
+        internal static ShardName From(string collection, object told)
+        {
+            var sha256 = Reading.Hash(told.In("sha256").Text());
+            return new ShardName
+            {
+                Sha256 = sha256,
+                Bytes = told.In("bytes").Whole(),
+                First = told.In("first").Text(),
+                ObjectName = $"collections/{collection}/shard.{sha256}.json",
+            };
+        }
+    }
+
+    /// <summary>An asset as its collection knows it.</summary>
+    public sealed class AssetRow
+    {
+        public string Key { get; private set; }
+        public string Label { get; private set; }
+        public long Version { get; private set; }
+        public bool Removed { get; private set; }
+        public string ManifestSha256 { get; private set; }
+
+        public string ManifestName => $"assets/{Key}/manifest.{ManifestSha256}.json";
+
+        /// <summary>All rows of a shard, whose bytes have been checked by their hash.</summary>
+        public static IReadOnlyList<AssetRow> Read(byte[] data, ShardName shard)
+        {
+            return Reading.Of(shard.ObjectName, () =>
+            {
+                var document = Json.Parse(Encoding.UTF8.GetString(data));
+                var columns = document.In("columns").List().Select(each => each.Text()).ToList();
+                var words = document.In("words").List();
+                return document.In("rows").List().Select(row => From(columns, words, row.List())).ToList();
+            });
+        }
+
+        private static AssetRow From(List<string> columns, List<object> words, List<object> cells)
+        {
+            Func<string, object> cell = name => cells.At(columns.IndexOf(name));
+            return new AssetRow
+            {
+                Key = cell("key").Text(),
+                Label = cell("label").Text(),
+                Version = cell("version").Whole(),
+                Removed = words.At(cell("state").Whole()).Text() == "removed",
+                ManifestSha256 = Reading.Hash(Capture2vr.Sha256.Hex(FromBase64Url(cell("manifest").Text()))),
+            };
+        }
+
+        private static byte[] FromBase64Url(string text)
+        {
+            var padded = text.Replace('-', '+').Replace('_', '/');
+            return Convert.FromBase64String(padded + new string('=', (4 - padded.Length % 4) % 4));
+        }
+    }
+
+    /// <summary>What one version of an asset is made of.</summary>
+    public sealed class Manifest
+    {
+        /// <summary>Levels of detail, the finest first.</summary>
+        public IReadOnlyList<LodFile> Lods { get; private set; }
+
+        /// <summary>metric, estimated or unknown.</summary>
+        public string ScaleConfidence { get; private set; }
+
+        public static Manifest Read(byte[] data, string name)
+        {
+            return Reading.Of(name, () =>
+            {
+                var document = Json.Parse(Encoding.UTF8.GetString(data));
+                return new Manifest
+                {
+                    Lods = document.In("lods").List().Select(LodFile.From).OrderBy(lod => lod.Level).ToList(),
+                    ScaleConfidence = document.In("scale_confidence") as string ?? "unknown",
+                };
+            });
+        }
+    }
+
+    /// <summary>A file of a manifest: one level of detail, 0 being the finest.</summary>
+    public sealed class LodFile
+    {
+        public long Level { get; private set; }
+        public string ObjectName { get; private set; }
+        public string Sha256 { get; private set; }
+        public long Bytes { get; private set; }
+
+        internal static LodFile From(object told)
+        {
+            return new LodFile
+            {
+                Level = told.In("level").Whole(),
+                ObjectName = told.In("name").Text(),
+                Sha256 = Reading.Hash(told.In("sha256").Text()),
+                Bytes = told.In("bytes").Whole(),
+            };
+        }
+    }
+
+    internal static class Signatures
+    {
+        private const int IdDigits = 16; // of the SHA-256 of a public key
+
+        /// <summary>That one of the keys has signed the text. One suffices: while keys are exchanged there are two.</summary>
+        public static void Check(string name, byte[] text, List<object> told, IReadOnlyList<byte[]> keys)
+        {
+            if (told.Count == 0) throw new CaptureFault(CaptureFault.SignatureMissing, $"{name}: nobody has signed it");
+            var known = new Dictionary<string, byte[]>();
+            foreach (var key in keys) known[Sha256.Of(key).Substring(0, IdDigits)] = key;
+            var mine = told.Where(each => known.ContainsKey(each.In("key").Text())).ToList();
+            if (mine.Count == 0)
+            {
+                var ids = string.Join(", ", told.Select(each => each.In("key").Text()));
+                throw new CaptureFault(CaptureFault.KeyUnknown, $"{name} is signed by {ids}, which this app does not believe");
+            }
+            if (mine.Any(each => Holds(text, each.In("ed25519").Text(), known[each.In("key").Text()]))) return;
+            throw new CaptureFault(CaptureFault.SignatureWrong, $"{name}: the signature is not that of this text",
+                "The catalogue was damaged or tampered with, and nothing of it is shown");
+        }
+
+        private static bool Holds(byte[] text, string signature, byte[] key)
+        {
+            return Ed25519.Verify(key, text, Convert.FromBase64String(signature));
+        }
+    }
+
+    internal static class Reading
+    {
+        /// <summary>Whatever is wrong with the bytes becomes CATALOGUE_TRUNCATED, with the name of the object.</summary>
+        public static T Of<T>(string name, Func<T> read)
+        {
+            try
+            {
+                return read();
+            }
+            catch (FormatException fault)
+            {
+                throw new CaptureFault(CaptureFault.CatalogueTruncated, $"{name} is no whole catalogue: {fault.Message}", "", fault);
+            }
+        }
+
+        public static string Hash(string text)
+        {
+            return Sha256.IsHash(text) ? text : throw new FormatException($"{text} is no SHA-256");
+        }
+    }
+}

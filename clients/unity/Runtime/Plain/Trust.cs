@@ -1,0 +1,149 @@
+using System;
+using System.Collections.Generic;
+using System.IO;
+using System.Linq;
+using System.Threading.Tasks;
+
+namespace Capture2vr
+{
+    /// <summary>
+    /// Whether an asset may consist of certain files, by the signed catalogue of its collection. Addressables' own
+    /// catalogues are not signed; with this beside them, whoever changes one can only make assets disappear.
+    /// </summary>
+    public sealed class Trust
+    {
+        private const long IndexBytes = 8L << 20; // a thousand times what 10,000 assets take
+
+        private readonly string _baseUrl;
+        private readonly string _collection;
+        private readonly IReadOnlyList<byte[]> _keys;
+        private readonly FileCache _cache;
+        private readonly Versions _versions;
+        private readonly Fetch _fetch;
+        private readonly string _kept;
+
+        /// <param name="keys">public keys, 32 bytes each, that came with the app</param>
+        /// <param name="folder">where the last good index is kept, for times without a network</param>
+        public Trust(string baseUrl, string collection, IReadOnlyList<byte[]> keys, string folder, FileCache cache,
+            Versions versions, Fetch fetch)
+        {
+            if (keys.Count == 0 || keys.Any(key => key.Length != Ed25519.KeyBytes))
+            {
+                throw new ArgumentException($"give at least one public key, of {Ed25519.KeyBytes} bytes");
+            }
+            _baseUrl = baseUrl;
+            _collection = collection;
+            _keys = keys;
+            _cache = cache;
+            _versions = versions;
+            _fetch = fetch;
+            _kept = Path.Combine(folder, $"index.{collection}.json");
+        }
+
+        /// <summary>
+        /// Throws CaptureFault unless all files, by their SHA-256, belong to the current version of the asset.
+        /// </summary>
+        public async Task Check(string key, IEnumerable<string> files)
+        {
+            var manifest = await ManifestOf(key).ConfigureAwait(false);
+            var signed = new HashSet<string>(manifest.Lods.Select(lod => lod.Sha256));
+            if (files.All(signed.Contains)) return;
+            throw new CaptureFault(CaptureFault.FileNotSigned,
+                $"a file of asset {key} is not among those that the signed catalogue lists",
+                "The Addressables catalogue is older or newer than it, or was tampered with; update the catalogues");
+        }
+
+        /// <summary>The manifest of the asset's current version, every hash on the way to it checked.</summary>
+        public async Task<Manifest> ManifestOf(string key)
+        {
+            try
+            {
+                return await ManifestOnce(key).ConfigureAwait(false);
+            }
+            catch (CaptureFault fault) when (fault.Code == CaptureFault.FileMissing)
+            {
+                // A shard goes when enough newer ones have come; the index of this moment knows another.
+                return await ManifestOnce(key).ConfigureAwait(false);
+            }
+        }
+
+        private async Task<Manifest> ManifestOnce(string key)
+        {
+            var index = await Index().ConfigureAwait(false);
+            var shard = index.ShardOf(key) ?? throw Unknown(key);
+            var rows = AssetRow.Read(await Content(shard.ObjectName, shard.Sha256, shard.Bytes).ConfigureAwait(false), shard);
+            var row = rows.FirstOrDefault(each => each.Key == key) ?? throw Unknown(key);
+            if (row.Removed) throw new CaptureFault(CaptureFault.AssetRemoved, $"asset {key} was removed");
+            var manifest = await Content(row.ManifestName, row.ManifestSha256, -1).ConfigureAwait(false);
+            return Manifest.Read(manifest, row.ManifestName);
+        }
+
+        /// <summary>From the network; without one the last that was good, which is checked just the same.</summary>
+        private async Task<CollectionIndex> Index()
+        {
+            byte[] data;
+            try
+            {
+                data = await Fetched(CollectionIndex.ObjectName(_collection)).ConfigureAwait(false);
+            }
+            catch (CaptureFault fault) when (fault.Code == CaptureFault.Unreachable && File.Exists(_kept))
+            {
+                return Accepted(File.ReadAllBytes(_kept));
+            }
+            var index = Accepted(data);
+            Keep(data);
+            return index;
+        }
+
+        private CollectionIndex Accepted(byte[] data)
+        {
+            var index = CollectionIndex.Read(data, _collection, _keys);
+            // Only now: a version that nobody has signed must not lock out those that come.
+            _versions.Check("collection " + _collection, index.Version);
+            return index;
+        }
+
+        private async Task<byte[]> Fetched(string name)
+        {
+            using (var memory = new MemoryStream())
+            using (var bounded = new HashingStream(memory, IndexBytes, told => { }))
+            {
+                await _fetch($"{_baseUrl}/{name}", bounded).ConfigureAwait(false);
+                return memory.ToArray();
+            }
+        }
+
+        private void Keep(byte[] data)
+        {
+            var part = $"{_kept}.{Guid.NewGuid():N}.part";
+            try
+            {
+                File.WriteAllBytes(part, data);
+                File.Delete(_kept);
+                File.Move(part, _kept);
+            }
+            catch (IOException)
+            {
+                // A full disk, or another check that was faster: only a start without a network would miss it.
+            }
+        }
+
+        private async Task<byte[]> Content(string name, string sha256, long size)
+        {
+            var path = await _cache.Load($"{_baseUrl}/{name}", sha256, size).Task.ConfigureAwait(false);
+            try
+            {
+                return File.ReadAllBytes(path);
+            }
+            finally
+            {
+                _cache.Release(sha256);
+            }
+        }
+
+        private CaptureFault Unknown(string key)
+        {
+            return new CaptureFault(CaptureFault.AssetUnknown, $"collection {_collection} has no asset {key}");
+        }
+    }
+}

@@ -1,0 +1,95 @@
+"""A web server for clients under test: it serves folders, and misbehaves on request."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+_DELAY_S = 0.25  # of a slow answer: enough for other loads to begin meanwhile
+
+
+class Site:
+    """The first part of a path says how the rest below `root` is served.
+
+    www      as it is
+    slow     after a while
+    flip     with one bit changed
+    cut      only half, with the length of the whole
+    endless  twice, without a length
+    busy     not at all: 503
+    live     as it is, below the folder that `turn/<folder>` named last; `turn/off` is 503
+    count    how often the rest was asked for, with the way in front
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.counts: Counter[str] = Counter()
+        self.live = "off"
+
+    def content(self, path: str) -> bytes | None:
+        """What is below the root; the folders `healed` and `once` are other names of `v2`, to count by."""
+        folder, _, name = path.partition("/")
+        file = self.root / {"healed": "v2", "once": "v2"}.get(folder, folder) / name
+        return file.read_bytes() if file.is_file() else None
+
+    def answer(self, way: str, rest: str) -> tuple[int, bytes, int | None]:
+        """Status, body, and the length to announce."""
+        if way == "count":
+            return _whole(str(self.counts[rest]).encode())
+        if way == "turn":
+            self.live = rest
+            return _whole(b"")
+        self.counts[f"{way}/{rest}"] += 1
+        data = self.content(f"{self.live}/{rest}" if way == "live" else rest)
+        if way == "busy" or (way == "live" and self.live == "off"):
+            return 503, b"", 0
+        return (404, b"", 0) if data is None else _spoilt(way, data)
+
+
+def _whole(data: bytes) -> tuple[int, bytes, int | None]:
+    return 200, data, len(data)
+
+
+def _spoilt(way: str, data: bytes) -> tuple[int, bytes, int | None]:
+    if way == "slow":
+        time.sleep(_DELAY_S)
+    if way == "flip":
+        middle = len(data) // 2
+        data = data[:middle] + bytes([data[middle] ^ 4]) + data[middle + 1 :]
+    if way == "cut":
+        return 200, data[: len(data) // 2], len(data)
+    return (200, data * 2, None) if way == "endless" else _whole(data)
+
+
+@contextmanager
+def serving(root: Path) -> Iterator[str]:
+    """The address of a running site."""
+    site = Site(root)
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            _, way, rest = self.path.split("/", 2)
+            status, body, length = site.answer(way, rest)
+            self.send_response(status)
+            if length is not None:
+                self.send_header("Content-Length", str(length))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            """Silent: the tests tell what matters."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()

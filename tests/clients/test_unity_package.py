@@ -1,0 +1,115 @@
+"""The Unity package as Unity's package manager takes it: manifest, assemblies, .meta files."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from services.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER
+from services.storage.unity.nouns import BASE_URL
+from services.storage.unity.publication import file_names
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "clients" / "unity"
+
+
+@pytest.fixture(scope="module")
+def metas() -> ModuleType:
+    """The package's own generator of .meta files."""
+    spec = importlib.util.spec_from_file_location("metas", PACKAGE / "Tools~" / "metas.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _json(path: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads(path.read_text())
+    return document
+
+
+def _sources(folder: str) -> dict[str, str]:
+    return {path.name: path.read_text() for path in (PACKAGE / folder).glob("*.cs")}
+
+
+def test_every_asset_has_its_meta_file(metas: ModuleType) -> None:
+    assert len(metas.assets()) > 20
+    for path in metas.assets():
+        assert metas.meta_of(path).read_text() == metas.meta(path), f"run clients/unity/Tools~/metas.py: {path}"
+
+
+def test_every_meta_file_has_its_asset_and_a_guid_of_its_own() -> None:
+    found = sorted(PACKAGE.rglob("*.meta"))
+    guids = [match[1] for each in found if (match := re.search(r"^guid: ([0-9a-f]{32})$", each.read_text(), re.M))]
+    assert len(set(guids)) == len(guids) == len(found)
+    assert [each for each in found if not each.with_suffix("").exists()] == []
+
+
+def test_the_manifest_is_one(metas: ModuleType) -> None:
+    manifest = _json(PACKAGE / "package.json")
+    assert manifest["name"] == "com.capture2vr.client"
+    assert re.fullmatch(r"\d+\.\d+\.\d+", manifest["version"])
+    assert re.fullmatch(r"20\d\d\.\d", manifest["unity"])
+    assert {"com.unity.addressables", "com.unity.cloud.gltfast"} < set(manifest["dependencies"])
+    for version in manifest["dependencies"].values():
+        assert re.fullmatch(r"\d+\.\d+\.\d+(-[a-z]+\.\d+)?", version)
+    assert all((PACKAGE / sample["path"]).is_dir() for sample in manifest["samples"])
+    assert f"## {manifest['version']}" in (PACKAGE / "CHANGELOG.md").read_text()
+
+
+def test_the_licence_is_that_of_the_repository() -> None:
+    assert (PACKAGE / "LICENSE.md").read_text() == (ROOT / "LICENSE").read_text()
+
+
+def test_assemblies_are_named_after_their_files_and_refer_to_each_other() -> None:
+    found = {path: _json(path) for path in PACKAGE.rglob("*.asmdef")}
+    names = {document["name"] for document in found.values()}
+    assert {path.stem for path in found} == names == {"Capture2vr", "Capture2vr.Plain", "Capture2vr.Editor"}
+    for document in found.values():
+        assert {name for name in document["references"] if name.startswith("Capture2vr")} <= names
+        assert document["noEngineReferences"] == (document["name"] == "Capture2vr.Plain")
+
+
+def test_the_plain_parts_name_nothing_of_the_engine() -> None:
+    for name, text in _sources("Runtime/Plain").items():
+        assert "UnityEngine" not in text, name
+
+
+@pytest.mark.parametrize("provider", [FILE_PROVIDER, PREFAB_PROVIDER])
+def test_the_catalogues_name_classes_that_are_there_and_kept(provider: Any) -> None:
+    assert _json(PACKAGE / "Runtime" / "Capture2vr.asmdef")["name"] == provider.assembly
+    namespace, _, name = provider.name.rpartition(".")
+    text = _sources("Runtime")[f"{name}.cs"]
+    assert f"namespace {namespace}\n" in text
+    assert re.search(rf"\[Preserve\]\s+public sealed class {name} : ResourceProviderBase", text)
+    assert re.search(rf"\[Preserve\]\s+public {name}\(\)", text)
+
+
+def test_the_property_that_addresses_begin_with_is_there_and_kept() -> None:
+    kind, _, name = BASE_URL.strip("{}").rpartition(".")
+    text = _sources("Runtime")["Catalogue.cs"]
+    assert re.search(rf"\[Preserve\]\s+public static class {kind.removeprefix('Capture2vr.')}\n", text)
+    assert re.search(rf"\[Preserve\]\s+public static string {name}\n", text)
+    assert f'"{BASE_URL.strip("{}")}"' in text
+
+
+def test_the_files_that_it_asks_for_are_those_that_are_published() -> None:
+    text = _sources("Runtime")["Catalogue.cs"]
+    asked = {f"collections/default/unity/{name}" for name in re.findall(r'return "(catalog[^"]*)"', text)}
+    assert asked == {names.catalogue for names in file_names("default")}
+    assert "{BaseUrl}/collections/{collection}/unity/{FileName}" in text
+
+
+def test_the_linker_keeps_what_only_catalogues_name() -> None:
+    root = ET.parse(PACKAGE / "Runtime" / "link.xml").getroot()
+    kept = {each.attrib["fullname"] for each in root.iter() if "fullname" in each.attrib}
+    assert {"Capture2vr", "UnityEngine.ResourceManagement.ResourceProviders.AssetBundleRequestOptions"} <= kept
+    assert "AlwaysLinkAssembly" in _sources("Runtime")["AssemblyInfo.cs"]

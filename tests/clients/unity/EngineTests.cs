@@ -1,0 +1,453 @@
+// The parts that call the engine, on stubs of it: providers are found by the names in the catalogue's table, run on a
+// main thread as the engine has one, and fetch from a real server.
+using System;
+using System.Collections.Generic;
+using System.IO;
+using System.Linq;
+using System.Reflection;
+using System.Threading;
+using System.Threading.Tasks;
+using Capture2vr;
+using GLTFast;
+using UnityEngine;
+using UnityEngine.AddressableAssets;
+using UnityEngine.ResourceManagement.AsyncOperations;
+using UnityEngine.ResourceManagement.ResourceLocations;
+using UnityEngine.ResourceManagement.ResourceProviders;
+using Object = UnityEngine.Object;
+
+public static class EngineTests
+{
+    private const string Bowl = "captures/bowl";
+
+    private static string Key => Facts.All.In("key").Text();
+
+    /// <summary>A first start on a new device, before each test.</summary>
+    private static Task Prepare()
+    {
+        Application.persistentDataPath = Facts.NewFolder();
+        Object.MainThread = Thread.CurrentThread;
+        Time.unscaledTime = 0;
+        Camera.main = null;
+        Debug.Errors.Clear();
+        GltfImport.Alive.Clear();
+        Object.Alive.Clear();
+        return Restart("v2");
+    }
+
+    private static async Task Restart(string live)
+    {
+        Invoke(typeof(Catalogue), null, "Forget");
+        Addressables.Restart();
+        await Facts.Ask("turn/" + live);
+    }
+
+    private static Task Open(string way = "live", params string[] keys) => Catalogue.OpenAsync($"{Facts.Server}/{way}/", "default", keys);
+
+    private static void Invoke(Type type, object target, string method)
+    {
+        type.GetMethod(method, BindingFlags.Static | BindingFlags.Instance | BindingFlags.NonPublic).Invoke(target, null);
+    }
+
+    private static async Task<AsyncOperationHandle<GameObject>> Load(string key = Bowl)
+    {
+        var handle = Addressables.LoadAssetAsync<GameObject>(key);
+        await handle.Task;
+        return handle;
+    }
+
+    private static CapturedAsset Asset(string key = "bowl")
+    {
+        var asset = new GameObject("asset").AddComponent<CapturedAsset>();
+        asset.Key = key;
+        return asset;
+    }
+
+    private static List<string> Codes(CapturedAsset asset)
+    {
+        var codes = new List<string>();
+        asset.Failed += fault => codes.Add((fault as CaptureFault)?.Code ?? fault.ToString());
+        return codes;
+    }
+
+    private static void NothingIsLeft()
+    {
+        Expect.Equal(0, GltfImport.Alive.Count);
+        Expect.Equal(0, Object.Alive.OfType<Mesh>().Count());
+        Expect.Equal(0, Object.Alive.OfType<LODGroup>().Count());
+        Expect.Equal(0, Addressables.ResourceManager.Loaded);
+        foreach (var lod in Facts.All.In("lods").List())
+        {
+            Expect.Throws<InvalidOperationException>(() => Catalogue.Cache.Release(lod.In("sha256").Text()));
+        }
+    }
+
+    // The providers.
+
+    public static async Task AnAssetIsMadeOfItsFilesAndFreedInReverse()
+    {
+        await Open();
+        var handle = await Load();
+        Addressables.Release(handle);
+        var files = new[] { "/lod0", "/lod1", "/lod2" };
+        var loaded = files.Select(each => $"provide {Bowl}{each}").Concat(new[] { $"provide {Bowl}", $"release {Bowl}" });
+        Expect.Lines(loaded.Concat(files.Select(each => $"release {Bowl}{each}")), Addressables.ResourceManager.Log);
+        NothingIsLeft();
+    }
+
+    public static async Task ThePrefabHasItsLevelsSizeAndVersion()
+    {
+        await Open();
+        var prefab = (await Load()).Result;
+        var group = prefab.GetComponent<LODGroup>();
+        Expect.Lines(new[] { "0.3", "0.1", "0" }, group.GetLODs().Select(lod => lod.screenRelativeTransitionHeight.ToString()));
+        Expect.Lines(new[] { "1", "1", "1" }, group.GetLODs().Select(lod => lod.renderers.Length.ToString()));
+        Expect.True(Math.Abs(group.size - 1.2) < 1e-3, $"1.2 m wide, not {group.size}");
+        Expect.True(Math.Abs(group.localReferencePoint.y - 0.3) < 1e-3, $"its middle is at 0.3 m, not {group.localReferencePoint.y}");
+        Expect.Equal(2, prefab.GetComponent<CapturedInfo>().Version);
+    }
+
+    public static async Task ThePrefabIsHiddenAndItsClonesAreNot()
+    {
+        await Open();
+        var prefab = (await Load()).Result;
+        var clone = Object.Instantiate(prefab, new GameObject("scene").transform);
+        Expect.True(prefab.activeSelf && !prefab.activeInHierarchy, "the prefab is on the shelf");
+        Expect.True(clone.activeInHierarchy, "the clone is seen");
+        Expect.Equal(2, clone.GetComponent<CapturedInfo>().Version);
+    }
+
+    public static async Task TwoUsersShareOnePrefabAndTheLastFreesIt()
+    {
+        await Open();
+        var first = await Load();
+        var second = await Load();
+        Expect.True(first.Result == second.Result, "the same prefab");
+        Addressables.Release(first);
+        Expect.Equal(3, GltfImport.Alive.Count);
+        Addressables.Release(second);
+        NothingIsLeft();
+    }
+
+    public static async Task TheMainThreadGoesOnWhileFilesCome()
+    {
+        await Open("slow/v2");
+        var handle = Addressables.LoadAssetAsync<GameObject>(Bowl);
+        Expect.True(handle.Operation.Dependencies.All(each => each.Status == AsyncOperationStatus.None), "the call does not wait");
+        var frames = 0;
+        for (; !handle.IsDone; frames++) await Task.Delay(5);
+        Expect.Equal(AsyncOperationStatus.Succeeded, handle.Status);
+        Expect.True(frames > 3, $"{frames} frames went by");
+    }
+
+    public static async Task WhoWaitsOnTheMainThreadIsToldInsteadOfHanging()
+    {
+        await Open();
+        var handle = Addressables.LoadAssetAsync<GameObject>(Bowl);
+        await handle.Task;
+        Expect.Throws<NotSupportedException>(() => handle.Operation.Waiting());
+        Expect.Throws<NotSupportedException>(() => handle.Operation.Dependencies[0].Waiting());
+    }
+
+    public static async Task DownloadProgressIsThatOfTheFiles()
+    {
+        await Open();
+        var handle = await Load();
+        var status = handle.Operation.Dependencies[0].Downloading();
+        Expect.Equal(Facts.All.In("lods").List()[0].In("bytes").Whole(), status.TotalBytes);
+        Expect.Equal(1f, status.Percent);
+        Expect.True(status.IsDone, "it is done");
+    }
+
+    public static async Task AMissingFileLeavesTheOtherLevels()
+    {
+        await Open("www/partly");
+        var handle = await Load();
+        Expect.Equal(2, handle.Result.GetComponent<LODGroup>().GetLODs().Length);
+        Expect.Equal(2, GltfImport.Alive.Count);
+        Addressables.Release(handle);
+        NothingIsLeft();
+    }
+
+    public static async Task FilesThatWereChangedOnTheWayAreNotShown()
+    {
+        await Open("www/spoilt");
+        var file = Addressables.LoadAssetAsync<string>(Bowl + "/lod0");
+        await file.Task;
+        Expect.Equal(CaptureFault.FileChanged, Catalogue.FaultOf(file.OperationException).Code);
+        var handle = await Load();
+        Expect.Equal(CaptureFault.FileMissing, Catalogue.FaultOf(handle.OperationException).Code);
+        Addressables.Release(file);
+        Addressables.Release(handle);
+        NothingIsLeft();
+    }
+
+    public static async Task AFileThatIsNoMeshFailsAndFreesEverything()
+    {
+        await Open();
+        var file = (await Location(Bowl)).Dependencies[0];
+        var path = Catalogue.Cache.PathOf(Sha256.InName(file.InternalId));
+        var fetch = Addressables.LoadAssetAsync<string>(Bowl + "/lod0");
+        await fetch.Task;
+        File.WriteAllText(path, "no mesh at all, but longer than a header"); // after the check
+        var handle = await Load();
+        Expect.Equal(CaptureFault.MeshInvalid, Catalogue.FaultOf(handle.OperationException).Code);
+        Addressables.Release(handle);
+        Addressables.Release(fetch);
+        NothingIsLeft();
+    }
+
+    public static async Task ALocationWhoseHashesDisagreeIsRefused()
+    {
+        await Open();
+        var told = (await Location(Bowl)).Dependencies[0];
+        var options = (AssetBundleRequestOptions)told.Data;
+        var datas = new object[] { null, "text", Options(new string('0', 32), options), Options("", options) };
+        foreach (var data in datas) await Refused(told.InternalId, data);
+        await Refused(told.InternalId.Replace(".glb", ".glb.x"), options);
+    }
+
+    private static AssetBundleRequestOptions Options(string hash, AssetBundleRequestOptions options)
+    {
+        return new AssetBundleRequestOptions { Hash = hash, BundleName = options.BundleName, BundleSize = options.BundleSize };
+    }
+
+    private static async Task Refused(string id, object data)
+    {
+        var location = new ResourceLocationBase("x", id, "Capture2vr.GlbFileProvider", typeof(string)) { Data = data };
+        var handle = Addressables.LoadAssetAsync<string>(location);
+        await handle.Task;
+        Expect.Equal(CaptureFault.LocationInvalid, Catalogue.FaultOf(handle.OperationException).Code);
+        Addressables.Release(handle);
+    }
+
+    private static async Task<IResourceLocation> Location(string key)
+    {
+        return (await Addressables.LoadResourceLocationsAsync(key).Task).Single();
+    }
+
+    // The signed catalogue beside the unsigned one.
+
+    public static async Task WithKeysASignedAssetLoads()
+    {
+        await Open("live", Key);
+        Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
+    }
+
+    public static async Task WithKeysAForgedUnityCatalogueShowsNothing()
+    {
+        await Open("www/forged", Key);
+        var handle = await Load();
+        Expect.Equal(CaptureFault.FileNotSigned, Catalogue.FaultOf(handle.OperationException).Code);
+        Addressables.Release(handle);
+        NothingIsLeft();
+        await Restart("v2"); // the forged version 3 does not count as seen
+        await Open("live", Key);
+        Expect.Equal(2, (await Load()).Result.GetComponent<CapturedInfo>().Version);
+    }
+
+    // The component.
+
+    public static async Task TheComponentShowsPlacesAndFreesAnAsset()
+    {
+        Camera.main = new GameObject("camera").AddComponent<Camera>();
+        Camera.main.transform.position = new Vector3(1, 1.6f, 0);
+        Camera.main.transform.forward = new Vector3(1, 0, 0);
+        await Open();
+        var asset = Asset();
+        Invoke(typeof(CapturedAsset), asset, "Start");
+        await Expect.Comes(() => asset.Info != null);
+        var place = asset.transform.position;
+        Expect.Near(2.5, place.x);
+        Expect.True(Math.Abs(place.y - (1.2 - 0.3)) < 1e-3, $"a bowl of 0.6 m stands at {place.y}");
+        Expect.Near(-90, asset.transform.rotation.eulerAngles.y);
+        Expect.Equal(1, asset.transform.childCount);
+        Invoke(typeof(CapturedAsset), asset, "OnDestroy");
+        NothingIsLeft();
+    }
+
+    public static async Task ItsScaleHasLimits()
+    {
+        await Open();
+        var asset = Asset();
+        await asset.ShowAsync();
+        asset.Scale = 2;
+        Expect.Near(2, asset.Scale);
+        asset.Scale = 1e6f;
+        Expect.True(Math.Abs(asset.Scale - 20 / 1.2) < 0.05, $"it may be 20 m long, not {asset.Scale} times itself");
+    }
+
+    public static async Task ANewVersionComesWhereTheOldOneStands()
+    {
+        await Restart("v1");
+        await Open();
+        CapturedAsset one = Asset(), two = Asset();
+        await Task.WhenAll(one.ShowAsync(), two.ShowAsync());
+        one.transform.position = new Vector3(7, 0, 0);
+        Expect.Equal(1, one.Info.Version);
+        await one.FollowAsync();
+        Expect.Equal(1, one.Info.Version);
+        await Facts.Ask("turn/v2");
+        Time.unscaledTime = 60;
+        Invoke(typeof(CapturedAsset), one, "Update");
+        await Expect.Comes(() => one.Info.Version == 2);
+        Expect.Equal(1, two.Info.Version);
+        await two.FollowAsync();
+        Expect.Equal(2, two.Info.Version);
+        Expect.Near(7, one.transform.position.x);
+        Expect.Equal(3, GltfImport.Alive.Count); // both share the new version, and nothing of the old one is left
+        foreach (var each in new[] { one, two }) each.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task WhatIsShownStaysWhenTheNewVersionIsDamaged()
+    {
+        await Open();
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        await Facts.Ask("turn/spoilt");
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        Expect.Lines(new[] { CaptureFault.FileMissing }, codes);
+        asset.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task ADamagedVersionIsAskedForLessAndLessOften()
+    {
+        await Open();
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        await Facts.Ask("turn/spoilt");
+        for (var second = 0; second <= 80; second += 5)
+        {
+            Time.unscaledTime = second;
+            Invoke(typeof(CapturedAsset), asset, "Update");
+            await Expect.Comes(() => !(bool)Field(asset, "_looking"));
+            await Task.Yield();
+        }
+        Expect.Equal(3, codes.Count); // after 10, 30 and 70 seconds
+        asset.Release();
+    }
+
+    private static object Field(CapturedAsset asset, string name)
+    {
+        return typeof(CapturedAsset).GetField(name, BindingFlags.Instance | BindingFlags.NonPublic).GetValue(asset);
+    }
+
+    public static async Task ARolledBackVersionIsRefused()
+    {
+        await Open();
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        await Facts.Ask("turn/v1");
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        Expect.Lines(new[] { CaptureFault.CatalogueOlder }, codes);
+        asset.Release();
+        await Restart("v1");
+        await Open();
+        await asset.ShowAsync();
+        Expect.Lines(new[] { CaptureFault.CatalogueOlder, CaptureFault.CatalogueOlder }, codes);
+        Expect.True(asset.Info == null, "nothing is shown");
+        NothingIsLeft();
+    }
+
+    public static async Task WhatIsRemovedFromTheCollectionGoes()
+    {
+        await Open();
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        await Facts.Ask("turn/removed");
+        await asset.FollowAsync();
+        Expect.True(asset.Info == null, "it is out of sight");
+        Expect.Lines(new[] { CaptureFault.AssetUnknown }, codes);
+        NothingIsLeft();
+        await Facts.Ask("turn/v2");
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        asset.Release();
+    }
+
+    public static async Task WhatCouldNotBeHadComesLater()
+    {
+        await Open();
+        await Facts.Ask("turn/off");
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Lines(new[] { CaptureFault.FileMissing }, codes);
+        await Facts.Ask("turn/v2");
+        Time.unscaledTime = 60;
+        Invoke(typeof(CapturedAsset), asset, "Update");
+        await Expect.Comes(() => asset.Info != null);
+        asset.Release();
+        Time.unscaledTime = 120;
+        Invoke(typeof(CapturedAsset), asset, "Update");
+        Expect.True(!(bool)Field(asset, "_looking"), "nobody wants it any more");
+        NothingIsLeft();
+    }
+
+    public static async Task WithoutANetworkWhatTheDeviceHasIsShown()
+    {
+        await Open("live", Key);
+        var asset = Asset();
+        await asset.ShowAsync();
+        asset.Release();
+        await Facts.Ask("turn/off");
+        await asset.ShowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        await asset.FollowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        asset.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task AnUnknownKeyAndACatalogueOutOfReachAreNamed()
+    {
+        await Open();
+        var asset = Asset("nobody");
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Lines(new[] { CaptureFault.AssetUnknown }, codes);
+        await Restart("off");
+        var fault = await Expect.Fault(CaptureFault.Unreachable, () => Open());
+        Expect.True(fault.Message.Contains("default"), fault.Message);
+    }
+
+    public static async Task WithNobodyListeningTheReasonIsLogged()
+    {
+        await Open();
+        await Asset("nobody").ShowAsync();
+        Expect.True(Debug.Errors.Single().Contains("nobody"), "the log names the asset");
+    }
+
+    public static async Task WhatIsReleasedWhileItLoadsLeavesNothing()
+    {
+        await Open("slow/v2");
+        var asset = Asset();
+        var showing = asset.ShowAsync();
+        await Task.Delay(50);
+        asset.Release();
+        await showing;
+        Expect.True(asset.Info == null, "nothing is shown");
+        NothingIsLeft();
+    }
+
+    public static async Task TheLastOfTwoCallsCounts()
+    {
+        await Open("slow/v2");
+        var asset = Asset();
+        var first = asset.ShowAsync();
+        asset.Key = "cup";
+        await Task.WhenAll(first, asset.ShowAsync());
+        Expect.Equal(1, asset.Info.Version);
+        Expect.Equal(1, asset.transform.childCount);
+        asset.Release();
+        NothingIsLeft();
+    }
+}

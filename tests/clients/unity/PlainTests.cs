@@ -1,0 +1,437 @@
+// The parts that know no engine, against a real server that serves what the product has published.
+using System;
+using System.Collections.Generic;
+using System.IO;
+using System.Linq;
+using System.Text;
+using System.Threading.Tasks;
+using Capture2vr;
+
+public static class PlainTests
+{
+    private static readonly object Lod = Facts.All.In("lods").List()[2];
+    private static string Sha => Lod.In("sha256").Text();
+    private static long Size => Lod.In("bytes").Whole();
+    private static string Name => Lod.In("name").Text();
+    private static List<byte[]> Keys => new List<byte[]> { Convert.FromBase64String(Facts.All.In("key").Text()) };
+
+    private static string Url(string way = "www/v2") => $"{Facts.Server}/{way}/{Name}";
+
+    private static FileCache Cache(string folder = null, long limit = 1 << 30, Fetch fetch = null)
+    {
+        return new FileCache(folder ?? Facts.NewFolder(), limit, fetch ?? Http.Fetch);
+    }
+
+    private static async Task<int> Count(string way) => int.Parse(await Facts.Ask($"count/{way}/{Name}"));
+
+    private static Task NoNetwork(string url, Stream into)
+    {
+        throw new CaptureFault(CaptureFault.Unreachable, "no network");
+    }
+
+    // Hashes and names.
+
+    public static void HashesAreThoseOfTheStandard()
+    {
+        const string abc = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        Expect.Equal(abc, Sha256.Of(Encoding.ASCII.GetBytes("abc")));
+    }
+
+    public static void TheNameOfAFileTellsItsHash()
+    {
+        Expect.Equal(Sha, Sha256.InName(Url() + "?v=1.glb"));
+        var bad = new[] { "", "lod0.glb", $"{Sha}.glb", $"lod0.{Sha.ToUpperInvariant()}.glb", $"lod0.{Sha}x.glb", $"{Sha}/a.b.glb" };
+        foreach (var each in bad) Expect.Equal(null, Sha256.InName(each));
+    }
+
+    // The cache.
+
+    public static async Task WhatWasLoadedOnceIsThereWithoutANetwork()
+    {
+        var folder = Facts.NewFolder();
+        var path = await Cache(folder).Load(Url(), Sha, Size).Task;
+        Expect.Equal(Sha, Sha256.Of(File.ReadAllBytes(path)));
+        Expect.Equal(path, await Cache(folder, fetch: NoNetwork).Load(Url(), Sha, Size).Task);
+    }
+
+    public static async Task AFlippedBitIsHealed()
+    {
+        var cache = Cache();
+        var path = await cache.Load(Url("www/healed"), Sha, Size).Task;
+        var data = File.ReadAllBytes(path);
+        data[data.Length / 2] ^= 4;
+        File.WriteAllBytes(path, data);
+        Expect.Equal(path, await cache.Load(Url("www/healed"), Sha, Size).Task);
+        Expect.Equal(Sha, Sha256.Of(File.ReadAllBytes(path)));
+        Expect.Equal(2, await Count("www/healed"));
+    }
+
+    public static async Task WithoutANetworkADamagedFileIsNotShown()
+    {
+        var folder = Facts.NewFolder();
+        var path = await Cache(folder).Load(Url(), Sha, Size).Task;
+        File.WriteAllText(path, "");
+        await Expect.Fault(CaptureFault.Unreachable, () => Cache(folder, fetch: NoNetwork).Load(Url(), Sha, Size).Task);
+    }
+
+    public static async Task AFileWithAnotherHashIsRefusedAndNotKept()
+    {
+        var folder = Facts.NewFolder();
+        await Expect.Fault(CaptureFault.FileChanged, () => Cache(folder).Load(Url("flip/v2"), Sha, Size).Task);
+        Expect.Equal(0, Directory.GetFiles(folder).Length);
+    }
+
+    public static async Task AServerThatSendsTooMuchIsCutOff()
+    {
+        var fault = await Expect.Fault(CaptureFault.FileChanged, () => Cache().Load(Url("endless/v2"), Sha, Size).Task);
+        Expect.True(fault.Message.Contains("sends more than"), fault.Message);
+    }
+
+    public static async Task ABrokenConnectionIsNoTampering()
+    {
+        await Expect.Fault(CaptureFault.Unreachable, () => Cache().Load(Url("cut/v2"), Sha, Size).Task);
+    }
+
+    public static async Task AMissingFileAndAServerInTroubleAreToldApart()
+    {
+        await Expect.Fault(CaptureFault.FileMissing, () => Cache().Load(Url("www/nowhere"), Sha, Size).Task);
+        await Expect.Fault(CaptureFault.Unreachable, () => Cache().Load(Url("busy/v2"), Sha, Size).Task);
+        await Expect.Fault(CaptureFault.Unreachable, () => Cache().Load("http://127.0.0.1:9/x", Sha, Size).Task);
+    }
+
+    public static async Task LoadsAtTheSameTimeDownloadOnce()
+    {
+        var cache = Cache();
+        var loads = Enumerable.Range(0, 8).Select(each => cache.Load(Url("slow/once"), Sha, Size)).ToList();
+        await Task.WhenAll(loads.Select(each => each.Task));
+        Expect.Equal(1, await Count("slow/once"));
+        for (var each = 0; each < 8; each++) cache.Release(Sha);
+        Expect.Throws<InvalidOperationException>(() => cache.Release(Sha));
+    }
+
+    public static async Task AfterAFailureTheNextLoadTriesAgain()
+    {
+        var cache = Cache();
+        var loads = Enumerable.Range(0, 3).Select(each => cache.Load(Url("flip/v2"), Sha, Size).Task).ToList();
+        foreach (var each in loads) await Expect.Fault(CaptureFault.FileChanged, () => each);
+        Expect.Throws<InvalidOperationException>(() => cache.Release(Sha));
+        await cache.Load(Url(), Sha, Size).Task;
+        cache.Release(Sha);
+    }
+
+    public static async Task TheLongestUnusedGoesFirst()
+    {
+        var cache = Cache(limit: 250, fetch: Numbered);
+        foreach (var number in new[] { 1, 2, 1, 3 }) await Use(cache, number);
+        Expect.Lines(new[] { "yes", "no", "yes" }, new[] { 1, 2, 3 }.Select(number => Has(cache, number)));
+        Expect.Equal(200L, cache.Bytes);
+    }
+
+    public static async Task AfterARestartTheOldestGoesFirst()
+    {
+        var folder = Facts.NewFolder();
+        var first = Cache(folder, 250, Numbered);
+        foreach (var number in new[] { 1, 2 }) await Use(first, number);
+        File.SetLastWriteTimeUtc(first.PathOf(HashOf(1)), DateTime.UtcNow.AddHours(-1));
+        File.SetLastWriteTimeUtc(first.PathOf(HashOf(2)), DateTime.UtcNow.AddHours(-2));
+        var second = Cache(folder, 250, Numbered);
+        await Use(second, 3);
+        Expect.Lines(new[] { "yes", "no", "yes" }, new[] { 1, 2, 3 }.Select(number => Has(second, number)));
+    }
+
+    public static async Task WhatIsInUseStaysWhateverItTakes()
+    {
+        var cache = Cache(limit: 50, fetch: Numbered);
+        await cache.Load("1", HashOf(1), 100).Task;
+        await Use(cache, 2);
+        await Use(cache, 3);
+        Expect.Lines(new[] { "yes", "no" }, new[] { 1, 2 }.Select(number => Has(cache, number)));
+        cache.Release(HashOf(1));
+        await Use(cache, 4);
+        Expect.Equal("no", Has(cache, 1));
+    }
+
+    public static async Task WhatACrashLeftIsSweptAndAClearedFolderIsMadeAgain()
+    {
+        var folder = Facts.NewFolder();
+        File.WriteAllText(Path.Combine(folder, Sha + ".x.part"), "half");
+        var cache = Cache(folder);
+        Expect.Equal(0, Directory.GetFiles(folder).Length);
+        Directory.Delete(folder);
+        await cache.Load(Url(), Sha, Size).Task;
+    }
+
+    public static async Task ADeviceThatCannotKeepAFileSaysSo()
+    {
+        var folder = Facts.NewFolder();
+        var cache = Cache(folder);
+        Directory.Delete(folder);
+        File.WriteAllText(folder, "a file where the folder was");
+        var fault = await Expect.Fault(CaptureFault.StorageFailed, () => cache.Load(Url(), Sha, Size).Task);
+        Expect.True(fault.Message.Contains("Free some storage"), fault.Message);
+    }
+
+    public static async Task ProgressEndsAtTheSize()
+    {
+        var download = Cache().Load(Url(), Sha, Size);
+        await download.Task;
+        Expect.Equal(Size, download.Received);
+    }
+
+    // Signatures.
+
+    public static void SignaturesOfTheProductHoldAndOthersDoNot()
+    {
+        foreach (var each in Facts.All.In("signatures").List())
+        {
+            var bytes = new[] { "key", "message", "signature" }.Select(name => Convert.FromBase64String(each.In(name).Text())).ToArray();
+            Expect.Equal((bool)each.In("holds"), Ed25519.Verify(bytes[0], bytes[1], bytes[2]));
+        }
+    }
+
+    public static void SignaturesOfTheWrongLengthDoNotHold()
+    {
+        Expect.True(!Ed25519.Verify(new byte[31], new byte[0], new byte[64]), "a short key");
+        Expect.True(!Ed25519.Verify(new byte[32], new byte[0], new byte[63]), "a short signature");
+    }
+
+    // The signed catalogue.
+
+    private static byte[] IndexData(string version)
+    {
+        using (var memory = new MemoryStream())
+        {
+            Http.Fetch($"{Facts.Server}/www/{version}/collections/default/index.json", memory).Wait();
+            return memory.ToArray();
+        }
+    }
+
+    private static Trust Trust(string folder, string way = "www/v2", Fetch fetch = null)
+    {
+        var versions = new Versions(Path.Combine(folder, "versions.txt"));
+        var cache = Cache(Path.Combine(folder, "files"), fetch: fetch);
+        return new Trust($"{Facts.Server}/{way}", "default", Keys, folder, cache, versions, fetch ?? Http.Fetch);
+    }
+
+    public static async Task FromTheSignatureDownToTheFiles()
+    {
+        var manifest = await Trust(Facts.NewFolder()).ManifestOf("bowl");
+        Expect.Lines(Facts.All.In("lods").List().Select(each => each.In("sha256").Text()), manifest.Lods.Select(each => each.Sha256));
+        Expect.Lines(Facts.All.In("lods").List().Select(each => each.In("name").Text()), manifest.Lods.Select(each => each.ObjectName));
+        Expect.Equal("metric", manifest.ScaleConfidence);
+    }
+
+    public static async Task FilesOfAnotherAssetAreNotSignedForThisOne()
+    {
+        var trust = Trust(Facts.NewFolder());
+        await trust.Check("bowl", new[] { Sha });
+        await Expect.Fault(CaptureFault.FileNotSigned, () => trust.Check("cup", new[] { Sha }));
+        await Expect.Fault(CaptureFault.AssetUnknown, () => trust.Check("nobody", new[] { Sha }));
+    }
+
+    public static async Task ARemovedAssetIsNotSignedAnyMore()
+    {
+        var folder = Facts.NewFolder();
+        await Trust(folder).Check("bowl", new[] { Sha });
+        await Expect.Fault(CaptureFault.AssetRemoved, () => Trust(folder, "www/removed").Check("bowl", new[] { Sha }));
+    }
+
+    public static void EveryChangeOfTheTextIsNoticed()
+    {
+        var data = IndexData("v2");
+        var from = Encoding.UTF8.GetString(data).IndexOf("version", StringComparison.Ordinal);
+        for (var place = from; place < data.Length; place += 61)
+        {
+            var changed = (byte[])data.Clone();
+            changed[place] ^= 1;
+            var fault = Expect.Throws<CaptureFault>(() => CollectionIndex.Read(changed, "default", Keys));
+            var known = new[] { CaptureFault.SignatureWrong, CaptureFault.CatalogueTruncated, CaptureFault.KeyUnknown };
+            Expect.True(known.Contains(fault.Code), $"{fault.Code} at {place}");
+        }
+    }
+
+    public static void ACutCatalogueIsRefusedWherever()
+    {
+        var data = IndexData("v2");
+        for (var length = 0; length < data.Length; length += 37)
+        {
+            var fault = Expect.Throws<CaptureFault>(() => CollectionIndex.Read(data.Take(length).ToArray(), "default", Keys));
+            Expect.Equal(CaptureFault.CatalogueTruncated, fault.Code);
+        }
+    }
+
+    public static void OneBelievedSignatureIsAskedFor()
+    {
+        var stranger = new List<byte[]> { new byte[32] };
+        var both = stranger.Concat(Keys).ToList();
+        Expect.Equal(CaptureFault.KeyUnknown, Expect.Throws<CaptureFault>(() => CollectionIndex.Read(IndexData("v2"), "default", stranger)).Code);
+        CollectionIndex.Read(IndexData("v2"), "default", both);
+        var unsigned = Encoding.UTF8.GetBytes("{\"signed\": \"{}\", \"signatures\": []}");
+        Expect.Equal(CaptureFault.SignatureMissing, Expect.Throws<CaptureFault>(() => CollectionIndex.Read(unsigned, "default", Keys)).Code);
+        Expect.Equal(CaptureFault.CatalogueOther, Expect.Throws<CaptureFault>(() => CollectionIndex.Read(IndexData("v2"), "shoes", Keys)).Code);
+    }
+
+    public static async Task AnOlderCatalogueIsRefusedHoweverWellSigned()
+    {
+        var folder = Facts.NewFolder();
+        await Trust(folder, "www/v1").ManifestOf("bowl");
+        await Trust(folder, "www/v2").ManifestOf("bowl");
+        var fault = await Expect.Fault(CaptureFault.CatalogueOlder, () => Trust(folder, "www/v1").ManifestOf("bowl"));
+        Expect.True(fault.Message.Contains("out of date"), fault.Message);
+    }
+
+    public static async Task WithoutANetworkTheLastGoodCatalogueCounts()
+    {
+        var folder = Facts.NewFolder();
+        await Expect.Fault(CaptureFault.Unreachable, () => Trust(folder, fetch: NoNetwork).ManifestOf("bowl"));
+        await Trust(folder).ManifestOf("bowl");
+        await Trust(folder, fetch: NoNetwork).ManifestOf("bowl");
+        var kept = Path.Combine(folder, "index.default.json");
+        File.WriteAllText(kept, File.ReadAllText(kept).Replace("version", "versiom"));
+        await Expect.Fault(CaptureFault.SignatureWrong, () => Trust(folder, fetch: NoNetwork).ManifestOf("bowl"));
+    }
+
+    // Versions.
+
+    public static void VersionsOnlyGrowAlsoAcrossStarts()
+    {
+        var path = Path.Combine(Facts.NewFolder(), "versions.txt");
+        var versions = new Versions(path);
+        foreach (var version in new[] { 3, 3, 7 }) versions.Check("a shoe", version);
+        versions.Check("another", 1);
+        var again = new Versions(path);
+        Expect.Equal(CaptureFault.CatalogueOlder, Expect.Throws<CaptureFault>(() => again.Check("a shoe", 6)).Code);
+        again.Check("a shoe", 7);
+        again.Check("another", 2);
+    }
+
+    public static void ATornListOfVersionsIsReadAsFarAsItGoes()
+    {
+        var path = Path.Combine(Facts.NewFolder(), "versions.txt");
+        File.WriteAllText(path, "7 shoe\nx\n99999999999999999999 big\n-1 minus\n\n3");
+        var versions = new Versions(path);
+        Expect.Throws<CaptureFault>(() => versions.Check("shoe", 6));
+        versions.Check("big", 1);
+        versions.Check("minus", 0);
+    }
+
+    // JSON.
+
+    public static void JsonIsReadAsItIsWritten()
+    {
+        var found = Json.Parse(" {\"a\" : [1, -2.5e1, true, false, null, \"\\u00e9\\n\\\"\\/é\"], \"b\":{}, \"c\":[]} ");
+        var items = found.In("a").List();
+        Expect.Equal(1L, items[0].Whole());
+        Expect.Equal(-25.0, (double)items[1]);
+        Expect.Equal(true, (bool)items[2]);
+        Expect.Equal(null, items[4]);
+        Expect.Equal("é\n\"/é", items[5].Text());
+        Expect.Equal(0, found.In("c").List().Count);
+    }
+
+    public static void WhatIsNoJsonIsRefused()
+    {
+        const string whole = "{\"a\": [1, \"x\\u0041\", true, null], \"b\": {\"c\": -1.5}}";
+        for (var length = 0; length < whole.Length; length++) Refused(whole.Substring(0, length));
+        foreach (var each in new[] { "1 2", "{\"a\" 1}", "[1 2]", "[1,]", "\"\t\"", "\"\\x\"", "nul", "--1", "{1:2}" }) Refused(each);
+        Refused(new string('[', 100_000));
+    }
+
+    public static void WhatIsNotThereIsNamed()
+    {
+        Expect.True(Expect.Throws<FormatException>(() => Json.Parse("{}").In("signed")).Message.Contains("signed"), "no name");
+        Expect.Throws<FormatException>(() => Json.Parse("[1]").List().At(1));
+        Expect.Throws<FormatException>(() => Json.Parse("1.5").Whole());
+        Expect.Throws<FormatException>(() => Json.Parse("1").Text());
+    }
+
+    // What is shown, and where.
+
+    public static void CoarserLevelsAreForSmallerSharesOfTheView()
+    {
+        var levels = new[] { 0, 1, 2 };
+        Expect.Lines(new[] { "0.3", "0.1", "0" }, LodChoice.Transitions(levels).Select(each => each.ToString()));
+        Expect.Lines(new[] { "0", "0", "1", "2", "2" }, new[] { 1f, 0.3f, 0.2f, 0.05f, 0f }.Select(share => LodChoice.Place(levels, share).ToString()));
+    }
+
+    public static void AnyLevelsThereAreFillTheWholeRange()
+    {
+        foreach (var levels in new[] { new[] { 0 }, new[] { 2 }, new[] { 0, 2 }, new[] { 1, 2 }, new[] { 0, 1, 2, 3, 4, 5 } })
+        {
+            var transitions = LodChoice.Transitions(levels);
+            Expect.Equal(0f, transitions.Last());
+            for (var place = 1; place < levels.Length; place++) Expect.True(transitions[place] < transitions[place - 1], "heights fall");
+            Expect.Equal(levels.Length - 1, LodChoice.Place(levels, 0));
+        }
+    }
+
+    public static void ALargeThingStandsOnTheFloorAheadAndFacesTheViewer()
+    {
+        var place = Placement.Ahead(new[] { 1f, 1.7f, 2f }, new[] { 3f, -9f, 0f }, new[] { 0.6f, 1.8f, 0.4f }, 0.1f);
+        Expect.Near(2.5, place.X);
+        Expect.Near(0.1, place.Y);
+        Expect.Near(2, place.Z);
+        Expect.Near(-Math.PI / 2, place.Yaw); // its front, +Z, then points along -X: back to the viewer
+    }
+
+    public static void ASmallThingIsLiftedToAComfortableHeight()
+    {
+        var place = Placement.Ahead(new[] { 0f, 1.6f, 0f }, new[] { 0f, 0f, 1f }, new[] { 0.2f, 0.4f, 0.2f }, 0);
+        Expect.Near(1.0, place.Y); // its middle at 1.2 m, three quarters of the eyes' height
+        Expect.Near(1.5, place.Z);
+        var seated = Placement.Ahead(new[] { 0f, 0.1f, 0f }, new[] { 0f, 0f, 1f }, new[] { 0.2f, 0.4f, 0.2f }, 0);
+        Expect.Near(0, seated.Y); // never below the floor
+    }
+
+    public static void WhoLooksStraightDownAndWhatIsHugeStillHaveAPlace()
+    {
+        var down = Placement.Ahead(new[] { 0f, 1.6f, 0f }, new[] { 0f, -1f, 0f }, new[] { 1f, 1f, 1f }, 0);
+        Expect.Near(1.5, down.Z);
+        var huge = Placement.Ahead(new[] { 0f, 1.6f, 0f }, new[] { 0f, 0f, 1f }, new[] { 8f, 3f, 4f }, 0);
+        Expect.Near(4.5, huge.Z); // half a metre before its near side, were it turned the long way
+    }
+
+    public static void HandsCannotLoseAThingOrFillTheRoomWithIt()
+    {
+        Expect.Near(2, Placement.Scale(2, 0.5f));
+        Expect.Near(40, Placement.Scale(1000, 0.5f));
+        Expect.Near(0.04, Placement.Scale(0, 0.5f));
+        Expect.Near(1, Placement.Scale(5, 100));
+        Expect.Near(1, Placement.Scale(0.1f, 0.001f));
+        Expect.Near(1, Placement.Scale(float.NaN, 1));
+        Expect.Near(1, Placement.Scale(3, 0));
+    }
+
+    public static void TheLastUserIsTold()
+    {
+        var counts = new RefCounts();
+        counts.Take("a");
+        counts.Take("a");
+        Expect.True(!counts.Give("a"), "one is left");
+        Expect.True(counts.Give("a"), "none is left");
+        Expect.True(!counts.Held("a"), "it is free");
+        Expect.Throws<InvalidOperationException>(() => counts.Give("a"));
+    }
+
+    private static void Refused(string text) => Expect.Throws<FormatException>(() => Json.Parse(text));
+
+    // Files of 100 bytes whose address is their number.
+
+    private static byte[] Content(int number) => Encoding.ASCII.GetBytes(number.ToString().PadLeft(100));
+
+    private static string HashOf(int number) => Sha256.Of(Content(number));
+
+    private static Task Numbered(string url, Stream into)
+    {
+        into.Write(Content(int.Parse(url)), 0, 100);
+        return Task.CompletedTask;
+    }
+
+    private static async Task Use(FileCache cache, int number)
+    {
+        await cache.Load(number.ToString(), HashOf(number), 100).Task;
+        cache.Release(HashOf(number));
+    }
+
+    private static string Has(FileCache cache, int number) => File.Exists(cache.PathOf(HashOf(number))) ? "yes" : "no";
+}

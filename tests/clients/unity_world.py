@@ -1,0 +1,151 @@
+"""What the Unity client's tests load: assets that the product has published, signed and listed, as folders.
+
+v1/, v2/, removed/   the store before and after a new version of "bowl", and after its removal; "cup" stays beside it
+forged/              v2 whose unsigned Unity catalogue gives the bowl, as version 3, the files of the cup
+spoilt/              v2 whose Unity catalogue offers a third version, of which every file is damaged
+partly/              v2 in which the bowl's finest file is missing
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from services.edge.mesh.glb import best_packing, to_glb
+from services.edge.mesh.nouns import Mesh
+from services.storage.bundle import Bundle
+from services.storage.catalogue import entry
+from services.storage.local import LocalStore
+from services.storage.publish import publish
+from services.storage.removal import remove
+from services.storage.signing import Keys, Signer, public_of
+from services.storage.unity.json_reader import read_json_catalogue
+from services.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER, Listing
+from services.storage.unity.nouns import Asset, Catalogue, LodFile
+from services.storage.unity.plan import assets
+from services.storage.unity.publication import file_names, publication
+
+
+def build(root: Path) -> dict[str, Any]:
+    """Publish everything below `root`; the facts that the tests compare with."""
+    private = Ed25519PrivateKey.generate()
+    signer = Signer(public_of(private.public_key().public_bytes_raw()), private)
+    keys = Keys((signer,))
+    store = LocalStore(root / "store")
+    publish(_bundle(0.1), store, key="cup", keys=keys)
+    publish(_bundle(0.5), store, key="bowl", keys=keys)
+    _snapshot(store, root / "v1")
+    publish(_bundle(0.6), store, key="bowl", keys=keys)
+    _snapshot(store, root / "v2")
+    lods = entry(store, "bowl").document["lods"]
+    remove(store, "bowl", keys)
+    _snapshot(store, root / "removed")
+    _variants(root)
+    signatures = _signatures(private)
+    return {"key": base64.b64encode(signer.public.raw).decode(), "lods": lods, "signatures": signatures}
+
+
+def _bundle(radius_m: float) -> Bundle:
+    """A bowl on the floor, three levels of it."""
+    levels = {f"lod{level}.glb": to_glb(_bowl(radius_m, 48 >> level), best_packing()) for level in range(3)}
+    lods = [{"file": name, "level": level} for level, name in enumerate(levels)]
+    size = [2 * radius_m, radius_m, 2 * radius_m]
+    manifest = {"lods": lods, "label": "Bowl", "scale_confidence": "metric", "size_m": size}
+    return Bundle(state="preview", files=levels, manifest=manifest)
+
+
+def _bowl(radius_m: float, steps: int) -> Mesh:
+    """An open half sphere, its pole on the floor at the origin."""
+    around, down = np.meshgrid(np.linspace(0, 2 * np.pi, 4 * steps), np.linspace(0.01, np.pi / 2, steps))
+    ring = radius_m * np.sin(down)
+    vertices = np.stack((ring * np.cos(around), radius_m * (1 - np.cos(down)), ring * np.sin(around)), axis=-1)
+    place = np.arange(vertices[..., 0].size).reshape(down.shape)
+    a, b, c, d = place[:-1, :-1], place[:-1, 1:], place[1:, :-1], place[1:, 1:]
+    faces = np.concatenate((np.stack((a, b, c), -1).reshape(-1, 3), np.stack((b, d, c), -1).reshape(-1, 3)))
+    rgb = np.full((place.size, 3), 120, np.uint8)
+    return Mesh(vertices.reshape(-1, 3), faces, rgb)
+
+
+def _snapshot(store: LocalStore, folder: Path) -> None:
+    shutil.copytree(store.root, folder, ignore=shutil.ignore_patterns(".*"))
+    _tabulate(folder)
+
+
+def _variants(root: Path) -> None:
+    for name in ("forged", "spoilt", "partly"):
+        shutil.copytree(root / "v2", root / name)
+    bowl, cup = assets(_tabulate(root / "v2"))
+    _replace(root / "forged", replace(bowl, version=3, files=cup.files), replace(cup, files=bowl.files))
+    _replace(root / "spoilt", replace(bowl, version=3, files=tuple(map(_renamed, bowl.files))), cup)
+    for file in bowl.files:
+        shutil.copy(root / "v2" / file.url, root / "spoilt" / _renamed(file).url)
+    (root / "partly" / bowl.files[0].url).unlink()
+
+
+def _renamed(file: LodFile) -> LodFile:
+    """The same file under a hash that is not its own."""
+    other = file.sha256[::-1]
+    return replace(file, sha256=other, url=file.url.replace(file.sha256, other))
+
+
+def _replace(folder: Path, *listed: Asset) -> None:
+    """The Unity catalogues of a folder by others."""
+    for name, data in publication(Catalogue("default", listed), "default"):
+        (folder / name).write_bytes(data)
+    _tabulate(folder)
+
+
+def _tabulate(folder: Path) -> Listing:
+    """The table that the Unity catalogues hold, written beside them for a stub that reads none of their forms."""
+    path = folder / file_names("default")[0].catalogue
+    listing = read_json_catalogue(path.read_bytes())
+    providers = [asdict(FILE_PROVIDER), asdict(PREFAB_PROVIDER)]
+    path.with_name(path.name + ".table").write_text(json.dumps(asdict(listing) | {"providers": providers}))
+    return listing
+
+
+def _signatures(private: Ed25519PrivateKey) -> list[dict[str, Any]]:
+    """Texts with signatures that hold, the same with something changed, and the first test of RFC 8032, 7.1."""
+    key = private.public_key().public_bytes_raw()
+    cases = []
+    for length in (0, 1, 63, 64, 1000):
+        message = bytes(range(256)) * 4
+        message = message[:length]
+        signature = private.sign(message)
+        cases += [(key, message, signature, True), (key, message + b"!", signature, False)]
+        cases += [(key, message, _flipped(signature, place), False) for place in (0, 40)]
+    cases.append((_flipped(key, 3), b"", private.sign(b""), False))
+    cases.append((key, b"", _unreduced(private.sign(b"")), False))
+    cases.append((bytes.fromhex(_RFC_KEY), b"", bytes.fromhex(_RFC_SIGNATURE), True))
+    return [
+        {**dict(zip(("key", "message", "signature"), map(_base64, case[:3]), strict=True)), "holds": case[3]}
+        for case in cases
+    ]
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def _flipped(data: bytes, place: int) -> bytes:
+    return data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
+
+
+def _unreduced(signature: bytes) -> bytes:
+    """The same S plus the order of the group: equal in the sum, and forbidden, lest a signature have two spellings."""
+    order = 2**252 + 27742317777372353535851937790883648493
+    return signature[:32] + (int.from_bytes(signature[32:], "little") + order).to_bytes(32, "little")
+
+
+_RFC_KEY = "d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a"
+_RFC_SIGNATURE = (
+    "e5564300c360ac729086e2cc806e828a84877f1eb8e5d974d873e065224901555"
+    "fb8821590a33bacc61e39701cf9b46bd25bf5f0595bbe24655141438e7a100b"
+)
