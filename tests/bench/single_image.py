@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +27,7 @@ from services.edge.guess.losses import chamfer, f_score
 from services.edge.guess.network import POINTS, Pixels
 from services.edge.guess.shapes import CLASSES, PAPER_CLASSES, about_vertical
 from services.edge.guess.weights import load_field, load_pixels, trained
+from tests.bench.peer_image import MINUTES, peer
 
 _EACH = 10  # held-out shapes of every class
 _TRAINING = 3000  # pictures of training shapes to choose the nearest from, as many as the proof of concept had
@@ -51,11 +53,13 @@ def main(arguments: list[str]) -> None:
     """Print one table of all ways, and one of the classes."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench single-image")
     parser.add_argument("--clean", action="store_true", help="perfect masks, no noise")
+    parser.add_argument("--peer", type=Path, help="folder of the proof of concept's network, trained there if absent")
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="of its training, on one core")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     test = held_out(1, _EACH, clean=given.clean)
     truth = test.surface[:, :POINTS]
-    rows = [*_baselines(test), *_heads(test)]
+    rows = [*_baselines(test), *(_peer(test, given.peer, given.minutes) if given.peer else []), *_heads(test)]
     of_the_paper = torch.isin(test.label, torch.arange(len(PAPER_CLASSES)))
     print(
         f"{len(truth)} pictures of {len(CLASSES)} classes; of the proof of concept's {len(PAPER_CLASSES)} in brackets\n"
@@ -88,6 +92,16 @@ def _baselines(test: Lesson) -> list[Row]:
     ]
 
 
+@torch.no_grad()
+def _peer(test: Lesson, folder: Path, minutes: float) -> list[Row]:
+    with torch.enable_grad():
+        head, steps = peer(folder, minutes)
+    began = time.perf_counter()
+    points = torch.cat([head(picture[None]) for picture in test.picture])
+    seconds = (time.perf_counter() - began) / len(points)
+    return [Row(f"proof of concept's network, {steps} steps in {minutes:g} min", points, seconds, "its network")]
+
+
 def _heads(test: Lesson) -> list[Row]:
     rows = []
     loaders: dict[str, Callable[[], nn.Module]] = {
@@ -102,16 +116,21 @@ def _heads(test: Lesson) -> list[Row]:
         seconds = (time.perf_counter() - began) / len(points)
         rows.append(Row(f"{name}, {how.steps} steps in {how.seconds / 60:.0f} min", points, seconds, name))
         if isinstance(head, Pixels):
-            rows += [Row(f"{name} if it were told the yaw", _told(head, test)), _four_looks(head, test)]
+            rows += [Row(f"{name} if it were told the yaw", _told(head, test)), _looks(head, test)]
     return rows
 
 
-def _four_looks(head: Pixels, test: Lesson) -> Row:
-    """As a photo's points are made; every fourth of them."""
+def _looks(head: Pixels, test: Lesson) -> Row:
+    """As a photo's points are made; every other of them."""
     began = time.perf_counter()
     points = torch.cat([look(head, picture[None]).points for picture in test.picture])
     seconds = (time.perf_counter() - began) / len(points)
-    return Row("pixels, four looks and the outline", points[:, :, ::LOOKS].flatten(1, 2), seconds, "four looks")
+    return Row(
+        "pixels, looks with and without a mirror, and the outline",
+        points[:, :, ::LOOKS].flatten(1, 2),
+        seconds,
+        "looks",
+    )
 
 
 @torch.no_grad()

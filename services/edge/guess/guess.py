@@ -1,7 +1,7 @@
 """One photo -> points all around the thing: a guess, and called one.
 
-The photo is cut out and shown to the network four times, twice of them in a mirror. Each time it says 1,024 points;
-together they are dense enough for a mesh, and where they contradict each other is where least is known.
+The photo is cut out and shown to the network, with and without a mirror. Each time it says 1,024 points; together they
+are dense enough for a mesh, and where they contradict each other is where least is known.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Guess:
     """Points of a thing in a frame of its own: y up, the camera on the side of +z, the bounding box centred at 0, its
     longest side 1, which is called a metre because nobody knows better.
 
-    xyz         (N,3) float64, N about 4,000
+    xyz         (N,3) float64, N about 2,000
     rgb         (N,3) uint8 sRGB: of the pixel that shows the point, or of the nearest point that one shows
     confidence  (N,) float32 in [0, MOST_CONFIDENT]
     """

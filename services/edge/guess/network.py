@@ -3,6 +3,8 @@
     (4,64,64) -> residual convolutions -> (192,4,4) -> 256 numbers -> (192,4,4)
               -> 3 x [convolution, PixelShuffle 2] -> (3,32,32) = 1,024 points on top of a base sphere
 
+              -> turned to where the picture shows them and moved there (`refine.py`)
+
 The rearranging moves channels into neighbouring pixels: what is near in the square is made from the same numbers and
 tends to be near on the surface. The points say how the thing looks when its front is turned to +z, and a class of yaw
 says how it is turned.
@@ -12,12 +14,13 @@ The frame is that of `shapes.py`: y up, the camera at azimuth 0 on the side of +
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from services.edge.guess.refine import Refine
 from services.edge.guess.shapes import about_vertical
 
 WIDTHS = (32, 48, 96, 192)
@@ -33,18 +36,22 @@ class Seen:
     """What the backbone makes of n pictures.
 
     own     (n,1024,3) points as if the thing's front were turned to +z; bins (n,BINS) logits of its yaw
-    points  (n,1024,3) the same turned by the likeliest yaw; camera (n,6) as in `pictures.py`
+    camera  (n,6) as in `pictures.py`
+    points  (n,1024,3) turned by the likeliest yaw, and moved to where the picture shows them
     latent  (n,LATENT) of the whole picture
-    near    (n,48,16,16) and wide (n,96,8,8): features of its places
+    fine    (n,32,32,32), near (n,48,16,16) and wide (n,96,8,8): features of its places
+    made    (n,32,32,32): features of the points
     """
 
     own: Tensor
     bins: Tensor
-    points: Tensor
     camera: Tensor
+    points: Tensor
     latent: Tensor
+    fine: Tensor
     near: Tensor
     wide: Tensor
+    made: Tensor
 
 
 class Block(nn.Module):
@@ -93,19 +100,31 @@ class Pixels(nn.Module):
         self.rearrange = nn.Sequential(Rearranged(d, c), Block(c, c), Rearranged(c, b), Block(b, b), Rearranged(b, a))
         self.place = nn.Conv2d(a, 3, 3, 1, 1)
         nn.init.normal_(self.place.weight, std=1e-3)
+        self.refine = Refine((a, b, c), a)
         self.register_buffer("sphere", base_sphere(), persistent=False)
         self.register_buffer("usual_camera", torch.tensor([0.35, 0.0, 0.25, 0.9, 0.0, 0.0]), persistent=False)
 
-    def forward(self, picture: Tensor) -> Seen:
-        near = self.to_near(self.stem(picture.contiguous(memory_format=torch.channels_last) - 0.5))
+    def forward(self, picture: Tensor, yaw: Tensor | None = None) -> Seen:
+        """yaw (n,) radians by which things are turned; where it is NaN, and without it, the likeliest."""
+        fine = self.stem(picture.contiguous(memory_format=torch.channels_last) - 0.5)
+        near = self.to_near(fine)
         wide = self.to_wide(near)
         deep = self.to_all(wide)
         latent = functional.relu(self.squeeze(deep.flatten(1)))
         square = self.spread(latent).reshape(deep.shape) + deep
-        moved = self.place(self.rearrange(functional.relu(square))).float()
-        own = self.sphere + moved.flatten(2).transpose(1, 2)
+        made = self.rearrange(functional.relu(square))
+        own = self.sphere + self.place(made).float().flatten(2).transpose(1, 2)
         bins, camera = self.bins(latent).float(), self.camera(latent).float() + self.usual_camera
-        return Seen(own, bins, about_vertical(own, likeliest(bins)), camera, latent, near, wide)
+        seen = Seen(own, bins, camera, own, latent, fine, near, wide, made)
+        likely = likeliest(bins)
+        turn = likely if yaw is None else torch.where(yaw.isnan(), likely, yaw)
+        return replace(seen, points=self.turned(seen, picture, turn))
+
+    def turned(self, seen: Seen, picture: Tensor, yaw: Tensor) -> Tensor:
+        """(n,1024,3) as they are if the thing is turned by yaw (n,) radians, moved to where the picture shows them."""
+        maps = [seen.fine, seen.near, seen.wide]
+        points: Tensor = self.refine(about_vertical(seen.own, yaw), seen.camera, picture, maps, seen.made)
+        return points
 
 
 def bin_of(yaw: Tensor) -> Tensor:

@@ -12,8 +12,8 @@ from services.edge.points.smooth import smoothed
 
 _USUAL_M = 0.4
 """Metres of a thing that fills half of a picture taken at arm's length: a place to start from, and no measurement."""
-_NEIGHBOURS = 96, 64
-"""Of 4,000 points: four looks scatter by a few percent, and a surface through all of them is a crumpled one."""
+_NEIGHBOURS = 48, 32
+"""Of 2,000 points: the looks scatter by a few percent, and a surface through all of them is a crumpled one."""
 
 
 def to_points(capture: Capture, *, tick: Tick = no_tick) -> Points:

@@ -35,6 +35,8 @@ _TOLD = 100  # steps between lines of progress
 _EXAMINED = 2000  # steps between looks at held-out shapes
 _CAMERA = 0.05  # weight of the camera's error, in half pictures, beside (2) of `losses.py`
 _YAW = 0.03  # weight of the cross-entropy of the yaw, which begins at 3.6
+_FIRST = 0.5  # weight of the points before they are moved
+_TOLD_YAW = 0.5  # share of a batch that is turned as the truth says
 _QUERIES = 256  # per picture
 _BANDS = (0.02, 0.06, 0.15)  # 1 sigma, of the queries' distances from the surface; a seventh of them are anywhere
 
@@ -86,14 +88,19 @@ def pace(step: int, steps: int) -> float:
 
 
 def pixels_loss(head: Pixels, lesson: Lesson) -> Tensor:
-    """Of a batch: where the points are, how the thing is turned, and where the camera is."""
+    """Of a batch: where the points are, before and after they are moved, how the thing is turned, where the camera is.
+
+    Half of the things are turned as they are and half as the network says, for it to learn what is then wrong.
+    """
+    told = torch.where(torch.rand(len(lesson.yaw)).to(lesson.yaw.device) < _TOLD_YAW, lesson.yaw, torch.nan)
     with _halved(lesson.picture.device):
-        seen = head(lesson.picture)
+        seen = head(lesson.picture, told)
     surface = lesson.surface[:, torch.randperm(lesson.surface.shape[1])[:POINTS]]
     some = lesson.surface[:, :64]
     off = (project(some, seen.camera)[0] - project(some, lesson.camera)[0]).abs().mean()
     turned = functional.cross_entropy(seen.bins, bin_of(lesson.yaw))
-    return chamfer_loss(seen.own, about_vertical(surface, -lesson.yaw)) + _CAMERA * off + _YAW * turned
+    first = chamfer_loss(seen.own, about_vertical(surface, -lesson.yaw))
+    return chamfer_loss(seen.points, surface) + _FIRST * first + _CAMERA * off + _YAW * turned
 
 
 def field_loss(head: Field, lesson: Lesson) -> Tensor:
