@@ -16,6 +16,8 @@ BENCHES = {
     "single-image": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "delivery": "what reaches a headset: bytes, seconds on the wire and to import, errors of the levels of detail",
     "pipeline": "capture to published LOD set: seconds per stage and peak memory",
+    "visit": "the viewer in a browser on a throttled link: first mesh, bytes, longest task, three visits",
+    "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "uploads": "32 phones uploading 20 MB each: answers, gateway memory, latency of GET job",
 }
 ON_DEMAND = {"tables": "the paper's Tables 2 and 3 on the ShapeNet cars, 3D scenes, DeepFashion3D that you have"}

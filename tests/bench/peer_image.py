@@ -86,4 +86,4 @@ def _learn(head: Peer, optimiser: torch.optim.Optimizer, lesson: Lesson) -> floa
     optimiser.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]
     optimiser.step()
-    return float(loss)
+    return loss.item()

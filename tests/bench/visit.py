@@ -1,0 +1,113 @@
+"""What a visitor of the viewer waits for: headless Chromium on a throttled link, first, second and third visit.
+
+The asset is the scan-like sheet of `delivery.py` in its levels of 100,000, 25,000 and 5,000 triangles. Chromium draws
+in software on the same cores: milliseconds are upper bounds, bytes and requests are what they are.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import BrowserContext, sync_playwright
+
+from services.cli.up import running
+from services.edge.mesh import lods, render_sheet, to_glb
+from services.edge.mesh.glb import best_packing
+from services.edge.target import cost_of
+from services.storage.bundle import Bundle
+from services.storage.local import LocalStore
+from services.storage.publish import publish
+from tests.bench.delivery import scan
+from tests.web.conftest import CHROMIUM_FLAGS
+
+_KEY = "sheet"
+_LINK = {"offline": False, "latency": 20, "downloadThroughput": 20e6 / 8, "uploadThroughput": 5e6 / 8}
+_LONG_MS = 50
+_PATIENCE_MS = 120_000
+
+# Levels as they come, and tasks that keep the page from answering a touch.
+_WATCH = """
+window.told = { levels: [], tasks: [] };
+new PerformanceObserver((list) => {
+    for (const task of list.getEntries()) window.told.tasks.push([task.startTime, task.duration]);
+}).observe({ type: 'longtask', buffered: true });
+document.addEventListener('DOMContentLoaded', () => new MutationObserver(() => {
+    const loaded = document.body.dataset.loaded || '';
+    if (loaded && !window.told.levels.some(([levels]) => levels === loaded))
+        requestAnimationFrame(() => window.told.levels.push([loaded, performance.now()]));
+}).observe(document.body, { attributes: true, attributeFilter: ['data-loaded'] }));
+"""
+_TOLD = """() => ({ ...window.told, entries: performance.getEntriesByType('resource').map(
+    ({ name, responseEnd, transferSize }) => ({ name, responseEnd, transferSize })) })"""
+
+
+def main(arguments: list[str]) -> None:
+    """Print the table."""
+    print(
+        "| visit | requests | KB | of them assets | first mesh ms after the catalogue | finest ms | longest task ms |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=CHROMIUM_FLAGS)
+        context = chromium.new_context(viewport={"width": 1280, "height": 800})
+        context.add_init_script(_WATCH)
+        with running("127.0.0.1", 0, Path(folder)) as stack:
+            publish(_bundle(), LocalStore(stack.store_root), key=_KEY)
+            for name in ("first, 20 Mbit/s", "second, 20 Mbit/s"):
+                _print(name, _visit(context, f"{stack.url}/view/{_KEY}"))
+        _print("third, server off", _visit(context, f"{stack.url}/view/{_KEY}"))
+        chromium.close()
+
+
+def _bundle() -> Bundle:
+    mesh = scan()
+    levels = lods(mesh)
+    files = {f"lod{level}.glb": to_glb(each, best_packing()) for level, each in enumerate(levels)}
+    costs = [asdict(cost_of(glb)) for glb in files.values()]
+    files["preview.png"] = render_sheet(levels[2])
+    manifest: Mapping[str, Any] = {
+        "label": "Sheet",
+        "size_m": [1.0, 0.3, 1.0],
+        "lods": [{"file": f"lod{level}.glb", "level": level, **cost} for level, cost in enumerate(costs)],
+    }
+    return Bundle("refined", files, manifest)
+
+
+def _visit(context: BrowserContext, address: str) -> dict[str, Any]:
+    """What the page tells of itself once the finest level is there and the service worker has seen all modules."""
+    page = context.new_page()
+    page.set_default_timeout(_PATIENCE_MS)
+    context.new_cdp_session(page).send("Network.emulateNetworkConditions", _LINK)
+    page.goto(address)
+    page.wait_for_function("() => window.told.levels.some(([levels]) => levels === '2 1 0')")
+    told: dict[str, Any] = page.evaluate(_TOLD)
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    page.wait_for_timeout(2000)  # the worker goes on keeping what the page was made of
+    page.close()
+    return told
+
+
+def _print(name: str, told: Mapping[str, Any]) -> None:
+    assets = [entry for entry in told["entries"] if ".glb" in entry["name"]]
+    catalogue = max(_catalogue(told["entries"]), default=0.0)
+    levels = dict(told["levels"])
+    first = min(levels.values())
+    sizes = [sum(entry["transferSize"] for entry in entries) / 1e3 for entries in (told["entries"], assets)]
+    sent = sum(entry["transferSize"] > 0 for entry in told["entries"])
+    longest = max((duration for _, duration in told["tasks"]), default=0.0)
+    tasks = f"{longest:.0f}" if longest else f"under {_LONG_MS}"
+    figures = f"{sizes[0]:.0f} | {sizes[1]:.0f} | {first - catalogue:.0f} | {levels['2 1 0'] - catalogue:.0f}"
+    print(f"| {name} | {sent} | {figures} | {tasks} |", flush=True)
+
+
+def _catalogue(entries: list[dict[str, Any]]) -> Iterator[float]:
+    """When the asset's entry and the signed index had come."""
+    for entry in entries:
+        if f"/v1/assets/{_KEY}" in entry["name"]:
+            yield entry["responseEnd"]
+            return
