@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -39,6 +40,29 @@ def installed(
             if done.returncode != 0:
                 shutil.rmtree(scratch)
                 missing(f"a package for {what} ({done.stderr.strip().splitlines()[-1:]})")
+        try:
+            scratch.rename(folder)
+        except OSError:  # another test run was faster, and its copy is as good
+            shutil.rmtree(scratch)
+    return folder
+
+
+def wheels(name: str, requirements: Path, *, what: str) -> Path:
+    """A folder for PYTHONPATH in the user's cache that holds what a pip file with hashes names, for this Python.
+
+    Skips (fails in CI) where a package cannot be had; `what` says what for.
+    """
+    digest = hashlib.sha256(requirements.read_bytes() + sys.version.encode()).hexdigest()[:16]
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    folder = cache / "capture2vr" / f"{name}-{digest}"
+    if not folder.is_dir():
+        scratch = folder.with_name(f"{folder.name}.{os.getpid()}")
+        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
+        pinned = ["--only-binary", ":all:", "--require-hashes", "--target", scratch, "-r", requirements]
+        done = subprocess.run([*pip, *pinned], capture_output=True, text=True, timeout=600)
+        if done.returncode != 0:
+            shutil.rmtree(scratch, ignore_errors=True)
+            missing(f"a package for {what} ({done.stderr.strip().splitlines()[-1:]})")
         try:
             scratch.rename(folder)
         except OSError:  # another test run was faster, and its copy is as good

@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.edge.arrays import Bytes
+from services.edge.arrays import Bytes, Floats
 from services.edge.mesh import Mesh, render_sheet
 from services.edge.mesh.normals import vertex_normals
+from services.edge.mesh.nouns import Textured
 from services.edge.mesh.rays import Scene, open_sky, pinhole
 from tests import surfaces
+from tests.edge.painted import painted, quarters
 
 SIZE = 96
 
 
-def picture(mesh: Mesh, size: int = SIZE) -> Bytes:
+def picture(mesh: Mesh | Textured, size: int = SIZE) -> Bytes:
     return np.asarray(Image.open(io.BytesIO(render_sheet(mesh, size=size))))
 
 
@@ -32,10 +34,6 @@ def views(mesh: Mesh) -> list[Bytes]:
 def drawn(view: Bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Pixels that differ from the backdrop, which every view shows along its left edge."""
     return (np.abs(view.astype(int) - view[:, :1]) > 8).any(axis=2)
-
-
-def painted(mesh: Mesh, *rgb: int) -> Mesh:
-    return replace(mesh, rgb=np.tile(np.array(rgb, np.uint8), (len(mesh.vertices), 1)))
 
 
 def test_a_sheet_is_a_square_of_four_views() -> None:
@@ -88,6 +86,37 @@ def test_colours_are_those_of_the_vertices() -> None:
     green = picture(painted(surfaces.sphere(), 30, 160, 40))[SIZE // 2, SIZE // 2]
     assert green[1] > 2 * green[0]
     assert green[1] > 2 * green[2]
+
+
+def coarse_sphere() -> Mesh:
+    """Radius ½, in 2,048 faces."""
+
+    def shape(u: Floats, v: Floats) -> list[Floats]:
+        return [np.sin(np.pi * v) * np.cos(2 * np.pi * u), np.cos(np.pi * v), np.sin(np.pi * v) * np.sin(2 * np.pi * u)]
+
+    return surfaces.patch(shape, 64, 16)
+
+
+def test_a_picture_on_the_surface_shows_where_its_coordinates_say() -> None:
+    """A sphere whose texture is red above and green below, cut into charts that share no vertices."""
+    sphere = coarse_sphere()
+    above = sphere.vertices[sphere.faces].mean(axis=1)[:, 1] > 0
+    corners = np.arange(3 * len(sphere.faces)).reshape(-1, 3)
+    uv = np.repeat(np.where(above[:, None], [0.25, 0.25], [0.25, 0.75]), 3, axis=0)
+    mesh = Mesh(sphere.vertices[sphere.faces].reshape(-1, 3), corners)
+    sheet = picture(Textured(mesh, uv, quarters(), 64)).astype(int)
+    top, bottom = sheet[SIZE // 4, SIZE // 2], sheet[3 * SIZE // 4, SIZE // 2]
+    assert top[0] > 2 * top[1:].max()
+    assert bottom[1] > 2 * bottom[[0, 2]].max()
+
+
+def test_the_charts_of_a_picture_leave_no_edges_in_the_shading() -> None:
+    sphere = coarse_sphere()
+    corners = np.arange(3 * len(sphere.faces)).reshape(-1, 3)
+    mesh = Mesh(sphere.vertices[sphere.faces].reshape(-1, 3), corners)
+    blue = Textured(mesh, np.full((len(mesh.vertices), 2), [0.9, 0.1]), quarters(), 64)
+    difference = np.abs(picture(blue).astype(int) - picture(painted(sphere, 0, 0, 255)))
+    assert difference.mean() < 1.5
 
 
 def test_the_same_mesh_gives_the_same_picture() -> None:

@@ -17,3 +17,18 @@ class Mesh:
     vertices: Floats
     faces: Ints
     rgb: Bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Textured:
+    """A mesh whose colours are a picture.
+
+    mesh   vertices doubled along the seams of the unwrapping; its rgb is None
+    uv     (V,2) float64 in [0,1], as in glTF: (0,0) is the upper left corner of the picture
+    jpeg   the base colour, sRGB; side: its pixels along each side
+    """
+
+    mesh: Mesh
+    uv: Floats
+    jpeg: bytes
+    side: int
