@@ -36,13 +36,15 @@ def list_assets(gateway: str, *, collection: str, label: str) -> int:
     return len(rows)
 
 
-def mark(key: str, gateway: str, verb: str) -> None:
-    """`remove` or `restore` an asset at the gateway. Raises BadInput."""
+def mark(key: str, gateway: str, verb: str, *, collection: str) -> None:
+    """`remove` or `restore` an asset at the gateway, with a collection only if it is in that one. Raises BadInput."""
     if not valid_key(key):
         raise BadInput(NO_KEY.format(key))
+    if collection:
+        check_collection(collection)
     try:
         with client_of(gateway) as client:
-            told = answer_of(client.post(f"/v1/assets/{key}/{verb}"))
+            told = answer_of(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     state = "removed; its files stay, and `restore` brings it back" if told["removed"] else "there"

@@ -12,8 +12,10 @@ from services.cli.assets import check_collection
 from services.cli.errors import BadInput, answer_of
 from services.cli.http import client_of
 from services.cli.progress import console, warn
+from services.storage.catalogue import DEFAULT_COLLECTION
 from services.storage.collect import rebuild
 from services.storage.collection import index_name
+from services.storage.reading import collections
 from services.storage.settings import StorageSettings, open_keys, open_store
 from services.storage.signing import Keys, Public, generate, read_public
 from services.storage.verify import Checked, Fetch, fetch_from, verify
@@ -29,7 +31,7 @@ def verify_collection(collection: str, gateway: str, trusted: Sequence[Path], *,
     trusted  files of public keys; none: those of the STORAGE_* variables
     """
     check_collection(collection)
-    believed = _believed(trusted)
+    believed = believed_keys(trusted)
     if not believed:
         warn("no public key is named, so the signature is not checked: --trusted key.pub")
     try:
@@ -38,6 +40,11 @@ def verify_collection(collection: str, gateway: str, trusted: Sequence[Path], *,
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     _show(collection, lines)
     return not lines[-1].faults
+
+
+def on_the_store() -> list[str]:
+    """The collections of the STORAGE_* variables' store; one that is older than collections has the default one."""
+    return list(collections(open_store(_settings()))) or [DEFAULT_COLLECTION]
 
 
 def rebuild_collection(collection: str) -> None:
@@ -97,7 +104,8 @@ def _show(collection: str, lines: list[Checked]) -> None:
         console.print(f"and {len(faults) - _SHOWN:,} more")
 
 
-def _believed(trusted: Sequence[Path]) -> tuple[Public, ...]:
+def believed_keys(trusted: Sequence[Path]) -> tuple[Public, ...]:
+    """The public keys in these files; of the STORAGE_* variables where none is named. Raises BadInput."""
     if not trusted:
         return _keys(_settings()).believed
     try:

@@ -8,8 +8,6 @@ import sys
 import threading
 from pathlib import Path
 
-from services.cli.errors import answer_of
-from services.cli.http import client_of
 from services.cli.progress import console
 from services.cli.pull import pull_asset
 from services.cli.push import push_capture
@@ -29,9 +27,7 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     with running("127.0.0.1", _port(), out / "data") as stack:
         cut = None if capture else True
         job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "isolate": cut})
-        entry = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
-        with client_of(stack.url) as client:
-            manifest = answer_of(client.get(entry["manifest"]["url"]))
+        manifest = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")
         console.print(f"picture  {out / 'asset' / 'preview.png'}")
         console.print(f"report   {out / 'report.json'}")

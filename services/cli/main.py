@@ -11,6 +11,8 @@ import typer
 import services
 from services.cli.catalogue import app as catalogue
 from services.cli.errors import BadInput, plain
+from services.cli.options import DEFAULT_GATEWAY, Collection, Gateway, Trusted
+from services.storage.catalogue import DEFAULT_COLLECTION
 
 app = typer.Typer(
     help="Point a phone at a thing; a minute later it stands in a VR headset.",
@@ -20,7 +22,6 @@ app = typer.Typer(
 )
 app.add_typer(catalogue, name="catalogue")
 
-Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
 Isolate = Annotated[
     bool | None,
     typer.Option(
@@ -34,7 +35,6 @@ Longest = Annotated[
 Target = Annotated[
     str, typer.Option(help="quest3, quest2, web or archive: levels of detail that keep within its budget, or an error.")
 ]
-DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 
 
 @app.command()
@@ -48,12 +48,13 @@ def run(
     longest: Longest = None,
     target: Target = "",
     key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",
+    collection: Collection = DEFAULT_COLLECTION,
     reference: Annotated[Path | None, typer.Option(help="A mesh of the same thing to measure the result by.")] = None,
 ) -> None:
     """The whole pipeline in one process: capture in, meshes, picture, report and bundle out."""
     from services.cli.run import Wanted, run_capture
 
-    wanted = Wanted(key=key, isolate=isolate, longest_m=longest, target=target, reference=reference)
+    wanted = Wanted(key, collection, isolate, longest, target, reference)
     run_capture(capture, out, wanted, preset=preset, device=device, resolution=resolution)
 
 
@@ -84,6 +85,7 @@ def push(
     gateway: Gateway = DEFAULT_GATEWAY,
     preset: Annotated[str, typer.Option(help="How to reconstruct; else the worker chooses.")] = "",
     label: Annotated[str, typer.Option(help="A name for people.")] = "",
+    collection: Collection = "",
     isolate: Isolate = None,
     longest: Longest = None,
     target: Target = "",
@@ -91,7 +93,13 @@ def push(
     """Upload a capture as a phone would, follow the job, print where the asset stands."""
     from services.cli.push import push_capture
 
-    options = {"preset": preset or None, "isolate": isolate, "longest_m": longest, "target": target or None}
+    options = {
+        "preset": preset or None,
+        "collection": collection or None,
+        "isolate": isolate,
+        "longest_m": longest,
+        "target": target or None,
+    }
     push_capture(capture, gateway, key=key, label=label, options=options)
 
 
@@ -100,18 +108,20 @@ def pull(
     key: Annotated[str, typer.Argument(help="Asset key.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],
     gateway: Gateway = DEFAULT_GATEWAY,
+    collection: Collection = "",
+    trusted: Trusted = None,
     cache: Annotated[Path | None, typer.Option(help="Cache folder; $XDG_CACHE_HOME/capture2vr otherwise.")] = None,
 ) -> None:
-    """Fetch an asset as a VR client would: hashes checked, cached by content."""
+    """Fetch an asset as a VR client would, by its signed collection: every hash checked, files cached by content."""
     from services.cli.pull import pull_asset
 
-    pull_asset(key, out, gateway, cache=cache)
+    pull_asset(key, out, gateway, collection=collection, trusted=trusted or (), cache=cache)
 
 
 @app.command()
 def ls(
     gateway: Gateway = DEFAULT_GATEWAY,
-    collection: Annotated[str, typer.Option(help="Which collection.")] = "default",
+    collection: Collection = DEFAULT_COLLECTION,
     label: Annotated[str, typer.Option(help="Part of the label, or one of the labels.")] = "",
 ) -> None:
     """The assets of a collection."""
@@ -121,19 +131,27 @@ def ls(
 
 
 @app.command()
-def rm(key: Annotated[str, typer.Argument(help="Asset key.")], gateway: Gateway = DEFAULT_GATEWAY) -> None:
+def rm(
+    key: Annotated[str, typer.Argument(help="Asset key.")],
+    gateway: Gateway = DEFAULT_GATEWAY,
+    collection: Collection = "",
+) -> None:
     """Take an asset out of sight. Its files stay: `restore` or a new version brings it back."""
     from services.cli.assets import mark
 
-    mark(key, gateway, "remove")
+    mark(key, gateway, "remove", collection=collection)
 
 
 @app.command()
-def restore(key: Annotated[str, typer.Argument(help="Asset key.")], gateway: Gateway = DEFAULT_GATEWAY) -> None:
+def restore(
+    key: Annotated[str, typer.Argument(help="Asset key.")],
+    gateway: Gateway = DEFAULT_GATEWAY,
+    collection: Collection = "",
+) -> None:
     """Bring a removed asset back as it was."""
     from services.cli.assets import mark
 
-    mark(key, gateway, "restore")
+    mark(key, gateway, "restore", collection=collection)
 
 
 @app.command()

@@ -12,6 +12,7 @@ from typing import Any
 
 import httpx
 
+from services.cli.assets import check_collection
 from services.cli.errors import BadInput, answer_of, told
 from services.cli.http import client_of
 from services.cli.progress import StageBar, console, warn
@@ -39,6 +40,8 @@ def push_capture(
     """
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
+    if collection := options.get("collection"):
+        check_collection(collection)  # before megabytes are sent
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             capture = upload(client, source, bar)
@@ -118,5 +121,6 @@ def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:
         raise BadInput(told(job["error"]) if job.get("error") else f"the job ended as {job['state']}")
     for warning in job.get("warnings") or []:
         warn(warning)
-    console.print(f"done in {job['elapsed_s']:.1f} s: {gateway}/view/{job['asset_key']}")
+    where = f", in collection {job['collection']}" if job["collection"] else ""
+    console.print(f"done in {job['elapsed_s']:.1f} s: {gateway}/view/{job['asset_key']}{where}")
     return job

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from services.cli.assets import check_collection
 from services.cli.errors import NO_KEY, BadInput, plain, sentence
 from services.cli.progress import StageBar, console, warn
 from services.cli.report import page
@@ -26,7 +27,7 @@ from services.edge.mesh.nouns import Mesh
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
-from services.storage.catalogue import valid_key
+from services.storage.catalogue import DEFAULT_COLLECTION, valid_key
 from services.storage.local import LocalStore
 from services.storage.publish import Asset, publish
 
@@ -39,6 +40,7 @@ class Wanted:
     """What is asked of the pipeline besides a preset.
 
     key        asset key; "": from the capture's name
+    collection what the bundle's catalogue is called
     isolate    cut the thing from its surroundings; None: where photos were taken around one thing
     longest_m  metres between the farthest points of the thing, or None
     target     device class whose budget the levels must keep within; "": none
@@ -46,6 +48,7 @@ class Wanted:
     """
 
     key: str = ""
+    collection: str = DEFAULT_COLLECTION
     isolate: bool | None = None
     longest_m: float | None = None
     target: str = ""
@@ -73,11 +76,12 @@ def run_preset(source: Path, out: Path, preset: Preset, wanted: Wanted = DEFAULT
     key = wanted.key or key_from(source)
     if not valid_key(key):
         raise BadInput(NO_KEY.format(key))
+    check_collection(wanted.collection)
     _check_writable(out)
     reference = _surface_of(wanted.reference) if wanted.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            results = Results(out, key, reference)
+            results = Results(out, key, wanted.collection, reference)
             _reconstruct_into(results, opened(source, Path(scratch)), preset, device, wanted, plain(source.stem))
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_told(error, source)) from error
@@ -196,8 +200,11 @@ class Results:
     Once there is a refined mesh, the files of the preview stand in `preview/`; the pictures stand side by side.
     """
 
-    def __init__(self, out: Path, key: str, reference: Mesh | None = None) -> None:
+    def __init__(
+        self, out: Path, key: str, collection: str = DEFAULT_COLLECTION, reference: Mesh | None = None
+    ) -> None:
         self.out = out
+        self._collection = collection
         self._reference = reference
         self.checkpoint = out / "fit.checkpoint"
         self.report: dict[str, Any] = {}
@@ -218,7 +225,8 @@ class Results:
         self._pictures[bundle.state] = bundle.files[_PICTURE]
         for name, content in bundle.files.items():
             (self.out / (f"{bundle.state}.png" if name == _PICTURE else name)).write_bytes(content)
-        asset: Asset = publish(bundle, LocalStore(self.out / "bundle"), key=self._key, job=self._job)
+        store = LocalStore(self.out / "bundle")
+        asset: Asset = publish(bundle, store, key=self._key, job=self._job, collection=self._collection)
         quality = bundle.manifest["quality"]
         self._tell(
             {

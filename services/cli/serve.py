@@ -14,13 +14,15 @@ def serve_edge() -> int:
     from services.edge.field.device import find_device
     from services.edge.memory import Memory, machine_bytes
     from services.edge.server import serve
-    from services.edge.settings import EdgeSettings
+    from services.edge.settings import EdgeSettings, open_door, open_way_to_central
     from services.edge.stock import known_presets
     from services.edge.work import RealWork
 
     try:
         settings, storage = EdgeSettings(), StorageSettings()
         store, publish = open_store(storage), open_publish(storage)
+        open_door(settings)  # before anything is loaded that takes time
+        way = open_way_to_central(settings)
         device = find_device(settings.device)
         presets = known_presets(settings.presets)
     except ValueError as error:
@@ -30,8 +32,8 @@ def serve_edge() -> int:
         raise BadInput(f"{variable}: {error.message}") from error
     configure(settings.log_level)
     memory = Memory(settings.memory or device.memory_bytes or machine_bytes())
-    central = Central(settings.central) if settings.central else None
-    return serve(settings, RealWork(store, presets, device, memory, central, publish))
+    central = Central(settings.central, caller=way) if settings.central else None
+    return serve(settings, RealWork(store, presets, device, memory, central, publish, storage.collection))
 
 
 def serve_gateway() -> int:

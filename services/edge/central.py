@@ -12,6 +12,7 @@ import grpc
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
 from services.edge.prepared import VERSION
+from services.link import PLAIN, Caller
 
 _log = logging.getLogger(__name__)
 
@@ -56,10 +57,10 @@ class CentralAway(Exception):  # noqa: N818 - it reads as what it is
 class Central:
     """The worker at `address`, asked now and then what it offers. Used from the threads of the jobs."""
 
-    def __init__(self, address: str, patience: Patience | None = None) -> None:
+    def __init__(self, address: str, patience: Patience | None = None, caller: Caller = PLAIN) -> None:
         self.address = address
         self.patience = patience or Patience()
-        self._channel = grpc.insecure_channel(address, options=_OPTIONS)
+        self._channel = caller.channel(address, _OPTIONS)
         self.stub: Any = edge_pb2_grpc.EdgeReconstructionStub(self._channel)  # type: ignore[no-untyped-call]
         self._closed = threading.Event()
         self._presets: tuple[pb.Preset, ...] = ()
@@ -83,8 +84,8 @@ class Central:
             answer: pb.Worker = self.stub.GetWorker(
                 pb.GetWorkerRequest(), timeout=self.patience.answer_s, wait_for_ready=True
             )
-        except grpc.RpcError:
-            raise CentralAway(f"central at {self.address} could not be reached") from None
+        except grpc.RpcError as error:
+            raise CentralAway(f"central at {self.address} {_silence(error)}") from None
         return answer
 
     def require(self, preset: str) -> None:
@@ -115,13 +116,19 @@ class Central:
         try:
             worker = self.worker()
             self._presets, self._fault = tuple(worker.presets), _fault(worker)
-        except CentralAway:
-            self._fault = "could not be reached"
+        except CentralAway as away:
+            self._fault = str(away).removeprefix(f"central at {self.address} ")
         except ValueError:  # the channel was closed just now
             return
         if not self._closed.is_set() and self._fault != before:
             told = self._fault or f"fits for this worker, on {worker.device}"
             _log.log(logging.WARNING if self._fault else logging.INFO, "central at %s %s", self.address, told)
+
+
+def _silence(error: grpc.RpcError) -> str:
+    """Why a worker gave no answer, where a person can do something about it."""
+    refused = isinstance(error, grpc.Call) and error.code() == grpc.StatusCode.UNAUTHENTICATED
+    return "refuses this worker's EDGE_CENTRAL_TOKEN" if refused else "could not be reached"
 
 
 def _fault(worker: pb.Worker) -> str:

@@ -21,7 +21,7 @@ from services.edge.requests import JobRequest
 from services.edge.run import Say
 from services.edge.target import target_of
 from services.storage.bundle import Bundle, Json
-from services.storage.publish import Asset, Publish, StaleFence, publish
+from services.storage.publish import Asset, KeyElsewhere, Publish, StaleFence, publish
 from services.storage.store import Store
 
 _log = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ class Fitter:
                         say(told(step))
                     case Bundle():
                         began = time.perf_counter()
-                        say(_published(self._published(step, request)))
+                        say(_published(self._published(step, request), request.collection))
                         publishing += time.perf_counter() - began
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
                         if step.state == "preview":  # what the fit behind it takes is known only now
@@ -83,12 +83,21 @@ class Fitter:
         return pb.Finished(warnings=warnings, seconds={"PUBLISHING": publishing, **computing})
 
     def _published(self, bundle: Bundle, request: JobRequest) -> Asset:
-        """Raises EdgeError FENCE_STALE, STORE_UNAVAILABLE."""
+        """Raises EdgeError FENCE_STALE, KEY_ELSEWHERE, STORE_UNAVAILABLE."""
         try:
-            return self._publish(bundle, self._store, key=request.asset_key, job=request.job, fence=request.fence)
+            return self._publish(
+                bundle,
+                self._store,
+                key=request.asset_key,
+                job=request.job,
+                fence=request.fence,
+                collection=request.collection,
+            )
         except StaleFence:
             message = "another worker has taken the job over; what this one made is void"
             raise EdgeError("FENCE_STALE", message) from None
+        except KeyElsewhere as elsewhere:
+            raise EdgeError("KEY_ELSEWHERE", str(elsewhere), hints=("choose another key",)) from None
         except OSError as error:
             _log.warning("job %s: %s", request.job, error)
             message = "the result could not be written to the store"
@@ -129,5 +138,11 @@ def told(progress: Progress) -> pb.Progress:
     )
 
 
-def _published(asset: Asset) -> pb.Published:
-    return pb.Published(asset_key=asset.key, version=asset.version, state=asset.state, manifest=asset.manifest)
+def _published(asset: Asset, collection: str) -> pb.Published:
+    return pb.Published(
+        asset_key=asset.key,
+        version=asset.version,
+        state=asset.state,
+        manifest=asset.manifest,
+        collection=collection,
+    )

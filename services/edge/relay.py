@@ -199,6 +199,7 @@ def _header(request: JobRequest, size: int) -> pb.Header:
         capture_bytes=size,
         label=request.label,
         prepared=True,
+        collection=request.collection,
     )
 
 

@@ -13,7 +13,7 @@ from services.edge.offer import Offer
 from services.edge.target import target_of
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
-"""Job ids and asset keys: they become object names and log lines, so nothing that a path or a shell could read."""
+"""Job ids, keys, collections: they become object names and log lines, so nothing that a path or a shell could read."""
 
 _LINE = re.compile(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]*")
 """No control characters and no line ends; joiners stay, which emoji and Persian are written with."""
@@ -42,7 +42,10 @@ def invalid(code: str, message: str) -> RefusedError:
 
 @dataclass(frozen=True, slots=True)
 class JobRequest:
-    """A valid header: the fields of the wire's `Header`, with `preset` and `label` filled in."""
+    """A valid header: the fields of the wire's `Header`, with `preset` and `label` filled in.
+
+    collection  where the asset is to be listed; "": wherever this worker lists what nobody named one for
+    """
 
     job: str
     fence: int
@@ -53,6 +56,7 @@ class JobRequest:
     longest_m: float | None
     label: str
     prepared: bool
+    collection: str = ""
 
     @classmethod
     def of(cls, header: pb.Header, offer: Offer) -> JobRequest:
@@ -62,6 +66,8 @@ class JobRequest:
         """
         _require_name("JOB_INVALID", "job", header.job)
         _require_name("KEY_INVALID", "asset_key", header.asset_key)
+        if header.collection:
+            _require_name("COLLECTION_INVALID", "collection", header.collection)
         if header.target:
             _require_target(header.target)
         if len(header.label) > LABEL_MAX_CHARS or not _LINE.fullmatch(header.label):
@@ -81,6 +87,7 @@ class JobRequest:
             longest_m=longest_m,
             label=label,
             prepared=header.prepared,
+            collection=header.collection,
         )
 
 

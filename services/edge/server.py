@@ -7,7 +7,7 @@ import json
 import logging
 import signal
 from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import grpc
@@ -16,13 +16,16 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from services import __version__
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
+from services.edge.door import TokenDoor, heard_out
 from services.edge.inspections import Inspections
 from services.edge.requests import JobRequest, RefusedError
 from services.edge.run import Work
 from services.edge.runs import Runs
 from services.edge.scratch import Scratch
-from services.edge.settings import EdgeSettings
+from services.edge.settings import EdgeSettings, open_door
 from services.edge.upload import first_header
+from services.link import Door
+from services.strict_settings import SettingsError
 
 _log = logging.getLogger(__name__)
 
@@ -43,10 +46,6 @@ OPTIONS = (
     # A second worker on the same port must fail, not silently take half the calls.
     ("grpc.so_reuseport", 0),
 )
-
-HEAR_OUT_S = 2.0
-HEAR_OUT_NEXT_S = 0.1
-"""Seconds, in all and for each next chunk, that a refused upload is read to nowhere."""
 
 FAREWELL_S = 2.0
 """Seconds that open streams get to carry their terminal event once every job has ended."""
@@ -120,21 +119,9 @@ async def _welcomed(chunks: AsyncIterator[pb.Chunk], context: Context) -> AsyncI
 
 
 async def _refuse(context: Context, refused: RefusedError, chunks: AsyncIterator[pb.Chunk]) -> NoReturn:
-    """Answer with the status, after hearing out a caller who did not wait to be admitted.
-
-    grpc.aio's client reports INTERNAL in place of the status when the status overtakes one of its writes.
-    """
-    with suppress(TimeoutError):
-        async with asyncio.timeout(HEAR_OUT_S):
-            while await _follows(chunks):
-                pass
+    """Answer with the status, after hearing out a caller who did not wait to be admitted."""
+    await heard_out(chunks)
     await context.abort(refused.status, refused.details)
-
-
-async def _follows(chunks: AsyncIterator[pb.Chunk]) -> bool:
-    """Whether another chunk comes at once."""
-    async with asyncio.timeout(HEAR_OUT_NEXT_S):
-        return await anext(chunks, None) is not None
 
 
 def serve(settings: EdgeSettings, work: Work) -> int:
@@ -146,7 +133,7 @@ def serve(settings: EdgeSettings, work: Work) -> int:
     try:
         with scratch.held():
             asyncio.run(_serve(settings, work, scratch))
-    except AddressError as error:
+    except (AddressError, SettingsError) as error:
         _log.error("%s", error)
         return 1
     return 0
@@ -157,12 +144,17 @@ class AddressError(RuntimeError):
 
 
 class EdgeServer:
-    """The worker's calls, its health and, when asked for, reflection on one port. Built and used on the event loop."""
+    """The worker's calls, its health and, when asked for, reflection on one port. Built and used on the event loop.
+
+    Raises SettingsError where the settings' certificate, key or token cannot be used.
+    """
 
     def __init__(self, settings: EdgeSettings, work: Work, scratch: Scratch) -> None:
         self._settings = settings
         self._runs = Runs(work, scratch, slots=settings.slots, queue=settings.queue)
-        self._server = grpc.aio.server(options=OPTIONS)
+        self._door = open_door(settings)
+        guards = [TokenDoor(self._door.token)] if self._door.token else []
+        self._server = grpc.aio.server(interceptors=guards, options=OPTIONS)
         self._health = health.aio.HealthServicer()
         servicer = EdgeServicer(settings, work, self._runs, Inspections(work, scratch))
         edge_pb2_grpc.add_EdgeReconstructionServicer_to_server(servicer, self._server)  # type: ignore[no-untyped-call]
@@ -172,7 +164,7 @@ class EdgeServer:
 
     async def start(self) -> int:
         """Listen; the port. Raises AddressError."""
-        port = _bind(self._server, self._settings)
+        port = _bind(self._server, self._settings, self._door)
         await self._health.set(SERVICE, health_pb2.HealthCheckResponse.SERVING)
         await self._server.start()
         return port
@@ -200,20 +192,22 @@ def _add_reflection(server: grpc.aio.Server) -> None:
     reflection.enable_server_reflection((SERVICE, health.SERVICE_NAME, reflection.SERVICE_NAME), server)
 
 
-def _bind(server: grpc.aio.Server, settings: EdgeSettings) -> int:
+def _bind(server: grpc.aio.Server, settings: EdgeSettings, door: Door) -> int:
     """The port; gRPC's own error tells nothing a person could act on."""
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    address, credentials = f"{host}:{settings.port}", door.credentials
     try:
-        return server.add_insecure_port(f"{host}:{settings.port}")
+        return server.add_secure_port(address, credentials) if credentials else server.add_insecure_port(address)
     except RuntimeError:
-        raise AddressError(f"cannot listen on {host}:{settings.port}: set EDGE_HOST or EDGE_PORT") from None
+        raise AddressError(f"cannot listen on {address}: set EDGE_HOST or EDGE_PORT") from None
 
 
 def _announce(settings: EdgeSettings, port: int) -> None:
     _log.info("settings: %s", json.dumps(settings.describe()))
     _log.info("listening on %s:%d", settings.host, port)
-    if not settings.loopback:
-        _log.warning("EDGE_HOST=%s: there are no access keys, so whoever reaches this port may run jobs", settings.host)
+    if not settings.loopback and not settings.token.get_secret_value():
+        said = "EDGE_HOST=%s: without EDGE_TOKEN there are no access keys, so whoever reaches this port may run jobs"
+        _log.warning(said, settings.host)
 
 
 @contextmanager

@@ -30,6 +30,7 @@ from services.edge.requests import JobRequest
 from services.edge.run import Say
 from services.edge.stock import offer_of
 from services.storage.archives import ArchiveError, unpack
+from services.storage.catalogue import DEFAULT_COLLECTION
 from services.storage.publish import Publish, publish
 from services.storage.store import Store
 
@@ -42,6 +43,7 @@ class RealWork:
     """Reconstructs with the pipeline and publishes to `store`. presets: by name, the default first.
 
     With a `central` it makes the points and has that one fit the field, or fits it by itself where it must.
+    What nobody named a collection for enters `collection`, wherever it is fitted.
     """
 
     def __init__(
@@ -52,11 +54,13 @@ class RealWork:
         memory: Memory,
         central: Central | None = None,
         publish: Publish = publish,
+        collection: str = DEFAULT_COLLECTION,
     ) -> None:
         self._fitter = Fitter(store, presets, device, memory, publish)
         self._device = device
         self._own_offer = offer_of(presets, device, memory.total_bytes)
         self._central = central
+        self._collection = collection
 
     @property
     def offer(self) -> Offer:
@@ -67,6 +71,7 @@ class RealWork:
 
     def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
         """The whole job. Raises EdgeError, and Cancelled when `say` does."""
+        request = replace(request, collection=request.collection or self._collection)
         if self._central and not request.prepared:  # those are fitted where they arrive: no job is handed on twice
             return self._shared(self._central, archive, request, scratch, checkpoint, say)
         bar = Bar(lambda progress: say(told(progress)))

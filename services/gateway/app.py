@@ -28,10 +28,11 @@ from services.gateway.jobs.transitions import Retry
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import Around
 from services.gateway.routes import assets, captures, collections, files, health, jobs, pages
-from services.gateway.settings import GatewaySettings
+from services.gateway.settings import GatewaySettings, open_way_to_workers
 from services.logs import configure
 from services.storage.signing import NO_KEYS, Keys
 from services.storage.store import Store
+from services.strict_settings import SettingsError
 
 _GRACE_S = 5  # that answers under way get when the gateway is told to stop
 
@@ -42,6 +43,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """The app; its database, its dispatcher and its connections live from startup to shutdown.
 
     Routes find what they need in `app.state`: settings, store, keys, rows_of, edge, metrics, desk, dispatcher.
+    Raises SettingsError where the workers' certificate or token cannot be used.
     """
     app = FastAPI(
         title="capture2vr",
@@ -57,7 +59,12 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     app.state.keys = keys
     app.state.rows_of = collections.kept_rows(store)
     app.state.metrics = metrics
-    app.state.edge = EdgePool(settings.workers, silence_s=settings.silence_s, job_timeout_s=settings.job_timeout_s)
+    app.state.edge = EdgePool(
+        settings.workers,
+        silence_s=settings.silence_s,
+        job_timeout_s=settings.job_timeout_s,
+        caller=open_way_to_workers(settings),
+    )
     errors.install(app)
     for routes in (captures, jobs, assets, collections, files, health, pages):
         app.include_router(routes.router)
@@ -118,10 +125,12 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     """Serve until SIGTERM or SIGINT; the process's exit status: 0, or 1 when it could not start."""
     configure(settings.log_level)
     try:
+        app = create_app(settings, store, keys)
         with instance(settings.data_dir):
             open_engine(settings.database).dispose()
         listening = _listen(settings)
-    except (FolderInUse, OSError, SQLAlchemyError, ImportError) as error:  # ImportError: the database's driver
+    # ImportError: the database's driver
+    except (FolderInUse, OSError, SQLAlchemyError, ImportError, SettingsError) as error:
         _log.error("cannot start: %s", error)
         return 1
     with listening:
@@ -129,7 +138,7 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
         if not keys.believed:
             _log.warning("collections are believed as they are: name the keys in STORAGE_SIGNING_KEY or _TRUSTED_KEYS")
         config = uvicorn.Config(
-            create_app(settings, store, keys),
+            app,
             log_config=None,
             access_log=False,
             timeout_graceful_shutdown=_GRACE_S,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import logging
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ from services.gateway.workers import (
     WorkerStatus,
     WorkerUnreachable,
 )
+from services.link import PLAIN, Caller
+
+_log = logging.getLogger(__name__)
 
 CHUNK_BYTES = 512 << 10  # the wire asks for 256 KiB to 1 MiB
 POLL_S = 1.0  # deadline of a question about a worker's state: one that needs longer is as good as absent
@@ -63,13 +67,22 @@ class Inspection:
 class EdgePool:
     """The workers that the settings name; each has one channel, opened when first needed."""
 
-    def __init__(self, addresses: Sequence[str], *, silence_s: float = 15.0, job_timeout_s: float = 6 * 3600.0) -> None:
+    def __init__(
+        self,
+        addresses: Sequence[str],
+        *,
+        silence_s: float = 15.0,
+        job_timeout_s: float = 6 * 3600.0,
+        caller: Caller = PLAIN,
+    ) -> None:
         """silence_s: how long a stream may say nothing; job_timeout_s: deadline of a whole run."""
         self.addresses = tuple(addresses)
         self._offers: dict[str, tuple[Preset, ...]] = {}
         self._silence_s = silence_s
         self._job_timeout_s = job_timeout_s
+        self._caller = caller
         self._channels: dict[str, grpc.aio.Channel] = {}
+        self._faults: dict[str, grpc.StatusCode] = {}
 
     @property
     def presets(self) -> dict[str, Preset]:
@@ -150,8 +163,10 @@ class EdgePool:
     async def _status(self, address: str) -> WorkerStatus | None:
         try:
             worker = await self._stub(address).GetWorker(pb.GetWorkerRequest(), timeout=POLL_S)
-        except grpc.aio.AioRpcError:
+        except grpc.aio.AioRpcError as error:
+            self._hear_fault(address, error)
             return None
+        self._faults.pop(address, None)
         return WorkerStatus(
             address,
             worker.version,
@@ -163,6 +178,12 @@ class EdgePool:
             worker.draining,
             frozenset(worker.jobs),
         )
+
+    def _hear_fault(self, address: str, error: grpc.aio.AioRpcError) -> None:
+        """Log why a worker does not answer, once: a wrong token or certificate looks like an absent worker else."""
+        if self._faults.get(address) != error.code():
+            self._faults[address] = error.code()
+            _log.warning("worker %s does not answer: %s: %s", address, error.code().name, error.details())
 
     async def _inspect(self, address: str, archive: Path) -> Inspection:
         call = self._stub(address).Inspect(timeout=INSPECT_S)
@@ -181,7 +202,7 @@ class EdgePool:
 
     def _stub(self, address: str) -> Any:
         if address not in self._channels:
-            self._channels[address] = grpc.aio.insecure_channel(address, options=_OPTIONS)
+            self._channels[address] = self._caller.aio_channel(address, _OPTIONS)
         return edge_pb2_grpc.EdgeReconstructionStub(self._channels[address])  # type: ignore[no-untyped-call]
 
 
@@ -209,6 +230,7 @@ def _header(job: Job, size: int) -> pb.Header:
         capture_bytes=size,
         label=order.label,
         longest_m=order.longest_m or 0.0,
+        collection=order.collection,
     )
 
 
@@ -266,7 +288,7 @@ def _report(event: pb.Event) -> Report:
             return Progressed(event.seq, stage, said.fraction, dict(said.losses), said.eta_s, said.message)
         case "published":
             made = event.published
-            return Published(event.seq, made.asset_key, made.version, made.state, made.manifest)
+            return Published(event.seq, made.asset_key, made.version, made.state, made.manifest, made.collection)
         case "failure":
             return _failed(event.seq, event.failure)
         case "finished":

@@ -42,9 +42,23 @@ class JobRequest(BaseModel):
         Field(ge=0.001, le=1_000, description="Metres between the farthest points of the thing, where it is known."),
     ] = None
 
-    def order(self, preset: str) -> Order:
-        """As the jobs know it, with the preset that was chosen."""
-        return Order(self.capture, preset, self.asset_key, self.label, self.target, self.isolate, self.longest_m)
+    collection: Annotated[
+        str,
+        Field(max_length=200, description="Where the asset is listed; empty: what the upload named, or where it is."),
+    ] = ""
+
+    def order(self, preset: str, collection: str) -> Order:
+        """As the jobs know it, with the preset and the collection that were chosen."""
+        return Order(
+            capture=self.capture,
+            preset=preset,
+            asset_key=self.asset_key,
+            label=self.label,
+            target=self.target,
+            isolate=self.isolate,
+            longest_m=self.longest_m,
+            collection=collection,
+        )
 
 
 class ProblemView(BaseModel):
@@ -76,26 +90,32 @@ class ProblemView(BaseModel):
 
 
 class PublishedView(BaseModel):
-    """A version of the asset that is on the store."""
+    """A version of the asset that is on the store; `collection`: where it is listed, "" if its worker does not say."""
 
     key: str
     version: int
     state: str
     manifest: str
+    collection: str = ""
 
 
 class Links(BaseModel):
-    """Where to go from a job."""
+    """Where to go from a job; `collection` and `place`, the asset's row in it, are "" until it is known which."""
 
     self: str
     events: str
     cancel: str
     asset: str
     view: str
+    collection: str
+    place: str
 
 
 class JobView(BaseModel):
-    """Where a job stands. The fraction never goes back; elapsed time counts from its acceptance, across restarts."""
+    """Where a job stands. The fraction never goes back; elapsed time counts from its acceptance, across restarts.
+
+    `collection` is where the asset is listed; "" until a worker that nobody named one to has chosen.
+    """
 
     id: str
     state: State
@@ -105,6 +125,7 @@ class JobView(BaseModel):
     eta_s: float
     preset: str
     asset_key: str
+    collection: str
     capture: str
     label: str
     attempts: int
@@ -129,6 +150,7 @@ class JobView(BaseModel):
             eta_s=job.eta_s,
             preset=job.order.preset,
             asset_key=job.order.asset_key,
+            collection=_collection(job),
             capture=job.order.capture,
             label=job.order.label,
             attempts=job.lease.attempts,
@@ -204,9 +226,21 @@ def _published(asset: Mapping[str, Any] | None) -> PublishedView | None:
     return PublishedView.model_validate(asset) if asset else None
 
 
+def _collection(job: Job) -> str:
+    """What was asked for, else where the worker has listed it."""
+    published = job.asset or job.preview or {}
+    return job.order.collection or str(published.get("collection", ""))
+
+
 def _links(job: Job) -> Links:
-    here = f"/v1/jobs/{job.id}"
-    key = job.order.asset_key
+    here, key = f"/v1/jobs/{job.id}", job.order.asset_key
+    collection = f"/v1/collections/{name}" if (name := _collection(job)) else ""
     return Links(
-        self=here, events=f"{here}/events", cancel=f"{here}/cancel", asset=f"/v1/assets/{key}", view=f"/view/{key}"
+        self=here,
+        events=f"{here}/events",
+        cancel=f"{here}/cancel",
+        asset=f"/v1/assets/{key}",
+        view=f"/view/{key}",
+        collection=collection,
+        place=f"{collection}/assets/{key}" if collection else "",
     )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, SecretStr
 from pydantic_settings import SettingsConfigDict
 
+from services.link import Caller, read_caller
 from services.strict_settings import LOOPBACK, CommaList, StrictSettings
 
 
@@ -19,6 +20,8 @@ class GatewaySettings(StrictSettings):
     port: int = Field(default=8080, ge=0, le=65535)  # 0 chooses a free one
     data_dir: Path = Path("capture2vr-data")  # jobs database and staged uploads
     workers: CommaList = ("127.0.0.1:50051",)
+    edge_ca: Path | None = None  # certificates (PEM) that vouch for the workers; none: they speak plain gRPC
+    edge_token: SecretStr = SecretStr("")  # the workers' EDGE_TOKEN; needs edge_ca
     public_url: str = ""  # how phones and headsets reach this gateway; empty: as the request did
     database_url: str = ""  # empty: SQLite in data_dir
     cors_origins: CommaList = ()  # origins whose pages may call the API; "*" for all
@@ -49,3 +52,9 @@ class GatewaySettings(StrictSettings):
     def is_public(self) -> bool:
         """Whether others than this machine can connect."""
         return self.host not in LOOPBACK
+
+
+def open_way_to_workers(settings: GatewaySettings) -> Caller:
+    """How workers are called. Raises SettingsError that names the variable and the file at fault."""
+    names = ("GATEWAY_EDGE_CA", "GATEWAY_EDGE_TOKEN")
+    return read_caller(settings.edge_ca, settings.edge_token.get_secret_value(), names=names)

@@ -36,6 +36,10 @@ class StaleFence(Exception):  # noqa: N818 - not a fault: the job has moved to a
     """The job was leased again since this publisher began; its result is void."""
 
 
+class KeyElsewhere(Exception):  # noqa: N818 - a fault of who chose the key, not of this program
+    """The key means an asset of another collection, and this publisher may not take it along."""
+
+
 @dataclass(frozen=True, slots=True)
 class Asset:
     """What was published: version counts from 1 under its key; manifest is an object name."""
@@ -66,12 +70,19 @@ class _Order:
     job: str
     fence: int
     collection: str
+    joins: bool
+
+    def require_room(self, present: Entry | None) -> None:
+        """Raises KeyElsewhere."""
+        if present and not self.joins and self.collection not in present.collections:
+            place = f"in collection {present.collections[0]}, not in {self.collection}"
+            raise KeyElsewhere(f"there is an asset {present.key} already, {place}")
 
 
 class Publish(Protocol):
-    """`publish` with its collection and its keys chosen: what a worker is given."""
+    """`publish` with its keys chosen, and without joining: what a worker is given."""
 
-    def __call__(self, bundle: Bundle, store: Store, *, key: str, job: str, fence: int) -> Asset: ...
+    def __call__(self, bundle: Bundle, store: Store, *, key: str, job: str, fence: int, collection: str) -> Asset: ...
 
 
 def publish(
@@ -83,16 +94,18 @@ def publish(
     fence: int = 0,
     collection: str = DEFAULT_COLLECTION,
     keys: Keys = NO_KEYS,
+    joins: bool = True,
 ) -> Asset:
     """Publish a bundle under `key`, make it the current version, and list it in `collection`, signed with `keys`.
 
     Publishing the same (job, state) twice adds no version and answers with the first; without a job the content
-    decides. A new version of a removed asset brings it back. Raises StaleFence when a publisher of the same job had a
-    higher fence, ValueError for an invalid key or collection, OSError when the store fails, of which CatalogueFault is
-    one; after that, publish again.
+    decides. A new version of a removed asset brings it back. With `joins` an asset of another collection is listed here
+    too. Raises StaleFence when a publisher of the same job had a higher fence, KeyElsewhere, ValueError for an invalid
+    key or collection, OSError when the store fails, of which CatalogueFault is one; after that, publish again.
     """
-    order = _Order(job, fence, check_collection(collection))
+    order = _Order(job, fence, check_collection(collection), joins)
     present = _entry_or_none(store, check_key(key))
+    order.require_room(present)
     settled = _settled(present, bundle.state, job, fence)
     is_listed = present is not None and collection in present.collections
     if settled is not None and settled["fence"] >= fence and is_listed:
@@ -140,6 +153,7 @@ def _enter(store: Store, key: str, bundle: Bundle, files: list[_Stored], manifes
 
     def attempt() -> Asset:
         present = _entry_or_none(store, key)
+        order.require_room(present)
         versions = present.versions if present else []
         record = _settled(present, bundle.state, order.job, order.fence, manifest.name)
         if present and record:

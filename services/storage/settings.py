@@ -28,7 +28,7 @@ class StorageSettings(StrictSettings):
 
     public_endpoint  the S3 service as clients reach it; presigned URLs are signed for this host
     base_url         what stands before an object's name in the URLs that clients get: a CDN, or the gateway's /v1/files
-    collection       which collection publishing enters
+    collection       which collection is entered by what nobody named one for
     signing_key      private keys (PEM) that sign collections; one, or two while they are exchanged; none: unsigned
     trusted_keys     public keys (PEM) whose collections are believed, besides those of signing_key; none: anybody's
     """
@@ -71,8 +71,11 @@ def open_keys(settings: StorageSettings) -> Keys:
 
 
 def open_publish(settings: StorageSettings) -> Publish:
-    """`publish` as these settings want it: into their collection, signed with their keys. Raises SettingsError."""
-    return partial(publish, collection=settings.collection, keys=open_keys(settings))
+    """`publish` for those who publish for others: signed with these settings' keys, each asset in its own collection.
+
+    Raises SettingsError.
+    """
+    return partial(publish, keys=open_keys(settings), joins=False)
 
 
 def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from services.storage.bundle import sha256_hex
 from services.storage.collection import Index, Row, Shard, index_name, read_index, read_shard
 from services.storage.faults import (
     CATALOGUE_MISSING,
     FILE_CHANGED,
     FILE_MISSING,
-    MANIFEST_CHANGED,
     MANIFEST_MISSING,
     SHARD_MISSING,
     CatalogueFault,
 )
+from services.storage.reading import Piece, pieces_of
 from services.storage.signing import Public
 from services.storage.store import Store
 
@@ -45,13 +43,6 @@ class Checked:
     bytes: int
     faults: tuple[CatalogueFault, ...]
     said: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class _File:
-    name: str
-    sha256: str
-    size: int
 
 
 def verify(fetch: Fetch, collection: str, believed: tuple[Public, ...], *, at_least: int = 0) -> Iterator[Checked]:
@@ -121,22 +112,13 @@ def _rows(fetch: Fetch, shard: Shard) -> tuple[tuple[Row, ...], int]:
     return read_shard(data, shard), len(data)
 
 
-def _files(fetch: Fetch, row: Row) -> tuple[list[_File], int]:
+def _files(fetch: Fetch, row: Row) -> tuple[list[Piece], int]:
     """What a manifest lists, once it is the one that the row means."""
-    name = row.manifest_name
-    data = _whole(fetch, name, MANIFEST_MISSING)
-    if sha256_hex(data) != row.manifest:
-        raise CatalogueFault(MANIFEST_CHANGED, name, f"its {len(data):,} bytes do not have the hash of the catalogue")
-    try:
-        files = [
-            _File(str(each["name"]), str(each["sha256"]), int(each["bytes"])) for each in json.loads(data)["files"]
-        ]
-    except (ValueError, KeyError, TypeError) as error:
-        raise CatalogueFault(MANIFEST_CHANGED, name, f"it lists no files: {error}") from None
-    return files, len(data)
+    data = _whole(fetch, row.manifest_name, MANIFEST_MISSING)
+    return pieces_of(data, row), len(data)
 
 
-def _file(fetch: Fetch, file: _File) -> tuple[str, int]:
+def _file(fetch: Fetch, file: Piece) -> tuple[str, int]:
     digest, size = hashlib.sha256(), 0
     try:
         for block in fetch(file.name):

@@ -99,12 +99,28 @@ def test_what_is_there_is_listed_removed_and_restored(url: str, run: Run) -> Non
     assert "sofa" in run("ls", "--gateway", url).said
 
 
+def test_a_collection_of_ones_own(url: str, store: LocalStore, folder: Path, run: Run) -> None:
+    publish(bundle(), store, key="hers", collection="ada", keys=Keys((read_signer(folder / "key"),)))
+    assert "ada: 1 assets" in run("ls", "--gateway", url, "--collection", "ada").said
+    assert "ada: 1 assets" in run("ls", "--gateway", url, STORAGE_COLLECTION="ada").said
+    assert "hers" not in run("ls", "--gateway", url).said
+    for verb, word in (("rm", "is removed"), ("restore", "is there")):
+        other = run(verb, "hers", "--gateway", url, "--collection", "default")
+        assert (other.code, "no asset hers in collection default" in other.said, "ada" in other.said) == (2, True, True)
+        mine = run(verb, "hers", "--gateway", url, "--collection", "ada")
+        assert (mine.code, word in mine.said) == (0, True)
+
+
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
         (["ls", "--collection", "none"], "no collection none"),
         (["ls", "--collection", "../x"], "no collection"),
         (["rm", "none"], "no asset none"),
+        (["rm", "shoe", "--collection", "x" * 300], "no collection"),
+        (["pull", "shoe", "-o", "never", "--collection", "ädä"], "no collection"),
+        (["pull", "shoe", "-o", "never", "--collection", "none"], "no collection none"),
+        (["pull", "none", "-o", "never"], "no asset none"),
         (["rm", "a/b"], "no asset key"),
         (["restore", "ü"], "no asset key"),
         (["catalogue", "verify", "--collection", "none"], "no collection none"),
@@ -157,6 +173,24 @@ def test_the_first_class_of_faults_ends_with_exit_code_1(
     store.put(INDEX, index, content_type="application/json", cache_control="no-cache")
     assert (forged.code, "SIGNATURE_WRONG" in forged.said) == (1, True)
     assert verified(*trusted).code == 0
+
+
+def test_every_collection_of_a_store_at_once(tmp_path: Path, run: Run) -> None:
+    """As after an exchange of keys: one that is forgotten would be refused by clients."""
+    mine = partial(run, STORAGE_ROOT=tmp_path / "objects", STORAGE_SIGNING_KEY=tmp_path / "mine")
+    assert run("catalogue", "keygen", tmp_path / "mine").code == 0
+    nothing = mine("catalogue", "rebuild", "--all")
+    assert (nothing.code, "no asset belongs to a collection default" in nothing.said) == (2, True)
+    for collection in ("ada", "bob"):
+        publish(bundle(), LocalStore(tmp_path / "objects"), key=f"{collection}-shoe", collection=collection)
+    rebuilt = mine("catalogue", "rebuild", "--all")
+    assert (rebuilt.code, rebuilt.said.count("signed by")) == (0, 2), rebuilt.said
+    verified = mine("catalogue", "verify", "--all")
+    assert (verified.code, "collection ada" in verified.said, "collection bob" in verified.said) == (0, True, True)
+    level = entry(LocalStore(tmp_path / "objects"), "ada-shoe").document["lods"][0]["name"]
+    LocalStore(tmp_path / "objects").delete(level)
+    broken = mine("catalogue", "verify", "--all")
+    assert (broken.code, "FILE_MISSING" in broken.said, "collection bob" in broken.said) == (1, True, True)
 
 
 def test_a_key_is_made_once_and_a_collection_signed_with_it(tmp_path: Path, run: Run) -> None:

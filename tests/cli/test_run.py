@@ -43,7 +43,7 @@ def out(bowl: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     known = trimesh.creation.icosphere(subdivisions=4)
     known.update_faces(known.triangles_center[:, 2] < 0)  # a hemisphere of another size, turned another way
     known.export(reference)
-    told = ("--reference", reference, "--longest", "0.5")
+    told = ("--reference", reference, "--longest", "0.5", "--collection", "bowls")
     result = capture2vr("run", bowl, "-o", out, "--preset", "draft", *told)
     assert result.returncode == 0, result.stderr
     assert "against the reference" in result.stderr
@@ -114,6 +114,7 @@ def test_the_picture_shows_something_on_four_sides(out: Path) -> None:
 
 def test_the_bundle_is_addressed_by_content(out: Path) -> None:
     entry = json.loads((out / "bundle" / "catalog" / "my-bowl.json").read_text())
+    assert entry["collections"] == [path.name for path in (out / "bundle" / "collections").iterdir()] == ["bowls"]
     for item in entry["files"]:
         content = (out / "bundle" / item["name"]).read_bytes()
         assert hashlib.sha256(content).hexdigest() == item["sha256"]

@@ -53,9 +53,15 @@ def disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path: Path) -> None:
-    pushed = capture2vr("push", disk, "--gateway", url, "--key", "leaf", "--preset", "draft")
+    asked = ("--key", "leaf", "--preset", "draft", "--collection", "tree")
+    pushed = capture2vr("push", disk, "--gateway", url, *asked)
     assert pushed.returncode == 0, pushed.stderr
-    assert f"{url}/view/leaf" in pushed.stderr
+    assert f"{url}/view/leaf, in collection tree" in pushed.stderr
+    assert "leaf" in capture2vr("ls", "--gateway", url, "--collection", "tree").stderr
+    hostile = capture2vr("push", disk, "--gateway", url, *asked[:-1], "../wood")
+    assert (hostile.returncode, "no collection" in hostile.stderr, "UPLOADING" in hostile.stderr) == (2, True, False)
+    elsewhere = capture2vr("push", disk, "--gateway", url, *asked[:-1], "wood")
+    assert (elsewhere.returncode, "in collection tree, not in wood" in elsewhere.stderr) == (2, True)
 
     with urllib.request.urlopen(f"{url}/v1/assets/leaf") as answer:
         entry = json.load(answer)

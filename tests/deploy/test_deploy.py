@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
-from services.edge.settings import EdgeSettings
-from services.gateway.settings import GatewaySettings
-from services.storage.settings import StorageSettings
+from services.edge.settings import EdgeSettings, open_door, open_way_to_central
+from services.gateway.settings import GatewaySettings, open_way_to_workers
+from services.link import PLAIN
+from services.storage.settings import StorageSettings, open_keys
 from services.strict_settings import StrictSettings
 from tests.conftest import missing
 
@@ -93,6 +94,67 @@ def test_every_variable_is_one_that_the_services_know(compose: list[str]) -> Non
         assert given <= known, name
     for dockerfile in (ROOT / "deploy").glob("*.Dockerfile"):
         assert set(re.findall(r"\b((?:GATEWAY|EDGE|STORAGE)_[A-Z_]+)=", dockerfile.read_text())) <= known
+
+
+KEYED = ("gateway", "edge", "edge-gpu")
+
+
+def _keys_of(service: dict[str, Any]) -> dict[str, Any]:
+    (mount,) = [each for each in service["volumes"] if each["target"] == "/keys"]
+    return dict(mount)
+
+
+def test_keys_come_from_a_folder_that_is_named_and_only_to_those_who_need_them(compose: list[str]) -> None:
+    named = {"KEYS": "/srv/keys", "STORAGE_SIGNING_KEY": "/keys/2026", "STORAGE_COLLECTION": "ada"}
+    services = _config(compose, "gpu", **named)["services"]
+    for name in KEYED:
+        mount, environment = _keys_of(services[name]), services[name]["environment"]
+        assert (mount["type"], mount["source"], mount["read_only"]) == ("bind", "/srv/keys", True), name
+        assert (environment["STORAGE_SIGNING_KEY"], environment["STORAGE_COLLECTION"]) == ("/keys/2026", "ada"), name
+    for name in services.keys() - set(KEYED):
+        assert "/keys" not in json.dumps(services[name]), name
+
+
+def test_without_keys_nothing_is_signed_and_no_folder_is_made(compose: list[str]) -> None:
+    services = _config(compose, "gpu")["services"]
+    for name in KEYED:
+        assert (_keys_of(services[name])["type"], _keys_of(services[name])["read_only"]) == ("volume", True)
+        assert services[name]["environment"]["STORAGE_SIGNING_KEY"] == ""
+
+
+def test_gateway_and_workers_share_the_token(compose: list[str]) -> None:
+    services = _config(compose, "gpu", EDGE_TOKEN="secret", GATEWAY_EDGE_CA="/keys/ca.pem")["services"]
+    assert services["gateway"]["environment"]["GATEWAY_EDGE_TOKEN"] == "secret"
+    assert services["gateway"]["environment"]["GATEWAY_EDGE_CA"] == "/keys/ca.pem"
+    assert {services[name]["environment"]["EDGE_TOKEN"] for name in ("edge", "edge-gpu")} == {"secret"}
+
+
+def test_empty_variables_are_none(compose: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compose passes what nobody has set as an empty text."""
+    for name in KEYED:
+        for variable, value in _config(compose, "gpu")["services"][name]["environment"].items():
+            monkeypatch.setenv(variable, value)
+    assert open_keys(StorageSettings()).believed == ()
+    assert StorageSettings().collection == "default"
+    assert open_door(EdgeSettings()).credentials is None
+    assert open_way_to_workers(GatewaySettings()) == open_way_to_central(EdgeSettings()) == PLAIN
+
+
+def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:
+    key = re.compile(rb"-----BEGIN [A-Z ]*PRIVATE KEY-----\s+[A-Za-z0-9+/=]{16}")
+    assert key.search(b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2VwBCIEIA==")
+    folders = [ROOT / name for name in ("services", "tests", "deploy", "docs", "clients", "proto", ".ci")]
+    files = [*ROOT.glob("*"), *(path for folder in folders for path in folder.rglob("*"))]
+    assert [path for path in files if path.is_file() and key.search(path.read_bytes())] == []
+    ignored, *kept = (ROOT / ".dockerignore").read_text().splitlines()
+    assert ignored == "**"
+    assert {line for line in kept if line.startswith("!")} == {
+        "!pyproject.toml",
+        "!constraints.txt",
+        "!README.md",
+        "!LICENSE",
+        "!services",
+    }
 
 
 def test_links_follow_the_port(compose: list[str]) -> None:

@@ -134,7 +134,7 @@ def kinds(events: list[pb.Event]) -> list[str]:
 async def test_the_bundle_is_that_of_a_lone_worker(
     store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
 ) -> None:
-    asked = {"asset_key": "dome", "label": "Dome", "preset": "quick", "longest_m": 0.5}
+    asked = {"asset_key": "dome", "label": "Dome", "preset": "quick", "longest_m": 0.5, "collection": "ada"}
     alone = MemoryStore()
     async with worker(real_work(alone, quick), tmp_path / "alone") as client:
         assert (await client.ended(dome, **asked))[-1].HasField("finished")
@@ -147,6 +147,8 @@ async def test_the_bundle_is_that_of_a_lone_worker(
     finished = events[-1].finished
     expected, made = (json.loads(each.get(entry(each, "dome").manifest)) for each in (alone, store))
     assert timeless(made) == timeless(expected)
+    assert entry(alone, "dome").collections == entry(store, "dome").collections == ["ada"]
+    assert {event.published.collection for event in events if event.HasField("published")} == {"ada"}
     assert made["seconds"]["POINT_CLOUD"] == finished.seconds["POINT_CLOUD"] > 0
     assert {"VALIDATING", "FITTING", "EXTRACTING", "PUBLISHING"} <= finished.seconds.keys()
     assert list(finished.warnings) == made["warnings"]
@@ -384,8 +386,17 @@ async def test_the_job_goes_up_as_it_was_asked_for(
     async with listening(standing, tmp_path / "central") as (_, address):
         with reaching(address) as central:
             async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
-                asked = {"asset_key": "k", "preset": "quick", "label": "L", "target": "quest3", "fence": 7}
+                asked = {
+                    "asset_key": "k",
+                    "preset": "quick",
+                    "label": "L",
+                    "target": "quest3",
+                    "collection": "ada",
+                    "fence": 7,
+                }
                 events = await edge.ended(dome, "job_x", isolate=False, longest_m=2.0, **asked)
+                await edge.ended(dome, "job_y", preset="quick")
+    assert standing.seen["job_y"].collection == "default", "what nobody named is named by the worker near the phone"
     seen = standing.seen["job_x"]
     assert {name: getattr(seen, name) for name in asked} == asked
     assert (seen.prepared, seen.isolate, seen.longest_m) == (True, None, None)
@@ -459,7 +470,7 @@ async def test_a_killed_central_loses_no_job(tmp_path: Path, quick: Path, all_pr
     ):
         async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
             await until(lambda: central.takes_jobs, within_s=30)
-            call = edge.reconstruct(dome, asset_key="dome", preset="endless", fence=1)
+            call = edge.reconstruct(dome, asset_key="dome", preset="endless", collection="ada", fence=1)
             await started(call)
             there.kill()
             ending = [event async for event in call][-1].failure
@@ -467,12 +478,12 @@ async def test_a_killed_central_loses_no_job(tmp_path: Path, quick: Path, all_pr
             assert "was out of reach" in ending.message
             there.start()
             await until(lambda: central.takes_jobs, within_s=30)
-            call = edge.reconstruct(dome, asset_key="dome", preset="endless", fence=2)
+            call = edge.reconstruct(dome, asset_key="dome", preset="endless", collection="ada", fence=2)
             events = await started(call)
             assert pb.VALIDATING not in {event.progress.stage for event in events}, "the points were made again"
             assert await edge.cancel()
             assert [event async for event in call][-1].failure.code == "CANCELLED"
-    assert entry(store, "dome").version == 1
+    assert (entry(store, "dome").version, entry(store, "dome").collections) == (1, ["ada"])
 
 
 async def test_a_connection_that_breaks_is_found_again(

@@ -81,6 +81,12 @@ MALFORMED = {
     "a hidden key": [head(asset_key=".dress")],
     "a key with a path": [head(asset_key="a/b")],
     "a key of other letters": [head(asset_key="плащ")],
+    "an over-long collection": [head(collection="c" * 300)],
+    "a hidden collection": [head(collection=".ada")],
+    "a collection above": [head(collection="..")],
+    "a collection with a path": [head(collection="../ada")],
+    "a collection of other letters": [head(collection="ада")],
+    "a collection with a line break": [head(collection="ada\n")],
     "a target with a blank": [head(target="quest 3")],
     "a target that there is not": [head(target="quest9")],
     "an over-long label": [head(label="l" * 201)],
@@ -237,10 +243,11 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 
 NUMBERS = {
-    "Header": "job fence preset asset_key target isolate capture_bytes label longest_m prepared",
+    "Header": "job fence preset asset_key target isolate capture_bytes label longest_m prepared collection",
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
     "Event": "job seq elapsed_s progress heartbeat published failure finished",
     "Failure": "code message file hints retryable stage",
+    "Published": "asset_key version state manifest collection",
     "Progress": "stage fraction losses eta_s message",
 }
 
@@ -252,9 +259,10 @@ def test_fields_keep_their_numbers(message: str) -> None:
     assert [fields.get(number, "-") for number in range(1, 1 + max(fields))] == NUMBERS[message].split()
 
 
-def test_what_an_older_caller_says_is_no_prepared_points() -> None:
+def test_what_an_older_caller_does_not_say_is_nothing_new() -> None:
     older = pb.Header(job="job_1", fence=1, asset_key="dress", capture_bytes=7).SerializeToString()
     assert not pb.Header.FromString(older).prepared
+    assert pb.Header.FromString(older).collection == ""
     assert pb.Worker.FromString(pb.Worker(version="0.0.1").SerializeToString()).points_version == 0
 
 

@@ -6,6 +6,7 @@ import json
 import time
 import zipfile
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 
 import grpc
@@ -20,6 +21,7 @@ from services.edge.stock import known_presets
 from services.edge.work import RealWork
 from services.storage.bundle import Bundle
 from services.storage.catalogue import entry
+from services.storage.collection import index_name
 from services.storage.memory import MemoryStore
 from services.storage.publish import publish
 from tests.edge.edge_client import Client, leftovers, until, upload, worker
@@ -85,6 +87,36 @@ async def test_points_become_an_asset(client: Client, store: MemoryStore, scratc
     assert json.loads(store.get(asset.manifest))["preset"] == "draft"
     assert store.get(asset.document["lods"][0]["name"]).startswith(b"glTF")
     assert leftovers(scratch) == []
+
+
+async def test_an_asset_enters_the_collection_of_its_job_or_of_its_worker(
+    store: MemoryStore, scratch: Path, tmp_path: Path
+) -> None:
+    sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
+    work = RealWork(store, known_presets(None), find_device("cpu"), Memory(1 << 40), collection="house")
+    async with worker(work, scratch) as client:
+        named = await client.ended(sent, "job_1", asset_key="hers", preset="draft", collection="ada")
+        plain = await client.ended(sent, "job_2", asset_key="ours", preset="draft")
+    for events, key, collection in ((named, "hers", "ada"), (plain, "ours", "house")):
+        published = [event.published for event in events if event.HasField("published")]
+        assert {each.collection for each in published} == {collection}
+        assert entry(store, key).collections == [collection]
+        assert store.head(index_name(collection))
+
+
+async def test_a_key_of_another_collection_is_refused_by_name(
+    store: MemoryStore, scratch: Path, tmp_path: Path
+) -> None:
+    """The gateway sees it first, but for two first jobs at once."""
+    sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
+    publish(Bundle("preview", {"mesh.ply": b"hers"}, {"lods": []}), store, key="shoe", collection="ada")
+    alone = partial(publish, joins=False)
+    work = RealWork(store, known_presets(None), find_device("cpu"), Memory(1 << 40), publish=alone)
+    async with worker(work, scratch) as client:
+        failed = (await client.ended(sent, asset_key="shoe", preset="draft", collection="bob"))[-1].failure
+    assert (failed.code, failed.retryable) == ("KEY_ELSEWHERE", False)
+    assert "in collection ada, not in bob" in failed.message
+    assert (entry(store, "shoe").version, entry(store, "shoe").collections) == (1, ["ada"])
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from services.edge.settings import EdgeSettings
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
 from services.storage.bundle import Bundle
+from services.storage.catalogue import DEFAULT_COLLECTION
 from services.storage.memory import MemoryStore
 from services.storage.publish import publish
 from services.storage.store import Store
@@ -60,8 +61,24 @@ class Making:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", retryable=script.get("retryable", False))
         for state in ("preview", "refined"):
             bundle = Bundle(state=state, files={"mesh.ply": f"{request.job} {state}".encode()}, manifest={"lods": []})
-            made = publish(bundle, self._store, key=request.asset_key, job=request.job, fence=request.fence)
-            say(pb.Published(asset_key=made.key, version=made.version, state=made.state, manifest=made.manifest))
+            collection = request.collection or DEFAULT_COLLECTION
+            made = publish(
+                bundle,
+                self._store,
+                key=request.asset_key,
+                job=request.job,
+                fence=request.fence,
+                collection=collection,
+            )
+            say(
+                pb.Published(
+                    asset_key=made.key,
+                    version=made.version,
+                    state=made.state,
+                    manifest=made.manifest,
+                    collection=collection,
+                )
+            )
             if "fail_refining" in script:
                 raise EdgeError(script["fail_refining"], "as it was told", hints=("use a coarser preset",))
         return pb.Finished(warnings=["looks odd"], seconds={"FITTING": 0.5})

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -47,7 +48,7 @@ from services.storage.faults import (
 )
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
-from services.storage.publish import publish
+from services.storage.publish import Asset, KeyElsewhere, publish
 from services.storage.removal import remove, restore
 from services.storage.signing import Keys
 from services.storage.store import Head, Store, list_all
@@ -167,6 +168,27 @@ def test_a_collection_per_user_and_an_asset_in_two() -> None:
     assert listed(store, "bob")["a"].removed
     with pytest.raises(FileNotFoundError):
         listed(store)
+
+
+def test_who_publishes_for_others_does_not_take_their_keys() -> None:
+    """Two first jobs at once: whoever comes behind changes nothing, even if it found nothing when it began."""
+    store = MemoryStore()
+
+    class Late(CrashingStore):
+        def put(self, name: str, *args: Any, **options: Any) -> Head:
+            if name.startswith("catalog/") and not entries:
+                entries.append(publish(bundle(content="hers"), store, key="a", job="job_1", collection="ada"))
+            return super().put(name, *args, **options)
+
+    entries: list[Asset] = []
+    with pytest.raises(KeyElsewhere, match="in collection ada, not in bob"):
+        publish(
+            bundle(content="his"), Late(store, -1, after=False), key="a", job="job_2", collection="bob", joins=False
+        )
+    assert (entry(store, "a").version, entry(store, "a").collections) == (1, ["ada"])
+    assert publish(bundle("refined"), store, key="a", job="job_1", collection="ada", joins=False).version == 2
+    with pytest.raises(FileNotFoundError):
+        listed(store, "bob")
 
 
 def test_the_same_content_enters_another_collection_without_a_version() -> None:

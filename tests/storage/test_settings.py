@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from services.storage.local import LocalStore
+from services.storage.publish import KeyElsewhere
 from services.storage.s3 import S3Store
 from services.storage.settings import StorageSettings, open_publish, open_store
 from services.storage.signing import generate
@@ -42,9 +43,11 @@ def test_half_a_pair_of_keys_is_an_error() -> None:
         open_store(StorageSettings(kind="s3", access_key="key"))
 
 
-def test_a_worker_publishes_into_the_collection_and_with_the_keys_of_its_settings(tmp_path: Path) -> None:
+def test_a_worker_publishes_with_the_keys_of_its_settings(tmp_path: Path) -> None:
     public = generate(tmp_path / "key")
-    settings = StorageSettings(root=tmp_path / "objects", collection="mine", signing_key=(str(tmp_path / "key"),))
+    settings = StorageSettings(root=tmp_path / "objects", signing_key=(str(tmp_path / "key"),))
     store = open_store(settings)
-    open_publish(settings)(bundle(), store, key="dress", job="job_1", fence=1)
+    open_publish(settings)(bundle(), store, key="dress", job="job_1", fence=1, collection="mine")
     assert list(listed(store, "mine", believed=(public,))) == ["dress"]
+    with pytest.raises(KeyElsewhere, match="in collection mine, not in other"):
+        open_publish(settings)(bundle(), store, key="dress", job="job_2", fence=1, collection="other")

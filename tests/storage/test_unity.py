@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.storage.unity.listing import PREFAB_PROVIDER, Listing
 from services.storage.unity.nouns import BASE_URL, Asset, Catalogue
 from services.storage.unity.plan import assets, locations
 from services.storage.unity.publication import catalogue_hash, file_names, publication
@@ -53,6 +54,23 @@ def test_every_change_shows_in_the_hash(form: int) -> None:
     hashes = {catalogue_hash(written(catalogue(each), form)) for each in (dress, *changed)}
     assert len(hashes) == 6
     assert all(len(each) == 32 for each in hashes)
+
+
+@every_form
+@settings(max_examples=20, deadline=None)
+@given(made=catalogues, later=st.integers(1, 9))
+def test_no_two_versions_of_an_asset_have_an_id_in_common(form: int, made: Catalogue, later: int) -> None:
+    """Addressables tells what it has loaded by internal id alone."""
+    newer = replace(made, assets=tuple(replace(each, version=each.version + later) for each in made.assets))
+    ids = [_ids(reader(form)(written(each, form))) for each in (made, newer)]
+    keys = {location.key for location in locations(made).locations if location.provider == PREFAB_PROVIDER.name}
+    assert ids[0].keys() == ids[1].keys()
+    assert all((ids[0][key] != ids[1][key]) == (key in keys) for key in ids[0])
+    assert all(len(set(each.values())) == len(each) for each in ids)
+
+
+def _ids(listing: Listing) -> dict[str, str]:
+    return {location.key: location.internal_id for location in listing.locations}
 
 
 @every_form
@@ -192,7 +210,7 @@ def as_meant(made: Catalogue) -> dict[str, list[dict[str, Any]]]:
             ]
         prefab = {
             "key": address,
-            "id": address,
+            "id": f"{address}@{each.version}",
             "provider": "Capture2vr.GlbPrefabProvider",
             "type": "UnityEngine.GameObject",
             "data": f'{{"version":{each.version}}}',

@@ -9,7 +9,7 @@ from base64 import b64decode
 import pytest
 
 from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.nouns import Catalogue
+from services.storage.unity.nouns import BASE_URL, Catalogue
 from tests.storage.unity_catalogues import asset, catalogue, written
 
 
@@ -41,7 +41,7 @@ def test_a_binary_location_follows_the_format(version: int) -> None:
 
     (finest,), (coarse,), (prefab,) = (struct.unpack("<I", block(data, place)) for place in pairs[1::2])
     key, internal_id, provider, dependencies, _, extra, kind = struct.unpack_from("<4Ii2I", data, prefab)
-    assert text(data, key) == text(data, internal_id) == "captures/é"
+    assert (text(data, key), text(data, internal_id)) == ("captures/é", "captures/é@1")
     assert text(data, provider) == "Capture2vr.GlbPrefabProvider"
     assert struct.unpack("<2I", block(data, dependencies)) == (finest, coarse)
     assert string_object(data, extra) == '{"version":1}'
@@ -122,6 +122,8 @@ def test_the_json_tables_byte_by_byte() -> None:
     assert entries[14:17] == [2, 1, 4]
     assert entries[17] != 0
     assert entries[18:] == [blobs["Extra"].index(b"\0\x0d\0\0\0{"), 2, 1]
+    files = [f"{BASE_URL}/{file.url}" for file in asset("a", levels=2).files]
+    assert document["m_InternalIds"] == [*files, "captures/a@1"]
     assert document["m_InternalIdPrefixes"] == []
     assert [each["m_ClassName"] for each in document["m_resourceTypes"]] == ["System.String", "UnityEngine.GameObject"]
 

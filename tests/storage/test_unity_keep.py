@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 
@@ -14,6 +15,7 @@ from services.storage.removal import remove, restore
 from services.storage.store import NO_CACHE
 from services.storage.unity.binary_reader import read_binary_catalogue
 from services.storage.unity.json_reader import read_json_catalogue
+from services.storage.unity.json_writer import json_catalogue
 from services.storage.unity.keep import keep
 from services.storage.unity.nouns import Asset
 from services.storage.unity.plan import assets
@@ -51,6 +53,20 @@ def test_what_is_published_is_listed_with_its_files(store: MemoryStore) -> None:
     ]
     publish(bundle("refined"), store, key="dress")
     assert listed(store)["dress"].version == 2
+
+
+def test_a_catalogue_whose_ids_have_no_versions_is_made_anew(store: MemoryStore) -> None:
+    """As it was written before: two versions of an asset had one id."""
+    publish(bundle("preview"), store, key="dress")
+    publish(bundle("preview"), store, key="chair")
+    first = file_names("default")[0].catalogue
+    old = read_json_catalogue(store.get(first))
+    plain = tuple(replace(each, internal_id=each.internal_id.partition("@")[0]) for each in old.locations)
+    store.put(first, json_catalogue(replace(old, locations=plain)), content_type="application/json")
+    publish(bundle("refined"), store, key="dress")
+    assert {key: asset.version for key, asset in listed(store).items()} == {"chair": 1, "dress": 2}
+    ids = [each.internal_id for each in read_json_catalogue(store.get(first)).locations]
+    assert {"captures/chair@1", "captures/dress@2"} <= set(ids)
 
 
 def test_a_removed_asset_is_left_out_until_it_is_restored(store: MemoryStore) -> None:

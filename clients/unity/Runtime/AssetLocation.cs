@@ -1,6 +1,5 @@
 using System;
 using System.Globalization;
-using System.Linq;
 using UnityEngine.ResourceManagement.ResourceLocations;
 
 namespace Capture2vr
@@ -34,20 +33,6 @@ namespace Capture2vr
             var digits = name.StartsWith(LodPrefix, StringComparison.Ordinal) ? name.Substring(LodPrefix.Length) : "";
             if (int.TryParse(digits, NumberStyles.None, CultureInfo.InvariantCulture, out var level)) return level;
             throw Invalid(location, "it is no level of detail");
-        }
-
-        /// <summary>
-        /// The same location under an id of its own for every version. Addressables hands out what it has loaded under an
-        /// id for as long as anybody holds it: with the id of the catalogue that would be the old version.
-        /// </summary>
-        public static IResourceLocation Versioned(IResourceLocation location)
-        {
-            var id = $"{location.InternalId}#{Version(location)}";
-            var dependencies = location.Dependencies?.ToArray() ?? new IResourceLocation[0];
-            return new ResourceLocationBase(location.PrimaryKey, id, location.ProviderId, location.ResourceType, dependencies)
-            {
-                Data = location.Data,
-            };
         }
 
         private static CaptureFault Invalid(IResourceLocation location, string reason)

@@ -129,7 +129,7 @@ namespace Capture2vr
         {
             try
             {
-                var location = AssetLocation.Versioned(await LocationAsync());
+                var location = await LocationAsync();
                 if (turn != _turn) return;
                 if (AssetLocation.Version(location) == atHand) _pause = followSeconds;
                 else await LoadAsync(turn, location);

@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label", "longest_m", "prepared")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label", "longest_m", "prepared", "collection")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -50,6 +50,7 @@ class Header(_message.Message):
     LABEL_FIELD_NUMBER: _ClassVar[int]
     LONGEST_M_FIELD_NUMBER: _ClassVar[int]
     PREPARED_FIELD_NUMBER: _ClassVar[int]
+    COLLECTION_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -60,7 +61,8 @@ class Header(_message.Message):
     label: str
     longest_m: float
     prepared: bool
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ...) -> None: ...
+    collection: str
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ...) -> None: ...
 
 class Data(_message.Message):
     __slots__ = ("offset", "data")
@@ -122,16 +124,18 @@ class Heartbeat(_message.Message):
     def __init__(self) -> None: ...
 
 class Published(_message.Message):
-    __slots__ = ("asset_key", "version", "state", "manifest")
+    __slots__ = ("asset_key", "version", "state", "manifest", "collection")
     ASSET_KEY_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     MANIFEST_FIELD_NUMBER: _ClassVar[int]
+    COLLECTION_FIELD_NUMBER: _ClassVar[int]
     asset_key: str
     version: int
     state: str
     manifest: str
-    def __init__(self, asset_key: _Optional[str] = ..., version: _Optional[int] = ..., state: _Optional[str] = ..., manifest: _Optional[str] = ...) -> None: ...
+    collection: str
+    def __init__(self, asset_key: _Optional[str] = ..., version: _Optional[int] = ..., state: _Optional[str] = ..., manifest: _Optional[str] = ..., collection: _Optional[str] = ...) -> None: ...
 
 class Failure(_message.Message):
     __slots__ = ("code", "message", "file", "hints", "retryable", "stage")

@@ -35,6 +35,7 @@ class Order:
     target: str = ""
     isolate: bool | None = None  # None: where photos were taken around one thing
     longest_m: float | None = None  # between the farthest points of the thing, where the person knows it
+    collection: str = ""  # where the asset is listed; "": wherever the worker lists what nobody named one for
 
 
 @dataclass(frozen=True, slots=True)

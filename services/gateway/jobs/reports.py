@@ -34,13 +34,14 @@ class Beat:
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A version of the asset is on the store; `state` is preview or refined."""
+    """A version of the asset is on the store; `state` is preview or refined, `collection` where it is listed."""
 
     seq: int
     key: str
     version: int
     state: str
     manifest: str
+    collection: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,11 @@ def capture_name(capture: str) -> str:
     return f"captures/{capture}.zip"
 
 
+def receipt_name(capture: str) -> str:
+    """Object name of what the client was told of a capture."""
+    return f"captures/{capture}.json"
+
+
 async def capture_bytes(store: Store, capture: str) -> int:
     """Size of a capture's archive. Raises FileNotFoundError, ValueError for an impossible id, OSError."""
     return (await asyncio.to_thread(store.head, capture_name(capture))).size

@@ -139,6 +139,7 @@ def _taken_in(job: Job, report: Report, now: float, retry: Retry) -> Change:
                 "version": report.version,
                 "state": report.state,
                 "manifest": report.manifest,
+                "collection": report.collection,
             }
             if asset in (job.preview, job.asset):  # a run that began anew finds what the one before it published
                 return Change(job)
@@ -179,7 +180,7 @@ def _given_up(job: Job, why: Problem, now: float) -> Change:
 
 def problem_of(failure: Failed) -> Problem:
     """The problem document of a failed run: a capture at fault is the client's to mend, the rest is ours."""
-    status = 422 if failure.code.startswith(("CAPTURE_", "ARCHIVE_", "IMAGE_", "PRESET_", "BUDGET_")) else 500
+    status = 422 if failure.code.startswith(("CAPTURE_", "ARCHIVE_", "IMAGE_", "PRESET_", "BUDGET_", "KEY_")) else 500
     return Problem(
         status,
         failure.code,

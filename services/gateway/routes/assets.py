@@ -14,6 +14,7 @@ from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
 from services.gateway.errors import Problem
+from services.gateway.jobs.place import require_collection
 from services.gateway.routes.objects import ANYBODY, home_of, in_thread, store_of, url_of
 from services.gateway.routes.ranges import matches
 from services.gateway.schemas import problems
@@ -27,16 +28,21 @@ router = APIRouter(prefix="/v1", tags=["assets"])
 _QR_SCALE, _QR_BORDER = 8, 4  # pixels per module; the quiet zone that ISO/IEC 18004 asks for
 
 Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
+Of = Annotated[str, Query(max_length=200, description="Only if the asset is in this collection; empty: wherever.")]
 
 
 class AssetSummary(BaseModel):
-    """One asset in a list; `preview` is the address of a picture, `self` that of the whole entry."""
+    """One asset in a list; `preview` is the address of a picture, `self` that of the whole entry.
+
+    `collections` are where it is listed.
+    """
 
     key: str
     version: int
     state: str
     updated: str
     label: str
+    collections: list[str]
     preview: str
     self: str
     view: str
@@ -113,15 +119,15 @@ async def qr(key: Key, request: Request) -> Response:
 
 
 @router.post("/assets/{key}/remove", response_model=AssetMark, responses=problems(404, 422, 503))
-async def take_away(key: Key, request: Request) -> AssetMark:
+async def take_away(key: Key, request: Request, collection: Of = "") -> AssetMark:
     """Take an asset out of sight. Its files stay: a restoration or a new version brings it back."""
-    return await _marked(request, key, remove)
+    return await _marked(request, key, remove, collection)
 
 
 @router.post("/assets/{key}/restore", response_model=AssetMark, responses=problems(404, 422, 503))
-async def bring_back(key: Key, request: Request) -> AssetMark:
+async def bring_back(key: Key, request: Request, collection: Of = "") -> AssetMark:
     """Bring a removed asset back as it was."""
-    return await _marked(request, key, restore)
+    return await _marked(request, key, restore, collection)
 
 
 async def _entry(request: Request, key: str) -> Entry:
@@ -138,10 +144,12 @@ async def _entry(request: Request, key: str) -> Entry:
     return found
 
 
-async def _marked(request: Request, key: str, mark: Callable[[Store, str, Keys], Entry]) -> AssetMark:
+async def _marked(request: Request, key: str, mark: Callable[[Store, str, Keys], Entry], collection: str) -> AssetMark:
     _check_key(key)
     store, keys = store_of(request), request.app.state.keys
     try:
+        if collection:
+            _require_in(await in_thread(lambda: entry(store, key)), collection)
         found = await in_thread(lambda: mark(store, key, keys))
     except FileNotFoundError:
         raise _unknown(key) from None
@@ -152,6 +160,14 @@ def _check_key(key: str) -> None:
     if not valid_key(key):
         detail = "an asset key has 1 to 100 letters, digits and ._- and begins with no sign"
         raise Problem(422, "KEY_INVALID", detail, hints=("check the address",))
+
+
+def _require_in(found: Entry, collection: str) -> None:
+    """That it is the caller's own asset, not one of the same key elsewhere. Raises Problem."""
+    require_collection(collection, "name another in `collection`, or none")
+    if collection not in found.collections:
+        detail = f"there is no asset {found.key} in collection {collection}"
+        raise Problem(404, "ASSET_UNKNOWN", detail, hints=(f"it is in: {', '.join(found.collections)}",))
 
 
 def _unknown(key: str) -> Problem:
@@ -176,6 +192,7 @@ def _summary(request: Request, found: Entry) -> AssetSummary:
         state=found.state,
         updated=found.document["updated"],
         label=found.document["label"] or found.key,
+        collections=found.collections,
         preview=url_of(request, preview["name"]) if preview else "",
         self=f"/v1/assets/{found.key}",
         view=f"/view/{found.key}",

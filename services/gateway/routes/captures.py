@@ -22,13 +22,17 @@ class FileVerdict(BaseModel):
 
 
 class CaptureView(BaseModel):
-    """A stored capture. `inspected` tells whether a worker has read it; otherwise kind and format are not known yet."""
+    """A stored capture. `inspected` tells whether a worker has read it; otherwise kind and format are not known yet.
+
+    `collection` is what the upload named, for jobs that name none.
+    """
 
     model_config = ConfigDict(
         json_schema_extra={
             "example": {
                 "capture": "cap_019b2f7c8a3e5b2d4c681f0a9b8c",
                 "name": "Dress",
+                "collection": "",
                 "created": "2026-01-01T00:00:00Z",
                 "bytes": 123456,
                 "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
@@ -47,6 +51,7 @@ class CaptureView(BaseModel):
 
     capture: str
     name: str
+    collection: str
     created: str
     bytes: int
     sha256: str
@@ -64,6 +69,7 @@ _FORM = {
     "properties": {
         "files": {"type": "array", "items": {"type": "string", "format": "binary"}},
         "name": {"type": "string", "maxLength": 200},
+        "collection": {"type": "string", "maxLength": 100},
     },
     "required": ["files"],
 }

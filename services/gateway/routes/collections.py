@@ -9,29 +9,29 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from itertools import chain, islice
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel
 
 from services.gateway.errors import Problem
+from services.gateway.jobs.place import require_collection
 from services.gateway.routes.objects import ANYBODY, in_thread, store_of, url_of
 from services.gateway.routes.ranges import matches
 from services.gateway.schemas import problems
 from services.storage.catalogue import valid_key
-from services.storage.collection import Index, Row, Shard, index_name, load_shard, opened, read_index
-from services.storage.faults import SHARD_MISSING, CatalogueFault
+from services.storage.collection import Index, Row, index_name, load_shard, opened, read_index
+from services.storage.reading import Rows, again_if_moved, row_in
 from services.storage.store import NO_CACHE, Store
 
 router = APIRouter(prefix="/v1", tags=["collections"])
 
 _KEPT_SHARDS = 64  # parsed, by content, 0.7 MB each at most: every search walks all shards of its collection
-_TRIES = 3  # a shard goes once 32 newer ones have come; the index of that moment knows another
 
-Rows = Callable[[Shard], tuple[Row, ...]]
-"""The rows of a shard."""
+_T = TypeVar("_T")
 
 Name = Annotated[str, Path(max_length=200, description="The collection's name; `default` where nobody named another.")]
+Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
 
 
 class RowView(BaseModel):
@@ -59,6 +59,15 @@ class RowPage(BaseModel):
     next: str | None
 
 
+class PlaceView(BaseModel):
+    """An asset's place in a collection; `version` is the collection's, `shard` the object that lists the asset."""
+
+    collection: str
+    version: int
+    shard: str
+    asset: RowView
+
+
 class KeyView(BaseModel):
     """A public key: its id, and its 32 raw bytes as base64."""
 
@@ -80,7 +89,7 @@ def kept_rows(store: Store) -> Rows:
 @router.get("/collections/{name}", responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)})
 async def envelope(name: Name, request: Request) -> Response:
     """The signed index as it stands on the store, and `base`, below which its objects are; 304 under a known ETag."""
-    _check_name(name)
+    require_collection(name, "check the address")
     store = store_of(request)
     try:
         text, signatures = await in_thread(lambda: opened(store.get(index_name(name)), name))
@@ -107,21 +116,37 @@ async def search(
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
 ) -> RowPage:
     """The assets of a collection, without those that were removed."""
-    _check_name(name)
+    require_collection(name, "check the address")
     if after and not valid_key(after):
         raise Problem(422, "KEY_INVALID", "`after` is no asset key", hints=("use the `next` of the page before",))
-    store, believed, rows_of = store_of(request), request.app.state.keys.believed, request.app.state.rows_of
+    rows_of: Rows = request.app.state.rows_of
 
-    def index() -> Index:
-        return read_index(store.get(index_name(name)), name, believed)
+    def matching(index: Index) -> tuple[int, list[Row]]:
+        return index.version, _matching(index, rows_of, label, after, limit)
 
-    try:
-        version, rows = await in_thread(lambda: _found(index, rows_of, label, after, limit))
-    except FileNotFoundError:
-        raise _unknown(name) from None
+    version, rows = await _read(request, name, matching)
     last = rows[-1].key if len(rows) == limit else None
     views = [_view(request, row) for row in rows]
     return RowPage(collection=name, version=version, assets=views, next=last)
+
+
+@router.get("/collections/{name}/assets/{key}", response_model=PlaceView, responses=problems(404, 410, 422, 503))
+async def place(name: Name, key: Key, request: Request) -> PlaceView:
+    """One asset of a collection, and where the collection lists it."""
+    require_collection(name, "check the address")
+    if not valid_key(key):
+        raise Problem(422, "KEY_INVALID", "this is no asset key", hints=("check the address",))
+    rows_of: Rows = request.app.state.rows_of
+
+    version, found = await _read(request, name, lambda index: (index.version, row_in(index, key, rows_of)))
+    if found is None:
+        raise Problem(404, "ASSET_UNKNOWN", f"there is no asset {key} in collection {name}", hints=("check the key",))
+    shard, row = found
+    if row.removed:
+        hints = (f"POST /v1/assets/{key}/restore brings it back",)
+        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANYBODY))
+    asset = _view(request, row)
+    return PlaceView(collection=name, version=version, shard=url_of(request, shard.name), asset=asset)
 
 
 @router.get("/keys", response_model=KeyPage)
@@ -131,19 +156,24 @@ async def public_keys(request: Request) -> KeyPage:
     return KeyPage(keys=[KeyView(key=each.id, ed25519=base64.b64encode(each.raw).decode()) for each in believed])
 
 
-def _found(index: Callable[[], Index], rows: Rows, label: str, after: str, limit: int) -> tuple[int, list[Row]]:
-    """The version of the collection, and at most `limit` rows behind `after` that match."""
-    for left in reversed(range(_TRIES)):
-        present = index()
-        shards = (shard for shard in present.shards if shard.last > after)
-        try:
-            behind = (row for row in chain.from_iterable(map(rows, shards)) if row.key > after)
-            matching = (row for row in behind if not row.removed and row.matches(label))
-            return present.version, list(islice(matching, limit))
-        except CatalogueFault as fault:
-            if fault.code != SHARD_MISSING or not left:
-                raise
-    raise AssertionError("the last try returns or raises")
+async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:
+    """What `take` reads of a collection. Raises Problem COLLECTION_UNKNOWN, and those of `in_thread`."""
+    store, believed = store_of(request), request.app.state.keys.believed
+
+    def attempt() -> _T:
+        return take(read_index(store.get(index_name(name)), name, believed))
+
+    try:
+        return await in_thread(lambda: again_if_moved(attempt))
+    except FileNotFoundError:
+        raise _unknown(name) from None
+
+
+def _matching(index: Index, rows: Rows, label: str, after: str, limit: int) -> list[Row]:
+    """At most `limit` rows behind `after` that match."""
+    shards = (shard for shard in index.shards if shard.last > after)
+    behind = (row for row in chain.from_iterable(map(rows, shards)) if row.key > after)
+    return list(islice((row for row in behind if not row.removed and row.matches(label)), limit))
 
 
 def _view(request: Request, row: Row) -> RowView:
@@ -164,12 +194,6 @@ def _view(request: Request, row: Row) -> RowView:
 
 def _base(request: Request) -> str:
     return url_of(request, "x").removesuffix("x")
-
-
-def _check_name(name: str) -> None:
-    if not valid_key(name):
-        detail = "a collection's name has 1 to 100 letters, digits and ._- and begins with no sign"
-        raise Problem(422, "COLLECTION_INVALID", detail, hints=("check the address",))
 
 
 def _unknown(name: str) -> Problem:

@@ -15,11 +15,13 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from services.gateway.errors import Problem
 from services.gateway.jobs.desk import Desk
-from services.gateway.jobs.job import Event, Job
+from services.gateway.jobs.job import Event, Job, Order
+from services.gateway.jobs.place import collection_for
 from services.gateway.jobs.source import capture_bytes
 from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.jobs.transitions import cancel_requested
 from services.gateway.metrics import Metrics
+from services.gateway.routes.objects import in_thread, store_of
 from services.gateway.schemas import JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.workers import Preset
 from services.storage.catalogue import valid_key
@@ -49,8 +51,8 @@ async def create(
     body_sha256 = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
     job = await desk.read(JobStore.by_key, idempotency_key, body_sha256)
     if job is None:
-        preset = await _checked(body, request)
-        job = await desk.write(JobStore.create, body.order(preset), key=idempotency_key, body_sha256=body_sha256)
+        order = await _checked(body, request)
+        job = await desk.write(JobStore.create, order, key=idempotency_key, body_sha256=body_sha256)
         request.app.state.dispatcher.wake()
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return JobView.of(job, time.time())
@@ -174,8 +176,8 @@ def _heartbeat(job: Job) -> ServerSentEvent:
     return ServerSentEvent(json.dumps(data), event="heartbeat")
 
 
-async def _checked(body: JobRequest, request: Request) -> str:
-    """The preset to use. Raises Problem for what cannot become a job."""
+async def _checked(body: JobRequest, request: Request) -> Order:
+    """The job's order. Raises Problem for what cannot become a job."""
     if not valid_key(body.asset_key):
         raise Problem(
             422,
@@ -184,8 +186,9 @@ async def _checked(body: JobRequest, request: Request) -> str:
             hints=("put names for people into label",),
         )
     preset = await _known_preset(body.preset, request)
+    store = store_of(request)
     try:
-        await capture_bytes(request.app.state.store, body.capture)
+        await capture_bytes(store, body.capture)
     except (FileNotFoundError, ValueError):
         raise Problem(
             404,
@@ -195,7 +198,8 @@ async def _checked(body: JobRequest, request: Request) -> str:
         ) from None
     except OSError as error:
         raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
-    return preset
+    asked = partial(collection_for, named=body.collection, capture=body.capture, key=body.asset_key)
+    return body.order(preset, await in_thread(lambda: asked(store)))
 
 
 async def _known_preset(preset: str, request: Request) -> str:

@@ -22,7 +22,8 @@ from starlette.requests import Request
 
 from services.gateway.edge import EdgePool, Inspection
 from services.gateway.errors import Problem
-from services.gateway.jobs.source import capture_name
+from services.gateway.jobs.place import require_collection
+from services.gateway.jobs.source import capture_name, receipt_name
 from services.gateway.settings import GatewaySettings
 from services.gateway.uploads.receive import Received, UploadLimits, receive, too_many_files
 from services.gateway.uploads.validate import Verdict, validate
@@ -46,6 +47,7 @@ class _Checked:
     archive: Path
     sha256: str
     name: str
+    collection: str
     verdicts: Sequence[Verdict]
 
 
@@ -97,7 +99,7 @@ class Uploads:
         name = capture_name(capture)
         try:
             await self._write(lambda: self._put(name, checked.archive, "application/zip"))
-            await self._write(lambda: self._put(_receipt_name(capture), _encoded(receipt), "application/json"))
+            await self._write(lambda: self._put(receipt_name(capture), _encoded(receipt), "application/json"))
         except BaseException:
             await asyncio.shield(asyncio.to_thread(self._remove, capture))
             raise
@@ -112,7 +114,7 @@ class Uploads:
             raise Problem(503, "STORE_UNAVAILABLE", "the capture could not be stored", retryable=True) from error
 
     def _remove(self, capture: str) -> None:
-        for name in (capture_name(capture), _receipt_name(capture)):
+        for name in (capture_name(capture), receipt_name(capture)):
             try:
                 self._store.delete(name)
             except OSError:
@@ -129,6 +131,8 @@ def _checked(received: Received, folder: Path, limits: UploadLimits) -> _Checked
     """Unpack if need be, validate and clean every file, pack. Raises Problem."""
     if not received.files:
         raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose some files",))
+    if collection := received.fields.get("collection", ""):
+        require_collection(collection, "name another in the field `collection`, or none")
     source, names = received.folder, received.files
     if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
         blamed = names[0] if received.named else ""
@@ -138,7 +142,7 @@ def _checked(received: Received, folder: Path, limits: UploadLimits) -> _Checked
     pack(source, archive)
     with archive.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return _Checked(archive, sha256, received.fields.get("name", "")[:200], verdicts)
+    return _Checked(archive, sha256, received.fields.get("name", "")[:200], collection, verdicts)
 
 
 def _unpacked(archive: Path, into: Path, limits: UploadLimits, blamed: str) -> list[str]:
@@ -161,6 +165,7 @@ def _receipt(capture: str, checked: _Checked, inspection: Inspection | None) -> 
     return {
         "capture": capture,
         "name": checked.name,
+        "collection": checked.collection,
         "created": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
         "bytes": checked.archive.stat().st_size,
         "sha256": checked.sha256,
@@ -172,10 +177,6 @@ def _receipt(capture: str, checked: _Checked, inspection: Inspection | None) -> 
         "warnings": list(facts.warnings),
         "files": [verdict.document() for verdict in checked.verdicts],
     }
-
-
-def _receipt_name(capture: str) -> str:
-    return f"captures/{capture}.json"
 
 
 def _encoded(receipt: dict[str, Any]) -> bytes:

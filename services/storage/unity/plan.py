@@ -60,7 +60,9 @@ def _file_location(asset: Asset, file: LodFile, base_url: str) -> Location:
 def _prefab_location(asset: Asset, files: range) -> Location:
     key = f"{_PREFIX}{asset.key}"
     data = f'{{"version":{asset.version}}}'
-    return Location(key, key, PREFAB_PROVIDER.name, GAME_OBJECT, data, tuple(files))
+    # Addressables hands out what it has loaded under an id for as long as anybody holds it. So each version has its
+    # own; files have theirs by the hash in their names.
+    return Location(key, f"{key}@{asset.version}", PREFAB_PROVIDER.name, GAME_OBJECT, data, tuple(files))
 
 
 def _primary_keys(found: Sequence[Location]) -> dict[str, tuple[int, ...]]:

@@ -300,6 +300,24 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task TheKeyGivesTheNewVersionWhileTheOldOneIsHeld()
+    {
+        await Restart("v1");
+        await Open();
+        var old = await Load();
+        var before = await Location(Bowl);
+        await Facts.Ask("turn/v2");
+        await Catalogue.UpdateAsync();
+        var fresh = await Load();
+        Expect.Equal(1, old.Result.GetComponent<CapturedInfo>().Version);
+        Expect.Equal(2, fresh.Result.GetComponent<CapturedInfo>().Version);
+        Expect.Lines(new[] { Bowl + "@1", Bowl + "@2" }, new[] { before.InternalId, (await Location(Bowl)).InternalId });
+        Expect.Equal(before.PrimaryKey, (await Location(Bowl)).PrimaryKey);
+        Addressables.Release(old);
+        Addressables.Release(fresh);
+        NothingIsLeft();
+    }
+
     public static async Task WhatIsShownStaysWhenTheNewVersionIsDamaged()
     {
         await Open();

@@ -1,0 +1,16 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+DEFAULT_GATEWAY = "http://127.0.0.1:8080"
+
+Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
+Collection = Annotated[str, typer.Option("--collection", help="Which collection.", envvar="STORAGE_COLLECTION")]
+Trusted = Annotated[
+    list[Path] | None, typer.Option(help="Public key (PEM) to believe; may be repeated. Else STORAGE_TRUSTED_KEYS.")
+]
