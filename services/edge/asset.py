@@ -55,6 +55,7 @@ class Subject:
 
     preset     as named, or as chosen from the points: then `because` says why
     points     those that the field is fitted to; xyz_unit (N,3) the same, denoised, in the unit frame
+    colours    all points of the capture, for textures: more of them than a field needs
     target     the device class that it is made for
     evidence   what its surfaces are judged by
     """
@@ -65,6 +66,7 @@ class Subject:
     label: str
     target: Target
     points: Points
+    colours: Points
     unit: UnitFrame
     xyz_unit: Floats
     evidence: Evidence

@@ -59,6 +59,7 @@ class Fitter:
         publishing = 0.0
         warnings: Sequence[str] = ()
         computing: Mapping[str, float] = {}
+        has_room = False
         # In this order: a training that is given up lets go of its memory before another job hears that it is free.
         with ExitStack() as held, closing(steps):
             for step in steps:
@@ -70,7 +71,8 @@ class Fitter:
                         say(_published(self._published(step, request), request.collection))
                         publishing += time.perf_counter() - began
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
-                        if step.state == "preview":  # what the fit behind it takes is known only now
+                        # What the fit behind a preview takes is known only now; behind the fit it comes once more.
+                        if step.state == "preview" and not has_room:
                             too_large = self._too_large(step.manifest)
                             if too_large and request.preset == AUTOMATIC:
                                 warnings = (*warnings, f"the preview was kept: {too_large.message}")
@@ -78,6 +80,7 @@ class Fitter:
                             if too_large:
                                 raise too_large
                             held.enter_context(self._room_for(step.manifest, say))
+                            has_room = True
                     case PreviewKept():
                         warnings, computing = (*warnings, step.warning), step.seconds
         return pb.Finished(warnings=warnings, seconds={"PUBLISHING": publishing, **computing})

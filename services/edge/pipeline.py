@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from services.edge.arrays import Bools, DistanceFn, Floats, Tick
+from services.edge.appearance import levels_of, packed, pictures_of, textured
+from services.edge.arrays import Bools, DistanceFn, Floats
 from services.edge.asset import Subject, Surface, asset_frame, manifest_of
 from services.edge.capture.nouns import Capture
 from services.edge.certificate import Evidence, certify, compare, hold_out
@@ -22,9 +23,8 @@ from services.edge.errors import EdgeError
 from services.edge.field.denoise import denoise
 from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
-from services.edge.mesh import Mesh, carry_colours, clean, extract, lods, ply_bytes, render_sheet, to_glb
+from services.edge.mesh import Mesh, carry_colours, clean, extract, ply_bytes
 from services.edge.mesh.band import part_of
-from services.edge.mesh.glb import best_packing
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.points import Points, at_most, unit_frame
 from services.edge.prepare import PREVIEW_SHARE, prepare, preview_share
@@ -37,15 +37,16 @@ from services.storage.bundle import Bundle, State
 
 # Where each stage of a pass begins on its part of the bar: the preview's, whose local field is there at once, and the
 # refined one's, whose training takes most of its time.
-PREVIEW_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.2, "TEXTURING": 0.67, "PACKING": 0.73, "PUBLISHING": 0.93}
-REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.92, "PACKING": 0.94, "PUBLISHING": 0.99}
+PREVIEW_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.2, "TEXTURING": 0.67, "PACKING": 0.81, "PUBLISHING": 0.93}
+REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.90, "PACKING": 0.97, "PUBLISHING": 0.99}
 PREVIEW_FINEST = 192  # cells of a preview that is followed: it is to be there within seconds
+LODS_SHARE = 0.3  # of the time that colours take where the levels get textures
 EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
 
 @dataclass(frozen=True, slots=True)
 class PreviewKept:
-    """The training brought nothing better: the preview stays what it is, and `warning` says why.
+    """The training brought nothing better: the preview's surface stays what it is, and `warning` says why.
 
     quality  the figures of the refused surface, with the verdict; None where there was no surface
     """
@@ -121,12 +122,12 @@ def bundles(
         xyz_unit = denoise(measured, noise, tick=bar.inside("FITTING"))
         distance = local_field(xyz_unit, tick=bar.inside("FITTING"))
     evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held == 1]))
-    subject = Subject(prepared.source, preset, because, label, target, shown, unit, xyz_unit, evidence)
+    subject = Subject(prepared.source, preset, because, label, target, shown, points, unit, xyz_unit, evidence)
 
     finest = min(preset.finest, PREVIEW_FINEST) if preset.fit else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
-    yield from _bundle(preview.mesh_unit, subject, "preview", quality, (), clock, bar)
+    yield from _bundle(preview.mesh_unit, subject, "preview", quality, (), clock, bar, last=preset.fit is None)
     if preset.fit:
         bar.covers(REFINED_STARTS, share, 1.0)
         seen, weighed = (xyz_unit, None) if preset.denoised else (measured, noise)
@@ -140,11 +141,17 @@ def _refinement(
     training: Training, subject: Subject, preview: Surface, before: Mapping[str, Any], clock: Clock, bar: Bar
 ) -> Iterator[Progress | Bundle | PreviewKept]:
     """Train, mesh and judge. Whatever goes wrong with that, the preview has been published."""
+
+    def kept(why: str, quality: Mapping[str, Any] | None = None) -> Iterator[Progress | Bundle | PreviewKept]:
+        """As nothing better follows, the preview once more, with all that the last bundle has."""
+        yield from _bundle(preview.mesh_unit, subject, "preview", before, (), clock, bar, last=True)
+        yield PreviewKept(why, quality, dict(clock.seconds))
+
     try:
         trained = yield from train(training, clock, bar)
         made = yield from _surface(trained.distance, trained.near, subject, subject.preset.finest, clock, bar)
     except EdgeError as error:
-        yield PreviewKept(_kept(error.message, error.hints), None, dict(clock.seconds))
+        yield from kept(_kept(error.message, error.hints))
         return
     except MemoryError:
         yield PreviewKept(_kept("the memory does not hold it", ("name a coarser preset",)), None, dict(clock.seconds))
@@ -158,12 +165,12 @@ def _refinement(
         "preview": before,
     }
     if verdict.outcome == "worse":
-        yield PreviewKept(_kept(verdict.because, trained.warnings), quality, dict(clock.seconds))
+        yield from kept(_kept(verdict.because, trained.warnings), quality)
         return
     warnings = trained.warnings
     if verdict.outcome == "even":
         warnings += (f"training shows no gain over the preview: {verdict.because}",)
-    yield from _bundle(made.mesh_unit, subject, "refined", quality, warnings, clock, bar)
+    yield from _bundle(made.mesh_unit, subject, "refined", quality, warnings, clock, bar, last=True)
 
 
 def _surface(
@@ -196,23 +203,30 @@ def _bundle(
     warnings: tuple[str, ...],
     clock: Clock,
     bar: Bar,
+    *,
+    last: bool,
 ) -> Iterator[Progress | Bundle]:
-    """Colour a mesh and pack it with its levels of detail, its picture and its manifest."""
+    """Colour a mesh and pack it with its levels of detail, its picture and its manifest.
+
+    last  whether nothing better follows: then it gets textures, a turning preview and the file for iOS, for which
+          nobody waits who wants a first look
+    """
     points = subject.points
     yield bar.starts("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
     with clock("TEXTURING"):
+        tick = bar.inside("TEXTURING")
         if points.rgb is not None:
             mesh_unit = carry_colours(mesh_unit, subject.xyz_unit, points.rgb)
-    yield bar.starts("PACKING", "levels of detail")
-    with clock("PACKING"):
         full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
         to_asset = asset_frame(full.vertices, points)
+        levels = levels_of(full, to_asset, subject, part_of(tick, 0, LODS_SHARE if last else 1))
+        shown, told = textured(levels, to_asset, subject, part_of(tick, LODS_SHARE, 1)) if last else (levels, ())
+    yield bar.starts("PACKING", "files and pictures")
+    with clock("PACKING"):
         tick = bar.inside("PACKING")
-        levels = _levels(full, to_asset, subject, part_of(tick, 0, 0.4))
-        packing = subject.target.packing or best_packing()
-        files = {f"lod{level}.glb": to_glb(mesh, packing) for level, mesh in enumerate(levels)}
+        files = {f"lod{level}.glb": packed(asset, subject.target) for level, asset in enumerate(shown)}
         costs = [cost_of(glb) for glb in files.values()]
-        files["preview.png"] = render_sheet(levels[0], tick=part_of(tick, 0.5, 0.9))
+        files |= pictures_of(shown, last=last, tick=tick)
         files["mesh.ply"] = ply_bytes(full)
     manifest = manifest_of(
         subject,
@@ -221,7 +235,7 @@ def _bundle(
         finest=levels[0],
         to_asset=to_asset,
         seconds=clock.seconds,
-        warnings=warnings,
+        warnings=(*warnings, *told),
     )
     if state == "refined":
         require_within(subject.target, costs)
@@ -229,13 +243,6 @@ def _bundle(
     yield bar.starts("PUBLISHING", f"publishing the {state}")
     yield Bundle(state=state, files=files, manifest=manifest)
     require_within(subject.target, costs)  # a preview is kept whatever it costs: better than nothing to look at
-
-
-def _levels(full: Mesh, to_asset: Floats, subject: Subject, tick: Tick) -> tuple[Mesh, ...]:
-    """The LODs in the asset frame, finest first."""
-    vertices = full.vertices @ to_asset[:3, :3].T + to_asset[:3, 3]
-    budgets = subject.target.lod_faces or subject.preset.lod_faces
-    return lods(replace(full, vertices=vertices), budgets, tick=tick)
 
 
 def _settled(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:

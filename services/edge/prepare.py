@@ -6,7 +6,7 @@ from collections.abc import Generator
 from dataclasses import replace
 
 from services.edge.capture.nouns import Capture, CaptureKind
-from services.edge.photos import to_depth
+from services.edge.photos import finer, to_depth
 from services.edge.points import Points, to_points, with_longest
 from services.edge.prepared import Prepared, Source
 from services.edge.progress import Bar, Clock, Progress
@@ -54,6 +54,7 @@ def prepare(
     with clock("POINT_CLOUD"):
         points = _points(capture, isolate, bar)
         points = with_longest(points, longest_m) if longest_m else points
+        points = replace(points, shots=tuple(replace(shot, load_rgb=finer(shot.load_rgb)) for shot in points.shots))
     bar.at("POINT_CLOUD", 1.0)
     return Prepared(points, source, clock.seconds)
 

@@ -11,6 +11,8 @@ import json
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
 
 from services.edge.errors import EdgeError
 from services.edge.mesh.glb import Packing
@@ -26,8 +28,9 @@ class Target:
     lod_faces        most triangles of each level, finest first; () leaves them to the preset
     last_bytes       most bytes of the coarsest level's file
     unpacked_bytes   most bytes of a level on the device: vertices, indices and textures with their mips
-    texture_px       longest side of a texture
+    texture_px       longest side of a texture; 0: colours stay at the vertices
     packing          of the files; None: the smallest that can be written
+    unlit            whether colours are shown as they were captured, rather than in the light of the scene
     """
 
     name: str
@@ -37,6 +40,7 @@ class Target:
     unpacked_bytes: int = 0
     texture_px: int = 2048
     packing: Packing | None = None
+    unlit: bool = False
 
 
 NO_TARGET = Target("", "the preset's levels, nothing proved")
@@ -46,7 +50,7 @@ TARGETS = {
         Target("quest3", "Meta Quest 3 and its like", (100_000, 25_000, 5_000), 300_000, 40 * _MIB),
         Target("quest2", "Meta Quest 2 and its like", (50_000, 12_500, 2_500), 300_000, 20 * _MIB, 1024),
         Target("web", "phones and laptops, in a page", (100_000, 25_000, 5_000), 150_000, 40 * _MIB, 1024),
-        Target("archive", "other programs: every triangle, as floats", (_ALL, 100_000, 25_000), packing="float"),
+        Target("archive", "other programs: every triangle, as floats", (_ALL, 100_000, 25_000), 0, 0, 0, "float"),
     )
 }
 
@@ -79,6 +83,7 @@ def cost_of(glb: bytes) -> Cost:
     document = json.loads(glb[20 : 20 + length])
     primitives = [primitive for mesh in document["meshes"] for primitive in mesh["primitives"]]
     counts = [accessor["count"] for accessor in document["accessors"]]
+    binary = glb[28 + length :]
     geometry = sum(view["byteLength"] for view in document["bufferViews"] if "target" in view)
     return Cost(
         triangles=sum(counts[each["indices"]] for each in primitives) // 3,
@@ -86,8 +91,23 @@ def cost_of(glb: bytes) -> Cost:
         draw_calls=len(primitives),
         bytes=len(glb),
         unpacked_bytes=geometry,
-        texture_bytes=0,
+        texture_bytes=sum(_texture_bytes(document, image, binary) for image in document.get("images", [])),
     )
+
+
+def _texture_bytes(document: dict[str, Any], image: dict[str, Any], binary: bytes) -> int:
+    """Four bytes a texel, whatever the file holds, and a third more for the mips."""
+    from PIL import Image
+
+    view = document["bufferViews"][image["bufferView"]]
+    start = view.get("byteOffset", 0)
+    with Image.open(BytesIO(binary[start : start + view["byteLength"]])) as picture:
+        width, height = picture.size
+    texels = width * height
+    while width > 1 or height > 1:
+        width, height = max(width // 2, 1), max(height // 2, 1)
+        texels += width * height
+    return 4 * texels
 
 
 def require_within(target: Target, levels: Sequence[Cost]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 _TYPES = {5126: "<f4", 5120: "i1", 5123: "<u2", 5125: "<u4"}
-_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 @dataclass
@@ -54,6 +54,19 @@ class Glb:
         (node,) = self.document["nodes"]
         scale, translation = node.get("scale", [1, 1, 1]), node.get("translation", [0, 0, 0])
         return self.attribute("POSITION") * np.array(scale, float) + np.array(translation, float)
+
+    @property
+    def uv(self) -> np.ndarray[Any, Any]:
+        """(V,2) in [0,1]: whole numbers are normalised."""
+        uv = self.attribute("TEXCOORD_0")
+        return uv / 65535 if uv.dtype == np.uint16 else uv
+
+    @property
+    def image(self) -> bytes:
+        """The file of the only picture."""
+        (image,) = self.document["images"]
+        view = self.document["bufferViews"][image["bufferView"]]
+        return self.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
 
     @property
     def normals(self) -> np.ndarray[Any, Any]:

@@ -173,7 +173,7 @@ async def test_a_preset_that_only_central_has_trains_there(
     assert events[-1].HasField("finished"), events[-1]
     states = [event.published.state for event in events if event.HasField("published")]
     kept = [warning for warning in events[-1].finished.warnings if "preview was kept" in warning]
-    assert states == (["preview"] if kept else ["preview", "refined"])
+    assert states == ["preview", "preview" if kept else "refined"]
     assert json.loads(store.get(entry(store, "dome").manifest))["preset"] == "brief"
     fractions = [event.progress.fraction for event in events if event.HasField("progress")]
     assert fractions == sorted(fractions)

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.mesh import Mesh, to_glb
+from services.edge.mesh import Mesh, Textured, to_glb
+from services.edge.mesh.bake import jpeg_of
 from services.edge.mesh.glb import Packing
 from services.edge.mesh.meshopt import available
 from services.edge.mesh.normals import split_flips, vertex_normals
@@ -57,6 +58,15 @@ KINDS = {
 }
 
 
+def textured(mesh: Mesh, seed: int = 0) -> Textured:
+    """With every triangle for itself, anywhere in a picture of noise."""
+    rng = np.random.default_rng(seed)
+    apart = Mesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(mesh.faces.size).reshape(-1, 3))
+    picture = rng.integers(0, 256, (32, 32, 3), dtype=np.uint8)
+    return Textured(apart, rng.random((len(apart.vertices), 2)), jpeg_of(picture, 88), 32)
+
+
+PICTURED = {kind: textured(KINDS[kind]) for kind in ("one triangle", "one-sided", "tiny", "with degenerate and unused")}
 PACKINGS: list[Packing] = ["float", "quantised", *(["meshopt"] if available() else [])]  # an extra that needs C++
 SMALL = [each for each in PACKINGS if each != "float"]
 # The validator does not know the extension, and what only the extension reads is to it unused.
@@ -64,10 +74,11 @@ BEYOND_KHRONOS = ("UNSUPPORTED_EXTENSION /extensionsUsed/1", "UNUSED_OBJECT /buf
 
 
 def test_khronos_finds_no_fault_with_any_kind(validator: Validator, tmp_path: Path) -> None:  # noqa: F811
-    cases = [(kind, packing) for kind in KINDS for packing in PACKINGS]
+    assets: dict[str, Mesh | Textured] = {**KINDS, **{f"{kind}, pictured": PICTURED[kind] for kind in PICTURED}}
+    cases = [(kind, packing, unlit) for kind in assets for packing in PACKINGS for unlit in (False, True)]
     files = [tmp_path / f"{number}.glb" for number in range(len(cases))]
-    for file, (kind, packing) in zip(files, cases, strict=True):
-        file.write_bytes(to_glb(KINDS[kind], packing))
+    for file, (kind, packing, unlit) in zip(files, cases, strict=True):
+        file.write_bytes(to_glb(assets[kind], packing, unlit=unlit))
     for case, verdict in zip(cases, validator(*files), strict=True):
         said = [each for each in verdict.messages if not (case[1] == "meshopt" and each.startswith(BEYOND_KHRONOS))]
         assert (verdict.errors, verdict.warnings, said) == (0, 0, []), case
@@ -101,6 +112,53 @@ def _matching(full: Glb, small: Glb) -> tuple[np.ndarray, np.ndarray]:
     count = len(small.faces)
     assert len(np.unique(found % count)) == count
     return found % count, (np.arange(3) - found[:, None] // count) % 3
+
+
+@pytest.mark.parametrize("packing", PACKINGS)
+@pytest.mark.parametrize("kind", PICTURED)
+def test_every_corner_keeps_its_place_in_the_picture(kind: str, packing: Packing) -> None:
+    asset = PICTURED[kind]
+    glb = Glb.of(to_glb(asset, packing))
+    corners = [np.c_[xyz, uv][faces] for xyz, uv, faces in ((glb.positions, glb.uv, glb.faces), _own(asset))]
+    assert len(corners[0]) == len(corners[1])
+    turned = np.concatenate([np.roll(corners[0], step, axis=1) for step in range(3)])
+    distance, _ = cKDTree(turned.reshape(-1, 15)).query(corners[1].reshape(-1, 15))
+    assert distance.max() <= 1e-4 * np.ptp(asset.mesh.vertices, axis=0).max() + 1e-4
+
+
+def _own(asset: Textured) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    corners = asset.mesh.vertices[asset.mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return asset.mesh.vertices, asset.uv, asset.mesh.faces[area > 0]
+
+
+@pytest.mark.parametrize("packing", PACKINGS)
+def test_a_picture_goes_in_as_it_is_and_is_shown_with_mips(packing: Packing) -> None:
+    asset = PICTURED["one-sided"]
+    glb = Glb.of(to_glb(asset, packing))
+    assert glb.image == asset.jpeg
+    (material,), (sampler,) = glb.document["materials"], glb.document["samplers"]
+    assert material["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
+    assert material["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
+    assert material["doubleSided"] is True
+    assert (sampler["minFilter"], sampler["magFilter"]) == (9987, 9729)  # linear between mips, and within
+    assert set(glb.primitive["attributes"]) == {"POSITION", "NORMAL", "TEXCOORD_0"}
+
+
+def test_light_knows_no_seam_of_the_picture() -> None:
+    """A vertex that the unwrapping doubled has one normal, that of the whole surface."""
+    ball = surfaces.sphere()
+    glb = Glb.of(to_glb(textured(ball)))
+    outward = glb.positions / np.linalg.norm(glb.positions, axis=1, keepdims=True)
+    assert np.abs(np.einsum("vx,vx->v", outward, glb.normals)).min() > 0.99
+
+
+def test_unlit_is_said_by_an_extension_that_nobody_must_know() -> None:
+    lit, unlit = (Glb.of(to_glb(PICTURED["one triangle"], unlit=each)).document for each in (False, True))
+    assert "extensionsUsed" not in lit
+    assert unlit["extensionsUsed"] == ["KHR_materials_unlit"]
+    assert "extensionsRequired" not in unlit
+    assert unlit["materials"][0]["extensions"] == {"KHR_materials_unlit": {}}
 
 
 @pytest.mark.skipif("meshopt" not in PACKINGS, reason="needs meshoptimizer")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.errors import Cancelled, EdgeError
@@ -75,6 +77,33 @@ def test_an_asset_proves_that_it_keeps_within_its_target() -> None:
     assert bundle.manifest["lods"][2]["bytes"] <= 300_000
 
 
+def _printed(points: int = 15_000) -> Capture:
+    """The bowl with a checkerboard finer than a coarse mesh."""
+    bowl = _bowl(points)
+    assert bowl.cloud is not None
+    odd = np.floor(bowl.cloud.xyz * 6).astype(int).sum(axis=1) % 2 == 1
+    rgb = np.where(odd[:, None], (210, 40, 40), (40, 60, 200)).astype(np.uint8)
+    return replace(bowl, cloud=Cloud(bowl.cloud.xyz, rgb))
+
+
+def test_what_the_points_know_more_of_than_the_vertices_comes_as_a_texture() -> None:
+    *_, bundle = reconstruct(_printed(), Preset("coarse", resolution=32), target=target_of("quest3"))
+    levels = bundle.manifest["lods"]
+    assert all(level["texture_bytes"] > 0 for level in levels)
+    assert levels[2]["bytes"] <= 300_000
+    assert bundle.manifest["warnings"] == []
+    glb = Glb.of(bundle.files["lod0.glb"])
+    picture = np.asarray(Image.open(io.BytesIO(glb.image))).astype(int)
+    at = np.floor(glb.uv * len(picture)).astype(int).clip(0, len(picture) - 1)
+    # The asset stands on the floor, Y up: x stays, the capture's z is y - 1, and its y is -z.
+    capture = np.stack([glb.positions[:, 0], -glb.positions[:, 2], glb.positions[:, 1] - 1], axis=1)
+    inner = (np.abs((capture * 6 + 0.5) % 1 - 0.5) > 0.2).all(axis=1)
+    odd = np.floor(capture * 6).astype(int).sum(axis=1) % 2 == 1
+    red = picture[at[:, 1], at[:, 0], 0] > 125
+    assert inner.sum() > 100
+    assert (red == odd)[inner].mean() > 0.95
+
+
 def test_a_budget_out_of_reach_is_an_error_behind_the_preview() -> None:
     steps = reconstruct(_bowl(), load_preset("draft"), target=Target("watch", "", (2_000, 1_000), last_bytes=99))
     bundle = next(step for step in steps if isinstance(step, Bundle))
@@ -106,7 +135,7 @@ def test_the_resolution_of_a_preset_is_obeyed() -> None:
     assert fine.manifest["quality"]["triangles"] > 4 * coarse.manifest["quality"]["triangles"]
 
 
-@pytest.mark.parametrize("stage", ["POINT_CLOUD", "EXTRACTING", "PACKING"])
+@pytest.mark.parametrize("stage", ["POINT_CLOUD", "EXTRACTING", "TEXTURING", "PACKING"])
 def test_it_stops_where_it_is_told_to(stage: str) -> None:
     def stop(progress: Progress) -> None:
         if progress.stage == stage:

@@ -44,6 +44,14 @@ def bundles(said: list[Said]) -> list[Bundle]:
     return [each for each in said if isinstance(each, Bundle)]
 
 
+def assert_finished(made: list[Bundle]) -> None:
+    """The preview came twice with the same surface, the second time with all that a last bundle has."""
+    first, last = made
+    assert (first.state, last.state) == ("preview", "preview")
+    assert first.files["mesh.ply"] == last.files["mesh.ply"]
+    assert last.files.keys() - first.files.keys() == {"turning.webp", "asset.usdz"}
+
+
 def kept(said: list[Said]) -> PreviewKept:
     (found,) = [each for each in said if isinstance(each, PreviewKept)]
     return found
@@ -145,14 +153,14 @@ def test_a_failing_fit_keeps_the_preview(monkeypatch: pytest.MonkeyPatch, code: 
 
     monkeypatch.setattr(fit_module, "fit", fails)
     said = list(reconstruct(bowl(), TINY_PRESET))
-    assert [each.state for each in bundles(said)] == ["preview"]
+    assert_finished(bundles(said))
     assert kept(said).warning == "the preview was kept: the loss is no number (lower the learning rate)"
     assert kept(said).quality is None
 
 
 def test_a_truly_diverging_fit_keeps_the_preview() -> None:
     said = list(reconstruct(bowl(), replace(TINY_PRESET, fit=replace(TINY, learning_rate=1e6, steps=200))))
-    assert [each.state for each in bundles(said)] == ["preview"]
+    assert_finished(bundles(said))
     assert kept(said).warning.startswith("the preview was kept: ")
 
 
@@ -221,7 +229,7 @@ def test_a_worse_surface_is_refused_with_its_figures(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(pipeline, "compare", worse)
     said = list(reconstruct(bowl(), TINY_PRESET))
-    assert [each.state for each in bundles(said)] == ["preview"]
+    assert_finished(bundles(said))
     refused = kept(said)
     assert refused.warning == "the preview was kept: it lies farther"
     assert refused.quality is not None
@@ -253,3 +261,15 @@ def test_the_choice_is_told_with_its_reason() -> None:
     assert chosen.manifest["preset"] == "draft"
     assert "too few" in chosen.manifest["preset_because"]
     assert chosen.manifest["quality"]["resolution"] == 24
+
+
+@pytest.mark.usefixtures("perfect")
+def test_only_what_nothing_follows_gets_textures() -> None:
+    """A preview is looked at at once: it does not wait for a picture that the refined one brings."""
+    printed = bowl(8_000)
+    assert printed.cloud is not None
+    odd = np.floor(printed.cloud.xyz * 6).astype(int).sum(axis=1) % 2 == 1
+    rgb = np.where(odd[:, None], 255, 0).repeat(3, axis=1).astype(np.uint8)
+    said = list(reconstruct(replace(printed, cloud=replace(printed.cloud, rgb=rgb)), TINY_PRESET))
+    preview, refined = bundles(said)
+    assert [bundle.manifest["lods"][0]["texture_bytes"] > 0 for bundle in (preview, refined)] == [False, True]

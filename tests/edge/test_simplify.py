@@ -241,3 +241,17 @@ def test_a_budget_that_cannot_hold_all_openings_wins_over_them(collapse: Collaps
     assert len(coarse.faces) <= budget
     assert (edge_faces(coarse.faces).faces <= 2).all()
     assert chamfer_l1(coarse, mesh, samples=5_000) < 0.05
+
+
+@pytest.mark.parametrize("collapse", COLLAPSES)
+def test_a_binding_budget_is_never_exceeded(collapse: Collapse) -> None:
+    mesh = perforated()
+    all_that_openings_leave = len(simplify(mesh, 800, collapse=collapse).faces)
+    budget = max(1_000, int(all_that_openings_leave / 1.3))
+    assert len(simplify(mesh, budget, binding=True, collapse=collapse).faces) <= budget
+
+
+def test_levels_for_a_device_keep_within_its_budgets() -> None:
+    budgets = (6_000, 3_000, 1_100)
+    levels = lods(perforated(), budgets, binding=True)
+    assert all(len(level.faces) <= most for level, most in zip(levels, budgets, strict=True))

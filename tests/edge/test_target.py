@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from services.edge.errors import EdgeError
-from services.edge.mesh import to_glb
+from services.edge.mesh import Textured, to_glb
+from services.edge.mesh.bake import jpeg_of
 from services.edge.mesh.glb import best_packing
 from services.edge.target import NO_TARGET, TARGETS, Cost, cost_of, require_within, target_of
 from tests import surfaces
@@ -26,6 +27,19 @@ def test_costs_are_those_of_the_file(packing: str) -> None:
     per_vertex = 12 + 12 + 8 if packing == "float" else 8 + 4 + 8
     assert cost.unpacked_bytes == per_vertex * cost.vertices + 2 * 3 * cost.triangles
     assert (cost.bytes < cost.unpacked_bytes) == (packing == "meshopt")
+
+
+@pytest.mark.parametrize("packing", ["float", "quantised", best_packing()])
+@pytest.mark.parametrize(("side", "texels"), [(64, 64 * 64 + 1365), (1, 1)])
+def test_a_texture_costs_four_bytes_a_texel_and_its_mips(packing: str, side: int, texels: int) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (side, side, 3), dtype=np.uint8)
+    asset = Textured(WAVE, np.zeros((len(WAVE.vertices), 2)), jpeg_of(noise, 88), side)
+    glb = to_glb(asset, packing)  # type: ignore[arg-type]
+    cost = cost_of(glb)
+    assert cost.texture_bytes == 4 * texels
+    assert cost.bytes == len(glb)
+    per_vertex = 12 + 12 + 8 if packing == "float" else 8 + 4 + 4
+    assert cost.unpacked_bytes == per_vertex * cost.vertices + 2 * 3 * cost.triangles
 
 
 @pytest.mark.parametrize("name", [*TARGETS, ""])

@@ -215,7 +215,7 @@ async def test_a_training_is_told_of_and_refines_the_preview(
     assert all(told["total"] > 0 for told in losses)
     states = [event.published.state for event in events if event.HasField("published")]
     kept = [warning for warning in events[-1].finished.warnings if "preview was kept" in warning]
-    assert states == (["preview"] if kept else ["preview", "refined"])
+    assert states == ["preview", "preview" if kept else "refined"]
     fractions = [event.progress.fraction for event in events if event.HasField("progress")]
     assert fractions == sorted(fractions)
 

@@ -67,8 +67,10 @@ async def test_a_worker_that_does_not_know_us_is_told_of_once(
     ],
 )
 def test_wrong_settings_are_named_and_nothing_starts(
-    tmp_path: Path, way: dict[str, object], said: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, way: dict[str, object], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # The logs of this process, which other tests read.
+    monkeypatch.setattr("services.gateway.app.configure", lambda level: None)
     settings = GatewaySettings(data_dir=tmp_path / "gw", port=0, **way)
     with pytest.raises(SettingsError, match=said):
         open_way_to_workers(settings)

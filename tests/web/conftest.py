@@ -12,6 +12,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_play
 from services.cli.up import Stack, running
 from tests.conftest import missing
 from tests.pinned import installed
+from tests.web.sites import Site, site_at
 
 # Software rendering, and none of the connections that a browser opens for itself.
 CHROMIUM_FLAGS = [
@@ -54,6 +55,13 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
         environment.setenv("OMP_NUM_THREADS", "1")  # Chromium draws on the other core; torch's threads would spin
         with running("127.0.0.1", 0, tmp_path_factory.mktemp("stack")) as stack:
             yield stack
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """A gateway without a worker, for tests that publish what they look at."""
+    with site_at(tmp_path_factory.mktemp("site")) as site:
+        yield site
 
 
 @pytest.fixture(scope="session")

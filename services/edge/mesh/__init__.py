@@ -7,7 +7,7 @@ from services.edge.mesh.clean import clean
 from services.edge.mesh.colour import carry_colours
 from services.edge.mesh.extract import extract
 from services.edge.mesh.glb import to_glb
-from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.nouns import Mesh, Textured
 from services.edge.mesh.ply import ply_bytes, write_ply
 from services.edge.mesh.render import render_sheet
 from services.edge.mesh.simplify import lods, simplify
@@ -15,6 +15,7 @@ from services.edge.mesh.spacing import auto_resolution
 
 __all__ = [
     "Mesh",
+    "Textured",
     "auto_resolution",
     "carry_colours",
     "clean",

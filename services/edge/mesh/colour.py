@@ -1,13 +1,13 @@
-"""Colours: from the captured points to the mesh, averaged in linear light."""
+"""Colours: from the captured points to wherever they are asked for, averaged in linear light."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bytes, Floats
+from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.mesh.nouns import Mesh
 from services.edge.srgb import to_linear, to_srgb
 
@@ -15,17 +15,47 @@ _NEIGHBOURS = 6  # about one ring of a surface sample: smooths the noise of sing
 _NEAR = 0.05  # a neighbour this share of the nearest spacing away counts as "here": bounds the weight 1/d² at d = 0
 
 
+@dataclass(frozen=True, slots=True)
+class ColouredPoints:
+    """Points that know the light of the surface they lie on: xyz (N,3), light (N,3) float32 linear, N ≥ 1."""
+
+    xyz: Floats
+    light: Floats
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, xyz: Floats, rgb: Bytes) -> ColouredPoints:
+        """Points with rgb (N,3) uint8 sRGB. Raises ValueError where the two differ in length or are empty."""
+        if len(xyz) != len(rgb) or len(xyz) == 0:
+            raise ValueError(f"{len(xyz)} points with {len(rgb)} colours: need as many of both, and at least one")
+        return cls(xyz, to_linear(rgb), cKDTree(xyz))
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def light_at(self, places: Floats, neighbours: int = _NEIGHBOURS) -> Floats:
+        """(M,3) linear light at places (M,3): inverse square distance over the nearest points."""
+        count = min(neighbours, len(self))
+        distance, index = self.tree.query(places, k=list(range(1, count + 1)), workers=-1)
+        spacing = np.maximum(distance.mean(axis=1, keepdims=True), 1e-12)  # all points here: any weights will do
+        weight = 1.0 / (distance**2 + (_NEAR * spacing) ** 2)
+        weight /= weight.sum(axis=1, keepdims=True)
+        blended: Floats = np.einsum("vk,vkc->vc", weight, self.light[index])
+        return blended
+
+    def mean_light(self, places: Floats, reach: float) -> tuple[Floats, Ints]:
+        """(M,3) the mean light of the points within reach of a place (M,3) and nearest to it, and (M,) how many."""
+        away, owner = cKDTree(places).query(self.xyz, distance_upper_bound=reach, workers=-1)
+        near = np.isfinite(away)
+        owner, light = owner[near], self.light[near]
+        count = np.bincount(owner, minlength=len(places))
+        summed = np.stack([np.bincount(owner, light[:, band], len(places)) for band in range(3)], axis=1)
+        return (summed / np.maximum(count, 1)[:, None]).astype(np.float32), count
+
+
 def carry_colours(mesh: Mesh, xyz: Floats, rgb: Bytes) -> Mesh:
     """The mesh with the points' colours: inverse square distance over the nearest points, in linear light.
 
     xyz (N,3) in the mesh's frame, rgb (N,3) uint8 sRGB, N ≥ 1. Raises ValueError where the two differ in length.
     """
-    if len(xyz) != len(rgb) or len(xyz) == 0:
-        raise ValueError(f"{len(xyz)} points with {len(rgb)} colours: need as many of both, and at least one")
-    count = min(_NEIGHBOURS, len(xyz))
-    distance, index = cKDTree(xyz).query(mesh.vertices, k=list(range(1, count + 1)), workers=-1)
-    spacing = np.maximum(distance.mean(axis=1, keepdims=True), 1e-12)  # all points here: any weights will do
-    weight = 1.0 / (distance**2 + (_NEAR * spacing) ** 2)
-    weight /= weight.sum(axis=1, keepdims=True)
-    blended = np.einsum("vk,vkc->vc", weight, to_linear(rgb)[index])
-    return replace(mesh, rgb=to_srgb(blended))
+    return replace(mesh, rgb=to_srgb(ColouredPoints.of(xyz, rgb).light_at(mesh.vertices)))

@@ -13,29 +13,30 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 import services
-from services.edge.arrays import Bools, Bytes, Floats
+from services.edge.arrays import Bools, Floats, Ints
 from services.edge.mesh import meshopt
 from services.edge.mesh.glb_buffer import Buffer, CompressedBuffer
+from services.edge.mesh.glb_light import SHORT, TRUE, rgba16
 from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.srgb import to_linear
+from services.edge.mesh.nouns import Mesh, Textured
 
 Packing = Literal["float", "quantised", "meshopt"]
 
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125  # component types, by OpenGL's numbers
+_LINEAR, _TRILINEAR, _CLAMP = 9729, 9987, 33071  # a sampler's filters, the second with mips, and its edge
+_UNLIT = "KHR_materials_unlit"
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # chunk types
 _NEUTRAL = 0.6  # linear base colour without captured colours: light grey that shows shading both ways
 _ROUGHNESS = 0.9  # cloth, wood, skin: hardly a highlight, as captured light already holds the real ones
 _STEP_M = 1e-4  # of the grid of positions: less than a scan can tell
 _BITS = (12, 16)  # fewest and most of a position
-_KEPT = 0.8  # of the way to where the next colour begins: reading back gives the same
 
 
 def best_packing() -> Packing:
@@ -43,74 +44,135 @@ def best_packing() -> Packing:
     return "meshopt" if meshopt.available() else "quantised"
 
 
-def to_glb(mesh: Mesh, packing: Packing = "float") -> bytes:
-    """A mesh in the asset frame (metres, Y up) as one .glb file.
+def to_glb(asset: Mesh | Textured, packing: Packing = "float", *, unlit: bool = False) -> bytes:
+    """A mesh in the asset frame (metres, Y up) as one .glb file, with colours at its vertices or with its picture.
+
+    unlit  shows the colours as they were captured, whatever the light of the scene (KHR_materials_unlit)
 
     Degenerate triangles and unused vertices are left out. Raises ValueError where no triangle with area is left.
     """
-    mesh = split_flips(mesh)
-    mesh, _ = _drawable(_with_vertices(mesh, mesh.vertices.astype("<f4")))
-    normals = vertex_normals(_with_vertices(mesh, mesh.vertices.astype(np.float64)))
-    if packing == "float":
-        return _floats(mesh, normals)
-    return _quantised(mesh, normals, compressed=packing == "meshopt")
+    drawn = _kept(_Drawn.of(asset, unlit))
+    return _floats(drawn) if packing == "float" else _quantised(drawn, compressed=packing == "meshopt")
 
 
-def _with_vertices(mesh: Mesh, vertices: NDArray[Any]) -> Mesh:
-    return Mesh(vertices, mesh.faces, mesh.rgb)
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """What goes into the file: normals (V,3) of unit length; uv (V,2) with the picture, or None of both."""
+
+    mesh: Mesh
+    normals: Floats
+    uv: Floats | None
+    jpeg: bytes | None
+    unlit: bool
+
+    @classmethod
+    def of(cls, asset: Mesh | Textured, unlit: bool) -> _Drawn:
+        if isinstance(asset, Textured):
+            return cls(asset.mesh, _across_seams(asset.mesh), asset.uv, asset.jpeg, unlit)
+        mesh = split_flips(asset)
+        return cls(mesh, vertex_normals(mesh), None, None, unlit)
+
+    def picked(self, which: Bools | Ints, faces: Ints) -> _Drawn:
+        """These vertices, in this order, and faces over them."""
+        rgb = None if self.mesh.rgb is None else self.mesh.rgb[which]
+        uv = None if self.uv is None else self.uv[which]
+        return replace(self, mesh=Mesh(self.mesh.vertices[which], faces, rgb), normals=self.normals[which], uv=uv)
+
+    def placed(self, vertices: NDArray[Any]) -> _Drawn:
+        """With other positions."""
+        return replace(self, mesh=replace(self.mesh, vertices=vertices))
 
 
-def _floats(mesh: Mesh, normals: Floats) -> bytes:
+def _across_seams(mesh: Mesh) -> Floats:
+    """(V,3) normals of a mesh whose vertices are doubled along seams, as if they were not: light knows no seam."""
+    _, first, same = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
+    whole = split_flips(Mesh(mesh.vertices[first], same.reshape(-1)[mesh.faces]))
+    normals = np.zeros_like(mesh.vertices)
+    normals[mesh.faces] = vertex_normals(whole)[whole.faces]
+    return normals
+
+
+def _kept(drawn: _Drawn) -> _Drawn:
+    """Only faces that have an area once positions are float32."""
+    return _drawable(drawn.placed(drawn.mesh.vertices.astype("<f4")))
+
+
+def _floats(drawn: _Drawn) -> bytes:
     buffer = Buffer()
     attributes = {
-        "POSITION": buffer.add(mesh.vertices, "VEC3", _FLOAT, bounds=True),
-        "NORMAL": buffer.add(normals.astype("<f4"), "VEC3", _FLOAT),
+        "POSITION": buffer.add(drawn.mesh.vertices, "VEC3", _FLOAT, bounds=True),
+        "NORMAL": buffer.add(drawn.normals.astype("<f4"), "VEC3", _FLOAT),
     }
-    return _file(mesh, _TRUE, buffer, attributes, {"mesh": 0})
+    if drawn.uv is not None:
+        attributes["TEXCOORD_0"] = buffer.add(drawn.uv.astype("<f4"), "VEC2", _FLOAT)
+    return _file(drawn, TRUE, buffer, attributes, {"mesh": 0})
 
 
-def _quantised(mesh: Mesh, normals: Floats, *, compressed: bool) -> bytes:
-    grid = _Grid.of(mesh.vertices.astype(np.float64))
-    mesh, used = _drawable(_with_vertices(mesh, grid.whole(mesh.vertices)))
-    normals = normals[used]
+def _quantised(drawn: _Drawn, *, compressed: bool) -> bytes:
+    grid = _Grid.of(drawn.mesh.vertices.astype(np.float64))
+    drawn = _drawable(drawn.placed(grid.whole(drawn.mesh.vertices)))
     if compressed:
-        faces, was = meshopt.sent_order(mesh.faces, len(mesh.vertices))
-        mesh = Mesh(mesh.vertices[was], faces, None if mesh.rgb is None else mesh.rgb[was])
-        normals = normals[was]
+        faces, was = meshopt.sent_order(drawn.mesh.faces, len(drawn.mesh.vertices))
+        drawn = drawn.picked(was, faces)
     buffer = CompressedBuffer() if compressed else Buffer()
     attributes = {
-        "POSITION": buffer.add(_padded(mesh.vertices, np.uint16), "VEC3", _USHORT, bounds=True),
-        "NORMAL": buffer.add_normals(normals),
+        "POSITION": buffer.add(_padded(drawn.mesh.vertices, np.uint16), "VEC3", _USHORT, bounds=True),
+        "NORMAL": buffer.add_normals(drawn.normals),
     }
-    return _file(mesh, _SHORT, buffer, attributes, {"mesh": 0, **grid.node()})
+    if drawn.uv is not None:
+        whole = np.rint(drawn.uv * 65535).astype("<u2")
+        attributes["TEXCOORD_0"] = buffer.add(whole, "VEC2", _USHORT, normalized=True)
+    return _file(drawn, SHORT, buffer, attributes, {"mesh": 0, **grid.node()})
 
 
 def _file(
-    mesh: Mesh, light: NDArray[np.uint16], buffer: Buffer, attributes: dict[str, int], node: dict[str, Any]
+    drawn: _Drawn, light: NDArray[np.uint16], buffer: Buffer, attributes: dict[str, int], node: dict[str, Any]
 ) -> bytes:
     """light (256,): the linear light of every sRGB code."""
+    mesh = drawn.mesh
     if mesh.rgb is not None:
-        attributes["COLOR_0"] = buffer.add(_rgba16(mesh.rgb, light), "VEC4", _USHORT, normalized=True)
+        attributes["COLOR_0"] = buffer.add(rgba16(mesh.rgb, light), "VEC4", _USHORT, normalized=True)
     # 65535 itself is the primitive restart value and may not be an index.
     kind, component = (np.uint16, _USHORT) if len(mesh.vertices) <= 65535 else (np.uint32, _UINT)
     indices = buffer.add_indices(mesh.faces.astype(kind).ravel(), component, len(mesh.vertices))
-    document = _document(attributes, indices, node, coloured=mesh.rgb is not None) | buffer.tables()
-    used = ["KHR_mesh_quantization"] * ("scale" in node) + buffer.extensions
-    if used:
-        document |= {"extensionsUsed": used, "extensionsRequired": used}
+    pictured = {} if drawn.jpeg is None else _picture(buffer.add_file(drawn.jpeg))
+    document = _document(attributes, indices, node, _material(drawn)) | pictured | buffer.tables()
+    needed = ["KHR_mesh_quantization"] * ("scale" in node) + buffer.extensions
+    used = needed + [_UNLIT] * drawn.unlit
+    document |= ({"extensionsUsed": used} if used else {}) | ({"extensionsRequired": needed} if needed else {})
     return _container(document, bytes(buffer.data))
 
 
-def _document(attributes: dict[str, int], indices: int, node: dict[str, Any], *, coloured: bool) -> dict[str, Any]:
-    base = 1.0 if coloured else _NEUTRAL
-    surface = {"baseColorFactor": [base, base, base, 1.0], "metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
+def _material(drawn: _Drawn) -> dict[str, Any]:
+    base = _NEUTRAL if drawn.mesh.rgb is None and drawn.jpeg is None else 1.0
+    surface: dict[str, Any] = {"baseColorFactor": [base, base, base, 1.0]}
+    if drawn.jpeg is not None:
+        surface["baseColorTexture"] = {"index": 0}
+    surface |= {"metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
+    unlit: dict[str, Any] = {"extensions": {_UNLIT: {}}} if drawn.unlit else {}
+    return {"doubleSided": True, "pbrMetallicRoughness": surface} | unlit
+
+
+def _picture(view: int) -> dict[str, Any]:
+    """The base colour of a JPEG in a buffer view: with mips, and not repeated, since charts touch its edges."""
+    sampler = {"magFilter": _LINEAR, "minFilter": _TRILINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP}
+    return {
+        "images": [{"bufferView": view, "mimeType": "image/jpeg"}],
+        "samplers": [sampler],
+        "textures": [{"sampler": 0, "source": 0}],
+    }
+
+
+def _document(
+    attributes: dict[str, int], indices: int, node: dict[str, Any], material: dict[str, Any]
+) -> dict[str, Any]:
     return {
         "asset": {"version": "2.0", "generator": f"capture2vr {services.__version__}"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [node],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
-        "materials": [{"doubleSided": True, "pbrMetallicRoughness": surface}],
+        "materials": [material],
     }
 
 
@@ -143,16 +205,16 @@ def _container(document: dict[str, Any], binary: bytes) -> bytes:
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def _drawable(mesh: Mesh) -> tuple[Mesh, Bools]:
-    """Only faces that still have an area after rounding, and (V,) the vertices that they use and keep."""
+def _drawable(drawn: _Drawn) -> _Drawn:
+    """Only faces that still have an area after rounding, and the vertices that they use."""
+    mesh = drawn.mesh
     area = np.linalg.norm(face_normals(mesh.vertices.astype(np.float64), mesh.faces), axis=1)
     faces = mesh.faces[area > 0]
     if len(faces) == 0:
         raise ValueError(f"none of the {len(mesh.faces)} triangles has an area: there is nothing to show")
     used = np.zeros(len(mesh.vertices), bool)
     used[faces] = True
-    rgb = None if mesh.rgb is None else mesh.rgb[used]
-    return Mesh(mesh.vertices[used], (np.cumsum(used) - 1)[faces], rgb), used
+    return drawn.picked(used, (np.cumsum(used) - 1)[faces])
 
 
 def _padded(rows: NDArray[Any], kind: type[np.generic]) -> NDArray[Any]:
@@ -160,31 +222,3 @@ def _padded(rows: NDArray[Any], kind: type[np.generic]) -> NDArray[Any]:
     padded = np.zeros((len(rows), 4), kind)
     padded[:, :3] = rows
     return padded
-
-
-def _rgba16(rgb: Bytes, light: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """(V,4) linear light and alpha 1 in 16 bits: RGB alone would not fill whole words."""
-    rgba = np.full((len(rgb), 4), 65535, dtype="<u2")
-    rgba[:, :3] = light[rgb]
-    return rgba
-
-
-def _shortest() -> NDArray[np.uint16]:
-    """(256,) for every sRGB code the number that ends in the most zeros of those that mean it: bytes of zeros take no
-    space, and 8 bits of linear light would band in the shadows."""
-    own = to_linear(np.arange(256, dtype=np.uint8)) * 65535.0
-    half = _KEPT / 2 * np.diff(own)
-    low, high = own.copy(), own.copy()
-    low[1:] -= half
-    high[:-1] += half
-    chosen = own.round().astype(np.uint16)
-    for zeros in range(1, 16):
-        step = float(1 << zeros)
-        number = np.round(own / step) * step
-        means = (number >= low) & (number <= np.minimum(high, 65535))
-        chosen[means] = number[means]
-    return chosen
-
-
-_TRUE = np.rint(to_linear(np.arange(256, dtype=np.uint8)) * 65535.0).astype(np.uint16)
-_SHORT = _shortest()

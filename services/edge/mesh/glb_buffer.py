@@ -12,7 +12,7 @@ from services.edge.mesh import meshopt
 
 _BYTE = 5120  # component type
 _VERTICES, _INDICES = 34962, 34963  # buffer view targets
-_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MESHOPT = "EXT_meshopt_compression"
 
 
@@ -51,6 +51,11 @@ class Buffer:
         """Append the corners of triangles (3F,) over so many vertices."""
         accessor = {"componentType": component, "count": len(indices), "type": "SCALAR"}
         return self._append(accessor, {"target": _INDICES} | self._stored_indices(indices, vertices))
+
+    def add_file(self, content: bytes) -> int:
+        """Append a whole file, as it is; the buffer view."""
+        self._views.append({"buffer": 0, **self._written(content)})
+        return len(self._views) - 1
 
     def tables(self) -> dict[str, Any]:
         """What the document holds of it."""

@@ -48,33 +48,39 @@ Collapse = Callable[[Mesh, int], Mesh]
 """A mesh and a face budget that it exceeds -> a coarser mesh; colours may guide it, the result needs none."""
 
 
-def lods(mesh: Mesh, budgets: Sequence[int] = BUDGETS, *, tick: Tick = no_tick) -> tuple[Mesh, ...]:
+def lods(
+    mesh: Mesh, budgets: Sequence[int] = BUDGETS, *, binding: bool = False, tick: Tick = no_tick
+) -> tuple[Mesh, ...]:
     """One mesh per budget, finest first, each made from the one before. `tick` is called before every collapse.
 
     A mesh within the first budget is its own first level; a later level within its budget already is halved instead,
     so that every level is cheaper than the one before unless borders or `_FEWEST` faces forbid it.
-    Raises ValueError where the budgets do not fall.
+    binding: as in `simplify`. Raises ValueError where the budgets do not fall.
     """
     if not budgets or any(coarse >= fine for fine, coarse in pairwise(budgets)):
         raise ValueError(f"budgets must fall from level to level, not {tuple(budgets)}")
     share = 1 / len(budgets)
-    levels = [simplify(mesh, budgets[0], tick=part_of(tick, 0, share))]
+    levels = [simplify(mesh, budgets[0], binding=binding, tick=part_of(tick, 0, share))]
     for done, budget in enumerate(budgets[1:], start=1):
         finer = levels[-1]
         half = max(len(finer.faces) // 2, _FEWEST)
         target = budget if budget < len(finer.faces) else half
-        levels.append(simplify(finer, target, tick=part_of(tick, done * share, (done + 1) * share)))
+        inside = part_of(tick, done * share, (done + 1) * share)
+        levels.append(simplify(finer, target, binding=binding and target == budget, tick=inside))
     tick(1)
     return tuple(levels)
 
 
-def simplify(mesh: Mesh, faces: int, *, collapse: Collapse | None = None, tick: Tick = no_tick) -> Mesh:
+def simplify(
+    mesh: Mesh, faces: int, *, binding: bool = False, collapse: Collapse | None = None, tick: Tick = no_tick
+) -> Mesh:
     """The mesh with at most `faces` faces, or as few as its borders allow; the same mesh if it has no more already.
 
     Every border loop survives unless the budget cannot be met with all of them, and no edge gets a third face that had
     none: where nothing else helps, the mesh is cut there. Colours are averaged in linear light over the vertices that a
     kept vertex stands for. `collapse` is the best one installed unless given; `tick` is called before each that it
-    makes, how many is not known. Raises ValueError for a budget below 1.
+    makes, how many is not known. binding: openings close as soon as they keep the mesh above the budget, rather than
+    above half as much again. Raises ValueError for a budget below 1.
     """
     if faces < 1:
         raise ValueError(f"a budget of {faces} faces leaves no mesh")
@@ -82,7 +88,7 @@ def simplify(mesh: Mesh, faces: int, *, collapse: Collapse | None = None, tick: 
         return mesh
     tick(0)
     coarse = (collapse or _best_collapse(tick))(mesh, faces)
-    if len(coarse.faces) > _OVER * faces and faces >= _FORCED_FROM:
+    if len(coarse.faces) > (1.0 if binding else _OVER) * faces and faces >= _FORCED_FROM:
         forced = _forced(mesh, faces)
         coarse = forced if len(forced.faces) < len(coarse.faces) else coarse
     return coarse if mesh.rgb is None else _coloured(coarse, mesh)

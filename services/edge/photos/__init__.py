@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from services.edge.photos.depths import finer
 from services.edge.photos.to_depth import to_depth
 
-__all__ = ["to_depth"]
+__all__ = ["finer", "to_depth"]

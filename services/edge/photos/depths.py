@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from services.edge.photos.zncc import WINDOW
 
 LONGEST_PX = 640
 """Longer side of the pictures: 960 takes three times as long and gains nothing on a thing that fills the picture."""
+TEXTURE_PX = 1920
+"""Longer side of a photo that colours a texture: of a thing that fills it, as many as the texture has."""
 _WITNESSES = 8
 """Views asked whether they agree with a view's depth."""
 _LEAST_SCORE = 0.2
@@ -133,7 +135,7 @@ def _frame(seen: Picture, depth: Floats, score: Floats, longest: int) -> Frame:
         pose,
         lambda: np.ascontiguousarray(depth),
         lambda: np.ascontiguousarray(confidence, np.float32),
-        partial(_colours, seen.view, longest),
+        Colours(seen.view, longest),
         window_px=WINDOW,
     )
 
@@ -143,6 +145,18 @@ def _turned(camera: Intrinsics) -> Intrinsics:
     return Intrinsics(camera.fy, camera.fx, camera.height - 1 - camera.cy, camera.cx, camera.height, camera.width)
 
 
-def _colours(view: View, longest: int) -> Bytes:
-    rgb, _ = colours(view, longest)
-    return np.ascontiguousarray(np.rot90(rgb, -view.photo.turns))
+@dataclass(frozen=True, slots=True)
+class Colours:
+    """Loads a photo as the picture of its depth image: undistorted and upright, at most `longest` pixels."""
+
+    view: View
+    longest: int
+
+    def __call__(self) -> Bytes:
+        rgb, _ = colours(self.view, self.longest)
+        return np.ascontiguousarray(np.rot90(rgb, -self.view.photo.turns))
+
+
+def finer(load_rgb: Callable[[], Bytes]) -> Callable[[], Bytes]:
+    """What loads a photo for a texture, where it was loaded for its depth; of other pictures the same."""
+    return replace(load_rgb, longest=TEXTURE_PX) if isinstance(load_rgb, Colours) else load_rgb

@@ -48,7 +48,8 @@ class Fused:
     """Fused points in the capture frame (metres).
 
     xyz (N,3) float64; rgb (N,3) uint8 or None; confidence (N,) float32; voxel: size used, metres;
-    cameras (M,3) positions; aim (3,): what the cameras had in the middle of their images, or None.
+    cameras (M,3) positions; sharpness (M,) of the pictures, 0 without one; aim (3,): what the cameras had in the middle
+    of their images, or None.
     """
 
     xyz: Floats
@@ -56,6 +57,7 @@ class Fused:
     confidence: Floats
     voxel: float
     cameras: Floats
+    sharpness: Floats
     aim: Floats | None
     warnings: tuple[str, ...]
 
@@ -73,10 +75,11 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     voters = set(np.linspace(0, len(frames) - 1, min(len(frames), _VOTING_VIEWS)).round().astype(int).tolist())
     views: list[DepthView] = []
     aims: list[Floats] = []
+    sharpness = np.zeros(len(frames))
     read = kept = 0
     for number, frame in enumerate(frames):
         view = read_view(frame, survey.limits)
-        samples = _observe(view, frame, origin)
+        samples, sharpness[number] = _observe(view, frame, origin)
         grid.add(samples)
         aims += _aim(view)
         read, kept = read + view.read, kept + len(samples)
@@ -90,7 +93,7 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     cameras = np.stack([np.asarray(frame.camera_to_world, np.float64)[:3, 3] for frame in frames])
     aim = np.median(np.stack(aims), axis=0) if aims else None
     xyz = merged.xyz.astype(np.float64) + origin
-    return Fused(xyz, rgb, np.clip(merged.confidence, 0, 1), grid.voxel, cameras, aim, survey.warnings)
+    return Fused(xyz, rgb, np.clip(merged.confidence, 0, 1), grid.voxel, cameras, sharpness, aim, survey.warnings)
 
 
 def windowed(frames: Sequence[Frame]) -> bool:
@@ -98,8 +101,9 @@ def windowed(frames: Sequence[Frame]) -> bool:
     return any(frame.window_px > 1 for frame in frames)
 
 
-def _observe(view: DepthView, frame: Frame, origin: Floats) -> Samples:
-    """Back-project the believed pixels; weight = cosine · confidence / z² (depth noise grows with z)."""
+def _observe(view: DepthView, frame: Frame, origin: Floats) -> tuple[Samples, float]:
+    """Back-project the believed pixels; weight = cosine · confidence / z² (depth noise grows with z). And how sharp
+    the picture is."""
     rows, columns = np.nonzero(view.inverse_depth)
     inverse, confidence = view.inverse_depth[rows, columns], view.confidence[rows, columns]
     camera = view.intrinsics
@@ -111,11 +115,13 @@ def _observe(view: DepthView, frame: Frame, origin: Floats) -> Samples:
     weight = view.cosine[rows, columns] * inverse * inverse * np.maximum(confidence, 0.05)
     light: Floats = np.zeros((len(xyz), 3), np.float32)
     clarity: Floats = np.zeros(len(xyz), np.float32)
+    sharpness = 0.0
     if frame.load_rgb is not None:
         rgb = at_resolution(frame.load_rgb(), view.inverse_depth.shape)
         light = to_linear(rgb[rows, columns])
-        clarity = _sharpness(rgb) ** _SHARP * view.cosine[rows, columns] ** _FRONTAL
-    return Samples(xyz, normal, light, clarity, confidence, weight)
+        sharpness = _sharpness(rgb)
+        clarity = sharpness**_SHARP * view.cosine[rows, columns] ** _FRONTAL
+    return Samples(xyz, normal, light, clarity, confidence, weight), sharpness
 
 
 def _sharpness(rgb: Bytes) -> float:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.capture.nouns import ScaleConfidence
+from services.edge.capture.nouns import Intrinsics, ScaleConfidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +24,29 @@ class Unseen:
 
 
 @dataclass(frozen=True, slots=True)
+class Shot:
+    """A picture that shows the thing, read when asked for: it costs no memory.
+
+    intrinsics       of the field of view, at any resolution
+    camera_to_world  (4,4) float64, OpenCV axes, capture frame
+    load_rgb         -> (h,w,3) uint8 sRGB
+    load_depth_m     -> (H,W) float32 of the same field of view, units of the capture, 0 where unknown
+    """
+
+    intrinsics: Intrinsics
+    camera_to_world: Floats
+    load_rgb: Callable[[], Bytes]
+    load_depth_m: Callable[[], Floats]
+
+
+@dataclass(frozen=True, slots=True)
 class Points:
     """Clean points in the capture frame and its units.
 
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
     metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report;
-    unseen: sides to shoot again, the largest first.
+    unseen: sides to shoot again, the largest first; shots: sharp pictures from all sides, for textures, as long as the
+    capture lies on this machine's disk.
     """
 
     xyz: Floats
@@ -39,6 +57,7 @@ class Points:
     up: Floats | None
     warnings: tuple[str, ...] = ()
     unseen: tuple[Unseen, ...] = ()
+    shots: tuple[Shot, ...] = ()
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -16,6 +16,7 @@ from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Points
 from services.edge.points.odometry import track_frames
 from services.edge.points.outliers import inliers
+from services.edge.points.shots import sharpest
 from services.edge.points.smooth import smoothed
 from services.edge.points.unseen import unseen_sides
 from services.edge.points.upright import estimate_up, level_up
@@ -84,4 +85,5 @@ def _rgbd_points(capture: Capture, fused: Fused, tick: Tick) -> Points:
         scale_confidence=capture.scale_confidence,
         up=estimate_up(poses, xyz) if capture.up is None else level_up(capture.up, xyz),
         warnings=capture.warnings + fused.warnings,
+        shots=sharpest(capture.frames, fused.sharpness),
     )

@@ -1,4 +1,4 @@
-"""The capture page, the viewer, and the modules that they are made of."""
+"""The capture page, the viewer, the page of a collection, and the modules that they are made of."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import base64
 import hashlib
 import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import urlsplit
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.staticfiles import StaticFiles
 from starlette.types import Scope
 
@@ -26,6 +26,7 @@ WEB = Path(__file__).parents[1] / "web"
 _INLINE_SCRIPT = re.compile(r"<script(?![^>]*\bsrc=)[^>]*>(.*?)</script>", re.DOTALL)
 _VERSIONED = re.compile(r"-\d+\.\d+\.\d+\.")  # "three-0.187.0.module.js" will always be that
 _FOREVER = "public, max-age=31536000, immutable"
+_TOGETHER = 24  # assets in one scene: at 5,000 triangles each their coarsest levels leave most of a headset's budget
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 
 
@@ -35,12 +36,34 @@ async def capture_page(request: Request) -> Response:
     return _page("index.html", request)
 
 
+@router.get("/view", response_class=Response, responses={**_HTML, **problems(404, 422)})
+async def scene(
+    request: Request,
+    key: Annotated[list[str], Query(max_length=_TOGETHER, description="The assets' keys, each once.")],
+) -> Response:
+    """Where several assets are looked at side by side: `/view?key=a&key=b`."""
+    _check(key)
+    return _page("view.html", request)
+
+
 @router.get("/view/{key}", response_class=Response, responses={**_HTML, **problems(404)})
 async def viewer(key: str, request: Request) -> Response:
     """Where an asset is looked at, on a screen or in a headset."""
-    if not valid_key(key):
-        raise Problem(404, "KEY_INVALID", "that is no asset key", hints=("check the address",))
+    _check([key])
     return _page("view.html", request)
+
+
+@router.get("/browse/{name}", response_class=Response, responses={**_HTML, **problems(404)})
+async def collection(name: str, request: Request) -> Response:
+    """The pictures of all assets of a collection, to search and to choose from."""
+    if not valid_key(name):
+        raise Problem(404, "COLLECTION_INVALID", "that is no collection's name", hints=("check the address",))
+    return _page("collection.html", request)
+
+
+def _check(keys: list[str]) -> None:
+    if not all(map(valid_key, keys)):
+        raise Problem(404, "KEY_INVALID", "that is no asset key", hints=("check the address",))
 
 
 class Web(StaticFiles):

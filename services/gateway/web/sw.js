@@ -5,24 +5,34 @@ const NAME = 'shell-1';
 const VERSIONED = /-\d+\.\d+\.\d+\./;
 const ENTRY = /^\/v1\/(assets\/[^/]+|collections\/[^/]+|keys)$/;
 const MANIFEST = /\/manifest\.[0-9a-f]{64}\.json$/;
+// Every asset has the same page and so has every collection: who has seen one can open another one's without the server.
+const PAGE = /^\/(view|browse)(\/[^/]+)?$/;
 
 self.addEventListener('install', () => self.skipWaiting());
 self.addEventListener('activate', (event) => event.waitUntil(self.clients.claim()));
 
 self.addEventListener('fetch', (event) => {
   const { request } = event;
-  const url = new URL(request.url);
-  if (request.method !== 'GET' || url.origin !== self.location.origin) return;
-  if (MANIFEST.test(url.pathname) || (url.pathname.startsWith('/web/') && VERSIONED.test(url.pathname))) {
-    event.respondWith(keptFirst(request));
-  } else if (url.pathname.startsWith('/web/') || url.pathname.startsWith('/view/') || ENTRY.test(url.pathname)) {
-    event.respondWith(networkFirst(request));
-  }
+  const way = request.method === 'GET' && wayOf(request.url);
+  if (way) event.respondWith(way(request));
 });
+
+// What a page loaded before this worker was there.
+self.addEventListener('message', (event) => {
+  const kept = (event.data.keep || []).map((url) => wayOf(url)?.(new Request(url)));
+  event.waitUntil(Promise.allSettled(kept));
+});
+
+function wayOf(address) {
+  const url = new URL(address);
+  if (url.origin !== self.location.origin) return null;
+  if (MANIFEST.test(url.pathname) || (url.pathname.startsWith('/web/') && VERSIONED.test(url.pathname))) return keptFirst;
+  return url.pathname.startsWith('/web/') || PAGE.test(url.pathname) || ENTRY.test(url.pathname) ? networkFirst : null;
+}
 
 async function keptFirst(request) {
   const shell = await caches.open(NAME);
-  return (await shell.match(request.url)) || fetchedAndKept(shell, request);
+  return (await shell.match(placeOf(request))) || fetchedAndKept(shell, request);
 }
 
 async function networkFirst(request) {
@@ -30,7 +40,7 @@ async function networkFirst(request) {
   try {
     return await fetchedAndKept(shell, request);
   } catch (offline) {
-    const kept = await shell.match(request.url);
+    const kept = await shell.match(placeOf(request));
     if (kept) return kept;
     throw offline;
   }
@@ -38,6 +48,11 @@ async function networkFirst(request) {
 
 async function fetchedAndKept(shell, request) {
   const answer = await fetch(request);
-  if (answer.ok) await shell.put(request.url, answer.clone()).catch(() => {}); // a full device answers all the same
+  if (answer.ok) await shell.put(placeOf(request), answer.clone()).catch(() => {}); // a full device answers all the same
   return answer;
+}
+
+function placeOf(request) {
+  const [, page] = PAGE.exec(new URL(request.url).pathname) || [];
+  return page ? `/${page}/` : request.url;
 }

@@ -1,6 +1,7 @@
 // A small preview that turns by itself and by hand.
 import { OrbitControls } from './three-0.187.0.orbit-controls.js';
-import { dispose, frame, loadAsset, makeStage } from './stage.js';
+import { Model } from './model.js';
+import { frame, makeStage } from './stage.js';
 
 const TURN_S = 15;
 let stage = null; // a page has one preview, and browsers ration WebGL contexts
@@ -8,11 +9,13 @@ let leave = () => {}; // takes away what turns now
 
 /** Show a catalogue entry on `canvas` in place of the one before, which turns until then. */
 export async function turn(canvas, entry) {
-  const object = await loadAsset(entry);
+  const model = new Model(entry);
+  await model.start();
+  model.want(0);
   stage ??= makeStage(canvas);
   const { renderer, scene, camera } = stage;
   leave();
-  scene.add(object);
+  scene.add(model.object);
   const controls = new OrbitControls(camera, canvas);
   controls.target.copy(frame(camera, entry.size_m));
   controls.autoRotate = !matchMedia('(prefers-reduced-motion: reduce)').matches;
@@ -26,7 +29,6 @@ export async function turn(canvas, entry) {
   });
   leave = () => {
     controls.dispose();
-    scene.remove(object);
-    dispose(object);
+    model.dispose();
   };
 }

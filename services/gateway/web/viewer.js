@@ -1,27 +1,49 @@
-// /view/{key}: the asset, on a screen or in a headset.
+// /view/{key} and /view?key=a&key=b: things on a screen or in a headset, side by side where there are several.
 import * as THREE from './three-0.187.0.module.js';
 import { OrbitControls } from './three-0.187.0.orbit-controls.js';
 import { getJson } from './api.js';
+import { makeArranger } from './arrange.js';
 import { checked } from './catalogue.js';
-import { dispose, frame, hintsOf, loadAsset, makeStage, shownLevel } from './stage.js';
+import { drawing } from './drawing.js';
+import { makeGrasp } from './grasp.js';
+import { makeHands } from './hands.js';
+import { offerSessions } from './headset.js';
+import { keepShell } from './offline.js';
+import { Piece } from './piece.js';
+import { sideBySide } from './plan.js';
+import { breath, prepare } from './prepare.js';
+import { frame, hintsOf, makeStage } from './stage.js';
+import { caption, notice, showQuickLook, showThings, tell } from './words.js';
 
 const POLL_MS = 3000; // while a refined version may come
-const AHEAD_M = 1.5; // arm's length and a step: the whole of a person-sized thing is in view
-const EYE_SHARE = 0.75; // small things are lifted so that their middle is at this share of the eyes' height
-const SMALL_M = 0.8; // a thing lower than this would lie at one's feet
+const CALM_MS = 15_000; // once everything is refined
+const LEAST_MS = 1000; // between two questions, however many things there are
+const MOST = 24; // things in one scene
+const MOVE_HELP = matchMedia('(hover: hover)').matches
+  ? 'Drag a thing to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.'
+  : 'Drag a thing to move it. Two fingers scale and turn it.';
 
-const key = decodeURIComponent(location.pathname.split('/').pop());
 const page = document.body;
-const said = document.getElementById('said');
-const enter = document.getElementById('enter-vr');
-const { renderer, scene, camera } = stageOrReason(document.getElementById('stage'));
+const at = (id) => document.getElementById(id);
+await breath(); // reading the modules was one task, which needs no longer one behind it
+const stage = stageOrReason(at('stage'));
+await breath();
+const { renderer, scene, camera } = stage;
+const root = new THREE.Group(); // what moves in front of the wearer: all things and the floor under them
+scene.add(root);
 const controls = new OrbitControls(camera, renderer.domElement);
 controls.enableDamping = true;
 controls.listenToKeyEvents(renderer.domElement);
 
-let shown = null; // { entry, object }
-let hints = null; // points that stand for the thing before anything is shown
-let placed = false;
+let pieces = keysOf(location).map((key) => new Piece(key));
+for (const { group } of pieces) root.add(group);
+const present = () => pieces.filter((piece) => piece.entry);
+
+function keysOf({ pathname, search }) {
+  const named = pathname.split('/')[2];
+  const keys = named ? [decodeURIComponent(named)] : new URLSearchParams(search).getAll('key');
+  return [...new Set(keys)].slice(0, MOST);
+}
 
 function stageOrReason(canvas) {
   try {
@@ -32,139 +54,172 @@ function stageOrReason(canvas) {
   }
 }
 
+// ---- what is shown ----------------------------------------------------------------------------------------------------
+
 /** Fetch the entry; when its version is new, load it beside the old one and swap. */
-async function refresh() {
-  const told = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
-  if (shown && shown.entry.version === told.version) return;
+async function refresh(piece) {
+  const told = await getJson(`/v1/assets/${encodeURIComponent(piece.key)}`);
+  const before = piece.entry;
+  if (before && before.version === told.version) return;
   const entry = await checked(told);
-  if (!shown) showHints(entry);
-  const object = await loadAsset(entry, (level) => {
-    page.dataset.loaded = `${page.dataset.loaded || ''} ${level}`.trim();
-  });
-  swap(entry, object);
+  if (!before) showHints(piece, entry);
+  await piece.show(entry, { prepare: (group) => prepare(stage, group), onChange: redraw });
+  if (!pieces.includes(piece)) return piece.remove(); // it was taken away meanwhile
+  if (!before) arrived();
+  else notice(newer(before, piece));
+  describe();
 }
 
-async function showHints(entry) {
+function newer(before, { name, entry }) {
+  const refined = before.state === 'preview' && entry.state === 'refined';
+  return `${refined ? 'The refined version' : 'A new version'} of ${name} took its place: version ${entry.version}.`;
+}
+
+async function showHints(piece, entry) {
   const manifest = await getJson(entry.manifest.url).catch(() => ({}));
-  const points = shown || hints ? null : hintsOf(manifest, entry.size_m);
+  const points = piece.entry || !pieces.includes(piece) ? null : hintsOf(manifest, entry.size_m);
   if (!points) return;
-  hints = points;
-  scene.add(hints);
+  piece.showHints(points);
+  redraw();
   page.dataset.hints = manifest.anchors.xyz_m.length / 3;
-  controls.target.copy(frame(camera, entry.size_m));
+  if (present().length === 0) controls.target.copy(frame(camera, entry.size_m));
 }
 
-function swap(entry, object) {
-  if (hints) {
-    scene.remove(hints);
-    dispose(hints);
-    hints = null;
+/** One more thing is there: all stand side by side, or where people put them, and all of them are in view. */
+function arrived() {
+  const places = sideBySide(present().map((piece) => piece.entry.size_m));
+  present().forEach((piece, place) => {
+    piece.home.set(places[place][0], 0, places[place][1]);
+    if (grasp.handsOn(piece) === 0) piece.place();
+  });
+  moved();
+  look();
+}
+
+function look() {
+  if (renderer.xr.isPresenting || present().length === 0) return;
+  const whole = new THREE.Box3();
+  for (const piece of present()) whole.union(piece.box.applyMatrix4(piece.group.matrixWorld));
+  const [size, middle] = [whole.getSize(new THREE.Vector3()), whole.getCenter(new THREE.Vector3())];
+  controls.target.copy(frame(camera, size.toArray(), middle));
+}
+
+function describe() {
+  redraw();
+  caption(present(), pieces.length);
+  showThings(pieces, { chosen, onChoose: (piece) => moving(true, piece), onRemove: remove });
+  showQuickLook(pieces.length === 1 ? present()[0]?.entry : null);
+  const [first] = present();
+  if (first) at('collection').href = `/browse/${encodeURIComponent(first.entry.collections?.[0] || 'default')}`;
+}
+
+/** Take a thing out of the scene, and out of the page's address. */
+function remove(piece) {
+  grasp.letGoOf(piece);
+  pieces = pieces.filter((each) => each !== piece);
+  piece.remove();
+  if (pieces.length === 0) return;
+  history.replaceState(null, '', `/view?${new URLSearchParams(pieces.map(({ key }) => ['key', key]))}`);
+  arrived();
+  describe();
+}
+
+function reset() {
+  for (const piece of present()) {
+    grasp.letGoOf(piece);
+    piece.reset();
   }
-  if (shown) {
-    object.position.copy(shown.object.position);
-    object.quaternion.copy(shown.object.quaternion);
-    scene.remove(shown.object);
-    dispose(shown.object);
-  } else {
-    controls.target.copy(frame(camera, entry.size_m));
-  }
-  scene.add(object);
-  shown = { entry, object };
-  page.dataset.version = entry.version;
-  page.dataset.state = entry.state;
-  describe(entry);
+  look();
+  moved();
 }
 
-function describe(entry) {
-  document.title = `${entry.label || entry.key} · capture2vr`;
-  document.getElementById('label').textContent = entry.label || entry.key;
-  const size = entry.size_m.map((side) => (side < 1 ? `${(side * 100).toFixed(0)} cm` : `${side.toFixed(2)} m`));
-  const scale = entry.scale_confidence === 'unknown' ? ' (true size unknown)' : '';
-  const origin = entry.origin === 'guess' ? 'A guess from one photo · ' : '';
-  const triangles = entry.lods[0].triangles.toLocaleString('en');
-  said.textContent = `${origin}${size.join(' × ')}${scale} · ${triangles} triangles · ${entry.state}, version ${entry.version}`;
+// ---- moving -----------------------------------------------------------------------------------------------------------
+
+let chosen = null;
+const arranger = makeArranger({ camera, canvas: renderer.domElement }, { pieces: present, onMoved: left, onChosen: choose });
+const grasp = makeGrasp(left);
+const hands = makeHands(renderer, scene, { pieces: present, grasp, onReset: reset, ownHands: () => page.dataset.mode === 'vr' });
+
+function left(piece) {
+  piece.leave();
+  headset.understood();
+  moved();
 }
 
-function tell(problem) {
-  page.dataset.state = 'error';
-  page.dataset.code = problem.code || 'UNKNOWN';
-  said.textContent = [problem.message, ...(problem.hints || [])].join(' ');
+/** Where things stand, for who looks at the page from outside. */
+function moved() {
+  const short = (numbers) => numbers.map((value) => value.toFixed(3)).join(' ');
+  redraw();
+  page.dataset.moved = present().map(({ group }) => `${short(group.position.toArray())} ${group.scale.x.toFixed(3)}`).join('; ');
 }
 
-/** Stand the asset 1.5 m ahead of where the wearer looks, on the floor, or at a comfortable height when small. */
-function placeAhead(xrCamera) {
-  const eye = new THREE.Vector3().setFromMatrixPosition(xrCamera.matrixWorld);
-  const ahead = new THREE.Vector3(0, 0, -1).transformDirection(xrCamera.matrixWorld).setY(0);
-  if (ahead.lengthSq() < 1e-6) ahead.set(0, 0, -1);
-  ahead.normalize();
-  const [, height] = shown.entry.size_m;
-  const position = eye.clone().addScaledVector(ahead, AHEAD_M);
-  position.y = height < SMALL_M ? Math.max(0, eye.y * EYE_SHARE - height / 2) : 0;
-  shown.object.position.copy(position);
-  shown.object.rotation.set(0, Math.atan2(-ahead.x, -ahead.z), 0);
-  page.dataset.placed = position.toArray().map((value) => value.toFixed(3)).join(' ');
+function choose(piece) {
+  chosen = piece;
+  describe();
 }
 
-renderer.xr.enabled = true;
-renderer.xr.setReferenceSpaceType('local-floor');
-renderer.setAnimationLoop(() => {
-  if (!renderer.xr.isPresenting) controls.update();
-  renderer.render(scene, camera);
-  if (!shown) return;
-  page.dataset.lod = shownLevel(shown.object);
-  // After a frame was drawn the headset's pose is known.
-  if (renderer.xr.isPresenting && !placed && renderer.xr.getCamera().cameras.length > 0) {
-    placeAhead(renderer.xr.getCamera());
-    placed = true;
-  }
+function moving(yes, piece = null) {
+  at('move').setAttribute('aria-pressed', yes);
+  arranger.on(yes);
+  if (piece) arranger.choose(piece);
+  notice(yes ? MOVE_HELP : '', { stays: true });
+}
+
+at('move').addEventListener('click', () => moving(at('move').getAttribute('aria-pressed') !== 'true'));
+at('reset').addEventListener('click', reset);
+
+// ---- the headset, and each frame --------------------------------------------------------------------------------------
+
+const headset = offerSessions({ renderer, scene, root }, { vr: at('enter-vr'), ar: at('enter-ar') }, {
+  height: () => Math.max(0, ...present().map((piece) => piece.entry.size_m[1])),
+  onMode(mode) {
+    page.dataset.xr = mode ? 'on' : 'off';
+    page.dataset.mode = mode;
+    hands.letGo();
+    look(); // the camera was left where the headset was
+    redraw();
+  },
+  onPlaced: (metres) => (page.dataset.placed = metres.map((value) => value.toFixed(3)).join(' ')),
+  onRefused: (error) => tell({ code: 'XR_REFUSED', message: `The headset did not start: ${error.message}` }),
 });
 
-renderer.xr.addEventListener('sessionstart', () => {
-  placed = false;
-  page.dataset.xr = 'on';
-  enter.textContent = 'Leave VR';
-});
-renderer.xr.addEventListener('sessionend', () => {
-  page.dataset.xr = 'off';
-  enter.textContent = 'Enter VR';
-  if (!shown) return;
-  shown.object.position.set(0, 0, 0);
-  shown.object.rotation.set(0, 0, 0);
-  controls.target.copy(frame(camera, shown.entry.size_m)); // the camera was left where the headset was
-});
+const { redraw } = drawing(stage, { present, controls, onHeadset: hands.tick, onDrawn: headset.tick });
 
-async function offerVr() {
-  const possible = await navigator.xr?.isSessionSupported('immersive-vr').catch(() => false);
-  enter.hidden = !possible;
-  document.getElementById('headset').hidden = Boolean(possible);
+// ---- what is new ------------------------------------------------------------------------------------------------------
+
+async function follow() {
+  await Promise.all(pieces.map(attempt));
+  for (let turn = 0; pieces.length > 0; turn++) {
+    const mayChange = pieces.some(({ entry }) => entry?.state !== 'refined');
+    const pause = Math.max(LEAST_MS, (mayChange ? POLL_MS : CALM_MS) / pieces.length);
+    await new Promise((resolve) => setTimeout(resolve, pause));
+    if (!document.hidden || renderer.xr.isPresenting) await attempt(pieces[turn % pieces.length]);
+  }
 }
 
-enter.addEventListener('click', async () => {
-  const session = renderer.xr.getSession();
-  if (session) return session.end();
-  enter.disabled = true; // a second request while the first is asked for would be refused
+async function attempt(piece) {
   try {
-    const wanted = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-tracking'] };
-    await renderer.xr.setSession(await navigator.xr.requestSession('immersive-vr', wanted));
-  } catch (error) {
-    tell({ code: 'XR_REFUSED', message: `The headset did not start: ${error.message}` });
-  }
-  enter.disabled = false;
-});
-
-document.getElementById('qr').src = `/v1/assets/${encodeURIComponent(key)}/qr.svg`;
-document.getElementById('address').textContent = location.href;
-navigator.xr?.addEventListener('devicechange', offerVr);
-offerVr();
-navigator.serviceWorker?.register('/web/sw.js', { scope: '/' }).catch(() => {}); // a private window does without
-
-async function poll() {
-  try {
-    await refresh();
+    await refresh(piece);
   } catch (problem) {
-    // Once something stands there, a lost connection is no reason to take it away.
-    if (!shown) tell(problem);
+    failed(piece, problem);
   }
-  setTimeout(poll, POLL_MS);
 }
-poll();
+
+/** Once something stands there, a lost connection is no reason to take it away; that its owner took it back is one. */
+function failed(piece, problem) {
+  const news = problem.message !== piece.problem;
+  piece.problem = problem.message;
+  if (problem.code === 'ASSET_REMOVED' && piece.entry) {
+    remove(piece);
+    notice(`${piece.name} was taken back by whoever published it.`, { stays: true });
+  } else if (news && problem.code !== 'OFFLINE' && pieces.length > 1) {
+    notice(`${piece.name}: ${problem.message}`);
+  }
+  if (present().length === 0) tell(problem);
+}
+
+at('address').textContent = location.href;
+at('qr').src = `/v1/assets/${encodeURIComponent(pieces[0]?.key ?? '')}/qr.svg`;
+at('qr').hidden = pieces.length !== 1; // the code of several would be that of the first
+keepShell();
+follow();

@@ -1,0 +1,192 @@
+"""A mesh cut into charts that lie flat side by side in a square: UVs, by xatlas.
+
+1. drop    slivers without an area, which no chart can hold
+2. smooth  a copy, since a scan's noise would cut it into thousands of charts; only what is cut where comes from it
+3. divide  into patches of neighbours: the time of xatlas grows with the square of a mesh (50,000 triangles of a scanned
+           truck take 78 s whole, 3 s in patches, and get no more charts)
+4. unwrap  in a process of its own, killed when it takes too long or is no longer wanted
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+
+from services.edge.arrays import Floats, Ints, Tick, no_tick
+from services.edge.mesh.edges import border_edges
+from services.edge.mesh.normals import face_normals
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.topology import compact
+
+MOST_FACES = 50_000
+"""Triangles of a mesh that is unwrapped: in seconds, and a picture then holds the detail that vertices would."""
+
+_PATCH = 2_000  # faces: 500 give a fifth more charts, 5,000 take twice as long
+_PADDING = 2  # texels between charts at the size asked for: one mip down they still are apart
+_WIDER_FROM = 1024  # texels along a side, from which twice as much is no loss: of 512 it would be a third
+_ROUNDS = 5  # of smoothing: 450 instead of 3,800 charts of a hemisphere whose noise is a third of its edges
+_SHRINK, _GROW = 0.5, -0.53  # Taubin 1995: what the first takes from the volume the second gives back
+_LEAST_AREA = 1e-6  # of a face, of the mean face's: xatlas leaves out what is smaller, and it shows nothing
+_POLL_SECONDS = 0.1
+_LONGEST_SECONDS = 90.0  # 50,000 triangles in 25,000 pieces take 4 s; a machine may be twenty times as busy
+
+
+class UnwrapError(Exception):
+    """This mesh has no UVs, and why: a sentence for the report."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unwrapped:
+    """A mesh with a place in a square for every vertex; those on the seams between charts are doubled.
+
+    mesh    its rgb as of the vertices that these were
+    uv      (V,2) float64 in [0,1], as in glTF: (0,0) is the upper left corner
+    charts  how many there are
+    """
+
+    mesh: Mesh
+    uv: Floats
+    charts: int
+
+
+def unwrap(mesh: Mesh, *, side: int, tick: Tick = no_tick, most_seconds: float = _LONGEST_SECONDS) -> Unwrapped:
+    """UVs for a picture of side × side texels, between whose charts some stay free.
+
+    Any mesh of at most `MOST_FACES` triangles: open, in pieces, of two sheets, non-manifold. Raises UnwrapError where
+    it cannot be done within `most_seconds`. `tick` hears all the while; when it raises, the process ends at once.
+    """
+    if len(mesh.faces) > MOST_FACES:
+        raise UnwrapError(f"{len(mesh.faces):,} triangles are more than the {MOST_FACES:,} that are unwrapped")
+    mesh = _with_area(mesh)
+    order, ends = _patches(mesh)
+    try:
+        found = _by_xatlas(mesh, order, ends, side, tick, most_seconds)
+    except OSError as error:  # a full disk, no process to be had: the job has colours at its vertices all the same
+        raise UnwrapError(f"xatlas could not be run: {error.strerror or error}") from None
+    faces = np.empty_like(mesh.faces)
+    faces[order] = found["faces"]
+    # The longer side fills the square, the shorter one leaves a strip: a chart must not be stretched.
+    uv = np.clip(found["texel"].astype(np.float64) / max(float(found["size"].max()), 1.0), 0.0, 1.0)
+    return Unwrapped(*_placed(mesh, found["was"].astype(np.int64), faces, uv), int(found["charts"]))
+
+
+def _by_xatlas(
+    mesh: Mesh, order: Ints, ends: Ints, side: int, tick: Tick, most_seconds: float
+) -> dict[str, NDArray[Any]]:
+    """What the child finds: was, faces in the given order, texel, size, charts."""
+    with tempfile.TemporaryDirectory(prefix="unwrap-") as name:
+        folder = Path(name)
+        np.savez(
+            folder / "problem.npz",
+            vertices=_smoothed(mesh).astype(np.float32),
+            faces=mesh.faces.astype(np.uint32),
+            order=order,
+            ends=ends,
+            side=side,
+            padding=_PADDING * (2 if side >= _WIDER_FROM else 1),
+        )
+        _run(folder, tick, most_seconds)
+        with np.load(folder / "answer.npz") as answer:
+            return {name: answer[name] for name in answer.files}
+
+
+def _with_area(mesh: Mesh) -> Mesh:
+    if not np.isfinite(mesh.vertices).all():
+        raise UnwrapError("it has vertices that are nowhere")
+    area = np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1)
+    mean = float(area.mean()) if len(area) else 0.0
+    if not mean > 0:
+        raise UnwrapError("it has no triangle with an area")
+    return compact(mesh, np.flatnonzero(area > _LEAST_AREA * mean))
+
+
+def _smoothed(mesh: Mesh) -> Floats:
+    """(V,3) positions without the finest bumps, scaled so that a face has an area of about 1; borders stay."""
+    faces, count = mesh.faces, len(mesh.vertices)
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    near = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
+    degree = np.maximum(near.sum(axis=1), 1)[:, None]
+    free = np.ones((count, 1))
+    free[border_edges(faces)] = 0
+    scale = 1 / np.sqrt(np.linalg.norm(face_normals(mesh.vertices, faces), axis=1).mean())
+    xyz: Floats = (mesh.vertices - mesh.vertices.mean(axis=0)) * scale
+    for _ in range(_ROUNDS):
+        for step in (_SHRINK, _GROW):
+            xyz = xyz + step * free * (near @ xyz / degree - xyz)
+    return xyz
+
+
+def _patches(mesh: Mesh) -> tuple[Ints, Ints]:
+    """The faces in the order of patches of neighbours, and where each patch ends."""
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    done: list[Ints] = []
+    waiting = [np.arange(len(middles))]
+    while waiting:
+        part = waiting.pop()
+        if len(part) <= _PATCH:
+            done.append(part)
+            continue
+        axis = np.ptp(middles[part], axis=0).argmax()
+        part = part[np.argsort(middles[part, axis], kind="stable")]
+        waiting += [part[: len(part) // 2], part[len(part) // 2 :]]
+    return np.concatenate(done), np.cumsum([len(part) for part in done])
+
+
+def _run(folder: Path, tick: Tick, most_seconds: float) -> None:
+    """The child from start to end. -P: modules beside it must not stand in for Python's own."""
+    program = Path(__file__).with_name("unwrap_child.py")
+    log = folder / "log"
+    with log.open("wb") as said:
+        child = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-P", str(program), str(folder)],
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            start_new_session=True,
+        )
+        with child:
+            try:
+                code = _ended(child, tick, most_seconds)
+            finally:
+                if child.poll() is None:
+                    os.killpg(child.pid, signal.SIGKILL)
+    if code != 0:
+        last = log.read_text(errors="replace").strip().splitlines()[-1:]
+        raise UnwrapError(f"xatlas ended with status {code}" + "".join(f": {line}" for line in last))
+
+
+def _ended(child: subprocess.Popen[bytes], tick: Tick, most_seconds: float) -> int:
+    """The child's status; nothing tells how far it is, so the bar creeps on."""
+    began = time.monotonic()
+    while (spent := time.monotonic() - began) < most_seconds:
+        tick(spent / (spent + 5))
+        try:
+            return child.wait(_POLL_SECONDS)
+        except subprocess.TimeoutExpired:
+            continue
+    raise UnwrapError(f"xatlas took more than {most_seconds:.0f} s")
+
+
+def _placed(mesh: Mesh, was: Ints, faces: Ints, uv: Floats) -> tuple[Mesh, Floats]:
+    """Faces over vertices that were those of the mesh, without the faces that ended up without a place."""
+    a, b, c = (uv[faces[:, corner]] for corner in range(3))
+    ab, ac = b - a, c - a
+    placed = np.flatnonzero(ab[:, 0] * ac[:, 1] != ab[:, 1] * ac[:, 0])
+    if len(placed) == 0:
+        raise UnwrapError("xatlas found no place for any triangle")
+    used = np.zeros(len(was), bool)
+    used[faces[placed]] = True
+    rgb = None if mesh.rgb is None else mesh.rgb[was]
+    return compact(Mesh(mesh.vertices[was], faces, rgb), placed), uv[used]

@@ -1,0 +1,166 @@
+"""Photos upon a mesh: the right place, only what they see, at one brightness, without a line where one ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from services.edge.errors import Cancelled
+from services.edge.mesh import Mesh
+from services.edge.mesh.bake_pictures import Pictures, PosedPicture
+from services.edge.mesh.colour import ColouredPoints
+from services.edge.srgb import to_linear, to_srgb
+from tests import surfaces
+
+GROUND = surfaces.patch(lambda u, v: [u, v, 0 * u], 20, 20)  # in the unit frame: x and y from -½ to ½, z = 0
+UP = np.array([0.0, 0.0, 1.0])
+SIDE = 320  # pixels of a picture
+
+
+def waves(places: np.ndarray) -> np.ndarray:
+    """(N,3) sRGB codes of a print on the ground."""
+    x, y = places[:, 0], places[:, 1]
+    return np.stack([128 + 60 * np.sin(9 * x), 128 + 60 * np.cos(8 * y), 110 + 50 * np.sin(7 * (x + y))], axis=1)
+
+
+def camera(eye: tuple[float, float, float]) -> np.ndarray:
+    """(4,4) from the world to a camera that looks straight down: its x is the world's, its y is -y, its z is -z."""
+    turn = np.diag([1.0, -1.0, -1.0])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, -turn @ np.array(eye)
+    return pose
+
+
+def photo(
+    eye: tuple[float, float, float],
+    *,
+    shows: Callable[[np.ndarray], np.ndarray] = waves,
+    exposure: float = 1.0,
+    depth: float | None = None,
+    scale: float = 1.0,
+) -> PosedPicture:
+    """What a camera over the ground, whose picture is as wide as it is high over the ground, takes of it.
+
+    scale  units of the camera per unit of the ground
+    """
+    at = (np.arange(SIDE) + 0.5) / SIDE - 0.5
+    x, y = np.meshgrid(eye[0] + at * eye[2], eye[1] - at * eye[2])
+    light = to_linear(shows(np.stack([x.ravel(), y.ravel()], axis=1)).astype(np.uint8)) * exposure
+    rgb = to_srgb(light).reshape(SIDE, SIDE, 3)
+    measured = None if depth is None else (lambda: np.full((48, 48), depth * scale, np.float32))
+    to_camera = np.diag([scale, scale, scale, 1.0]) @ camera(eye)
+    return PosedPicture(to_camera, np.ones(2), np.full(2, 0.5), lambda: rgb, measured)
+
+
+def known(shows: Callable[[np.ndarray], np.ndarray] = waves) -> ColouredPoints:
+    xyz = np.random.default_rng(0).uniform(-0.5, 0.5, (20_000, 3)) * [1, 1, 0]
+    return ColouredPoints.of(xyz, shows(xyz).astype(np.uint8))
+
+
+def places(count: int = 4_000, inner: float = 0.45) -> np.ndarray:
+    return np.random.default_rng(1).uniform(-inner, inner, (count, 3)) * [1, 1, 0]
+
+
+def light_of(pictures: Pictures, at: np.ndarray, texel: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """(N,3) sRGB codes and (N,) how sure."""
+    light, sure = pictures(at, np.tile(UP, (len(at), 1)), texel, lambda _: None)
+    return to_srgb(light).astype(int), sure
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.2])
+def test_a_print_comes_back_where_it_was_and_the_pixel_is_told(scale: float) -> None:
+    pictures = Pictures(GROUND, [photo((0.1, -0.1, 1.5), depth=1.5, scale=scale)], known())
+    shown, sure = light_of(pictures, places())
+    assert (sure == 1).all()
+    assert np.abs(shown - waves(places())).max() <= 4
+    assert pictures.pixel == pytest.approx(1.5 / SIDE, rel=1e-3)
+
+
+def test_what_something_hides_is_left_to_the_points() -> None:
+    roof = Mesh(GROUND.vertices * 0.5 + [0.0, 0, 0.3], GROUND.faces)
+    faces = np.concatenate([GROUND.faces, roof.faces + len(GROUND.vertices)])
+    both = Mesh(np.concatenate([GROUND.vertices, roof.vertices]), faces)
+    pictures = Pictures(both, [photo((0, 0, 2.0))], known())
+    at = places()
+    _, sure = light_of(pictures, at)
+    shadow = 0.25 * 2.0 / 1.7  # of the roof's half side, from the eye upon the ground
+    beneath = np.abs(at[:, :2]).max(axis=1)
+    assert (sure[beneath < shadow - 0.01] == 0).all()
+    assert (sure[beneath > shadow + 0.01] == 1).all()
+
+
+def test_what_stood_before_the_camera_is_left_to_the_points() -> None:
+    """A hand in the picture: the mesh knows nothing of it, the depth image does."""
+    pictures = Pictures(GROUND, [photo((0, 0, 1.5), depth=0.7)], known())
+    assert (light_of(pictures, places())[1] == 0).all()
+
+
+def test_neither_the_back_of_a_camera_nor_the_side_of_a_surface_shows_anything() -> None:
+    pictures = Pictures(GROUND, [photo((0, 0, -1.5))], known())  # looks down, from below
+    assert (light_of(pictures, places())[1] == 0).all()
+    flat = Pictures(GROUND, [photo((0, 0, 1.5))], known())
+    sideways = np.tile([1.0, 0.0, 0.0], (4_000, 1))
+    assert (flat(places(), sideways, 0.0, lambda _: None)[1] == 0).all()
+
+
+def test_pictures_of_different_exposure_are_brought_to_one_brightness() -> None:
+    taken = [photo((x, 0, 1.6), exposure=exposure) for x, exposure in ((-0.2, 0.6), (0.0, 1.0), (0.2, 1.3))]
+    shown, _ = light_of(Pictures(GROUND, taken, known()), places())
+    assert np.abs(shown - waves(places())).mean() < 2
+
+
+def test_no_line_shows_where_a_picture_ends() -> None:
+    """The second picture ends in the middle of the ground and is tinted where nothing can correct it."""
+
+    def tinted(at: np.ndarray) -> np.ndarray:
+        return np.clip(waves(at) + np.where(at[:, :1] > 0.1, 30, 0), 0, 255)
+
+    taken = [photo((-0.2, 0, 1.6)), photo((0.45, 0, 0.9), shows=tinted)]
+    along = np.stack([np.linspace(-0.4, 0.4, 2_000), np.full(2_000, 0.03), np.zeros(2_000)], axis=1)
+    shown, _ = light_of(Pictures(GROUND, taken, known()), along)
+    off = shown - waves(along)
+    away = np.abs(along[:, 0] - 0.1) > 0.01  # there the tint itself begins
+    assert np.abs(off).max() > 10  # it is seen at all
+    assert np.abs(np.diff(off, axis=0))[away[1:]].max() <= 4
+
+
+def test_the_best_view_decides_where_views_disagree() -> None:
+    """Two pictures of a fine print, one of them misplaced by half a wave: what is sharp stays sharp."""
+
+    def stripes(at: np.ndarray, shift: float = 0.0) -> np.ndarray:
+        return np.repeat(128 + 100 * np.sign(np.sin(40 * (at[:, :1] + shift))), 3, axis=1)
+
+    grey = known(lambda at: np.full((len(at), 3), 128.0))
+    taken = [photo((0, 0, 1.2), shows=stripes), photo((1.1, 0, 2.5), shows=lambda at: stripes(at, 0.08))]
+    shown, _ = light_of(Pictures(GROUND, taken, grey), places(inner=0.3))
+    contrast = np.percentile(shown, 90) - np.percentile(shown, 10)
+    assert contrast > 120
+
+
+def test_coarse_texels_get_the_mean_of_fine_pixels() -> None:
+    def dots(at: np.ndarray) -> np.ndarray:
+        odd = np.floor(at * SIDE / 1.5).astype(int).sum(axis=1) % 2 == 1
+        return np.where(odd[:, None], 255, 0).repeat(3, axis=1)
+
+    pictures = Pictures(GROUND, [photo((0, 0, 1.5), shows=dots)], known(lambda at: np.full((len(at), 3), 188.0)))
+    fine, coarse = (light_of(pictures, places(), texel)[0] for texel in (0.0, 0.05))
+    assert coarse.std() < 12 < fine.std()
+
+
+def test_no_picture_sees_a_thing_somewhere_else() -> None:
+    pictures = Pictures(GROUND, [photo((50, 0, 1.0))], known())
+    assert pictures.pixel == 0
+    assert (light_of(pictures, places())[1] == 0).all()
+
+
+def test_it_can_be_stopped_between_two_pictures() -> None:
+    def stop(fraction: float) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        Pictures(GROUND, [photo((0, 0, 1.5))] * 3, known(), stop)
+    pictures = Pictures(GROUND, [photo((0, 0, 1.5))] * 3, known())
+    with pytest.raises(Cancelled):
+        pictures(places(), np.tile(UP, (4_000, 1)), 0.0, stop)

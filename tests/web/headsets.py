@@ -1,0 +1,78 @@
+"""A wearer in an emulated Quest 3: what their hands do, frame by frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from playwright.sync_api import BrowserContext, Page, expect
+
+_WORN = """
+const device = new IWER.XRDevice(IWER.metaQuest3);
+device.installRuntime({ forceInstall: true });
+device.position.set(0, 1.6, 0);
+device.stereoEnabled = true;
+window.xrDevice = device;
+"""
+_FRAMES = """count => new Promise((done) => {
+    const step = () => (count-- > 0 ? xrDevice.activeSession.requestAnimationFrame(step) : done());
+    step();
+})"""
+_MOVE = """([kind, side, place]) => {
+    const held = xrDevice[kind][side];
+    held.position.set(...place);
+    held.quaternion.set(0, 0, 0, 1);
+}"""
+
+
+def wear(context: BrowserContext, iwer: Path) -> None:
+    """Pages of this context run in a headset whose wearer stands at the origin, eyes at 1.6 m, looking along -z."""
+    context.add_init_script(path=iwer)
+    context.add_init_script(_WORN)
+
+
+def enter(page: Page, mode: str = "VR") -> None:
+    """Into the session, until the scene stands ahead."""
+    page.get_by_role("button", name=f"Enter {mode}").click()
+    expect(page.locator("body")).to_have_attribute("data-xr", "on")
+    page.wait_for_function("() => document.body.dataset.placed")
+    frames(page)
+
+
+def frames(page: Page, count: int = 3) -> None:
+    """Until the headset has drawn as many pictures."""
+    page.evaluate(_FRAMES, count)
+
+
+class Hand:
+    """A controller, or a bare hand, that points along -z."""
+
+    def __init__(self, page: Page, side: str, *, bare: bool = False) -> None:
+        self._page, self._side = page, side
+        self._kind = "hands" if bare else "controllers"
+
+    def move(self, x: float, y: float, z: float) -> None:
+        """To a place in the room, in metres."""
+        self._page.evaluate(_MOVE, [self._kind, self._side, [x, y, z]])
+        frames(self._page)
+
+    def press(self, button: str = "trigger") -> None:
+        self._set(button, 1)
+
+    def release(self, button: str = "trigger") -> None:
+        self._set(button, 0)
+
+    def stick(self, x: float, y: float, count: int) -> None:
+        """Hold the thumbstick for some frames."""
+        script = "([side, x, y]) => xrDevice.controllers[side].updateAxes('thumbstick', x, y)"
+        self._page.evaluate(script, [self._side, x, y])
+        frames(self._page, count)
+        self._page.evaluate(script, [self._side, 0, 0])
+        frames(self._page)
+
+    def _set(self, button: str, value: int) -> None:
+        if self._kind == "hands":
+            self._page.evaluate("([side, value]) => xrDevice.hands[side].updatePinchValue(value)", [self._side, value])
+        else:
+            script = "([side, button, value]) => xrDevice.controllers[side].updateButtonValue(button, value)"
+            self._page.evaluate(script, [self._side, button, value])
+        frames(self._page)

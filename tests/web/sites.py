@@ -1,0 +1,42 @@
+"""A gateway in this process, without a worker: pages, files and catalogues are all that a viewer needs."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import uvicorn
+
+from services.gateway.app import create_app
+from services.gateway.settings import GatewaySettings
+from services.storage.local import LocalStore
+from services.storage.signing import NO_KEYS, Keys
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A gateway that listens, its store, and the keys it signs with."""
+
+    url: str
+    store: LocalStore
+    keys: Keys = NO_KEYS
+
+
+@contextmanager
+def site_at(folder: Path, keys: Keys = NO_KEYS) -> Iterator[Site]:
+    """A gateway on a free port; it stops on leaving."""
+    store = LocalStore(folder / "store")
+    app = create_app(GatewaySettings(data_dir=folder / "data", workers=("127.0.0.1:9",)), store, keys)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="none", timeout_graceful_shutdown=1))
+        thread = threading.Thread(target=server.run, args=([listening],))
+        thread.start()
+        try:
+            yield Site(f"http://127.0.0.1:{listening.getsockname()[1]}", store, keys)
+        finally:
+            server.should_exit = True
+            thread.join()

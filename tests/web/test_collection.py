@@ -1,0 +1,240 @@
+"""The page of a collection: things are found, opened together, kept for later, and never believed unchecked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect
+
+from services.storage.catalogue import entry
+from services.storage.collection import Index, Row, index_name, listed, sealed, shard_data
+from services.storage.publish import publish
+from services.storage.removal import remove
+from services.storage.signing import Keys, generate, read_signer
+from services.storage.store import IMMUTABLE, NO_CACHE
+from tests.web.conftest import PATIENCE_MS, PHONE
+from tests.web.sites import Site, site_at
+from tests.web.things import BLUE, GREEN, RED, box, moving_picture, picture_of
+
+pytestmark = pytest.mark.browser
+INDEX = index_name("default")
+HOSTILE = "<img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """A signed collection of a boot, a shoe, a sofa that is a guess, and something hostile; a bag was taken back."""
+    folder = tmp_path_factory.mktemp("shelf")
+    generate(folder / "key")
+    keys = Keys((read_signer(folder / "key"),))
+    thumbnail = {"thumbnail.webp": picture_of(RED), "preview.png": picture_of(GREEN, kind="PNG")}
+    turning = {**thumbnail, "turning.webp": moving_picture([RED, BLUE])}
+    preview = {"preview.png": picture_of(GREEN, kind="PNG")}
+    with site_at(folder, keys) as site:
+        for key, bundle in {
+            "boot": box("Walking Boot", RED, files=turning, labels=["footwear", "Leder"]),
+            "shoe": box("Straßenschuh", GREEN, files=preview, labels=["footwear"], state="preview"),
+            "sofa": box("Sofa", BLUE, files=thumbnail, labels=["furniture"], origin="guess"),
+            "zz": box(HOSTILE, BLUE, labels=[HOSTILE, '"><script>alert(2)</script>']),
+            "bag": box("Bag", RED, labels=["footwear"]),
+        }.items():
+            publish(bundle, site.store, key=key, keys=keys)
+        remove(site.store, "bag", keys)
+        yield site
+
+
+@pytest.fixture(autouse=True)
+def whole(shelf: Site) -> Iterator[None]:
+    """The index is as it was when a test is over."""
+    before = shelf.store.get(INDEX)
+    yield
+    replaced(shelf, before)
+
+
+def replaced(site: Site, index: bytes) -> None:
+    site.store.put(INDEX, index, content_type="application/json", cache_control=NO_CACHE)
+
+
+def shown(page: Page) -> list[str]:
+    return [str(each.get_attribute("data-key")) for each in page.locator("#grid > li").all()]
+
+
+def visit(page: Page, site: Site, query: str = "") -> None:
+    page.goto(f"{site.url}/browse/default{query}")
+    expect(page.locator("body")).to_have_attribute("data-state", "shown")
+
+
+def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) -> None:
+    visit(page, shelf)
+    assert shown(page) == ["boot", "shoe", "sofa", "zz"], "and no bag"
+    expect(page.locator("#said")).to_have_text("4 things")
+    expect(page.locator("[data-key=boot]")).to_have_attribute("data-picture", "thumbnail.webp")
+    expect(page.locator("[data-key=shoe]")).to_have_attribute("data-picture", "preview.png")
+    expect(page.locator("[data-key=zz]")).to_have_attribute("data-picture", "none")
+    facts = [page.locator(f"[data-key={key}] .facts").inner_text() for key in ("boot", "shoe", "sofa")]
+    assert facts == ["refined", "preview", "a guess from one photo"]
+    box_of = page.locator("[data-key=zz]")
+    expect(box_of.locator(".name")).to_have_text(HOSTILE)
+    assert box_of.locator("script, .name img, .labels img").count() == 0
+
+    searching = page.get_by_role("searchbox", name="Search by name or label")
+    for words, keys in {"leder": ["boot"], "WALK boot": ["boot"], "strassen": [], "straß": ["shoe"]}.items():
+        searching.fill(words)
+        expect(page.locator("#said")).to_contain_text(words)
+        assert shown(page) == keys
+    searching.fill("nothing like it")
+    expect(page.locator("#said")).to_have_text("Nothing matches “nothing like it”.")
+    searching.fill("")
+    expect(page.locator("#said")).to_have_text("4 things")
+    page.locator("[data-key=boot]").get_by_role("button", name="footwear").click()
+    expect(page.locator("#said")).to_have_text("2 things for “footwear”")
+    assert page.url.endswith("?q=footwear")
+
+    page.get_by_role("checkbox", name="Choose Walking Boot").focus()
+    page.keyboard.press("Space")
+    page.get_by_role("checkbox", name="Choose Straßenschuh").check()
+    expect(page.locator("#count")).to_have_text("2 chosen")
+    page.get_by_role("link", name="Open together").click()
+    expect(page.locator("#label")).to_have_text("2 things")
+    assert page.url == f"{shelf.url}/view?key=boot&key=shoe"
+    page.get_by_role("link", name="All things").click()
+    expect(page.locator("#said")).to_have_text("4 things")
+    page.get_by_role("link", name="Walking Boot").click()
+    expect(page.locator("#label")).to_have_text("Walking Boot")
+
+
+def test_a_thing_turns_while_it_is_pointed_at_unless_motion_is_unwelcome(page: Page, shelf: Site) -> None:
+    visit(page, shelf)
+    expect(page.locator("[data-key=boot]")).to_have_attribute("data-picture", "thumbnail.webp")
+    picture = page.locator("[data-key=boot] img")
+    still = picture.get_attribute("src")
+    page.locator("[data-key=boot] a").focus()
+    expect(picture).not_to_have_attribute("src", str(still))
+    page.locator("#search").focus()
+    expect(picture).to_have_attribute("src", str(still))
+    page.emulate_media(reduced_motion="reduce")
+    page.locator("[data-key=boot]").hover()
+    page.wait_for_timeout(200)
+    expect(picture).to_have_attribute("src", str(still))
+
+
+def refused(context: BrowserContext, site: Site, code: str, words: str) -> None:
+    page = context.new_page()
+    page.goto(f"{site.url}/browse/default")
+    expect(page.locator("body")).to_have_attribute("data-code", code)
+    expect(page.locator("#said")).to_contain_text(words)
+    assert shown(page) == []
+    page.close()
+
+
+def test_what_is_older_forged_or_changed_is_refused(
+    browser: Browser, context: BrowserContext, page: Page, shelf: Site
+) -> None:
+    before = shelf.store.get(INDEX)
+    publish(box("Sofa", RED, labels=["furniture"]), shelf.store, key="sofa", keys=shelf.keys)
+    now = shelf.store.get(INDEX)
+    visit(page, shelf)
+    replaced(shelf, before)
+    refused(context, shelf, "CATALOGUE_OLDER", "older catalogue than this device has seen")
+
+    envelope = json.loads(now)
+    text = json.loads(envelope["signed"])
+    forged = {**envelope, "signed": json.dumps({**text, "version": text["version"] + 1})}
+    replaced(shelf, json.dumps(forged).encode())
+    refused(context, shelf, "CATALOGUE_FORGED", "not signed by whom it was before")
+
+    replaced(shelf, now)
+    shard = Path(shelf.store.path(text["shards"][0]["name"]))
+    content = shard.read_bytes()
+    shard.chmod(0o644)
+    shard.write_bytes(content.replace(b"Walking", b"Running"))
+    another = browser.new_context(service_workers="block")  # this one has the shard as it was
+    refused(another, shelf, "ASSET_TAMPERED", "not what the catalogue promises")
+    another.close()
+    shard.write_bytes(content)
+    visit(page, shelf)
+
+
+def test_a_picture_that_was_changed_is_not_shown(page: Page, shelf: Site) -> None:
+    files = entry(shelf.store, "shoe").document["files"]
+    picture = Path(shelf.store.path(next(file["name"] for file in files if file["file"] == "preview.png")))
+    content = picture.read_bytes()
+    picture.chmod(0o644)
+    picture.write_bytes(picture_of(BLUE, kind="PNG"))
+    try:
+        visit(page, shelf)
+        expect(page.locator("[data-key=shoe] .facts")).to_contain_text("not what the catalogue promises")
+        assert page.locator("[data-key=shoe] img").get_attribute("src") is None
+    finally:
+        picture.write_bytes(content)
+
+
+KEPT = """async () => {
+    const shell = await caches.open('shell-1');
+    const loaded = performance.getEntriesByType('resource').map(({ name }) => name);
+    const needed = ['/browse/', '/v1/collections/default', ...loaded.filter((name) => name.includes('/web/'))];
+    return (await Promise.all(needed.map((each) => shell.match(each)))).every(Boolean);
+}"""
+
+
+def test_after_one_visit_the_page_needs_no_server(browser: Browser, shelf: Site, tmp_path: Path) -> None:
+    context = browser.new_context(viewport=PHONE, device_scale_factor=1)
+    context.set_default_timeout(PATIENCE_MS)
+    publish(box("Lamp", RED, files={"thumbnail.webp": picture_of(RED)}), shelf.store, key="lamp", keys=shelf.keys)
+    with site_at(tmp_path, shelf.keys) as site:
+        publish(box("Lamp", RED, files={"thumbnail.webp": picture_of(RED)}), site.store, key="lamp", keys=site.keys)
+        page = context.new_page()
+        visit(page, site)
+        expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
+        while not page.evaluate(KEPT):
+            page.wait_for_timeout(100)
+        url = site.url
+    page.goto(f"{url}/browse/default")
+    expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
+    page.get_by_role("searchbox").fill("lamp")
+    expect(page.locator("#said")).to_have_text("1 thing for “lamp”")
+    context.close()
+
+
+def test_ten_thousand_things_are_read_as_far_as_they_are_looked_at(page: Page, tmp_path: Path) -> None:
+    with site_at(tmp_path) as site:
+        publish_many(site, 10_000)
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url) if "/shard." in request.url else None)
+        page.goto(f"{site.url}/browse/default")
+        expect(page.locator("#said")).to_have_text("About 10,000 things")
+        assert (len(asked), len(shown(page))) == (1, 48)
+        page.get_by_role("button", name="Next").click()
+        expect(page.locator("#where")).to_have_text("Page 2")
+        assert shown(page)[0] == "k00048"
+        assert len(asked) == 1
+        page.get_by_role("searchbox").fill("thing 9999")
+        expect(page.locator("#said")).to_have_text("1 thing for “thing 9999”")
+        assert shown(page) == ["k09999"]
+        assert len(asked) == 10
+        page.goto(f"{site.url}/browse/default?page=209")
+        expect(page.locator("#where")).to_have_text("Page 209 of 209")
+        assert len(shown(page)) == 16
+
+
+def publish_many(site: Site, count: int) -> None:
+    """A collection of assets that have rows and nothing else."""
+    keys = [f"k{place:05}" for place in range(count)]
+    rows = [Row(key, f"Thing {key[1:]}", ("many",), 1, "refined", 0, "0" * 64, "") for key in keys]
+    shards = []
+    for first in range(0, count, 1000):
+        part = rows[first : first + 1000]
+        data = shard_data(part, 1)
+        shards.append(listed("default", part, data))
+        site.store.put(shards[-1].name, data, content_type="application/json", cache_control=IMMUTABLE)
+    replaced(site, sealed(Index("default", 1, "2026-01-01T00:00:00+00:00", tuple(shards)), ()))
+
+
+def test_a_collection_that_is_none_is_said(page: Page, shelf: Site) -> None:
+    page.goto(f"{shelf.url}/browse/nobodys")
+    expect(page.locator("body")).to_have_attribute("data-code", "COLLECTION_UNKNOWN")
+    expect(page.locator("#said")).to_contain_text("nobodys")
+    assert page.request.get(f"{shelf.url}/browse/-x").status == 404
