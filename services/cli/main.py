@@ -33,7 +33,11 @@ Longest = Annotated[
     typer.Option(min=0.001, max=1_000, help="Metres between the farthest points of the thing, if you measured it."),
 ]
 Target = Annotated[
-    str, typer.Option(help="quest3, quest2, web or archive: levels of detail that keep within its budget, or an error.")
+    str,
+    typer.Option(
+        help="quest3, quest2, web or archive: levels of detail that keep within its budget, or an error; quest3-unlit "
+        "and so on: colours as captured, whatever light the scene has."
+    ),
 ]
 
 

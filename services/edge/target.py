@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import Any
 
@@ -18,6 +18,7 @@ from services.edge.errors import EdgeError
 from services.edge.mesh.glb import Packing
 
 _MIB = 1 << 20
+_UNLIT = "-unlit"
 _ALL = 100_000_000  # triangles: more than any extraction makes
 
 
@@ -68,13 +69,18 @@ class Cost:
 
 
 def target_of(name: str) -> Target:
-    """Raises EdgeError TARGET_UNKNOWN, naming all."""
+    """By name; "quest3-unlit" is quest3 with its colours as captured, rather than in the light of the scene.
+
+    Raises EdgeError TARGET_UNKNOWN, naming all.
+    """
     if not name:
         return NO_TARGET
-    if name not in TARGETS:
+    base = name.removesuffix(_UNLIT)
+    if base not in TARGETS:
         known = ", ".join(TARGETS)
-        raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=(f"use one of: {known}",))
-    return TARGETS[name]
+        hints = (f"use one of: {known}", f"or one of them with {_UNLIT} behind it")
+        raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=hints)
+    return replace(TARGETS[base], name=name, unlit=name != base)
 
 
 def cost_of(glb: bytes) -> Cost:

@@ -72,3 +72,9 @@ def test_a_target_that_there_is_not_names_those_that_there_are() -> None:
         target_of("quest9")
     assert caught.value.code == "TARGET_UNKNOWN"
     assert all(name in caught.value.hints[0] for name in TARGETS)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_target_has_an_unlit_twin(name: str) -> None:
+    assert target_of(f"{name}-unlit") == replace(TARGETS[name], name=f"{name}-unlit", unlit=True)
+    assert not target_of(name).unlit
