@@ -14,6 +14,7 @@ import uvicorn
 from fastapi import FastAPI
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.middleware.cors import CORSMiddleware
+from starlette.middleware.gzip import GZipMiddleware
 
 import services
 from services.gateway import errors
@@ -68,7 +69,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     errors.install(app)
     for routes in (captures, jobs, assets, collections, files, health, pages):
         app.include_router(routes.router)
-    app.mount("/web", pages.Web(directory=pages.WEB), name="web")
+    # Scripts shrink to a quarter: 2.5 MB would be a second of a first visit at 20 Mbit/s.
+    app.mount("/web", GZipMiddleware(pages.Web(directory=pages.WEB), compresslevel=6), name="web")
     if settings.cors_origins:
         app.add_middleware(
             CORSMiddleware,

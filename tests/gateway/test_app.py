@@ -11,6 +11,7 @@ import httpx
 import pytest
 
 from services.gateway.instance import FolderInUse, instance
+from services.gateway.routes.pages import WEB
 from services.gateway.settings import GatewaySettings
 from services.strict_settings import SettingsError
 from tests.gateway.support import Making, capture, ended, gateway, memory, start, worker
@@ -77,6 +78,17 @@ async def test_pages_run_only_what_is_ours(tmp_path: Path) -> None:
         module = await client.get("/web/api.js")
         assert module.headers["cache-control"] == "no-cache"
         assert (await client.get("/web/api.js", headers={"If-None-Match": module.headers["etag"]})).status_code == 304
+
+
+async def test_scripts_travel_small(tmp_path: Path) -> None:
+    async with gateway(tmp_path / "gw", memory()) as client:
+        address = "/web/three-0.187.0.core.js"
+        for accepted, share in (("gzip", 0.3), ("identity", 1.0)):
+            async with client.stream("GET", address, headers={"Accept-Encoding": accepted}) as answer:
+                sent = sum([len(chunk) async for chunk in answer.aiter_raw()])
+                assert answer.headers["vary"] == "Accept-Encoding"
+            whole = (WEB / Path(address).name).stat().st_size
+            assert share / 2 < sent / whole <= share
 
 
 async def test_other_origins_call_only_when_they_are_named(tmp_path: Path) -> None:
