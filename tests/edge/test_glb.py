@@ -145,6 +145,18 @@ def test_a_picture_goes_in_as_it_is_and_is_shown_with_mips(packing: Packing) -> 
     assert set(glb.primitive["attributes"]) == {"POSITION", "NORMAL", "TEXCOORD_0"}
 
 
+def test_normals_of_a_pictured_strip_with_one_side_never_point_through_it() -> None:
+    loose = surfaces.mobius()
+    vertices, own = np.unique(loose.vertices.round(9), axis=0, return_inverse=True)
+    strip = Mesh(vertices, own.ravel()[loose.faces])
+    uv = np.random.default_rng(0).random((len(strip.vertices), 2))
+    glb = Glb.of(to_glb(Textured(strip, uv, PICTURED["one triangle"].jpeg, 32)))
+    corners = glb.positions[glb.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    assert np.einsum("fx,fcx->fc", across, glb.normals[glb.faces]).min() > 0.5
+
+
 def test_light_knows_no_seam_of_the_picture() -> None:
     """A vertex that the unwrapping doubled has one normal, that of the whole surface."""
     ball = surfaces.sphere()

@@ -24,8 +24,9 @@ from services.edge.arrays import Bools, Floats, Ints
 from services.edge.mesh import meshopt
 from services.edge.mesh.glb_buffer import Buffer, CompressedBuffer
 from services.edge.mesh.glb_light import SHORT, TRUE, rgba16
-from services.edge.mesh.normals import face_normals, split_flips, vertex_normals
+from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh, Textured
+from services.edge.mesh.shaded import shaded
 
 Packing = Literal["float", "quantised", "meshopt"]
 
@@ -67,10 +68,8 @@ class _Drawn:
 
     @classmethod
     def of(cls, asset: Mesh | Textured, unlit: bool) -> _Drawn:
-        if isinstance(asset, Textured):
-            return cls(asset.mesh, _across_seams(asset.mesh), asset.uv, asset.jpeg, unlit)
-        mesh = split_flips(asset)
-        return cls(mesh, vertex_normals(mesh), None, None, unlit)
+        made = shaded(asset)
+        return cls(made.mesh, made.normals, made.uv, asset.jpeg if isinstance(asset, Textured) else None, unlit)
 
     def picked(self, which: Bools | Ints, faces: Ints) -> _Drawn:
         """These vertices, in this order, and faces over them."""
@@ -81,15 +80,6 @@ class _Drawn:
     def placed(self, vertices: NDArray[Any]) -> _Drawn:
         """With other positions."""
         return replace(self, mesh=replace(self.mesh, vertices=vertices))
-
-
-def _across_seams(mesh: Mesh) -> Floats:
-    """(V,3) normals of a mesh whose vertices are doubled along seams, as if they were not: light knows no seam."""
-    _, first, same = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
-    whole = split_flips(Mesh(mesh.vertices[first], same.reshape(-1)[mesh.faces]))
-    normals = np.zeros_like(mesh.vertices)
-    normals[mesh.faces] = vertex_normals(whole)[whole.faces]
-    return normals
 
 
 def _kept(drawn: _Drawn) -> _Drawn:
