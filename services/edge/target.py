@@ -51,7 +51,13 @@ TARGETS = {
         Target("quest3", "Meta Quest 3 and its like", (100_000, 25_000, 5_000), 300_000, 40 * _MIB),
         Target("quest2", "Meta Quest 2 and its like", (50_000, 12_500, 2_500), 300_000, 20 * _MIB, 1024),
         Target("web", "phones and laptops, in a page", (100_000, 25_000, 5_000), 150_000, 40 * _MIB, 1024),
-        Target("archive", "other programs: every triangle, as floats", (_ALL, 100_000, 25_000), 0, 0, 0, "float"),
+        Target(
+            "archive",
+            "other programs: every triangle, as floats",
+            (_ALL, 100_000, 25_000),
+            texture_px=0,
+            packing="float",
+        ),
     )
 }
 

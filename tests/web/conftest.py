@@ -100,3 +100,12 @@ def iwer() -> Path:
     """Meta's WebXR emulator, as one script."""
     folder = installed("iwer", Path(__file__).parent, what="the WebXR emulator")
     return folder / "node_modules" / "iwer" / "build" / "iwer.min.js"
+
+
+def without_a_past(browser: Browser, width: int, height: int) -> Iterator[BrowserContext]:
+    """A window of that size in a browser that keeps nothing, without service workers."""
+    size = {"width": width, "height": height}
+    context = browser.new_context(viewport=size, device_scale_factor=1, service_workers="block")
+    context.set_default_timeout(PATIENCE_MS)
+    yield context
+    context.close()

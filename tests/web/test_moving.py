@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.publish import publish
-from tests.web.conftest import PATIENCE_MS
+from tests.web.conftest import without_a_past
 from tests.web.headsets import Hand, enter, frames, wear
 from tests.web.pictures import halves, places_of, stage
 from tests.web.sites import Site
@@ -31,12 +31,7 @@ def viewer(site: Site) -> str:
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
     """A small window: what counts here is where things are."""
-    context = browser.new_context(
-        viewport={"width": 480, "height": 300}, device_scale_factor=1, service_workers="block"
-    )
-    context.set_default_timeout(PATIENCE_MS)
-    yield context
-    context.close()
+    yield from without_a_past(browser, 480, 300)
 
 
 def moved(page: Page) -> tuple[float, float, float, float]:

@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.publish import publish
 from services.storage.removal import remove
-from tests.web.conftest import PATIENCE_MS
+from tests.web.conftest import without_a_past
 from tests.web.headsets import Hand, enter, wear
 from tests.web.pictures import halves, places_of, stage
 from tests.web.sites import Site
@@ -32,12 +32,7 @@ def published(site: Site) -> None:
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
     """A small wide window."""
-    context = browser.new_context(
-        viewport={"width": 600, "height": 300}, device_scale_factor=1, service_workers="block"
-    )
-    context.set_default_timeout(PATIENCE_MS)
-    yield context
-    context.close()
+    yield from without_a_past(browser, 600, 300)
 
 
 def both(page: Page, site: Site) -> None:

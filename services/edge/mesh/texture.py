@@ -12,7 +12,7 @@ from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.mesh.bake import bake, blended, jpeg_of, scattered
 from services.edge.mesh.band import part_of
 from services.edge.mesh.colour import ColouredPoints
-from services.edge.mesh.normals import face_normals
+from services.edge.mesh.metrics import area
 from services.edge.mesh.nouns import Mesh, Textured
 from services.edge.mesh.simplify import simplify
 from services.edge.mesh.unwrap import MOST_FACES, UnwrapError, unwrap
@@ -84,7 +84,7 @@ class Palette:
 
 def side_for(mesh: Mesh, palette: Palette, most: int) -> int:
     """Texels along a side, a power of two of at most `most`, that hold what is known of the colours of a mesh."""
-    wanted = np.sqrt(_TEXELS_PER_POINT * palette.samples_on(_area(mesh)) / _FILLED)
+    wanted = np.sqrt(_TEXELS_PER_POINT * palette.samples_on(area(mesh)) / _FILLED)
     return int(np.clip(2 ** np.ceil(np.log2(wanted)), SMALLEST_PX, max(most, SMALLEST_PX)))
 
 
@@ -92,7 +92,7 @@ def worth_a_picture(mesh: Mesh, palette: Palette) -> bool:
     """Whether a picture would show more of a mesh (with rgb) than its vertices do: more is known, and it differs."""
     if len(mesh.faces) > MOST_FACES or mesh.rgb is None:
         return False
-    if palette.samples_on(_area(mesh)) < _SAMPLES_PER_VERTEX * len(mesh.vertices):
+    if palette.samples_on(area(mesh)) < _SAMPLES_PER_VERTEX * len(mesh.vertices):
         return False
     # What photos show is sharper than the points tell: to compare it would mean to load them all.
     return palette.pictures is not None or gain(mesh, palette.points) >= _LEAST_GAIN
@@ -115,7 +115,7 @@ def textured(mesh: Mesh, palette: Palette, *, side: int, tick: Tick = no_tick) -
     """
     unwrapped = unwrap(mesh, side=side, tick=part_of(tick, 0, _UNWRAPPED))
     bare = replace(unwrapped.mesh, rgb=None)
-    texel = float(np.sqrt(_area(mesh) / _FILLED) / side)
+    texel = float(np.sqrt(area(mesh) / _FILLED) / side)
     light_at = partial(_light_at, palette, texel)
     picture, covered = bake(bare, unwrapped.uv, light_at, side=side, tick=part_of(tick, _UNWRAPPED, 1))
     if covered < _SAMPLES_PER_VERTEX * len(mesh.vertices):
@@ -125,10 +125,6 @@ def textured(mesh: Mesh, palette: Palette, *, side: int, tick: Tick = no_tick) -
 
 def _light_at(palette: Palette, texel: float, places: Floats, normals: Floats, tick: Tick) -> Floats:
     return palette.light_at(places, normals, texel, tick)
-
-
-def _area(mesh: Mesh) -> float:
-    return float(np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1).sum() / 2)
 
 
 def with_pictures(
