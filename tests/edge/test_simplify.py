@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
 from services.edge.mesh import Mesh, lods, simplify
+from services.edge.mesh.manifold import without_fins
 from services.edge.mesh.metrics import area, chamfer_l1, edge_faces, pieces, sample
 from services.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer
 from tests import surfaces
@@ -255,3 +256,11 @@ def test_levels_for_a_device_keep_within_its_budgets() -> None:
     budgets = (6_000, 3_000, 1_100)
     levels = lods(perforated(), budgets, binding=True)
     assert all(len(level.faces) <= most for level, most in zip(levels, budgets, strict=True))
+
+
+def test_a_fold_pressed_flat_goes_and_a_flat_piece_stays() -> None:
+    tent = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
+    fin = [[0, 1, 9], [1, 0, 9]]
+    alone = [[4, 5, 6], [5, 4, 6]]
+    kept = without_fins(np.array(tent + fin + alone))
+    assert kept.tolist() == tent + alone

@@ -117,3 +117,28 @@ def _with_midpoints(mesh: Mesh, sheets: list[Ints]) -> Mesh:
 def _more_rgb(mesh: Mesh, source: Ints) -> Bytes | None:
     """Colours with those of new vertices, each from the (K,) vertex that it came of."""
     return None if mesh.rgb is None else np.concatenate([mesh.rgb, mesh.rgb[source]])
+
+
+def crowded_edges(faces: Ints) -> Ints:
+    """(C,2) edges of three or more faces, ends rising."""
+    edges = edges_of(faces)
+    return edges.ends[edges.size > 2]
+
+
+def without_fins(faces: Ints) -> Ints:
+    """The faces but for pairs over the same three vertices that stand out of the surface: a fold that was pressed flat.
+
+    Of the edges of three or more faces that a collapse makes, nearly all come from these. A pair that touches no such
+    edge is a flat piece of its own, and stays.
+    """
+    crowded = crowded_edges(faces)
+    if len(crowded) == 0:
+        return faces
+    number = np.array([faces.max() + 1, 1])
+    ends = np.sort(faces, axis=1)
+    sides = ends[:, [[0, 1], [0, 2], [1, 2]]] @ number
+    near = np.flatnonzero(np.isin(sides, crowded @ number).any(axis=1))
+    _, which, times = np.unique(ends[near], axis=0, return_inverse=True, return_counts=True)
+    kept = np.ones(len(faces), dtype=np.bool_)
+    kept[near[times[which] == 2]] = False
+    return faces[kept]

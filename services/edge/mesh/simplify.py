@@ -1,6 +1,6 @@
 """Fewer triangles, same openings: levels of detail by quadric edge collapse (Garland & Heckbert 1997).
 
-meshoptimizer where it is installed: a 400k-face mesh takes 1.0 s to 100k, 25k and 5k faces, and borders may thin out
+meshoptimizer where it is installed: a 400k-face mesh takes a second to 100k, 25k and 5k faces, and borders may thin out
 along themselves. fast-simplification otherwise: it can only leave borders as they are, so a mesh with long ones stays
 above a small budget.
 """
@@ -20,9 +20,10 @@ from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
 from services.edge.mesh.band import part_of
-from services.edge.mesh.edges import border_edges, edges_of
-from services.edge.mesh.manifold import to_manifold
+from services.edge.mesh.edges import border_edges
+from services.edge.mesh.manifold import crowded_edges, to_manifold, without_fins
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.order import by_place
 from services.edge.mesh.topology import compact
 from services.edge.srgb import to_linear, to_srgb
 
@@ -60,6 +61,8 @@ def lods(
     if not budgets or any(coarse >= fine for fine, coarse in pairwise(budgets)):
         raise ValueError(f"budgets must fall from level to level, not {tuple(budgets)}")
     share = 1 / len(budgets)
+    if len(mesh.faces) > budgets[0]:
+        mesh = by_place(mesh)
     levels = [simplify(mesh, budgets[0], binding=binding, tick=part_of(tick, 0, share))]
     for done, budget in enumerate(budgets[1:], start=1):
         finer = levels[-1]
@@ -110,9 +113,9 @@ def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
         mesh = to_manifold(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
         tick(0)
     locked = _loop_corners(mesh.vertices, border_edges(mesh.faces))
-    allowed = len(_crowded(mesh.faces))
+    allowed = len(crowded_edges(mesh.faces))
     kept = _collapse(mesh, faces, locked)
-    while len(crowded := _crowded(kept)) > allowed:
+    while len(crowded := crowded_edges(kept)) > allowed:
         more = locked | _around(mesh.faces, crowded, len(mesh.vertices))
         if more.sum() > _MOST_HELD * faces or (more == locked).all():
             tick(0)
@@ -158,7 +161,7 @@ def _collapse(mesh: Mesh, faces: int, locked: Bools) -> Ints:
         target_error=c_float(_ANY_ERROR),
         options=c_uint(0),
     )
-    return out[:count].reshape(-1, 3).astype(np.int64)
+    return without_fins(out[:count].reshape(-1, 3).astype(np.int64))
 
 
 def _forced(mesh: Mesh, faces: int) -> Mesh:
@@ -195,12 +198,6 @@ def _coloured(coarse: Mesh, fine: Mesh) -> Mesh:
     if alone.any():
         summed[alone] = light[cKDTree(fine.vertices).query(coarse.vertices[alone])[1]]
     return Mesh(coarse.vertices, coarse.faces, to_srgb(summed / np.maximum(count, 1)[:, None]))
-
-
-def _crowded(faces: Ints) -> Ints:
-    """(C,2) edges of three or more faces."""
-    edges = edges_of(faces)
-    return edges.ends[edges.size > 2]
 
 
 def _loop_corners(vertices: Floats, border: Ints) -> Bools:

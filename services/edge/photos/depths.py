@@ -3,6 +3,7 @@
 1. sources  every view gets a few others to be compared with
 2. sweep    its depth, pixel by pixel
 3. agree    what other views do not confirm is dropped
+4. outline  and what looks like the background at the outline of a thing
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from services.edge.capture.nouns import Frame, Intrinsics
 from services.edge.errors import Cancelled, CaptureError
 from services.edge.photos.agree import confirmations
 from services.edge.photos.nouns import Alignment, View
+from services.edge.photos.outline import without_rim
 from services.edge.photos.pictures import Picture, colours, picture
 from services.edge.photos.sources import SOURCES, choose_sources
 from services.edge.photos.sweep import DepthMap, StandOf, stand_on, sweep
@@ -75,7 +77,9 @@ def depth_frames(
     for number, view in enumerate(swept):
         needed = min(wanted, max(1, len(witnesses[view]) // 2))  # a view at the rim has few to ask
         agreed = confirmations(view, witnesses[view], pictures, depths) >= needed
-        frames.append(_frame(pictures[view], np.where(agreed, depths[view], np.float32(0)), maps[view].score, longest))
+        rgb, _ = colours(alignment.views[view], longest)
+        depth = without_rim(np.where(agreed, depths[view], np.float32(0)), rgb)
+        frames.append(_frame(pictures[view], depth, maps[view].score, longest))
         tick(0.9 + 0.1 * (number + 1) / len(swept))
     return tuple(frames)
 
