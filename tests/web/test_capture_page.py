@@ -50,6 +50,8 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     expect(page.locator("#key")).to_have_text("My-blue-bowl")
     page.get_by_role("button", name="Send").click()
 
+    expect(page.locator("body")).to_have_attribute("data-state", "working")
+    assert page.locator("#bar").evaluate("bar => bar.value") < 0.9, "the upload's bar stands for the job's"
     expect(page.locator("body")).to_have_attribute("data-state", "done")
     expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
     canvas = page.locator("#preview")

@@ -150,6 +150,7 @@ function showReceipt(capture) {
 
 function watch(made) {
   job = made.id;
+  at('bar').value = 0; // the upload has filled it
   show('working');
   fill(at('stages'), STAGES.map(([, label]) => label));
   STAGES.forEach(([name], place) => { at('stages').children[place].hidden = name === 'ALIGNING'; });
