@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from services.edge.mesh.holes import fill_holes, zip_tears
 from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.metrics import area, compare
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import orient, pieces_of
+from services.edge.mesh.topology import orient, pieces_of, reseamed, seam_length
 from tests import surfaces
 
 TETRAHEDRON = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
@@ -175,6 +176,28 @@ def test_two_tetrahedra_on_one_edge_and_two_on_one_vertex_are_parted() -> None:
     assert worst_edge(to_manifold(on_edge).faces) == 2
     on_vertex = Mesh(rng.random((7, 3)), np.concatenate([TETRAHEDRON, np.array([0, 4, 5, 6])[TETRAHEDRON]]))
     assert len(to_manifold(on_vertex).vertices) == 8
+
+
+def test_a_seam_moves_and_leaves_no_trace() -> None:
+    band = orient(to_manifold(_welded(surfaces.mobius())))
+    moved = reseamed(band)
+    assert seam_length(band.faces) > 0
+    assert seam_length(moved.faces) > 0
+    assert not _seam(band) & _seam(moved)
+    assert (np.sort(moved.faces, axis=1) == np.sort(band.faces, axis=1)).all()
+
+
+def test_what_has_two_sides_has_no_seam_once_it_is_moved() -> None:
+    ball = surfaces.sphere()
+    turned = np.where(np.random.default_rng(0).random((len(ball.faces), 1)) < 0.5, ball.faces[:, ::-1], ball.faces)
+    assert seam_length(turned) > 0
+    assert seam_length(reseamed(Mesh(ball.vertices, turned)).faces) == 0
+
+
+def _seam(mesh: Mesh) -> set[tuple[int, int]]:
+    """Edges that two faces walk in the same direction."""
+    walked = Counter(edge for face in mesh.faces.tolist() for edge in zip(face, face[1:] + face[:1], strict=True))
+    return {(min(edge), max(edge)) for edge, times in walked.items() if times > 1}
 
 
 def test_orient_winds_alike_and_closed_pieces_outwards() -> None:

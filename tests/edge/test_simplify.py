@@ -18,6 +18,7 @@ from services.edge.mesh import Mesh, lods, simplify
 from services.edge.mesh.manifold import without_fins
 from services.edge.mesh.metrics import area, chamfer_l1, edge_faces, pieces, sample
 from services.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer
+from services.edge.mesh.topology import orient
 from tests import surfaces
 
 HAS_MESHOPTIMIZER = find_spec("meshoptimizer") is not None  # an extra: it needs a compiler
@@ -100,6 +101,17 @@ def test_noise_makes_no_pinches_and_closes_no_opening(name: str, budget: int, se
     coarse = simplify(rough, budget)
     assert borders(coarse) == borders(mesh)
     assert crowded(coarse) == 0
+
+
+@pytest.mark.parametrize("name", ["hemisphere", "mobius"])
+def test_windings_do_not_hold_a_surface_fast(name: str) -> None:
+    """Along seams no edge collapses; a dress whose sleeve had grown onto its skirt once kept little but its seams."""
+    mesh = orient(getattr(surfaces, name)())
+    turned = np.random.default_rng(0).random((len(mesh.faces), 1)) < 0.5
+    coarse = simplify(Mesh(mesh.vertices, np.where(turned, mesh.faces[:, ::-1], mesh.faces)), 600)
+    assert len(coarse.faces) <= 600
+    smooth = chamfer_l1(simplify(mesh, 600), mesh, 20_000)
+    assert chamfer_l1(coarse, mesh, 20_000) < 1.3 * smooth
 
 
 def test_the_surface_stays_where_it_is() -> None:

@@ -24,7 +24,7 @@ from services.edge.mesh.edges import border_edges
 from services.edge.mesh.manifold import crowded_edges, to_manifold, without_fins
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.order import by_place
-from services.edge.mesh.topology import compact
+from services.edge.mesh.topology import compact, orient, reseamed, seam_length
 from services.edge.srgb import to_linear, to_srgb
 
 BUDGETS = (100_000, 25_000, 5_000)  # triangles: what a standalone headset draws near, across a room, and far off
@@ -38,6 +38,10 @@ _COLOUR_WEIGHT = 0.15
 # Faces from which a collapse takes most of a second: such a mesh is first brought to half as many and cut where that
 # pinches it, so that what is repeated because of pinches is shorter.
 _AT_ONCE = 600_000
+# Of the faces asked for: a collapse works on neighbours that are wound alike, so along the seams of a one-sided surface
+# nothing goes, and all else pays for it. Down to this many with one set of seams, and the rest with another.
+_BEFORE = 1.6
+_SEAM = 0.02  # edges of seams per face asked for, up to which they cost nothing
 _ONE_AT_A_TIME = Lock()  # fast-simplification keeps its mesh in a global between load and result
 # A mesh full of handles and openings (a car with its interior) stops at three times a small budget. A level of half
 # as much again is no level, so the budget wins and openings may close; not for budgets that could hold no shape at all.
@@ -112,6 +116,18 @@ def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
         tick(0)
         mesh = to_manifold(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
         tick(0)
+    if seam_length(mesh.faces) <= _SEAM * faces:
+        return _held(mesh, faces, tick)
+    turned = reseamed(mesh)
+    if len(mesh.faces) > _BEFORE * faces:
+        kept = _collapse(turned, int(_BEFORE * faces), _loop_corners(mesh.vertices, border_edges(mesh.faces)))
+        tick(0)
+        turned = reseamed(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
+    return orient(_held(turned, faces, tick))
+
+
+def _held(mesh: Mesh, faces: int, tick: Tick) -> Mesh:
+    """Collapsed with those vertices held around which the surface would be pinched, or cut there if they are many."""
     locked = _loop_corners(mesh.vertices, border_edges(mesh.faces))
     allowed = len(crowded_edges(mesh.faces))
     kept = _collapse(mesh, faces, locked)
@@ -128,11 +144,12 @@ def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
 
 def _cut(mesh: Mesh, faces: int, locked: Bools) -> Mesh:
     """Collapsed, and cut open along edges of three or more faces; a cut may add faces, so fewer are asked for first."""
-    coarse = to_manifold(compact(Mesh(mesh.vertices, _collapse(mesh, faces, locked))))
-    over = len(coarse.faces) - faces
-    if over <= 0:
+    kept = _collapse(mesh, faces, locked)
+    coarse = to_manifold(compact(Mesh(mesh.vertices, kept)))
+    added = len(coarse.faces) - len(kept)
+    if len(coarse.faces) <= faces or len(kept) > faces:
         return coarse
-    return to_manifold(compact(Mesh(mesh.vertices, _collapse(mesh, max(faces - 2 * over, 1), locked))))
+    return to_manifold(compact(Mesh(mesh.vertices, _collapse(mesh, max(faces - 2 * added, 1), locked))))
 
 
 def _collapse(mesh: Mesh, faces: int, locked: Bools) -> Ints:

@@ -51,14 +51,34 @@ def orient(mesh: Mesh, tick: Tick = no_tick) -> Mesh:
     return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces), mesh.rgb)
 
 
-def _flips(mesh: Mesh, tick: Tick) -> Bools:
-    """(F,) the faces to turn over."""
+def reseamed(mesh: Mesh) -> Mesh:
+    """The mesh with the seams of one-sided pieces, where neighbours disagree, elsewhere; other pieces lose theirs.
+
+    What is done to a mesh edge by edge cannot work along its seams; done in two steps with other seams, it can.
+    """
+    flip = _flips(mesh, no_tick, elsewhere=True)
+    return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces), mesh.rgb)
+
+
+def seam_length(faces: Ints) -> int:
+    """Edges at which neighbours are wound against each other."""
+    return int(_against(faces, edges_of(faces)).sum())
+
+
+def _against(faces: Ints, edges: Edges) -> Bools:
+    """(K,) whether the two faces at an edge of two are wound against each other."""
+    half = edges.halves(2)
+    against: Bools = faces.ravel()[half[:, 0]] == faces.ravel()[half[:, 1]]
+    return against
+
+
+def _flips(mesh: Mesh, tick: Tick, *, elsewhere: bool = False) -> Bools:
+    """(F,) the faces to turn over. elsewhere: no seam stays where one is."""
     tick(0)
     edges, count = edges_of(mesh.faces), len(mesh.faces)
     tick(0.2)
-    half = edges.halves(2)
-    against = mesh.faces.ravel()[half[:, 0]] == mesh.faces.ravel()[half[:, 1]]
-    adjacent = half // 3
+    against = _against(mesh.faces, edges)
+    adjacent = edges.halves(2) // 3
     # Every face twice, as it is and turned over, joined where windings agree: a piece falls in two, or is one-sided.
     straight = np.column_stack([adjacent[:, 0], adjacent[:, 1] + count * against])
     turned = np.column_stack([adjacent[:, 0] + count, adjacent[:, 1] + count * ~against])
@@ -67,7 +87,7 @@ def _flips(mesh: Mesh, tick: Tick) -> Bools:
     one_sided = as_is == over
     tick(0.5)
     if one_sided.any():
-        flip[one_sided] = _least_bent(mesh, adjacent, against, one_sided)
+        flip[one_sided] = _least_bent(mesh, adjacent, against, one_sided, elsewhere=elsewhere)
     tick(0.8)
     flip = flip ^ _inward(mesh, flip, piece, edges)[piece]
     tick(1)
@@ -84,8 +104,11 @@ def _inward(mesh: Mesh, flip: Bools, piece: Ints, edges: Edges) -> Bools:
     return inward
 
 
-def _least_bent(mesh: Mesh, adjacent: Ints, against: Bools, chosen: Bools) -> Bools:
-    """The chosen faces to turn over so that neighbours agree along the flattest spanning tree: seams follow bends."""
+def _least_bent(mesh: Mesh, adjacent: Ints, against: Bools, chosen: Bools, *, elsewhere: bool) -> Bools:
+    """The chosen faces to turn over so that neighbours agree along the flattest spanning tree: seams follow bends.
+
+    elsewhere: that tree joins first what is wound against each other now.
+    """
     count = int(chosen.sum())
     name = np.cumsum(chosen) - 1
     inside = chosen[adjacent[:, 0]]
@@ -96,6 +119,8 @@ def _least_bent(mesh: Mesh, adjacent: Ints, against: Bools, chosen: Bools) -> Bo
     rows = np.concatenate([links[:, 0], np.full(len(root), count)]).astype(np.int32)
     columns = np.concatenate([links[:, 1], root]).astype(np.int32)
     # The weight carries the winding through the tree: whole numbers for the bend, a half where the faces disagree.
+    if elsewhere:
+        bend = np.where(against, 0, bend + 1)
     weight = 1 + np.floor(BEND_STEPS * np.append(bend, np.zeros(len(root))))
     weight[: len(links)] += 0.5 * against
     tree = minimum_spanning_tree(coo_array((weight, (rows, columns)), shape=(count + 1, count + 1)).tocsr())
