@@ -20,9 +20,23 @@ copy examples/jsm/controls/OrbitControls.js orbit-controls
 copy examples/jsm/utils/BufferGeometryUtils.js buffer-geometry-utils
 copy examples/jsm/utils/SkeletonUtils.js skeleton-utils
 copy examples/jsm/libs/meshopt_decoder.module.js meshopt-decoder
+# What unpacks KTX2, which only pages that meet such a file load: Binomial's, under the Apache licence.
+copy examples/jsm/libs/basis/basis_transcoder.js basis-transcoder
+cp package/examples/jsm/libs/basis/basis_transcoder.wasm "$web/three-$version.basis-transcoder.wasm"
 sed -i -E "s#(from|import) '(\./three\.core\.js)'#\1 './$(name core)'#; s#from 'three'#from './$(name module)'#
   s#'\.\./utils/BufferGeometryUtils\.js'#'./$(name buffer-geometry-utils)'#; s#'\.\./utils/SkeletonUtils\.js'#'./$(name skeleton-utils)'#" \
   "$web"/three-"$version".*.js
 # Our own modules name the version too.
-sed -i -E "s#/three-[0-9]+\.[0-9]+\.[0-9]+\.#/three-$version.#" "$web"/{stage,turntable,viewer}.js
+sed -i -E "s#/three-[0-9]+\.[0-9]+\.[0-9]+\.#/three-$version.#" "$web"/*.js
 cp package/LICENSE "$web/three-$version.LICENSE"
+{
+  cat <<'NOTICE'
+three-*.basis-transcoder.js and .wasm, and what is in them:
+
+Basis Universal™ Supercompressed GPU Texture Compression Library
+Copyright © 2016–2026 Binomial LLC. All rights reserved except as granted under the Apache 2.0 license.
+"Basis Universal" is a trademark of Binomial LLC.
+
+NOTICE
+  sed '/END OF TERMS AND CONDITIONS/q' "$web/../../../LICENSE"
+} >"$web/three-$version.basis-transcoder.LICENSE"

@@ -36,7 +36,8 @@ Target = Annotated[
     str,
     typer.Option(
         help="quest3, quest2, web or archive: levels of detail that keep within its budget, or an error; quest3-unlit "
-        "and so on: colours as captured, whatever light the scene has."
+        "and so on: colours as captured, whatever light the scene has; quest3-ktx2 and quest3-unlit-ktx2: textures as "
+        "KTX2, made by the encoder in EDGE_KTX2."
     ),
 ]
 

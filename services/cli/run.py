@@ -25,6 +25,7 @@ from services.edge.capture.nouns import Capture
 from services.edge.errors import EdgeError
 from services.edge.mesh.nouns import Mesh
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
+from services.edge.target import Target, target_of, wants_ktx2
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
 from services.storage.catalogue import DEFAULT_COLLECTION, valid_key
@@ -138,8 +139,8 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
     from services.edge.capture import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
     from services.edge.progress import Progress
-    from services.edge.target import target_of
 
+    target = _target(wanted.target)
     with StageBar() as bar:
 
         def show(progress: Progress) -> None:
@@ -156,7 +157,7 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
             isolate=wanted.isolate,
             longest_m=wanted.longest_m,
             label=label,
-            target=target_of(wanted.target),
+            target=target,
             watch=show,
         )
         for step in steps:
@@ -170,6 +171,20 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
         bar.show("DONE", 1.0)
     results.checkpoint.unlink(missing_ok=True)
     _print_result(results.out, results.report)
+
+
+def _target(name: str) -> Target:
+    """By name; the encoder of KTX2 is where a worker would look for it. Raises EdgeError, and BadInput."""
+    from services.edge.mesh.ktx2 import Ktx2Encoder
+    from services.edge.settings import EdgeSettings
+
+    if not wants_ktx2(name):
+        return target_of(name)
+    try:
+        folder = EdgeSettings().ktx2
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+    return target_of(name, Ktx2Encoder.at(folder) if folder else None)
 
 
 def _room_for(preset: Preset, capture: Capture, wanted: str) -> str:

@@ -6,6 +6,8 @@ from services.cli.errors import BadInput
 from services.logs import configure
 from services.storage.settings import StorageSettings, open_keys, open_publish, open_store
 
+_VARIABLES = {"PRESET_INVALID": "EDGE_PRESETS", "KTX2_UNAVAILABLE": "EDGE_KTX2"}  # at fault, by an error's code
+
 
 def serve_edge() -> int:
     """Serve a worker until SIGTERM has drained it; the exit code."""
@@ -13,6 +15,7 @@ def serve_edge() -> int:
     from services.edge.errors import EdgeError
     from services.edge.field.device import find_device
     from services.edge.memory import Memory, machine_bytes
+    from services.edge.mesh.ktx2 import Ktx2Encoder
     from services.edge.server import serve
     from services.edge.settings import EdgeSettings, open_door, open_way_to_central
     from services.edge.stock import known_presets
@@ -25,15 +28,15 @@ def serve_edge() -> int:
         way = open_way_to_central(settings)
         device = find_device(settings.device)
         presets = known_presets(settings.presets)
+        ktx2 = Ktx2Encoder.at(settings.ktx2) if settings.ktx2 else None
     except ValueError as error:
         raise BadInput(str(error)) from error
     except EdgeError as error:
-        variable = "EDGE_PRESETS" if error.code == "PRESET_INVALID" else "EDGE_DEVICE"
-        raise BadInput(f"{variable}: {error.message}") from error
+        raise BadInput(f"{_VARIABLES.get(error.code, 'EDGE_DEVICE')}: {error.message}") from error
     configure(settings.log_level)
     memory = Memory(settings.memory or device.memory_bytes or machine_bytes())
     central = Central(settings.central, caller=way) if settings.central else None
-    return serve(settings, RealWork(store, presets, device, memory, central, publish, storage.collection))
+    return serve(settings, RealWork(store, presets, device, memory, central, publish, storage.collection, ktx2))
 
 
 def serve_gateway() -> int:

@@ -33,7 +33,10 @@ def levels_of(full: Mesh, to_asset: Floats, subject: Subject, tick: Tick) -> tup
 def textured(
     levels: Sequence[Mesh], to_asset: Floats, subject: Subject, tick: Tick
 ) -> tuple[tuple[Mesh | Textured, ...], tuple[str, ...]]:
-    """The levels, those with textures that show more so, and a warning for each that could get none."""
+    """The levels, those with textures that show more so, and a warning for each that could get none.
+
+    Raises Ktx2Error where the target wants KTX2 and none comes of a texture.
+    """
     target, points = subject.target, subject.colours
     if points.rgb is None or not target.texture_px:
         return tuple(levels), ()
@@ -48,7 +51,8 @@ def textured(
         return not target.last_bytes or len(packed(made, target)) <= target.last_bytes
 
     start = _LEVELLED if points.shots else 0.0
-    return with_pictures(levels, palette, most_px=target.texture_px, fits=fits, tick=part_of(tick, start, 1))
+    behind = part_of(tick, start, 1)
+    return with_pictures(levels, palette, most_px=target.texture_px, fits=fits, encode=target.ktx2, tick=behind)
 
 
 def packed(asset: Mesh | Textured, target: Target) -> bytes:

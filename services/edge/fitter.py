@@ -12,6 +12,7 @@ from services.edge.api import edge_pb2 as pb
 from services.edge.errors import EdgeError
 from services.edge.field.device import Device
 from services.edge.memory import Memory
+from services.edge.mesh.ktx2 import Encode
 from services.edge.pipeline import PreviewKept, bundles
 from services.edge.prepare import PREVIEW_SHARE, preview_share
 from services.edge.prepared import Prepared
@@ -28,7 +29,11 @@ _log = logging.getLogger(__name__)
 
 
 class Fitter:
-    """Fits fields to points on `device`, within `memory`, and publishes to `store`. presets: by name."""
+    """Fits fields to points on `device`, within `memory`, and publishes to `store`.
+
+    presets  by name
+    ktx2     packs textures as KTX2 for targets that ask for it
+    """
 
     def __init__(
         self,
@@ -37,8 +42,10 @@ class Fitter:
         device: Device,
         memory: Memory,
         publish: Publish = publish,
+        ktx2: Encode | None = None,
     ) -> None:
         self._store = store
+        self._ktx2 = ktx2
         self._publish = publish
         self._presets = presets
         self._device = device
@@ -54,7 +61,7 @@ class Fitter:
             device=self._device.name,
             checkpoint=checkpoint,
             label=request.label,
-            target=target_of(request.target),
+            target=target_of(request.target, self._ktx2),
         )
         publishing = 0.0
         warnings: Sequence[str] = ()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.mesh.ktx2 import Encode
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +20,7 @@ class Offer:
     points_version  of the prepared points that it takes; 0: captures only
     central         address of the worker that fits for it, or ""
     away            presets that only that one has, which takes no jobs now
+    ktx2            packs textures as KTX2, for targets that ask for it; None: they are refused
     """
 
     device: str
@@ -28,6 +30,7 @@ class Offer:
     points_version: int = 0
     central: str = ""
     away: tuple[pb.Preset, ...] = ()
+    ktx2: Encode | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -8,13 +8,13 @@ judge both; a trained field that they find worse, or that fails, yields `Preview
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from services.edge.appearance import levels_of, packed, pictures_of, textured
-from services.edge.arrays import Bools, DistanceFn, Floats
+from services.edge.arrays import Bools, DistanceFn, Floats, Tick
 from services.edge.asset import Subject, Surface, asset_frame, manifest_of
 from services.edge.capture.nouns import Capture
 from services.edge.certificate import Evidence, certify, compare, hold_out
@@ -23,8 +23,9 @@ from services.edge.errors import EdgeError
 from services.edge.field.denoise import denoise
 from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
-from services.edge.mesh import Mesh, carry_colours, clean, extract, ply_bytes
+from services.edge.mesh import Mesh, Textured, carry_colours, clean, extract, ply_bytes
 from services.edge.mesh.band import part_of
+from services.edge.mesh.ktx2 import Ktx2Error
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.points import Points, at_most, unit_frame
 from services.edge.prepare import PREVIEW_SHARE, prepare, preview_share
@@ -78,8 +79,9 @@ def reconstruct(
     target      the device class whose budget the bundles must keep within
 
     Raises CaptureError where the capture cannot give a surface, Cancelled when `watch` does, EdgeError
-    BUDGET_UNREACHABLE behind a preview and before a refined bundle that costs more than `target` allows; what else
-    fails behind the preview is no error but `PreviewKept`. Whoever stops iterating should close the generator.
+    BUDGET_UNREACHABLE behind a preview and before a refined bundle that costs more than `target` allows, and so
+    KTX2_FAILED where it wants KTX2 and none can be made; what else fails behind the preview is no error but
+    `PreviewKept`. Whoever stops iterating should close the generator.
     """
     bar = Bar(watch)
     refines = preset.fit is not None or preset.name == AUTOMATIC
@@ -220,7 +222,8 @@ def _bundle(
         full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
         to_asset = asset_frame(full.vertices, points)
         levels = levels_of(full, to_asset, subject, part_of(tick, 0, LODS_SHARE if last else 1))
-        shown, told = textured(levels, to_asset, subject, part_of(tick, LODS_SHARE, 1)) if last else (levels, ())
+        rest = part_of(tick, LODS_SHARE, 1)
+        shown, told, failed = _dressed(levels, to_asset, subject, state, rest) if last else (levels, (), None)
     yield bar.starts("PACKING", "files and pictures")
     with clock("PACKING"):
         tick = bar.inside("PACKING")
@@ -242,7 +245,22 @@ def _bundle(
     # The last word before the store: a job cancelled by now must publish nothing.
     yield bar.starts("PUBLISHING", f"publishing the {state}")
     yield Bundle(state=state, files=files, manifest=manifest)
-    require_within(subject.target, costs)  # a preview is kept whatever it costs: better than nothing to look at
+    # A preview is kept without its textures, and whatever it costs: better than nothing to look at.
+    if failed:
+        raise failed
+    require_within(subject.target, costs)
+
+
+def _dressed(
+    levels: Sequence[Mesh], to_asset: Floats, subject: Subject, state: State, tick: Tick
+) -> tuple[Sequence[Mesh | Textured], tuple[str, ...], Ktx2Error | None]:
+    """The levels with textures, and warnings; a preview whose textures cannot be packed has none, and the reason."""
+    try:
+        return *textured(levels, to_asset, subject, tick), None
+    except Ktx2Error as error:
+        if state == "refined":
+            raise
+        return levels, (), error
 
 
 def _settled(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:

@@ -69,7 +69,7 @@ class JobRequest:
         if header.collection:
             _require_name("COLLECTION_INVALID", "collection", header.collection)
         if header.target:
-            _require_target(header.target)
+            _require_target(header.target, offer)
         if len(header.label) > LABEL_MAX_CHARS or not _LINE.fullmatch(header.label):
             raise invalid("LABEL_INVALID", f"label must be one line of at most {LABEL_MAX_CHARS} characters")
         preset = header.preset or offer.names[0]
@@ -96,9 +96,9 @@ def _require_name(code: str, field: str, value: str) -> None:
         raise invalid(code, f"{field} must be 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
 
 
-def _require_target(name: str) -> None:
+def _require_target(name: str, offer: Offer) -> None:
     try:
-        target_of(name)
+        target_of(name, offer.ktx2)
     except EdgeError as error:
         raise invalid(error.code, f"{error.message}; {error.hints[0]}") from None
 

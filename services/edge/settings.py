@@ -34,6 +34,7 @@ class EdgeSettings(StrictSettings):
     device: str = Field("cpu", pattern=r"^(auto|cpu|cuda(:\d+)?)$", description="What fields are trained on.")
     memory: ByteSize = Field(ByteSize(0), ge=0, description="What fits may take together; 0: a share of the device's.")
     presets: Path | None = Field(None, description="Folder of TOML files: the operator's presets beside the product's.")
+    ktx2: Path | None = Field(None, description="Folder with npm's ktx2-encoder; none: targets with -ktx2 are refused.")
     central: str = Field("", description="host:port of a worker that fits the fields; empty: they are fitted here.")
     tls_cert: Path | None = Field(None, description="Certificate (PEM, with its chain) shown to callers; none: no TLS.")
     tls_key: Path | None = Field(None, description="The certificate's private key (PEM, not encrypted).")

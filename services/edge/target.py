@@ -15,10 +15,11 @@ from io import BytesIO
 from typing import Any
 
 from services.edge.errors import EdgeError
-from services.edge.mesh.glb import Packing
+from services.edge.mesh.glb import KTX2, Packing
+from services.edge.mesh.ktx2 import Encode, Ktx2Header, unavailable
 
 _MIB = 1 << 20
-_UNLIT = "-unlit"
+_UNLIT, _KTX2 = "-unlit", "-ktx2"
 _ALL = 100_000_000  # triangles: more than any extraction makes
 
 
@@ -32,6 +33,7 @@ class Target:
     texture_px       longest side of a texture; 0: colours stay at the vertices
     packing          of the files; None: the smallest that can be written
     unlit            whether colours are shown as they were captured, rather than in the light of the scene
+    ktx2             packs textures as KTX2; None: they are JPEG
     """
 
     name: str
@@ -42,6 +44,7 @@ class Target:
     texture_px: int = 2048
     packing: Packing | None = None
     unlit: bool = False
+    ktx2: Encode | None = None
 
 
 NO_TARGET = Target("", "the preset's levels, nothing proved")
@@ -74,19 +77,30 @@ class Cost:
     texture_bytes: int
 
 
-def target_of(name: str) -> Target:
-    """By name; "quest3-unlit" is quest3 with its colours as captured, rather than in the light of the scene.
+def wants_ktx2(name: str) -> bool:
+    """Whether a target's name asks for textures as KTX2."""
+    return name.endswith(_KTX2)
 
-    Raises EdgeError TARGET_UNKNOWN, naming all.
+
+def target_of(name: str, ktx2: Encode | None = None) -> Target:
+    """By name; "quest3-unlit" is quest3 with its colours as captured, rather than in the light of the scene, and
+    "quest3-ktx2" or "quest3-unlit-ktx2" has its textures packed by `ktx2`.
+
+    Raises EdgeError TARGET_UNKNOWN, naming all, and KTX2_UNAVAILABLE where that is wanted and nothing packs it.
     """
     if not name:
         return NO_TARGET
-    base = name.removesuffix(_UNLIT)
-    if base not in TARGETS:
+    plain = name.removesuffix(_KTX2)
+    base = plain.removesuffix(_UNLIT)
+    if base not in TARGETS or (wants_ktx2(name) and not TARGETS[base].texture_px):
         known = ", ".join(TARGETS)
-        hints = (f"use one of: {known}", f"or one of them with {_UNLIT} behind it")
+        hints = (f"use one of: {known}", f"or one of them with {_UNLIT} behind it, or {_KTX2} if it has textures")
         raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=hints)
-    return replace(TARGETS[base], name=name, unlit=name != base)
+    if not wants_ktx2(name):
+        return replace(TARGETS[base], name=name, unlit=plain != base)
+    if ktx2 is None:
+        raise unavailable("EDGE_KTX2 is not set")
+    return replace(TARGETS[base], name=name, unlit=plain != base, ktx2=ktx2)
 
 
 def cost_of(glb: bytes) -> Cost:
@@ -108,12 +122,15 @@ def cost_of(glb: bytes) -> Cost:
 
 
 def _texture_bytes(document: dict[str, Any], image: dict[str, Any], binary: bytes) -> int:
-    """Four bytes a texel, whatever the file holds, and a third more for the mips."""
+    """Of a JPEG four bytes a texel, of KTX2 a quarter of that; and a third more for the mips."""
     from PIL import Image
 
     view = document["bufferViews"][image["bufferView"]]
     start = view.get("byteOffset", 0)
-    with Image.open(BytesIO(binary[start : start + view["byteLength"]])) as picture:
+    content = binary[start : start + view["byteLength"]]
+    if image["mimeType"] == KTX2:
+        return Ktx2Header.of(content).device_bytes
+    with Image.open(BytesIO(content)) as picture:
         width, height = picture.size
     texels = width * height
     while width > 1 or height > 1:

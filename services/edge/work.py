@@ -20,6 +20,7 @@ from services.edge.fitter import Fitter, told
 from services.edge.guess.cutout import cut_out
 from services.edge.kept_points import keep, kept
 from services.edge.memory import Memory
+from services.edge.mesh.ktx2 import Encode
 from services.edge.offer import Offer
 from services.edge.prepare import prepare
 from services.edge.prepared import Prepared, read_prepared
@@ -43,7 +44,8 @@ class RealWork:
     """Reconstructs with the pipeline and publishes to `store`. presets: by name, the default first.
 
     With a `central` it makes the points and has that one fit the field, or fits it by itself where it must.
-    What nobody named a collection for enters `collection`, wherever it is fitted.
+    What nobody named a collection for enters `collection`, wherever it is fitted. Targets that ask for KTX2 are refused
+    without `ktx2`.
     """
 
     def __init__(
@@ -55,10 +57,11 @@ class RealWork:
         central: Central | None = None,
         publish: Publish = publish,
         collection: str = DEFAULT_COLLECTION,
+        ktx2: Encode | None = None,
     ) -> None:
-        self._fitter = Fitter(store, presets, device, memory, publish)
+        self._fitter = Fitter(store, presets, device, memory, publish, ktx2)
         self._device = device
-        self._own_offer = offer_of(presets, device, memory.total_bytes)
+        self._own_offer = replace(offer_of(presets, device, memory.total_bytes), ktx2=ktx2)
         self._central = central
         self._collection = collection
 

@@ -66,8 +66,8 @@ def test_an_unknown_variable_is_named_with_the_one_that_was_meant(monkeypatch: p
 
 
 def test_an_unknown_variable_far_from_any_gets_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("EDGE_XYZZY", "3")
-    with pytest.raises(SettingsError, match=r"EDGE_XYZZY is no setting; there are EDGE_CENTRAL, .*EDGE_SLOTS"):
+    monkeypatch.setenv("EDGE_ABRACADABRA", "3")
+    with pytest.raises(SettingsError, match=r"EDGE_ABRACADABRA is no setting; there are EDGE_CENTRAL, .*EDGE_SLOTS"):
         EdgeSettings()
 
 

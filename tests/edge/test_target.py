@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from services.edge.arrays import Tick
 from services.edge.errors import EdgeError
 from services.edge.mesh import Textured, to_glb
 from services.edge.mesh.bake import jpeg_of
@@ -78,3 +79,40 @@ def test_a_target_that_there_is_not_names_those_that_there_are() -> None:
 def test_every_target_has_an_unlit_twin(name: str) -> None:
     assert target_of(f"{name}-unlit") == replace(TARGETS[name], name=f"{name}-unlit", unlit=True)
     assert not target_of(name).unlit
+
+
+def no_encoder(picture: np.ndarray, tick: Tick) -> bytes:
+    raise AssertionError("nothing is encoded here")
+
+
+@pytest.mark.parametrize("name", [name for name, target in TARGETS.items() if target.texture_px])
+def test_what_has_textures_may_have_them_as_ktx2(name: str) -> None:
+    assert target_of(f"{name}-ktx2", no_encoder) == replace(TARGETS[name], name=f"{name}-ktx2", ktx2=no_encoder)
+    both = target_of(f"{name}-unlit-ktx2", no_encoder)
+    assert both == replace(TARGETS[name], name=f"{name}-unlit-ktx2", unlit=True, ktx2=no_encoder)
+    assert target_of(name, no_encoder).ktx2 is None, "an encoder alone changes nothing"
+
+
+def test_without_an_encoder_ktx2_is_refused_with_what_to_do() -> None:
+    with pytest.raises(EdgeError, match="EDGE_KTX2 is not set") as caught:
+        target_of("quest3-unlit-ktx2")
+    assert caught.value.code == "KTX2_UNAVAILABLE"
+    assert "npm install --prefix FOLDER ktx2-encoder@" in caught.value.hints[0]
+
+
+@pytest.mark.parametrize("name", ["archive-ktx2", "archive-unlit-ktx2", "-ktx2", "web-ktx2-ktx2", "web-ktx2-unlit"])
+def test_ktx2_of_nothing_is_no_target(name: str) -> None:
+    with pytest.raises(EdgeError) as caught:
+        target_of(name, no_encoder)
+    assert caught.value.code == "TARGET_UNKNOWN"
+    assert "-ktx2" in caught.value.hints[1]
+
+
+@pytest.mark.parametrize(
+    ("size", "levels", "blocks"),
+    [((64, 64), 7, 256 + 64 + 16 + 4 + 1 + 1 + 1), ((64, 64), 1, 256), ((64, 16), 2, 64 + 16), ((4, 4), 3, 3)],
+)
+def test_ktx2_costs_a_byte_a_texel_in_whole_blocks(size: tuple[int, int], levels: int, blocks: int) -> None:
+    head = b"\xabKTX 20\xbb\r\n\x1a\n" + np.array([0, 1, *size, 0, 0, 1, levels, 1], "<u4").tobytes()
+    asset = Textured(WAVE, np.zeros((len(WAVE.vertices), 2)), b"", size[0], head)
+    assert cost_of(to_glb(asset)).texture_bytes == 16 * blocks

@@ -89,6 +89,7 @@ MALFORMED = {
     "a collection with a line break": [head(collection="ada\n")],
     "a target with a blank": [head(target="quest 3")],
     "a target that there is not": [head(target="quest9")],
+    "a target whose encoder this worker has not": [head(target="quest3-ktx2")],
     "an over-long label": [head(label="l" * 201)],
     "a label with a line break": [head(label="a\nb")],
     "an unknown preset": [head(preset="nonesuch")],

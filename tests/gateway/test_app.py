@@ -73,11 +73,23 @@ async def test_pages_run_only_what_is_ours(tmp_path: Path) -> None:
             assert answer.headers["content-type"].startswith("text/html")
             policy = answer.headers["content-security-policy"]
             assert "default-src 'none'" in policy
-            assert "'unsafe-inline'" not in policy.split("script-src")[1].split(";")[0]
+            scripts = policy.split("script-src")[1].split(";")[0]
+            assert not {"'unsafe-inline'", "'unsafe-eval'"} & set(scripts.split())
         assert (await client.get("/view/-bad")).status_code == 404
         module = await client.get("/web/api.js")
         assert module.headers["cache-control"] == "no-cache"
         assert (await client.get("/web/api.js", headers={"If-None-Match": module.headers["etag"]})).status_code == 304
+
+
+async def test_one_worker_may_make_functions_of_text_and_nothing_else(tmp_path: Path) -> None:
+    async with gateway(tmp_path / "gw", memory()) as client:
+        worker = await client.get("/web/ktx2-worker.js")
+        assert worker.headers["content-security-policy"] == "default-src 'none'; script-src 'self' 'unsafe-eval'"
+        again = await client.get("/web/ktx2-worker.js", headers={"If-None-Match": worker.headers["etag"]})
+        assert (again.status_code, "content-security-policy" in again.headers) == (304, True)
+        transcoder = await client.get("/web/three-0.187.0.basis-transcoder.wasm")
+        assert transcoder.headers["content-type"] == "application/wasm"  # else no browser compiles it as it comes
+        assert "immutable" in transcoder.headers["cache-control"]
 
 
 async def test_scripts_travel_small(tmp_path: Path) -> None:

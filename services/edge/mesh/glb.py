@@ -7,6 +7,7 @@ Three ways to pack the same mesh:
     float      positions and normals as 32-bit floats: for programs that know no extension
     quantised  KHR_mesh_quantization: whole numbers on a grid of at most 0.1 mm, normals of 8 bits
     meshopt    the same, ordered and compressed (EXT_meshopt_compression): a quarter of the bytes
+A picture is in it as JPEG, or as KTX2 where there is one (KHR_texture_basisu).
 """
 
 from __future__ import annotations
@@ -30,9 +31,12 @@ from services.edge.mesh.shaded import shaded
 
 Packing = Literal["float", "quantised", "meshopt"]
 
+KTX2 = "image/ktx2"
+"""Media type of an image that is no JPEG."""
+
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125  # component types, by OpenGL's numbers
 _LINEAR, _TRILINEAR, _CLAMP = 9729, 9987, 33071  # a sampler's filters, the second with mips, and its edge
-_UNLIT = "KHR_materials_unlit"
+_UNLIT, _BASISU = "KHR_materials_unlit", "KHR_texture_basisu"
 _JSON, _BIN = 0x4E4F534A, 0x004E4942  # chunk types
 _NEUTRAL = 0.6  # linear base colour without captured colours: light grey that shows shading both ways
 _ROUGHNESS = 0.9  # cloth, wood, skin: hardly a highlight, as captured light already holds the real ones
@@ -58,18 +62,23 @@ def to_glb(asset: Mesh | Textured, packing: Packing = "float", *, unlit: bool = 
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """What goes into the file: normals (V,3) of unit length; uv (V,2) with the picture, or None of both."""
+    """What goes into the file: normals (V,3) of unit length; uv (V,2) with the picture, or None of both.
+
+    ktx2  whether the picture is one, rather than a JPEG
+    """
 
     mesh: Mesh
     normals: Floats
     uv: Floats | None
-    jpeg: bytes | None
+    picture: bytes | None
+    ktx2: bool
     unlit: bool
 
     @classmethod
     def of(cls, asset: Mesh | Textured, unlit: bool) -> _Drawn:
         made = shaded(asset)
-        return cls(made.mesh, made.normals, made.uv, asset.jpeg if isinstance(asset, Textured) else None, unlit)
+        ktx2, jpeg = (asset.ktx2, asset.jpeg) if isinstance(asset, Textured) else (None, None)
+        return cls(made.mesh, made.normals, made.uv, ktx2 or jpeg, ktx2 is not None, unlit)
 
     def picked(self, which: Bools | Ints, faces: Ints) -> _Drawn:
         """These vertices, in this order, and faces over them."""
@@ -125,31 +134,32 @@ def _file(
     # 65535 itself is the primitive restart value and may not be an index.
     kind, component = (np.uint16, _USHORT) if len(mesh.vertices) <= 65535 else (np.uint32, _UINT)
     indices = buffer.add_indices(mesh.faces.astype(kind).ravel(), component, len(mesh.vertices))
-    pictured = {} if drawn.jpeg is None else _picture(buffer.add_file(drawn.jpeg))
+    pictured = {} if drawn.picture is None else _picture(buffer.add_file(drawn.picture), ktx2=drawn.ktx2)
     document = _document(attributes, indices, node, _material(drawn)) | pictured | buffer.tables()
-    needed = ["KHR_mesh_quantization"] * ("scale" in node) + buffer.extensions
+    needed = ["KHR_mesh_quantization"] * ("scale" in node) + buffer.extensions + [_BASISU] * drawn.ktx2
     used = needed + [_UNLIT] * drawn.unlit
     document |= ({"extensionsUsed": used} if used else {}) | ({"extensionsRequired": needed} if needed else {})
     return _container(document, bytes(buffer.data))
 
 
 def _material(drawn: _Drawn) -> dict[str, Any]:
-    base = _NEUTRAL if drawn.mesh.rgb is None and drawn.jpeg is None else 1.0
+    base = _NEUTRAL if drawn.mesh.rgb is None and drawn.picture is None else 1.0
     surface: dict[str, Any] = {"baseColorFactor": [base, base, base, 1.0]}
-    if drawn.jpeg is not None:
+    if drawn.picture is not None:
         surface["baseColorTexture"] = {"index": 0}
     surface |= {"metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
     unlit: dict[str, Any] = {"extensions": {_UNLIT: {}}} if drawn.unlit else {}
     return {"doubleSided": True, "pbrMetallicRoughness": surface} | unlit
 
 
-def _picture(view: int) -> dict[str, Any]:
-    """The base colour of a JPEG in a buffer view: with mips, and not repeated, since charts touch its edges."""
+def _picture(view: int, *, ktx2: bool) -> dict[str, Any]:
+    """The base colour in a buffer view: with mips, and not repeated, since charts touch its edges."""
     sampler = {"magFilter": _LINEAR, "minFilter": _TRILINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP}
+    source: dict[str, Any] = {"extensions": {_BASISU: {"source": 0}}} if ktx2 else {"source": 0}
     return {
-        "images": [{"bufferView": view, "mimeType": "image/jpeg"}],
+        "images": [{"bufferView": view, "mimeType": KTX2 if ktx2 else "image/jpeg"}],
         "samplers": [sampler],
-        "textures": [{"sampler": 0, "source": 0}],
+        "textures": [{"sampler": 0, **source}],
     }
 
 

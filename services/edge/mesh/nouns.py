@@ -26,9 +26,11 @@ class Textured:
     mesh   vertices doubled along the seams of the unwrapping; its rgb is None
     uv     (V,2) float64 in [0,1], as in glTF: (0,0) is the upper left corner of the picture
     jpeg   the base colour, sRGB; side: its pixels along each side
+    ktx2   the same as the .glb has it instead, with mips; None: it has the JPEG
     """
 
     mesh: Mesh
     uv: Floats
     jpeg: bytes
     side: int
+    ktx2: bytes | None = None

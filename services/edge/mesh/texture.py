@@ -12,6 +12,7 @@ from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.mesh.bake import bake, blended, jpeg_of, scattered
 from services.edge.mesh.band import part_of
 from services.edge.mesh.colour import ColouredPoints
+from services.edge.mesh.ktx2 import Encode
 from services.edge.mesh.metrics import area
 from services.edge.mesh.nouns import Mesh, Textured
 from services.edge.mesh.simplify import simplify
@@ -34,6 +35,7 @@ _AT_ONCE = 1 << 18  # texels whose neighbours are looked for together: a second
 _PICTURED = 0.7  # of the time of a texel's light goes into photos where there are any
 _QUALITY = 88  # of a JPEG
 _UNWRAPPED = 0.5  # of the time of a picture of 1024 texels
+_BAKED = 0.4  # of the time, where it is packed as KTX2 behind that
 
 PictureLight = Callable[[Floats, Floats, float, Tick], tuple[Floats, Floats]]
 """Places (N,3) on the mesh, unit normals there, and the size of a texel -> (N,3) linear light from photos, (N,) how
@@ -108,11 +110,14 @@ def gain(mesh: Mesh, points: ColouredPoints) -> float:
     return float(np.abs(shown - known).mean())
 
 
-def textured(mesh: Mesh, palette: Palette, *, side: int, tick: Tick = no_tick) -> Textured:
-    """The mesh with a picture of side × side texels instead of colours at its vertices.
+def textured(
+    mesh: Mesh, palette: Palette, *, side: int, encode: Encode | None = None, tick: Tick = no_tick
+) -> Textured:
+    """The mesh with a picture of side × side texels instead of colours at its vertices, as KTX2 too with an `encode`.
 
     Raises UnwrapError where the mesh cannot be unwrapped, or into so many charts that its vertices would show as much.
     """
+    whole, tick = tick, part_of(tick, 0, _BAKED if encode else 1)
     unwrapped = unwrap(mesh, side=side, tick=part_of(tick, 0, _UNWRAPPED))
     bare = replace(unwrapped.mesh, rgb=None)
     texel = float(np.sqrt(area(mesh) / _FILLED) / side)
@@ -120,7 +125,8 @@ def textured(mesh: Mesh, palette: Palette, *, side: int, tick: Tick = no_tick) -
     picture, covered = bake(bare, unwrapped.uv, light_at, side=side, tick=part_of(tick, _UNWRAPPED, 1))
     if covered < _SAMPLES_PER_VERTEX * len(mesh.vertices):
         raise UnwrapError(f"its {unwrapped.charts:,} charts leave {covered:,} texels of {side}² on the surface")
-    return Textured(bare, unwrapped.uv, jpeg_of(picture, _QUALITY), side)
+    ktx2 = encode(picture, part_of(whole, _BAKED, 1)) if encode else None
+    return Textured(bare, unwrapped.uv, jpeg_of(picture, _QUALITY), side, ktx2)
 
 
 def _light_at(palette: Palette, texel: float, places: Floats, normals: Floats, tick: Tick) -> Floats:
@@ -133,12 +139,14 @@ def with_pictures(
     *,
     most_px: int,
     fits: Callable[[Textured], bool] = lambda _: True,
+    encode: Encode | None = None,
     tick: Tick = no_tick,
 ) -> tuple[tuple[Mesh | Textured, ...], tuple[str, ...]]:
     """Levels of detail, finest first, each with a picture where that shows more than its vertices; and warnings.
 
     most_px  side of the largest picture; coarser levels get smaller ones
     fits     whether the coarsest level is small enough; its picture is halved until it is
+    encode   packs pictures as KTX2; None: they are JPEG
 
     A level of more triangles than are unwrapped is brought down to as many: 50,000 with a picture of a dense capture
     show more than 100,000 with a colour at each vertex.
@@ -153,18 +161,18 @@ def with_pictures(
         if worth_a_picture(coarse, palette):
             widest = side_for(coarse, palette, most_px)
             side = max(widest >> number, min(widest, _SMALLER_FROM))
+            made = partial(textured, coarse, palette, encode=encode, tick=inside)
             try:
-                last = number == len(levels) - 1
-                shown[-1] = _fitting(coarse, palette, side, fits if last else lambda _: True, inside)
+                shown[-1] = _fitting(made, side, fits) if number == len(levels) - 1 else made(side=side)
             except UnwrapError as error:
                 warnings.append(f"LOD {number} has no texture: {error}. Its colours are at the vertices.")
         inside(1)
     return tuple(shown), tuple(warnings)
 
 
-def _fitting(mesh: Mesh, palette: Palette, side: int, fits: Callable[[Textured], bool], tick: Tick) -> Textured:
+def _fitting(made: Callable[..., Textured], side: int, fits: Callable[[Textured], bool]) -> Textured:
     """With the largest picture that fits, from `side` on down; with the smallest if none does."""
-    made = textured(mesh, palette, side=side, tick=tick)
-    while not fits(made) and made.side > SMALLEST_PX:
-        made = textured(mesh, palette, side=made.side // 2, tick=tick)
-    return made
+    asset = made(side=side)
+    while not fits(asset) and asset.side > SMALLEST_PX:
+        asset = made(side=asset.side // 2)
+    return asset

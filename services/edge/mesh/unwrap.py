@@ -9,12 +9,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from services.edge.arrays import Floats, Ints, Tick, no_tick
+from services.edge.mesh.child import ChildError, run_child
 from services.edge.mesh.edges import border_edges
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
@@ -38,7 +35,6 @@ _WIDER_FROM = 1024  # texels along a side, from which twice as much is no loss: 
 _ROUNDS = 5  # of smoothing: 450 instead of 3,800 charts of a hemisphere whose noise is a third of its edges
 _SHRINK, _GROW = 0.5, -0.53  # Taubin 1995: what the first takes from the volume the second gives back
 _LEAST_AREA = 1e-6  # of a face, of the mean face's: xatlas leaves out what is smaller, and it shows nothing
-_POLL_SECONDS = 0.1
 _LONGEST_SECONDS = 90.0  # 50,000 triangles in 25,000 pieces take 4 s; a machine may be twenty times as busy
 
 
@@ -147,36 +143,10 @@ def _patches(mesh: Mesh) -> tuple[Ints, Ints]:
 def _run(folder: Path, tick: Tick, most_seconds: float) -> None:
     """The child from start to end. -P: modules beside it must not stand in for Python's own."""
     program = Path(__file__).with_name("unwrap_child.py")
-    log = folder / "log"
-    with log.open("wb") as said:
-        child = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-P", str(program), str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=said,
-            start_new_session=True,
-        )
-        with child:
-            try:
-                code = _ended(child, tick, most_seconds)
-            finally:
-                if child.poll() is None:
-                    os.killpg(child.pid, signal.SIGKILL)
-    if code != 0:
-        last = log.read_text(errors="replace").strip().splitlines()[-1:]
-        raise UnwrapError(f"xatlas ended with status {code}" + "".join(f": {line}" for line in last))
-
-
-def _ended(child: subprocess.Popen[bytes], tick: Tick, most_seconds: float) -> int:
-    """The child's status; nothing tells how far it is, so the bar creeps on."""
-    began = time.monotonic()
-    while (spent := time.monotonic() - began) < most_seconds:
-        tick(spent / (spent + 5))
-        try:
-            return child.wait(_POLL_SECONDS)
-        except subprocess.TimeoutExpired:
-            continue
-    raise UnwrapError(f"xatlas took more than {most_seconds:.0f} s")
+    try:
+        run_child([sys.executable, "-P", program, folder], "xatlas", folder / "log", tick, most_seconds)
+    except ChildError as error:
+        raise UnwrapError(str(error)) from None
 
 
 def _placed(mesh: Mesh, was: Ints, faces: Ints, uv: Floats) -> tuple[Mesh, Floats]:

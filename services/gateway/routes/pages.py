@@ -25,6 +25,8 @@ WEB = Path(__file__).parents[1] / "web"
 
 _INLINE_SCRIPT = re.compile(r"<script(?![^>]*\bsrc=)[^>]*>(.*?)</script>", re.DOTALL)
 _VERSIONED = re.compile(r"-\d+\.\d+\.\d+\.")  # "three-0.187.0.module.js" will always be that
+# It makes functions out of text. They stay in it: a worker has no page, and this one may ask nobody for anything.
+_WORKER_POLICY = "default-src 'none'; script-src 'self' 'unsafe-eval'"
 _FOREVER = "public, max-age=31536000, immutable"
 _TOGETHER = 24  # assets in one scene: at 5,000 triangles each their coarsest levels leave most of a headset's budget
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
@@ -74,6 +76,8 @@ class Web(StaticFiles):
         response.headers["Cache-Control"] = _FOREVER if _VERSIONED.search(path) else "no-cache"
         if Path(path).name == "sw.js":
             response.headers["Service-Worker-Allowed"] = "/"  # it serves the pages, which are above /web/
+        if Path(path).name == "ktx2-worker.js":
+            response.headers["Content-Security-Policy"] = _WORKER_POLICY
         return response
 
 

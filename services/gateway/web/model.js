@@ -15,15 +15,17 @@ export class Model {
   #unwantedSince = 0;
 
   /**
-   * entry    of the catalogue: its files are shown as they are, so their hashes must have been checked
-   * prepare  async (group): makes what the graphics card needs, before it is drawn for the first time
-   * onLevel  is told of each level that has come
+   * entry     of the catalogue: its files are shown as they are, so their hashes must have been checked
+   * renderer  what it will be drawn by
+   * prepare   async (group): makes what the graphics card needs, before it is drawn for the first time
+   * onLevel   is told of each level that has come
    */
-  constructor(entry, { prepare = async () => {}, onLevel = () => {} } = {}) {
+  constructor(entry, renderer, { prepare = async () => {}, onLevel = () => {} } = {}) {
     this.lods = [...entry.lods].sort((one, other) => one.level - other.level);
     this.object = new THREE.Group();
     this.object.name = entry.key;
     this.disposed = false;
+    this.renderer = renderer;
     this.prepare = prepare;
     this.onLevel = onLevel;
     this.#wanted = this.lods.length - 1;
@@ -79,7 +81,7 @@ export class Model {
   }
 
   async #load(place, hurry) {
-    const level = await decoded(this.lods[place], { hurry });
+    const level = await decoded(this.lods[place], this.renderer, { hurry });
     if (!this.disposed) await this.prepare(level);
     if (this.disposed) {
       dispose(level);

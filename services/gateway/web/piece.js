@@ -25,12 +25,12 @@ export class Piece {
   }
 
   /**
-   * Load a version and show it in place of the one before, which stays until then; prepare: of model.js; `onChange()` hears
-   * of each level. Throws what loading throws.
+   * Load a version and show it in place of the one before, which stays until then; renderer, prepare: of model.js; `onChange()`
+   * hears of each level. Throws what loading throws.
    */
-  async show(entry, { prepare, onChange }) {
+  async show(entry, renderer, { prepare, onChange }) {
     const loaded = [];
-    const model = new Model(entry, { prepare, onLevel: (level) => onChange(loaded.push(level)) });
+    const model = new Model(entry, renderer, { prepare, onLevel: (level) => onChange(loaded.push(level)) });
     try {
       await model.start();
     } catch (problem) {

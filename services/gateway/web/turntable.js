@@ -9,11 +9,11 @@ let leave = () => {}; // takes away what turns now
 
 /** Show a catalogue entry on `canvas` in place of the one before, which turns until then. */
 export async function turn(canvas, entry) {
-  const model = new Model(entry);
-  await model.start();
-  model.want(0);
   stage ??= makeStage(canvas);
   const { renderer, scene, camera } = stage;
+  const model = new Model(entry, renderer);
+  await model.start();
+  model.want(0);
   leave();
   scene.add(model.object);
   const controls = new OrbitControls(camera, canvas);

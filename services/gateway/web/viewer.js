@@ -63,7 +63,7 @@ async function refresh(piece) {
   if (before && before.version === told.version) return;
   const entry = await checked(told);
   if (!before) showHints(piece, entry);
-  await piece.show(entry, { prepare: (group) => prepare(stage, group), onChange: redraw });
+  await piece.show(entry, renderer, { prepare: (group) => prepare(stage, group), onChange: redraw });
   if (!pieces.includes(piece)) return piece.remove(); // it was taken away meanwhile
   if (!before) arrived();
   else notice(newer(before, piece));
