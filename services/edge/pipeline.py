@@ -8,14 +8,14 @@ judge both; a trained field that they find worse, or that fails, yields `Preview
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from services.edge.appearance import levels_of, packed, pictures_of, textured
-from services.edge.arrays import Bools, DistanceFn, Floats, Tick
-from services.edge.asset import Subject, Surface, asset_frame, manifest_of
+from services.edge.arrays import Bools, DistanceFn, Floats
+from services.edge.asset import Subject, Surface
+from services.edge.bundled import bundled
 from services.edge.capture.nouns import Capture
 from services.edge.certificate import Evidence, certify, compare, hold_out
 from services.edge.choose import choose, traits_of
@@ -23,25 +23,23 @@ from services.edge.errors import EdgeError
 from services.edge.field.denoise import denoise
 from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
-from services.edge.mesh import Mesh, Textured, carry_colours, clean, extract, ply_bytes
+from services.edge.mesh import clean, extract
 from services.edge.mesh.band import part_of
-from services.edge.mesh.ktx2 import Ktx2Error
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.points import Points, at_most, unit_frame
 from services.edge.prepare import PREVIEW_SHARE, prepare, preview_share
 from services.edge.prepared import Prepared
 from services.edge.preset import AUTOMATIC, Preset, load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, unwatched
-from services.edge.target import NO_TARGET, Target, cost_of, require_within
+from services.edge.target import NO_TARGET, Target
 from services.edge.training import Training, train
-from services.storage.bundle import Bundle, State
+from services.storage.bundle import Bundle
 
 # Where each stage of a pass begins on its part of the bar: the preview's, whose local field is there at once, and the
 # refined one's, whose training takes most of its time.
 PREVIEW_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.2, "TEXTURING": 0.67, "PACKING": 0.81, "PUBLISHING": 0.93}
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.90, "PACKING": 0.97, "PUBLISHING": 0.99}
 PREVIEW_FINEST = 192  # cells of a preview that is followed: it is to be there within seconds
-LODS_SHARE = 0.3  # of the time that colours take where the levels get textures
 EXTRACT_SHARE = 0.4  # of the stage's time: extraction, the rest is cleaning
 
 
@@ -129,7 +127,7 @@ def bundles(
     finest = min(preset.finest, PREVIEW_FINEST) if preset.fit else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
-    yield from _bundle(preview.mesh_unit, subject, "preview", quality, (), clock, bar, last=preset.fit is None)
+    yield from bundled(preview.mesh_unit, subject, "preview", quality, (), clock, bar, last=preset.fit is None)
     if preset.fit:
         bar.covers(REFINED_STARTS, share, 1.0)
         seen, weighed = (xyz_unit, None) if preset.denoised else (measured, noise)
@@ -146,7 +144,7 @@ def _refinement(
 
     def kept(why: str, quality: Mapping[str, Any] | None = None) -> Iterator[Progress | Bundle | PreviewKept]:
         """As nothing better follows, the preview once more, with all that the last bundle has."""
-        yield from _bundle(preview.mesh_unit, subject, "preview", before, (), clock, bar, last=True)
+        yield from bundled(preview.mesh_unit, subject, "preview", before, (), clock, bar, last=True)
         yield PreviewKept(why, quality, dict(clock.seconds))
 
     try:
@@ -172,7 +170,7 @@ def _refinement(
     warnings = trained.warnings
     if verdict.outcome == "even":
         warnings += (f"training shows no gain over the preview: {verdict.because}",)
-    yield from _bundle(made.mesh_unit, subject, "refined", quality, warnings, clock, bar, last=True)
+    yield from bundled(made.mesh_unit, subject, "refined", quality, warnings, clock, bar, last=True)
 
 
 def _surface(
@@ -195,72 +193,6 @@ def _surface(
                 hints=("capture the thing from closer and from more sides",),
             )
         return Surface(mesh_unit, resolution, certify(distance, mesh_unit, subject.evidence))
-
-
-def _bundle(
-    mesh_unit: Mesh,
-    subject: Subject,
-    state: State,
-    quality: Mapping[str, Any],
-    warnings: tuple[str, ...],
-    clock: Clock,
-    bar: Bar,
-    *,
-    last: bool,
-) -> Iterator[Progress | Bundle]:
-    """Colour a mesh and pack it with its levels of detail, its picture and its manifest.
-
-    last  whether nothing better follows: then it gets textures, a turning preview and the file for iOS, for which
-          nobody waits who wants a first look
-    """
-    points = subject.points
-    yield bar.starts("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
-    with clock("TEXTURING"):
-        tick = bar.inside("TEXTURING")
-        if points.rgb is not None:
-            mesh_unit = carry_colours(mesh_unit, subject.xyz_unit, points.rgb)
-        full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
-        to_asset = asset_frame(full.vertices, points)
-        levels = levels_of(full, to_asset, subject, part_of(tick, 0, LODS_SHARE if last else 1))
-        rest = part_of(tick, LODS_SHARE, 1)
-        shown, told, failed = _dressed(levels, to_asset, subject, state, rest) if last else (levels, (), None)
-    yield bar.starts("PACKING", "files and pictures")
-    with clock("PACKING"):
-        tick = bar.inside("PACKING")
-        files = {f"lod{level}.glb": packed(asset, subject.target) for level, asset in enumerate(shown)}
-        costs = [cost_of(glb) for glb in files.values()]
-        files |= pictures_of(shown, last=last, tick=tick)
-        files["mesh.ply"] = ply_bytes(full)
-    manifest = manifest_of(
-        subject,
-        quality=quality,
-        costs=costs,
-        finest=levels[0],
-        to_asset=to_asset,
-        seconds=clock.seconds,
-        warnings=(*warnings, *told),
-    )
-    if state == "refined":
-        require_within(subject.target, costs)
-    # The last word before the store: a job cancelled by now must publish nothing.
-    yield bar.starts("PUBLISHING", f"publishing the {state}")
-    yield Bundle(state=state, files=files, manifest=manifest)
-    # A preview is kept without its textures, and whatever it costs: better than nothing to look at.
-    if failed:
-        raise failed
-    require_within(subject.target, costs)
-
-
-def _dressed(
-    levels: Sequence[Mesh], to_asset: Floats, subject: Subject, state: State, tick: Tick
-) -> tuple[Sequence[Mesh | Textured], tuple[str, ...], Ktx2Error | None]:
-    """The levels with textures, and warnings; a preview whose textures cannot be packed has none, and the reason."""
-    try:
-        return *textured(levels, to_asset, subject, tick), None
-    except Ktx2Error as error:
-        if state == "refined":
-            raise
-        return levels, (), error
 
 
 def _settled(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:
