@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -56,6 +57,13 @@ MESHES: dict[str, Callable[[], Mesh]] = {
 }
 
 
+def _read(file: Path) -> Mesh:
+    """What `capture2vr run` leaves as `mesh.ply`, with its colours."""
+    read = trimesh.load_mesh(file, process=False)
+    rgb = read.visual.vertex_colors[:, :3] if read.visual.kind == "vertex" else None
+    return Mesh(np.asarray(read.vertices, np.float64), np.asarray(read.faces, np.int64), rgb)
+
+
 @dataclass(frozen=True, slots=True)
 class _Variant:
     name: str
@@ -64,12 +72,15 @@ class _Variant:
 
 
 def main(arguments: list[str]) -> None:
-    """Print one table of what is sent and one of the levels; a word among the arguments chooses meshes."""
-    chosen = [name for name in MESHES if all(word in name for word in arguments)]
+    """Print one table of what is sent and one of the levels; a file among the arguments is a mesh to be measured alone,
+    a word chooses among those that are."""
+    files = {Path(each).parent.name: partial(_read, Path(each)) for each in arguments if Path(each).is_file()}
+    known = files or MESHES
+    chosen = [name for name in known if files or all(word in name for word in arguments)]
     folder = installed("loaders", _LOADERS, what="three.js's loaders")
     rows, levels = [], []
     for name in chosen:
-        mesh = MESHES[name]()
+        mesh = known[name]()
         mesh = replace(mesh, vertices=mesh.vertices / np.ptp(mesh.vertices, axis=0).max())
         began = time.perf_counter()
         made = lods(mesh)
