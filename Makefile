@@ -36,7 +36,7 @@ test: .venv/.test-ready
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
-	.venv/bin/pytest -n $(TEST_PROCESSES) --dist loadgroup
+	.venv/bin/pytest -n $(TEST_PROCESSES)
 
 bench: .venv/.test-ready
 	.venv/bin/python -m tests.bench all

@@ -5,23 +5,36 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from xdist.scheduler import LoadFileScheduling
 
+from tests.hurry import draw_small
 from tests.s3.server import S3Server, available, running
 
 _IN_CI = os.environ.get("CI") == "true"
-_WITH_SERVERS = {"cli", "deploy", "gateway", "storage", "web"}  # folders whose tests start real ones
+# What costs seconds to start is started once: Chromium and the whole product, and the RADOS Gateway.
+_TOGETHER = {"web": "browser", "storage": "s3", "deploy/test_cdn.py": "s3"}
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # before anything loads torch
     os.environ["OMP_NUM_THREADS"] = "1"  # threads of two processes on two cores would spin against each other
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Side by side (`pytest -n 2 --dist loadgroup`) real servers stand in one process, and a file's tests in one."""
-    for item in items:
-        folder = item.path.relative_to(Path(__file__).parent).parts[0]
-        item.add_marker(pytest.mark.xdist_group("servers" if folder in _WITH_SERVERS else item.path.name))
+class _Together(LoadFileScheduling):
+    """Side by side (`pytest -n 2`) a file's tests share a process, and so do those of a folder of `_TOGETHER`.
+
+    Every server listens on a free port and keeps its files in a folder of its own, so that any two may stand together.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0].removeprefix("tests/")
+        return _TOGETHER.get(file) or _TOGETHER.get(file.partition("/")[0]) or file
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Together:
+    """Not xdist_group's marks: xdist 3.8 hands them on in node ids, which pytest 9.2 no longer lets it change."""
+    return _Together(config, log)
 
 
 def missing(what: str) -> None:
@@ -43,6 +56,14 @@ def data_dir() -> Path:
     if not folder.is_dir():
         missing(f"the test data ({folder})")
     return folder
+
+
+@pytest.fixture(scope="module")
+def small_pictures() -> Iterator[None]:
+    """Small pictures in a module that looks at none."""
+    with pytest.MonkeyPatch.context() as patch:
+        draw_small(patch)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -14,8 +14,14 @@ import pytest
 import trimesh
 from PIL import Image
 
+from services.cli.run import run_preset
+from services.edge.preset import Preset
 from tests.clouds import write_ply
 from tests.edge.glb_reader import Glb
+
+# For speed: what is read, fused and oriented is the same at any resolution.
+BRIEFLY = ("--preset", "draft", "--resolution", 72)
+COARSE = Preset("coarse", resolution=48, most_points=10_000, lod_faces=(2_000,))
 
 
 def capture2vr(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -44,7 +50,7 @@ def out(bowl: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     known.update_faces(known.triangles_center[:, 2] < 0)  # a hemisphere of another size, turned another way
     known.export(reference)
     told = ("--reference", reference, "--longest", "0.5", "--collection", "bowls")
-    result = capture2vr("run", bowl, "-o", out, "--preset", "draft", *told)
+    result = capture2vr("run", bowl, "-o", out, *BRIEFLY, *told)
     assert result.returncode == 0, result.stderr
     assert "against the reference" in result.stderr
     return out
@@ -127,20 +133,19 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     archive = tmp_path / "upload.zip"
     with zipfile.ZipFile(archive, "w") as zipped:
         zipped.write(bowl, "top/bowl.ply")
-    result = capture2vr("run", archive, "-o", tmp_path / "out", "--preset", "draft")
+    result = capture2vr("run", archive, "-o", tmp_path / "out", *BRIEFLY)
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "out" / "mesh.ply").read_bytes() == (out / "mesh.ply").read_bytes()
 
 
 @pytest.mark.data
+@pytest.mark.usefixtures("small_pictures")
 @pytest.mark.parametrize(
     "capture",
     ["cloud_room/fragment.pcd", "rgbd_livingroom", "phone_tof", "dress/dress-v17k-f34k.obj", "car", "milktruck"],
 )
 def test_real_captures_become_assets(capture: str, data_dir: Path, tmp_path: Path) -> None:
-    # Coarse, for speed: what is read, fused and oriented is the same at any resolution.
-    result = capture2vr("run", data_dir / capture, "-o", tmp_path / "out", "--resolution", 96, "--preset", "draft")
-    assert result.returncode == 0, result.stderr
+    run_preset(data_dir / capture, tmp_path / "out", COARSE, device="cpu")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     quality = report["quality"]
     assert quality["non_manifold_edges"] <= 0.001 * 1.5 * quality["triangles"]

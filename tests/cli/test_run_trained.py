@@ -21,6 +21,9 @@ from services.storage.bundle import Bundle
 from tests.cli.test_run import capture2vr
 from tests.clouds import write_ply
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
+ROOT = Path(__file__).parents[2]
 MESHES = {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb"}
 TINY = Preset("tiny", resolution=24, fit=FitConfig(warm_start=5, steps=5, warm_up=1, batch=100, pool=2_000))
 
@@ -28,11 +31,14 @@ TINY = Preset("tiny", resolution=24, fit=FitConfig(warm_start=5, steps=5, warm_u
 LONG = """
 import sys
 from pathlib import Path
+import pytest
 from services.cli.run import run_preset
 from services.edge.field import checkpoint
 from services.edge.field.config import FitConfig
 from services.edge.preset import Preset
+from tests.hurry import draw_small
 checkpoint.SECONDS = 0.2
+draw_small(pytest.MonkeyPatch())
 fit = FitConfig(warm_start=5, steps=int(sys.argv[3]), warm_up=1, batch=100, pool=2_000)
 run_preset(Path(sys.argv[1]), Path(sys.argv[2]), Preset("tiny", resolution=24, fit=fit), device="cpu")
 """
@@ -184,7 +190,7 @@ def test_a_training_run_leaves_both_certificates_and_no_checkpoint(bowl: Path, t
 def test_a_killed_run_goes_on_from_its_checkpoint(bowl: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-c", LONG, str(bowl), str(out), "150"]
-    child = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    child = subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=ROOT)
     checkpoint = out / "fit.checkpoint"
     deadline = time.monotonic() + 120
     while not checkpoint.exists() and time.monotonic() < deadline and child.poll() is None:
@@ -194,7 +200,7 @@ def test_a_killed_run_goes_on_from_its_checkpoint(bowl: Path, tmp_path: Path) ->
     assert checkpoint.exists()
     assert (out / "preview.png").exists(), "the preview was there before the training began"
 
-    result = subprocess.run(command, capture_output=True, text=True)
+    result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert result.returncode == 0, result.stderr
     assert "starts anew" not in result.stderr, "the checkpoint was taken"
     assert not checkpoint.exists()

@@ -41,6 +41,8 @@ from tests.edge.edge_client import Client, Scripted, leftovers, until, worker
 from tests.edge.test_prepared import prepared_points
 from tests.edge.test_work import BRIEF, ENDLESS, archive, hemisphere_ply
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 QUICK = Patience(answer_s=1.0, admit_s=2.0, silence_s=6.0, lost_s=1.0, cancel_s=5.0, refresh_s=0.1)
 PLENTY = 1 << 40
 ROOT = Path(__file__).parents[2]

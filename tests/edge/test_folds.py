@@ -63,7 +63,7 @@ def test_each_region_of_a_cloud_is_judged_by_itself() -> None:
 
 
 def test_large_clouds_are_judged_by_some_of_their_regions() -> None:
-    points = surfaces.sampled(surfaces.disk(), 30_000, noise=0.004, seed=0)
+    points = surfaces.sampled(surfaces.disk(), 20_000, noise=0.004, seed=0)
     noise = noise_of(points)
     assert noise.share.mean() > 0.9
     np.testing.assert_array_equal(noise_of(points).share, noise.share)

@@ -162,7 +162,7 @@ def _moved(rng: np.random.Generator, turn: float, shift: float) -> Floats:
     return pose
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(0, 1000))
 def test_a_pose_graph_returns_to_the_truth(seed: int) -> None:
     """Exact edges of a ring with chords, and one that is wrong by metres: drifted poses come back."""

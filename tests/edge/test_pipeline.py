@@ -10,8 +10,10 @@ import pytest
 import trimesh
 from PIL import Image
 
+from services.edge.arrays import Tick
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.errors import Cancelled, EdgeError
+from services.edge.mesh.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
 from services.edge.pipeline import PREVIEW_STARTS, reconstruct
 from services.edge.prepare import STARTS
 from services.edge.preset import Preset, load_preset
@@ -19,6 +21,11 @@ from services.edge.progress import Progress
 from services.edge.target import Target, target_of
 from services.storage.bundle import Bundle
 from tests.edge.glb_reader import Glb
+from tests.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
+
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
+COARSE = Preset("coarse", resolution=32)
 
 
 def _bowl(points: int = 5000, *, radius: float = 1.0, centre: float = 0.0) -> Capture:
@@ -87,7 +94,7 @@ def _printed(points: int = 15_000) -> Capture:
 
 
 def test_what_the_points_know_more_of_than_the_vertices_comes_as_a_texture() -> None:
-    *_, bundle = reconstruct(_printed(), Preset("coarse", resolution=32), target=target_of("quest3"))
+    *_, bundle = reconstruct(_printed(), COARSE, target=target_of("quest3"))
     levels = bundle.manifest["lods"]
     assert all(level["texture_bytes"] > 0 for level in levels)
     assert levels[2]["bytes"] <= 300_000
@@ -104,8 +111,33 @@ def test_what_the_points_know_more_of_than_the_vertices_comes_as_a_texture() -> 
     assert (red == odd)[inner].mean() > 0.95
 
 
+def test_textures_come_as_ktx2_where_that_is_asked_for(ktx2: Ktx2Encoder) -> None:  # noqa: F811
+    target = replace(target_of("web-ktx2", ktx2), texture_px=128)
+    *_, bundle = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target)
+    assert bundle.manifest["target"] == "web-ktx2"
+    assert bundle.manifest["lods"][2]["bytes"] <= 150_000
+    for level in bundle.manifest["lods"]:
+        header = Ktx2Header.of(Glb.of(bundle.files[level["file"]]).image)
+        assert level["texture_bytes"] == header.device_bytes
+        assert header.width**2 < level["texture_bytes"] < 1.4 * header.width**2
+    assert b"colour.jpg" in bundle.files["asset.usdz"]
+
+
+def test_ktx2_that_cannot_be_made_is_an_error_behind_the_preview() -> None:
+    def fails(picture: np.ndarray, tick: Tick) -> bytes:
+        raise Ktx2Error("ktx2-encoder ended with status 1")
+
+    steps = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target_of("quest3-ktx2", fails))
+    bundle = next(step for step in steps if isinstance(step, Bundle))
+    assert bundle.state == "preview"
+    assert [level["texture_bytes"] for level in bundle.manifest["lods"]] == [0, 0, 0]
+    assert "COLOR_0" in Glb.of(bundle.files["lod0.glb"]).primitive["attributes"]
+    with pytest.raises(Ktx2Error, match="status 1"):
+        next(steps)
+
+
 def test_a_budget_out_of_reach_is_an_error_behind_the_preview() -> None:
-    steps = reconstruct(_bowl(), load_preset("draft"), target=Target("watch", "", (2_000, 1_000), last_bytes=99))
+    steps = reconstruct(_bowl(), COARSE, target=Target("watch", "", (2_000, 1_000), last_bytes=99))
     bundle = next(step for step in steps if isinstance(step, Bundle))
     assert bundle.state == "preview"
     with pytest.raises(EdgeError, match="LOD 1 has") as caught:
@@ -114,7 +146,7 @@ def test_a_budget_out_of_reach_is_an_error_behind_the_preview() -> None:
 
 
 def test_an_archive_is_for_any_program_and_leaves_no_triangle_out() -> None:
-    *_, bundle = reconstruct(_bowl(), load_preset("draft"), target=target_of("archive"))
+    *_, bundle = reconstruct(_bowl(), COARSE, target=target_of("archive"))
     glb = trimesh.load(io.BytesIO(bundle.files["lod0.glb"]), file_type="glb", force="mesh")
     full = trimesh.load(io.BytesIO(bundle.files["mesh.ply"]), file_type="ply")
     assert len(glb.faces) >= 0.99 * len(full.faces)
@@ -129,8 +161,8 @@ def test_a_georeferenced_cloud_keeps_its_place_and_precision() -> None:
 
 
 def test_the_resolution_of_a_preset_is_obeyed() -> None:
-    *_, coarse = reconstruct(_bowl(), Preset("coarse", resolution=32))
-    *_, fine = reconstruct(_bowl(), Preset("fine", resolution=96))
+    *_, coarse = reconstruct(_bowl(), COARSE)
+    *_, fine = reconstruct(_bowl(), Preset("fine", resolution=72))
     assert coarse.manifest["quality"]["resolution"] == 32
     assert fine.manifest["quality"]["triangles"] > 4 * coarse.manifest["quality"]["triangles"]
 
@@ -142,11 +174,11 @@ def test_it_stops_where_it_is_told_to(stage: str) -> None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        list(reconstruct(_bowl(), load_preset("draft"), watch=stop))
+        list(reconstruct(_bowl(), COARSE, watch=stop))
 
 
 def test_the_same_capture_gives_the_same_bytes() -> None:
-    first, second = ([*reconstruct(_bowl(), load_preset("draft"))][-1] for _ in range(2))
+    first, second = ([*reconstruct(_bowl(), COARSE)][-1] for _ in range(2))
     assert first.files["mesh.ply"] == second.files["mesh.ply"]
     assert first.files["lod2.glb"] == second.files["lod2.glb"]
 

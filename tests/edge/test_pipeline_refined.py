@@ -25,6 +25,8 @@ from services.edge.progress import Progress
 from services.edge.training import Training
 from services.storage.bundle import Bundle
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 Said = Progress | Bundle | PreviewKept
 
 TINY = FitConfig(warm_start=20, steps=20, warm_up=2, batch=200, pool=5_000, surface=0.1)

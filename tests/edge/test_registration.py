@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from services.edge.mesh.nouns import Mesh
@@ -20,8 +18,7 @@ def moved(mesh: Mesh, seed: int) -> Mesh:
     return Mesh(scale * mesh.vertices @ turn.T + 10 * rng.normal(size=3), mesh.faces)
 
 
-@settings(max_examples=3, deadline=None)
-@given(st.integers(0, 1_000_000))
+@pytest.mark.parametrize("seed", [0, 1])
 def test_size_and_place_are_not_judged(seed: int) -> None:
     chair = surfaces.chair()
     found = overlay(moved(chair, seed), chair)

@@ -26,6 +26,8 @@ from services.storage.memory import MemoryStore
 from services.storage.publish import publish
 from tests.edge.edge_client import Client, leftovers, until, upload, worker
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
 
 @pytest.fixture
 def scratch(tmp_path: Path) -> Path:

@@ -8,7 +8,7 @@ import sys
 from services.edge.server import serve
 from services.edge.settings import EdgeSettings
 from services.storage.settings import StorageSettings, open_store
-from tests.gateway.support import Making
+from tests.gateway.making import Making
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -14,80 +13,17 @@ import httpx
 import uvicorn
 from fastapi import FastAPI
 
-from services.edge.api import edge_pb2 as pb
-from services.edge.errors import EdgeError
-from services.edge.offer import Offer
-from services.edge.requests import JobRequest
-from services.edge.run import Say
 from services.edge.scratch import Scratch
 from services.edge.server import EdgeServer
 from services.edge.settings import EdgeSettings
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
-from services.storage.bundle import Bundle
-from services.storage.catalogue import DEFAULT_COLLECTION
 from services.storage.memory import MemoryStore
-from services.storage.publish import publish
 from services.storage.store import Store
+from tests.gateway.making import Making
 
 TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
 SHORT = {"lease_s": 1.0, "silence_s": 6.0, "attach_for_s": 1.0, "retry_s": 0.05, "presets": ("draft", "fine")}
-
-
-class Making:
-    """Work whose capture says how it goes: {"steps": 3, "pause_s": 0.1, "fail": "CODE", "retryable": true, "wait": 1}
-
-    Publishes a preview and a refined version behind it, really, to `store`; "fail_refining" is a code for in between.
-    """
-
-    def __init__(self, store: Store, *presets: str) -> None:
-        """presets: on offer, "draft" and "fine" where none is named."""
-        names = presets or ("draft", "fine")
-        self.offer = Offer("cpu", tuple(pb.Preset(name=name, summary="quick", memory_bytes=7) for name in names))
-        self._store = store
-        self.release = threading.Event()
-        self.runs: list[str] = []
-
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
-        self.runs.append(request.job)
-        script = json.loads(archive.read_bytes())
-        steps = script.get("steps", 3)
-        for step in range(steps):
-            say(pb.Progress(stage=pb.FITTING, fraction=step / steps, losses={"distance": 1.0 / (step + 1)}))
-            threading.Event().wait(script.get("pause_s", 0.0))
-        while script.get("wait") and not self.release.wait(0.02):
-            say(pb.Progress(stage=pb.FITTING, fraction=0.9))
-        if "fail" in script:
-            raise EdgeError(script["fail"], "as it was told", file="a.ply", retryable=script.get("retryable", False))
-        for state in ("preview", "refined"):
-            bundle = Bundle(state=state, files={"mesh.ply": f"{request.job} {state}".encode()}, manifest={"lods": []})
-            collection = request.collection or DEFAULT_COLLECTION
-            made = publish(
-                bundle,
-                self._store,
-                key=request.asset_key,
-                job=request.job,
-                fence=request.fence,
-                collection=collection,
-            )
-            say(
-                pb.Published(
-                    asset_key=made.key,
-                    version=made.version,
-                    state=made.state,
-                    manifest=made.manifest,
-                    collection=collection,
-                )
-            )
-            if "fail_refining" in script:
-                raise EdgeError(script["fail_refining"], "as it was told", hints=("use a coarser preset",))
-        return pb.Finished(warnings=["looks odd"], seconds={"FITTING": 0.5})
-
-    def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
-        script = json.loads(archive.read_bytes())
-        if "fail" in script:
-            raise EdgeError(script["fail"], "as it was told", file="a.ply", hints=("hold still",))
-        return pb.Inspection(kind="points", format="ply", points=script.get("points", 7), warnings=["sparse"])
 
 
 @asynccontextmanager

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _PACKAGES = ("radosgw", "ceph-mon", "ceph-osd", "ceph-common", "curl")
-_START_S = 180.0  # 15 s on an idle machine with two cores
-_STOP_S = 20.0  # the OSD takes some 5 s to close its store
+_START_S = 180.0  # 3 s on an idle machine with two cores
+_STOP_S = 20.0
 _INSTALL_S = 600.0
 
 

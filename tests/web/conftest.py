@@ -6,11 +6,17 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
 from services.cli.up import Stack, running
+from services.edge.capture.nouns import Capture, Cloud
+from services.edge.pipeline import reconstruct
+from services.edge.preset import load_preset
+from services.storage.bundle import Bundle
 from tests.conftest import missing
+from tests.hurry import draw_small
 from tests.pinned import installed
 from tests.web.sites import Site, site_at
 
@@ -42,14 +48,20 @@ batch = 200
 pool = 20_000
 """
 
+QUICK = """
+summary = "no training, and a coarse mesh"
+resolution = 48
+"""
+
 PHONE = {"width": 390, "height": 844}
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """Gateway, worker and embedded store, with a preset whose training takes seconds."""
+    """Gateway, worker and embedded store, with a preset whose training takes seconds, and one without any."""
     presets = tmp_path_factory.mktemp("presets")
     (presets / "brief.toml").write_text(BRIEF)
+    (presets / "quick.toml").write_text(QUICK)
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("EDGE_PRESETS", str(presets))
         environment.setenv("OMP_NUM_THREADS", "1")  # Chromium draws on the other core; torch's threads would spin
@@ -57,7 +69,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
             yield stack
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A gateway without a worker, for tests that publish what they look at."""
     with site_at(tmp_path_factory.mktemp("site")) as site:
@@ -65,8 +77,22 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 @pytest.fixture(scope="session")
+def bundle() -> Bundle:
+    """A bowl of one metre, made by the product."""
+    direction = np.random.default_rng(0).normal(size=(20_000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[:, 1] = -np.abs(direction[:, 1])
+    rgb = ((direction * 0.5 + 0.5) * 255).astype(np.uint8)
+    capture = Capture("points", "ply", Cloud(direction * 0.5, rgb), scale_confidence="metric")
+    with pytest.MonkeyPatch.context() as patch:
+        draw_small(patch)
+        steps = reconstruct(capture, load_preset("draft"), label="Bowl")
+        return next(step for step in steps if isinstance(step, Bundle))
+
+
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
-    """Debian's Chromium."""
+    """Debian's Chromium, until this folder's last test: beside Playwright's loop no asynchronous test runs."""
     chromium = shutil.which("chromium")
     if chromium is None:
         missing("Chromium")

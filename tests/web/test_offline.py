@@ -19,7 +19,7 @@ from services.storage.local import LocalStore
 from services.storage.publish import publish
 from tests.web.conftest import PATIENCE_MS, PHONE
 from tests.web.pictures import drawn, stage
-from tests.web.test_viewer import bundle, store  # noqa: F401 - fixtures are used by their names
+from tests.web.test_viewer import store  # noqa: F401 - a fixture is used by its name
 
 pytestmark = pytest.mark.browser
 

@@ -19,7 +19,6 @@ from services.storage.signing import Keys, generate, read_signer
 from services.storage.store import NO_CACHE
 from tests.web.conftest import PATIENCE_MS, PHONE
 from tests.web.pictures import drawn, stage
-from tests.web.test_viewer import bundle  # noqa: F401 - a fixture is used by its name
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
@@ -37,7 +36,7 @@ def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Ke
 
 
 @pytest.fixture
-def store(signed: tuple[Stack, Keys], bundle: Bundle) -> Iterator[LocalStore]:  # noqa: F811
+def store(signed: tuple[Stack, Keys], bundle: Bundle) -> Iterator[LocalStore]:
     """The gateway's store with an asset; its index is as it was when the test is over."""
     store = LocalStore(signed[0].store_root)
     publish(bundle, store, key="bowl", keys=signed[1])
@@ -80,7 +79,7 @@ def test_a_signed_asset_is_shown_and_an_older_catalogue_refused(
     context: BrowserContext,
     signed: tuple[Stack, Keys],
     store: LocalStore,
-    bundle: Bundle,  # noqa: F811
+    bundle: Bundle,
 ) -> None:
     older = store.get(INDEX)
     publish(bundle, store, key="another", keys=signed[1])

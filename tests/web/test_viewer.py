@@ -6,14 +6,10 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from playwright.sync_api import BrowserContext, Page, Route, expect
 
 from services.cli.up import Stack
-from services.edge.capture.nouns import Capture, Cloud
-from services.edge.pipeline import reconstruct
-from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
 from services.storage.local import LocalStore
 from services.storage.publish import publish
@@ -27,18 +23,6 @@ KEY = "bowl"
 def store(stack: Stack) -> LocalStore:
     """The store that the running gateway serves."""
     return LocalStore(stack.store_root)
-
-
-@pytest.fixture(scope="module")
-def bundle() -> Bundle:
-    """A bowl of one metre, made by the product."""
-    direction = np.random.default_rng(0).normal(size=(20_000, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    direction[:, 1] = -np.abs(direction[:, 1])
-    rgb = ((direction * 0.5 + 0.5) * 255).astype(np.uint8)
-    capture = Capture("points", "ply", Cloud(direction * 0.5, rgb), scale_confidence="metric")
-    steps = reconstruct(capture, load_preset("draft"), label="Bowl")
-    return next(step for step in steps if isinstance(step, Bundle))
 
 
 @pytest.fixture(autouse=True)

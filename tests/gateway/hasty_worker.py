@@ -1,0 +1,15 @@
+"""The worker with small pictures and checkpoints 1.5 s apart, not 5: `python -m tests.gateway.hasty_worker edge`."""
+
+from __future__ import annotations
+
+import pytest
+
+from services.cli.main import main
+from services.edge.field import checkpoint
+from tests.hurry import draw_small
+
+if __name__ == "__main__":
+    with pytest.MonkeyPatch.context() as patch:
+        draw_small(patch)
+        patch.setattr(checkpoint, "SECONDS", 1.5)
+        main()
