@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.edge import door
 from services.edge import upload as upload_module
 from services.edge.api import edge_pb2 as pb
 from services.edge.requests import RefusedError
@@ -144,7 +145,11 @@ async def _read(call: grpc.aio.StreamStreamCall) -> AsyncIterator[pb.Event]:
         yield event
 
 
-async def test_a_refusal_reaches_a_caller_in_the_middle_of_its_upload(client: Client) -> None:
+async def test_a_refusal_reaches_a_caller_in_the_middle_of_its_upload(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(door, "HEAR_OUT_NEXT_S", 5.0)  # this process both sends and hears, and may be kept waiting
+    monkeypatch.setattr(door, "HEAR_OUT_S", 60.0)
     holding = client.reconstruct(b"wait", "holding")
     await anext(aiter(holding))
     big = os.urandom(LIMIT_BYTES)
