@@ -96,11 +96,9 @@ def target_of(name: str, ktx2: Encode | None = None) -> Target:
         known = ", ".join(TARGETS)
         hints = (f"use one of: {known}", f"or one of them with {_UNLIT} behind it, or {_KTX2} if it has textures")
         raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=hints)
-    if not wants_ktx2(name):
-        return replace(TARGETS[base], name=name, unlit=plain != base)
-    if ktx2 is None:
+    if wants_ktx2(name) and ktx2 is None:
         raise unavailable("EDGE_KTX2 is not set")
-    return replace(TARGETS[base], name=name, unlit=plain != base, ktx2=ktx2)
+    return replace(TARGETS[base], name=name, unlit=plain != base, ktx2=ktx2 if wants_ktx2(name) else None)
 
 
 def cost_of(glb: bytes) -> Cost:

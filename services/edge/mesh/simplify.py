@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from services.edge.arrays import Bools, Ints, Tick, no_tick
 from services.edge.mesh.band import part_of
 from services.edge.mesh.edges import border_edges
 from services.edge.mesh.manifold import crowded_edges, to_manifold, without_fins
@@ -112,7 +112,7 @@ def _best_collapse(tick: Tick) -> Collapse:
 def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
     """Collapses that keep a subset of the vertices; where they pinch the surface it is held, or cut, there."""
     if len(mesh.faces) > _AT_ONCE and faces < _AT_ONCE // 2:
-        kept = _collapse(mesh, _AT_ONCE // 2, _loop_corners(mesh.vertices, border_edges(mesh.faces)))
+        kept = _collapse(mesh, _AT_ONCE // 2, _loop_corners(mesh))
         tick(0)
         mesh = to_manifold(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
         tick(0)
@@ -120,7 +120,7 @@ def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
         return _held(mesh, faces, tick)
     turned = reseamed(mesh)
     if len(mesh.faces) > _BEFORE * faces:
-        kept = _collapse(turned, int(_BEFORE * faces), _loop_corners(mesh.vertices, border_edges(mesh.faces)))
+        kept = _collapse(turned, int(_BEFORE * faces), _loop_corners(mesh))
         tick(0)
         turned = reseamed(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
     return orient(_held(turned, faces, tick))
@@ -128,23 +128,22 @@ def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
 
 def _held(mesh: Mesh, faces: int, tick: Tick) -> Mesh:
     """Collapsed with those vertices held around which the surface would be pinched, or cut there if they are many."""
-    locked = _loop_corners(mesh.vertices, border_edges(mesh.faces))
+    locked = _loop_corners(mesh)
     allowed = len(crowded_edges(mesh.faces))
     kept = _collapse(mesh, faces, locked)
     while len(crowded := crowded_edges(kept)) > allowed:
         more = locked | _around(mesh.faces, crowded, len(mesh.vertices))
         if more.sum() > _MOST_HELD * faces or (more == locked).all():
             tick(0)
-            return _cut(mesh, faces, locked)
+            return _cut(mesh, kept, faces, locked)
         locked = more
         tick(0)
         kept = _collapse(mesh, faces, locked)
     return compact(Mesh(mesh.vertices, kept))
 
 
-def _cut(mesh: Mesh, faces: int, locked: Bools) -> Mesh:
-    """Collapsed, and cut open along edges of three or more faces; a cut may add faces, so fewer are asked for first."""
-    kept = _collapse(mesh, faces, locked)
+def _cut(mesh: Mesh, kept: Ints, faces: int, locked: Bools) -> Mesh:
+    """What a collapse kept, cut open along edges of three or more faces; a cut may add faces, then fewer are kept."""
     coarse = to_manifold(compact(Mesh(mesh.vertices, kept)))
     added = len(coarse.faces) - len(kept)
     if len(coarse.faces) <= faces or len(kept) > faces:
@@ -217,8 +216,9 @@ def _coloured(coarse: Mesh, fine: Mesh) -> Mesh:
     return Mesh(coarse.vertices, coarse.faces, to_srgb(summed / np.maximum(count, 1)[:, None]))
 
 
-def _loop_corners(vertices: Floats, border: Ints) -> Bools:
+def _loop_corners(mesh: Mesh) -> Bools:
     """(V,) True at the extremes of every border loop: locked, they keep a loop from shrinking to nothing."""
+    vertices, border = mesh.vertices, border_edges(mesh.faces)
     corners = np.zeros(len(vertices), dtype=np.bool_)
     if len(border) == 0:
         return corners
