@@ -1,7 +1,12 @@
-# make demo   a simulated phone capture through everything, ending with the viewer's URL; CAPTURE=path takes your own
-# make test   everything that can be checked on this machine
-# make bench  all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
-# They do all their own set-up: .venv here, system packages through apt when root. A PyTorch that .venv has already, such as the
+# make demo         a simulated phone capture through everything, ending with the viewer's URL; CAPTURE=path takes your own
+# make test         everything that can be checked on this machine; FAST=1 leaves out browser, S3, Docker and what is slow
+# make lint         ruff, mypy and the import contracts alone
+# make bench        all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
+# make proto        services/edge/api from proto/
+# make drawing      docs/rooms.svg from the imports
+# make setup        .venv with the product; make test-setup adds what tests need
+# make clean        remove .venv, and what builds and demos left
+# All do their own set-up: .venv here, system packages through apt when root. A PyTorch that .venv has already, such as the
 # CPU build, stays.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -9,9 +14,10 @@ PYTHON ?= python3
 CAPTURE ?=
 DEMO_FLAGS ?=
 TEST_PROCESSES ?= 2
+FAST ?=
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: help demo test setup test-setup bench proto clean
+.PHONY: help demo test lint setup test-setup bench proto drawing clean
 .DEFAULT_GOAL := help
 
 help:
@@ -31,18 +37,23 @@ test-setup: .venv/.test-ready
 demo: .venv/.ready
 	.venv/bin/capture2vr demo $(if $(CAPTURE),"$(CAPTURE)") $(DEMO_FLAGS)
 
-test: .venv/.test-ready
+lint: .venv/.test-ready
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
-	.venv/bin/pytest -n $(TEST_PROCESSES)
+
+test: lint
+	.venv/bin/pytest -n $(TEST_PROCESSES) $(if $(FAST),-m "not (browser or s3 or docker or slow)")
 
 bench: .venv/.test-ready
 	.venv/bin/python -m tests.bench all
 
 proto: .venv/.test-ready
 	.venv/bin/python proto/generate.py
+
+drawing: .venv/.test-ready
+	.venv/bin/python docs/draw_rooms.py
 
 clean:
 	rm -rf .venv build dist demo out

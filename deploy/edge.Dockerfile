@@ -1,12 +1,15 @@
 FROM python:3.11-slim AS build
-# Where PyTorch comes from, at the version of constraints.txt. Its CPU build is a tenth of the size of the CUDA build, which
-# PyPI itself has: --build-arg TORCH_INDEX=https://pypi.org/simple
+# The extra "fast" is built from source. The compiler stays in this stage, at whatever version the base image's Debian has.
+# hadolint ignore=DL3008
+RUN apt-get update && apt-get install -y --no-install-recommends g++ && rm -rf /var/lib/apt/lists/*
+# The index of PyTorch, at the version of constraints.txt: here that of its CPU build, a tenth of the size of the CUDA build.
+# Empty (--build-arg TORCH_INDEX=) leaves pip's own index, whose build for Linux is the one with CUDA.
 ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY services ./services
 RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir -c constraints.txt \
-    --extra-index-url "$TORCH_INDEX" '.[edge,storage]'
+    ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} '.[edge,storage,fast]'
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home capture2vr
@@ -17,6 +20,6 @@ ENV PATH=/venv/bin:$PATH PYTHONUNBUFFERED=1 EDGE_HOST=0.0.0.0 EDGE_PORT=50051 ED
 USER 10001
 EXPOSE 50051
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=5s --timeout=3s --start-period=20s CMD ["python", "-m", "services.edge.health"]
+HEALTHCHECK --interval=5s --timeout=3s --start-period=20s CMD ["python", "-m", "services.edge.worker.health"]
 ENTRYPOINT ["capture2vr"]
 CMD ["edge"]

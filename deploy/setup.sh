@@ -28,10 +28,10 @@ product() {
     "$python" -m venv .venv 2>/dev/null || { apt_install "a virtual environment" python3-venv; "$python" -m venv .venv; }
   fi
   .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[gateway,edge,storage]'
-  # The faster simplifier is built from source; without a compiler the wheel-only one serves.
+  # Simplification by meshoptimizer is built from source; without a compiler the wheel of fast-simplification serves.
   if have g++; then
     .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fast]' ||
-      echo "setup: meshoptimizer could not be built; fast-simplification is used" >&2
+      echo "setup: meshoptimizer could not be built; fast-simplification makes the levels of detail" >&2
   fi
 }
 

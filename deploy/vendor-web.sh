@@ -1,18 +1,18 @@
 #!/usr/bin/env bash
-# Fetch the browser libraries of services/gateway/web at one version, from npm, unmodified but for their import lines:
+# Fetch the browser libraries of services/web/vendor at one version, from npm, unmodified but for their import lines:
 # there is no bundler and no import map, so a module names the file beside it.
 #   vendor-web.sh VERSION        e.g. 0.187.0
 set -euo pipefail
 version=$1
-web=$(cd "$(dirname "$0")/../services/gateway/web" && pwd)
+vendor=$(cd "$(dirname "$0")/../services/web/vendor" && pwd)
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 cd "$scratch"
 npm pack --silent "three@$version" >/dev/null
 tar xzf "three-$version.tgz"
-rm -f "$web"/three-*
+rm -f "$vendor"/three-*
 name() { echo "three-$version.$1.js"; }
-copy() { cp "package/$1" "$web/$(name "$2")"; }
+copy() { cp "package/$1" "$vendor/$(name "$2")"; }
 copy build/three.core.js core
 copy build/three.module.js module
 copy examples/jsm/loaders/GLTFLoader.js gltf-loader
@@ -22,13 +22,13 @@ copy examples/jsm/utils/SkeletonUtils.js skeleton-utils
 copy examples/jsm/libs/meshopt_decoder.module.js meshopt-decoder
 # What unpacks KTX2, which only pages that meet such a file load: Binomial's, under the Apache licence.
 copy examples/jsm/libs/basis/basis_transcoder.js basis-transcoder
-cp package/examples/jsm/libs/basis/basis_transcoder.wasm "$web/three-$version.basis-transcoder.wasm"
+cp package/examples/jsm/libs/basis/basis_transcoder.wasm "$vendor/three-$version.basis-transcoder.wasm"
 sed -i -E "s#(from|import) '(\./three\.core\.js)'#\1 './$(name core)'#; s#from 'three'#from './$(name module)'#
   s#'\.\./utils/BufferGeometryUtils\.js'#'./$(name buffer-geometry-utils)'#; s#'\.\./utils/SkeletonUtils\.js'#'./$(name skeleton-utils)'#" \
-  "$web"/three-"$version".*.js
+  "$vendor"/three-"$version".*.js
 # Our own modules name the version too.
-sed -i -E "s#/three-[0-9]+\.[0-9]+\.[0-9]+\.#/three-$version.#" "$web"/*.js
-cp package/LICENSE "$web/three-$version.LICENSE"
+sed -i -E "s#/three-[0-9]+\.[0-9]+\.[0-9]+\.#/three-$version.#" "$vendor"/../*/*.js
+cp package/LICENSE "$vendor/three-$version.LICENSE"
 {
   cat <<'NOTICE'
 three-*.basis-transcoder.js and .wasm, and what is in them:
@@ -38,5 +38,5 @@ Copyright © 2016–2026 Binomial LLC. All rights reserved except as granted und
 "Basis Universal" is a trademark of Binomial LLC.
 
 NOTICE
-  sed '/END OF TERMS AND CONDITIONS/q' "$web/../../../LICENSE"
-} >"$web/three-$version.basis-transcoder.LICENSE"
+  sed '/END OF TERMS AND CONDITIONS/q' "$vendor/../../../LICENSE"
+} >"$vendor/three-$version.basis-transcoder.LICENSE"

@@ -1,4 +1,4 @@
-"""Generate the wire's Python code from proto/ into services/edge/api, or with --check tell whether it is stale.
+"""Generate the gRPC Python code from proto/ into services/edge/api; with --check, fail if the code there is stale.
 
     python proto/generate.py            write the files
     python proto/generate.py --check    exit 1 and name the stale files
@@ -21,44 +21,44 @@ API = PROTO_ROOT.parent / "services" / "edge" / "api"
 NAMES = ("edge_pb2.py", "edge_pb2.pyi", "edge_pb2_grpc.py")
 
 TOOLS_VERSION = "1.85.1"
-"""The grpcio-tools that the checked-in code is made with; another one writes other bytes. The pin of pyproject.toml."""
+"""Version of grpcio-tools that made the checked-in code, as in pyproject.toml; another one writes other bytes."""
 
 IMPORTS = {"from capture2vr.edge.v1 import": "from services.edge.api import"}
 
 
 class WrongToolsError(RuntimeError):
-    """The installed grpcio-tools is not the pinned one, so its output proves nothing."""
+    """The installed grpcio-tools is not the pinned one, so its output cannot be compared."""
 
 
 def generate() -> dict[str, bytes]:
-    """File name -> content, as the .proto says today.
+    """Generate the files' contents from the .proto, by file name.
 
     Raises WrongToolsError, or RuntimeError when protoc refuses the file.
     """
     from grpc_tools import protoc
 
     if (installed := version("grpcio-tools")) != TOOLS_VERSION:
-        raise WrongToolsError(f"grpcio-tools is {installed}, the code is made with {TOOLS_VERSION}")
+        raise WrongToolsError(f"grpcio-tools {installed} is installed, version {TOOLS_VERSION} is needed")
     with tempfile.TemporaryDirectory() as folder:
         outputs = [f"--{kind}_out={folder}" for kind in ("python", "pyi", "grpc_python")]
         if protoc.main(["protoc", f"-I{PROTO_ROOT}", *outputs, PROTO_FILE]) != 0:
             raise RuntimeError(f"protoc refused {PROTO_FILE}")
         made = Path(folder, PROTO_FILE).parent
-        return {name: _rewritten((made / name).read_text("utf-8")) for name in NAMES}
+        return {name: _rewrite_imports((made / name).read_text("utf-8")) for name in NAMES}
 
 
 def stale() -> list[str]:
-    """The names of the checked-in files that differ from what the .proto says today."""
-    return [name for name, content in generate().items() if not _holds(API / name, content)]
+    """List the checked-in files that differ from what the .proto generates."""
+    return [name for name, content in generate().items() if not _has_content(API / name, content)]
 
 
-def _rewritten(text: str) -> bytes:
+def _rewrite_imports(text: str) -> bytes:
     for theirs, ours in IMPORTS.items():
         text = text.replace(theirs, ours)
     return text.encode()
 
 
-def _holds(path: Path, content: bytes) -> bool:
+def _has_content(path: Path, content: bytes) -> bool:
     return path.is_file() and path.read_bytes() == content
 
 

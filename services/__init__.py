@@ -1,3 +1,3 @@
-"""capture2vr: a phone's capture in, an asset for a VR headset out."""
+"""capture2vr: reconstruct a phone's capture as a 3D asset for VR headsets."""
 
 __version__ = "0.1.0"

@@ -1,6 +1,6 @@
-"""How a worker and its callers know each other: TLS and a shared token, from files that are checked before they serve.
+"""TLS and token authentication between a worker and its callers; the files are checked before the service starts.
 
-Each part is optional. A token without TLS is refused: whoever reads one call on the way could make the next.
+Both are optional. A token without TLS is refused: whoever reads one call on the network could make the next.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import grpc
 from services.strict_settings import SettingsError
 
 TOKEN_CHARS = 16
-"""Fewer could be tried out; `openssl rand -hex 32` prints 64."""
+"""Fewest characters of a token: a shorter one could be guessed. `openssl rand -hex 32` prints 64."""
 
 Options = Sequence[tuple[str, int | str]]
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
-    """What a worker shows its callers, and asks of them; PEM. Without a certificate it speaks plain gRPC."""
+class ServerSecurity:
+    """A worker's TLS certificate and key (PEM), and the token that callers must send. No certificate: plain gRPC."""
 
     cert: bytes = b""
     key: bytes = field(default=b"", repr=False)
@@ -31,28 +31,28 @@ class Door:
 
     @property
     def credentials(self) -> grpc.ServerCredentials | None:
-        """Those of its port; None for plain gRPC."""
+        """gRPC's credentials for the listening port; None for plain gRPC."""
         return grpc.ssl_server_credentials([(self.key, self.cert)]) if self.cert else None
 
 
-OPEN = Door()
+NO_SECURITY = ServerSecurity()
 
 
 @dataclass(frozen=True, slots=True)
-class Caller:
-    """What a caller believes of a worker (certificates of authorities, PEM), and shows it. Without any: plain gRPC."""
+class ClientCredentials:
+    """A caller's trusted CA certificates (PEM), and the token that it sends. No certificates: plain gRPC."""
 
     ca: bytes = b""
     token: str = field(default="", repr=False)
 
     def channel(self, address: str, options: Options) -> grpc.Channel:
-        """A channel of the threads' kind."""
+        """Return a synchronous channel, for use from threads."""
         if (credentials := self._credentials()) is None:
             return grpc.insecure_channel(address, options=options)
         return grpc.secure_channel(address, credentials, options=options)
 
     def aio_channel(self, address: str, options: Options) -> grpc.aio.Channel:
-        """A channel of the event loop's kind."""
+        """Return an asyncio channel; it belongs to the running event loop."""
         if (credentials := self._credentials()) is None:
             return grpc.aio.insecure_channel(address, options=options)
         return grpc.aio.secure_channel(address, credentials, options=options)
@@ -66,45 +66,57 @@ class Caller:
         return grpc.composite_channel_credentials(tls, grpc.access_token_call_credentials(self.token))
 
 
-PLAIN = Caller()
+NO_CREDENTIALS = ClientCredentials()
 
 
-def read_door(cert: Path | None, key: Path | None, token: str, *, names: tuple[str, str, str]) -> Door:
-    """The door of these settings; `names` are their variables. Raises SettingsError that names what is at fault."""
-    of_cert, of_key, of_token = names
-    _check_token(token, of_token, of_cert, has_tls=cert is not None)
+def read_server_security(
+    cert: Path | None, key: Path | None, token: str, *, names: tuple[str, str, str]
+) -> ServerSecurity:
+    """Read and check a worker's certificate and key. Raises SettingsError naming the variable and the file at fault.
+
+    names  the environment variables of certificate, key and token
+    """
+    cert_variable, key_variable, token_variable = names
+    _check_token(token, token_variable, cert_variable, has_tls=cert is not None)
     if (cert is None) != (key is None):
-        raise SettingsError(f"{of_cert} and {of_key} go together: set both or none")
+        raise SettingsError(f"{cert_variable} and {key_variable} go together: set both or none")
     if cert is None or key is None:
-        return OPEN
-    door = Door(_read(cert, of_cert), _read(key, of_key), token)
+        return NO_SECURITY
+    security = ServerSecurity(_read(cert, cert_variable), _read(key, key_variable), token)
     try:
-        # No password: the question for one would wait at a terminal for ever.
+        # An empty password for an encrypted key: OpenSSL would otherwise ask for one at a terminal and wait for ever.
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(cert, key, password=lambda: "")
     except (ssl.SSLError, ValueError, TypeError) as error:
         raise SettingsError(
-            f"{of_cert} and {of_key}: {cert} and {key} are no certificate with its plain key in PEM: {error}"
+            f"{cert_variable} and {key_variable}: {cert} and {key} are not a PEM certificate and its unencrypted PEM "
+            f"key: {error}"
         ) from None
-    _check_time(door.cert, f"{of_cert}: {cert}")
-    return door
+    _check_validity(security.cert, f"{cert_variable}: {cert}")
+    return security
 
 
-def read_caller(ca: Path | None, token: str, *, names: tuple[str, str]) -> Caller:
-    """The caller of these settings; `names` are their variables. Raises SettingsError that names what is at fault."""
-    of_ca, of_token = names
-    _check_token(token, of_token, of_ca, has_tls=ca is not None)
+def read_client_credentials(ca: Path | None, token: str, *, names: tuple[str, str]) -> ClientCredentials:
+    """Read and check a caller's CA certificates. Raises SettingsError naming the variable and the file at fault.
+
+    names  the environment variables of CA certificates and token
+    """
+    ca_variable, token_variable = names
+    _check_token(token, token_variable, ca_variable, has_tls=ca is not None)
     if ca is None:
-        return PLAIN
-    caller = Caller(_read(ca, of_ca), token)
+        return NO_CREDENTIALS
+    credentials = ClientCredentials(_read(ca, ca_variable), token)
     try:
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(cafile=ca)
     except ssl.SSLError as error:
-        raise SettingsError(f"{of_ca}: {ca} holds no certificate in PEM: {error}") from None
-    return caller
+        raise SettingsError(f"{ca_variable}: {ca} contains no PEM certificate: {error}") from None
+    return credentials
 
 
-def name_in(cert: bytes) -> str:
-    """The first name that a certificate is for, by which its own machine may ask for it on loopback."""
+def certificate_host(cert: bytes) -> str:
+    """Return the first host name or IP address of a PEM certificate, "localhost" where it has none.
+
+    A health check on loopback must ask for that name, or TLS refuses the certificate.
+    """
     from cryptography import x509
 
     found = x509.load_pem_x509_certificate(cert)
@@ -115,26 +127,29 @@ def name_in(cert: bytes) -> str:
     return str(next((name.value for name in names if isinstance(name, x509.DNSName | x509.IPAddress)), "localhost"))
 
 
-def _check_token(token: str, of_token: str, of_tls: str, *, has_tls: bool) -> None:
-    """Of printable ASCII because it travels in a header."""
+def _check_token(token: str, token_variable: str, tls_variable: str, *, has_tls: bool) -> None:
+    """Raise SettingsError for a token that is too short, without TLS, or not printable ASCII (it goes in a header)."""
     if not token:
         return
     if len(token) < TOKEN_CHARS or not (token.isascii() and token.isprintable()) or " " in token:
         raise SettingsError(
-            f"{of_token}: use at least {TOKEN_CHARS} letters, digits and signs, as openssl rand -hex 32"
+            f"{token_variable}: use at least {TOKEN_CHARS} ASCII letters, digits or signs without spaces; "
+            f"`openssl rand -hex 32` makes a good one"
         )
     if not has_tls:
-        raise SettingsError(f"{of_token} needs {of_tls}: without TLS the token could be read on the way")
+        raise SettingsError(
+            f"{token_variable} needs {tls_variable}: without TLS others on the network could read the token"
+        )
 
 
-def _check_time(cert: bytes, what: str) -> None:
-    """Raises SettingsError for a certificate whose time has not come or is over."""
+def _check_validity(cert: bytes, what: str) -> None:
+    """Raise SettingsError for a certificate that is not valid yet, or has expired."""
     from cryptography import x509
 
     found, now = x509.load_pem_x509_certificate(cert), datetime.now(UTC)
     if not found.not_valid_before_utc <= now <= found.not_valid_after_utc:
         since, until = (f"{each:%Y-%m-%d}" for each in (found.not_valid_before_utc, found.not_valid_after_utc))
-        raise SettingsError(f"{what} holds from {since} to {until}, which is not now: make a new one")
+        raise SettingsError(f"{what} is valid from {since} to {until}, not now: make a new certificate")
 
 
 def _read(path: Path, variable: str) -> bytes:

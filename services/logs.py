@@ -1,4 +1,4 @@
-"""Logs as one JSON object a line, each with the id of the request it belongs to."""
+"""Structured logging: one JSON object per line, with the id of the request it belongs to."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PLAIN = frozenset(logging.makeLogRecord({}).__dict__) | {"message", "asctime", 
 
 
 class JsonFormatter(logging.Formatter):
-    """Time, level, logger, message, request id, and whatever was passed as `extra`."""
+    """Formats a record as JSON: time, level, logger, message, request id, and whatever was passed as `extra`."""
 
     def format(self, record: logging.LogRecord) -> str:
         line = {
@@ -32,7 +32,7 @@ class JsonFormatter(logging.Formatter):
 
 
 def configure(level: str) -> None:
-    """Everything to stderr in JSON; the libraries' chatter only from WARNING on."""
+    """Send all logs to stderr as JSON; those of chatty libraries only from WARNING on."""
     handler = logging.StreamHandler()
     handler.setFormatter(JsonFormatter())
     logging.basicConfig(level=level, handlers=[handler], force=True)

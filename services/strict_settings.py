@@ -1,6 +1,6 @@
-"""What every service's settings share: frozen, read from the environment once, and a mistyped variable is an error.
+"""Base class of every service's settings: read from the environment once, frozen, unknown variables are errors.
 
-A silent typo (`EDGE_SLOT=4`) is the costliest kind of setting: everything starts, and nothing is as asked.
+A typo that nobody reports (`EDGE_SLOT=4`) is costly: the service starts, but not with the settings that were meant.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, SecretBytes, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 Plain = str | int | float | bool | None
+"""A value that JSON can hold as it is."""
 
 _PASSWORD_IN_URL = re.compile(r"(?<=://)([^/@:]*):[^/@]*(?=@)")
 
@@ -23,21 +24,21 @@ def _split_commas(value: object) -> object:
 
 
 LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
-"""Hosts to listen on that only this machine can reach."""
+"""Host names to listen on that only this machine can reach."""
 
 CommaList = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split_commas)]
 """A list in one variable: `GATEWAY_WORKERS=a:50051,b:50051`."""
 
 
 class SettingsError(ValueError):
-    """The environment does not describe a service. The sentence names every variable at fault and quotes no value."""
+    """A wrong setting. The message names every variable at fault, and quotes no value: one may be a secret."""
 
 
 class StrictSettings(BaseSettings):
-    """Base of one frozen settings class per service; the subclass sets `env_prefix` ("EDGE_") and its fields.
+    """Base of each service's frozen settings class; the subclass sets `env_prefix` ("EDGE_") and its fields.
 
-    Built in entry points only, then passed on. Keyword arguments win over the environment.
-    Raises SettingsError for a variable that has the prefix and names no field, and for a value that does not fit.
+    Built in entry points only, then passed on. Keyword arguments override the environment.
+    Raises SettingsError for a variable with the prefix that is no field, and for a value that does not fit.
     """
 
     model_config = SettingsConfigDict(frozen=True, extra="forbid", env_ignore_empty=True, hide_input_in_errors=True)
@@ -50,7 +51,7 @@ class StrictSettings(BaseSettings):
             raise SettingsError(_sentence(self._prefix(), error)) from None
 
     def describe(self) -> dict[str, Plain]:
-        """The resolved settings for the log, by variable name: secrets only as set or unset, no password in a URL."""
+        """Return the settings for the log, by variable name: secrets only as set or unset, URLs without passwords."""
         return {self._prefix() + name.upper(): _shown(getattr(self, name)) for name in type(self).model_fields}
 
     @classmethod
@@ -62,16 +63,16 @@ def _reject_unknown(prefix: str, fields: Any) -> None:
     known = {prefix + field.upper() for field in fields}
     unknown = sorted(name for name in os.environ if name.upper().startswith(prefix) and name.upper() not in known)
     if prefix and unknown:
-        raise SettingsError("; ".join(f"{name} is no setting{_suggestion(name, known)}" for name in unknown))
+        raise SettingsError("; ".join(f"{name} is not a setting{_suggestion(name, known)}" for name in unknown))
 
 
 def _suggestion(name: str, known: set[str]) -> str:
     near = difflib.get_close_matches(name.upper(), sorted(known), n=1)
-    return f", did you mean {near[0]}?" if near else f"; there are {', '.join(sorted(known))}"
+    return f", did you mean {near[0]}?" if near else f"; the settings are {', '.join(sorted(known))}"
 
 
 def _sentence(prefix: str, error: ValidationError) -> str:
-    """Names the variables and says why, without the values: one of them may be a secret."""
+    """Return the error's message: each variable at fault with the reason, without values, which may be secrets."""
     return "; ".join(f"{prefix}{'.'.join(map(str, e['loc'])).upper()}: {e['msg']}" for e in error.errors())
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadFileScheduling
 
-from tests.hurry import draw_small
-from tests.s3.server import S3Server, available, running
+from tests.referees.s3.server import S3Server, available, running
+from tests.support.small_pictures import draw_small
 
 _IN_CI = os.environ.get("CI") == "true"
 # What costs seconds to start is started once: Chromium and the whole product, and the RADOS Gateway.
@@ -19,6 +20,10 @@ _TOGETHER = {"web": "browser", "storage": "s3", "deploy/test_cdn.py": "s3"}
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # before anything loads torch
     os.environ["OMP_NUM_THREADS"] = "1"  # threads of two processes on two cores would spin against each other
+
+# How long an example takes says nothing on a machine that others use too. All else is as Hypothesis has it.
+settings.register_profile("crowded", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("crowded")
 
 
 class _Together(LoadFileScheduling):

@@ -43,11 +43,44 @@ def test_every_file_that_the_readme_names_exists() -> None:
 
 
 def test_the_page_libraries_name_only_files_that_are_there() -> None:
-    web = ROOT / "services" / "gateway" / "web"
-    for module in web.glob("*.js"):
-        for name in re.findall(r"(?:from|import\()\s*'(\./[^']+)'", module.read_text()):
-            assert (web / name).is_file(), f"{module.name} imports {name}"
-    assert all(re.match(r"three-\d+\.\d+\.\d+\.", file.name) for file in web.glob("three-*"))
+    web = ROOT / "services" / "web"
+    for module in web.glob("*/*.js"):
+        for name in re.findall(r"(?:from|import\()\s*'(\.\.?/[^']+)'", module.read_text()):
+            assert (module.parent / name).is_file(), f"{module.name} imports {name}"
+    assert all(re.match(r"three-\d+\.\d+\.\d+\.", file.name) for file in (web / "vendor").iterdir())
+
+
+def test_pages_import_what_they_share_and_never_each_other() -> None:
+    may = {
+        "capture": {"capture", "graphics", "shared", "vendor"},
+        "viewer": {"viewer", "graphics", "shared", "vendor"},
+        "collection": {"collection", "graphics", "shared", "vendor"},
+        "graphics": {"graphics", "shared", "vendor"},
+        "shared": {"shared"},
+        "vendor": {"vendor"},
+    }
+    web = ROOT / "services" / "web"
+    for module in web.glob("*/*.js"):
+        room = module.parent.name
+        for name in re.findall(r"(?:from|import\(|importScripts\(|URL\()\s*'(\.\.?/[^']+)'", module.read_text()):
+            assert (module.parent / name).resolve().parent.name in may[room], f"{room}/{module.name} imports {name}"
+
+
+def test_the_drawing_of_the_rooms_is_what_the_imports_say() -> None:
+    command = [sys.executable, str(ROOT / "docs" / "draw_rooms.py"), "--check"]
+    assert subprocess.run(command, capture_output=True, text=True).stderr == ""
+
+
+def test_every_room_and_file_that_the_architecture_names_exists() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| `([\w/.]+)`[^|]*\|[^|]*\| ([^|]*) \|$", text.split("## Rooms of the edge")[1], re.MULTILINE)
+    rooms = {room: re.findall(r"`(\w+\.py)`", files) for room, files in rows}
+    assert {"worker", "capture", "field", "mesh", "asset"} <= rooms.keys()
+    edge = ROOT / "services" / "edge"
+    for room, files in rooms.items():
+        assert all((edge / room / file).is_file() or (edge / file).is_file() for file in files), room
+    folders = {path.name for path in edge.iterdir() if (path / "__init__.py").is_file()} - {"api"}
+    assert folders <= rooms.keys()
 
 
 def test_no_folder_of_protos_is_a_package() -> None:

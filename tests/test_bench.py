@@ -11,15 +11,18 @@ import pytest
 import trimesh
 
 from services.edge.errors import EdgeError
-from services.edge.field.config import Densify, FitConfig
-from services.edge.mesh.metrics import area, edge_faces, pieces, welded
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from services.edge.mesh.sampling import area
+from services.edge.mesh.topology import component_count
+from services.edge.paper_field.network_config import Densify, NetworkConfig
 from tests.bench import ablation, cell, datasets, methods, plots, report, tables, yardstick
 from tests.bench.datasets import LayoutError
 from tests.bench.methods import Settings, Unavailable
 from tests.bench.records import Record, Records, code_version, fingerprint
 from tests.bench.shapes import ROWS, Row
+from tests.support import surfaces
+from tests.support.mesh_metrics import welded
 
 FIGURES = {
     "chamfer_l1": 0.003,
@@ -62,9 +65,9 @@ def test_density_falls_along_the_longest_side() -> None:
 def test_half_a_surface_ends_in_a_clean_cut() -> None:
     half = welded(surfaces.half(surfaces.disk()))
     assert np.ptp(half.vertices, axis=0).max() == pytest.approx(1)
-    edges = edge_faces(half.faces)
-    border = edges.vertices[edges.faces == 1]
-    assert pieces(border) == 1
+    edges = edges_of(half.faces)
+    border = edges.border_ends
+    assert component_count(border) == 1
     # A half disk of diameter d is bordered by d(1 + π/2) and has the area πd²/8, in whatever frame.
     length = np.linalg.norm(half.vertices[border[:, 0]] - half.vertices[border[:, 1]], axis=1).sum()
     assert length**2 / area(half) == pytest.approx(8 * (1 + np.pi / 2) ** 2 / np.pi, rel=0.01)
@@ -74,14 +77,14 @@ def test_nested_bowls_lie_their_distance_apart() -> None:
     bowls = surfaces.nested_bowls(0.06)
     outer, inner = np.split(bowls.vertices, 2)
     np.testing.assert_allclose(np.linalg.norm(outer - inner, axis=1), 0.06, atol=1e-9)
-    assert pieces(edge_faces(welded(bowls).faces).vertices) == 2
+    assert component_count(edges_of(welded(bowls).faces).ends) == 2
 
 
 # Methods and cells
 
 
 def test_a_shortened_schedule_keeps_its_proportions() -> None:
-    config = FitConfig(steps=40_000, warm_up=1_000, densify=Densify(steps=20_000), patience=7)
+    config = NetworkConfig(steps=40_000, warm_up=1_000, densify=Densify(steps=20_000), patience=7)
     short = methods.shortened(config, Settings("cap-udf", steps=600, batch=100, seed=3))
     assert (short.steps, short.densify and short.densify.steps, short.warm_up) == (400, 200, 10)
     assert (short.batch, short.densify and short.densify.batch, short.seed, short.patience) == (100, 100, 3, 0)
@@ -89,7 +92,7 @@ def test_a_shortened_schedule_keeps_its_proportions() -> None:
 
 
 def test_no_steps_leave_the_published_ones_and_changes_come_through() -> None:
-    short = methods.shortened(FitConfig(), Settings("ours-paper", changes={"projection": 0.0}))
+    short = methods.shortened(NetworkConfig(), Settings("ours-paper", changes={"projection": 0.0}))
     assert (short.steps, short.batch, short.projection) == (40_000, 5_000, 0.0)
 
 
@@ -276,7 +279,7 @@ def test_cells_of_older_code_are_taken_over_only_if_a_sample_comes_out_the_same(
 
 
 def test_every_loss_of_a_preset_is_ablated_and_none_that_it_lacks() -> None:
-    names = dict(ablation.variants(FitConfig(surface=0.0, self_consistency=1e-2, far_share=0.0)))
+    names = dict(ablation.variants(NetworkConfig(surface=0.0, self_consistency=1e-2, far_share=0.0)))
     assert names["as it is"] == {}
     assert names["without L_sc"] == {"self_consistency": 0.0}
     assert "without L_surf" not in names

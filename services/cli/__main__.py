@@ -1,4 +1,4 @@
-"""`python -m services.cli`: the same as the console script `capture2vr`."""
+"""`python -m services.cli`: same as the command `capture2vr`."""
 
 from services.cli.main import main
 

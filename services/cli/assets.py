@@ -1,4 +1,4 @@
-"""`capture2vr ls | rm | restore`: what a collection has, and taking assets out of sight and back."""
+"""`capture2vr ls | rm | restore`: list the assets of a collection, remove (hide) one, restore it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import httpx
 from rich.table import Table
 from rich.text import Text
 
-from services.cli.errors import NO_KEY, BadInput, answer_of, plain
+from services.cli.errors import INVALID_KEY, BadInput, parse_answer, printable
 from services.cli.http import client_of
 from services.cli.progress import console
-from services.storage.catalogue import valid_key
+from services.storage.catalogue.entry import valid_key
 
-_PAGE = 100  # assets; the most that a gateway gives at once
+_PAGE = 100  # assets per request: the gateway's maximum
 
 
 def list_assets(gateway: str, *, collection: str, label: str) -> int:
-    """Print the assets of a collection whose label matches; how many there are. Raises BadInput."""
+    """Print the assets of a collection whose label matches, and return their number. Raises BadInput."""
     check_collection(collection)
     try:
         with client_of(gateway) as client:
@@ -31,36 +31,42 @@ def list_assets(gateway: str, *, collection: str, label: str) -> int:
     for row in rows:
         names = (row["key"], row["label"], ", ".join(row["labels"]))
         facts = (str(row["version"]), row["state"], row["updated"])
-        table.add_row(*(Text(plain(cell)) for cell in (*names, *facts)))  # a label may look like markup
+        table.add_row(
+            *(Text(printable(cell)) for cell in (*names, *facts))
+        )  # Text, because labels may look like markup
     console.print(table)
     return len(rows)
 
 
-def mark(key: str, gateway: str, verb: str, *, collection: str) -> None:
-    """`remove` or `restore` an asset at the gateway, with a collection only if it is in that one. Raises BadInput."""
+def set_removed(key: str, gateway: str, verb: str, *, collection: str) -> None:
+    """Remove or restore an asset at the gateway. Raises BadInput.
+
+    verb        remove | restore
+    collection  do it only if the asset is in this collection; "": in any case
+    """
     if not valid_key(key):
-        raise BadInput(NO_KEY.format(key))
+        raise BadInput(INVALID_KEY.format(key))
     if collection:
         check_collection(collection)
     try:
         with client_of(gateway) as client:
-            told = answer_of(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
+            answer = parse_answer(client.post(f"/v1/assets/{key}/{verb}", params={"collection": collection}))
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
-    state = "removed; its files stay, and `restore` brings it back" if told["removed"] else "there"
-    console.print(f"{key} version {told['version']} is {state}")
+    state = "removed; its files are kept, and `restore` brings it back" if answer["removed"] else "available"
+    console.print(f"{key} version {answer['version']} is {state}")
 
 
 def check_collection(name: str) -> None:
-    """Raises BadInput for what cannot be a collection."""
+    """Raises BadInput for an invalid collection name."""
     if not valid_key(name):
-        raise BadInput(NO_KEY.format(name).replace("asset key", "collection"))
+        raise BadInput(INVALID_KEY.format(name).replace("asset key", "collection"))
 
 
 def _rows(client: httpx.Client, collection: str, label: str) -> Iterator[dict[str, Any]]:
     after: str | None = ""
     while after is not None:
-        asked: dict[str, str | int] = {"label": label, "after": after, "limit": _PAGE}
-        page = answer_of(client.get(f"/v1/collections/{collection}/assets", params=asked))
+        query: dict[str, str | int] = {"label": label, "after": after, "limit": _PAGE}
+        page = parse_answer(client.get(f"/v1/collections/{collection}/assets", params=query))
         yield from page["assets"]
         after = page["next"]

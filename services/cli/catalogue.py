@@ -1,4 +1,4 @@
-"""`capture2vr catalogue verify | rebuild | keygen`: whether a collection is whole, and whose it is."""
+"""`capture2vr catalogue verify | rebuild | keygen`: check collections, write them anew, make signing keys."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from services.cli.options import DEFAULT_GATEWAY, Collection, Gateway, Trusted
-from services.storage.catalogue import DEFAULT_COLLECTION
+from services.storage.catalogue.entry import DEFAULT_COLLECTION
 
-app = typer.Typer(help="Signed catalogues of collections: verify, rebuild, keygen.", no_args_is_help=True)
+app = typer.Typer(help="Check, rebuild and sign the catalogues of collections.", no_args_is_help=True)
 
 
 @app.command()
@@ -18,38 +18,41 @@ def verify(
     gateway: Gateway = DEFAULT_GATEWAY,
     collection: Collection = DEFAULT_COLLECTION,
     trusted: Trusted = None,
-    at_least: Annotated[int, typer.Option(min=0, help="Refuse an older version than this.")] = 0,
-    store: Annotated[bool, typer.Option("--store", help="Read the store of the STORAGE_* variables instead.")] = False,
-    every: Annotated[bool, typer.Option("--all", help="Every collection of that store.")] = False,
+    at_least: Annotated[int, typer.Option(min=0, help="Fail if the collection's version is older than this.")] = 0,
+    store: Annotated[
+        bool, typer.Option("--store", help="Read from the store of the STORAGE_* variables, not from a gateway.")
+    ] = False,
+    every: Annotated[bool, typer.Option("--all", help="Check every collection of that store.")] = False,
 ) -> None:
-    """Follow every hash: index, shards, manifests, files. Exit code 1 at the first class that has a fault."""
-    from services.cli.collections import on_the_store, verify_collection
+    """Check a collection's signature, and the hash of every shard, manifest and file. Exit code 1 if one is wrong."""
+    from services.cli.catalogue_work import stored_collections, verify_collection
 
-    place = "" if store or every else gateway
-    names = on_the_store() if every else [collection]
-    whole = [verify_collection(name, place, trusted or (), at_least=at_least) for name in names]
-    if not all(whole):
+    source = "" if store or every else gateway
+    names = stored_collections() if every else [collection]
+    results = [verify_collection(name, source, trusted or (), at_least=at_least) for name in names]
+    if not all(results):
         raise typer.Exit(1)
 
 
 @app.command()
 def rebuild(
     collection: Collection = DEFAULT_COLLECTION,
-    every: Annotated[bool, typer.Option("--all", help="Every collection that is on the store.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="Rebuild every collection on the store.")] = False,
 ) -> None:
-    """Write a collection anew from the entries on the store of the STORAGE_* variables, and sign it with their keys.
+    """Write a collection anew from the assets on the store of the STORAGE_* variables, and sign it with their keys.
 
-    For a store that is older than collections, for new keys, and after damage. What stands on the store is believed.
+    Use it for a store made before collections existed, after changing the keys, or after damage. The assets on the
+    store are trusted without a check.
     """
-    from services.cli.collections import on_the_store, rebuild_collection
+    from services.cli.catalogue_work import rebuild_collection, stored_collections
 
-    for name in on_the_store() if every else [collection]:
+    for name in stored_collections() if every else [collection]:
         rebuild_collection(name)
 
 
 @app.command()
-def keygen(out: Annotated[Path, typer.Argument(help="File for the private key; OUT.pub is for readers.")]) -> None:
-    """Make a key to sign with (mode 0600) and its public half. Nothing is overwritten."""
-    from services.cli.collections import make_key
+def keygen(out: Annotated[Path, typer.Argument(help="File of the private key; the public key gets OUT.pub.")]) -> None:
+    """Generate a key pair (Ed25519) to sign collections; the private key gets mode 0600. Never overwrites a file."""
+    from services.cli.catalogue_work import make_key
 
     make_key(out)

@@ -1,4 +1,4 @@
-"""The work behind `capture2vr catalogue`: a collection followed hash by hash, written anew, and the keys for it."""
+"""Implementation of `capture2vr catalogue`: verify a collection, rebuild it, generate its keys."""
 
 from __future__ import annotations
 
@@ -9,46 +9,46 @@ import httpx
 from rich.table import Table
 
 from services.cli.assets import check_collection
-from services.cli.errors import BadInput, answer_of
+from services.cli.errors import BadInput, parse_answer
 from services.cli.http import client_of
 from services.cli.progress import console, warn
-from services.storage.catalogue import DEFAULT_COLLECTION
-from services.storage.collect import rebuild
-from services.storage.collection import index_name
-from services.storage.reading import collections
+from services.storage.catalogue.collection import index_name
+from services.storage.catalogue.entry import DEFAULT_COLLECTION
+from services.storage.catalogue.reader import collection_names
+from services.storage.catalogue.signing import Keys, PublicKey, generate_key, read_public_key
+from services.storage.catalogue.update import rebuild
+from services.storage.catalogue.verify import CheckResult, Fetch, fetch_from, verify
 from services.storage.settings import StorageSettings, open_keys, open_store
-from services.storage.signing import Keys, Public, generate, read_public
-from services.storage.verify import Checked, Fetch, fetch_from, verify
 
-_SHOWN = 20  # faults of one class; there may be thousands
-_BLOCK_BYTES = 1 << 20
+_MOST_SHOWN = 20  # faults printed of one kind; there may be thousands
+_BLOCK_BYTES = 1 << 20  # per read of a download
 
 
 def verify_collection(collection: str, gateway: str, trusted: Sequence[Path], *, at_least: int) -> bool:
-    """Print what is checked, class by class, and what is wrong; whether all of it is right. Raises BadInput.
+    """Verify a collection, print the results, and return whether it has no faults. Raises BadInput.
 
-    gateway  its URL; "": the store of the STORAGE_* variables
+    gateway  its URL; "": use the store of the STORAGE_* variables
     trusted  files of public keys; none: those of the STORAGE_* variables
     """
     check_collection(collection)
-    believed = believed_keys(trusted)
-    if not believed:
-        warn("no public key is named, so the signature is not checked: --trusted key.pub")
+    verification_keys = load_verification_keys(trusted)
+    if not verification_keys:
+        warn("the signature is not checked, because no public key is given: use --trusted key.pub")
     try:
-        lines = _lines(collection, gateway, believed, at_least)
+        results = _verify(collection, gateway, verification_keys, at_least)
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
-    _show(collection, lines)
-    return not lines[-1].faults
+    _print_results(collection, results)
+    return not results[-1].faults
 
 
-def on_the_store() -> list[str]:
-    """The collections of the STORAGE_* variables' store; one that is older than collections has the default one."""
-    return list(collections(open_store(_settings()))) or [DEFAULT_COLLECTION]
+def stored_collections() -> list[str]:
+    """Return the collections on the store of the STORAGE_* variables; the default one where there are none yet."""
+    return list(collection_names(open_store(_settings()))) or [DEFAULT_COLLECTION]
 
 
 def rebuild_collection(collection: str) -> None:
-    """Write a collection of the STORAGE_* variables' store anew, and sign it with their keys. Raises BadInput."""
+    """Rebuild a collection on the store of the STORAGE_* variables, and sign it with their keys. Raises BadInput."""
     check_collection(collection)
     settings = _settings()
     keys = _keys(settings)
@@ -59,29 +59,31 @@ def rebuild_collection(collection: str) -> None:
 
 
 def make_key(out: Path) -> None:
-    """A private key in a file, and its public half beside it. Raises FileExistsError."""
-    public = generate(out)
-    console.print(f"key {public.id}: {out} signs, keep it to the services; {out}.pub is for everybody who reads")
+    """Generate a key pair: the private key in `out`, the public key in `out`.pub. Raises FileExistsError."""
+    public = generate_key(out)
+    console.print(f"key {public.id}: {out} is the private key, keep it secret; {out}.pub is the public key for readers")
 
 
-def _lines(collection: str, gateway: str, believed: tuple[Public, ...], at_least: int) -> list[Checked]:
+def _verify(
+    collection: str, gateway: str, verification_keys: tuple[PublicKey, ...], at_least: int
+) -> list[CheckResult]:
     if not gateway:
-        return list(verify(fetch_from(open_store(_settings())), collection, believed, at_least=at_least))
+        return list(verify(fetch_from(open_store(_settings())), collection, verification_keys, at_least=at_least))
     with client_of(gateway, follow_redirects=True) as client:
         answer = client.get(f"/v1/collections/{collection}")
-        fetch = _fetch_over(client, str(answer_of(answer)["base"]), {index_name(collection): answer.content})
-        return list(verify(fetch, collection, believed, at_least=at_least))
+        fetch = _fetch_from_url(client, str(parse_answer(answer)["base"]), {index_name(collection): answer.content})
+        return list(verify(fetch, collection, verification_keys, at_least=at_least))
 
 
-def _fetch_over(client: httpx.Client, base: str, known: dict[str, bytes]) -> Fetch:
-    """The objects below a URL, but for those that are known."""
+def _fetch_from_url(client: httpx.Client, base: str, known: dict[str, bytes]) -> Fetch:
+    """Return a `Fetch` that downloads objects below a URL, except for those in `known`, by name."""
 
     def fetch(name: str) -> Iterator[bytes]:
         if name in known:
             yield known[name]
             return
         with client.stream("GET", base + name) as response:
-            if response.status_code in (403, 404):  # a bucket that may not be listed says 403 of what is not there
+            if response.status_code in (403, 404):  # S3 answers 403 for a missing object if listing is not allowed
                 raise FileNotFoundError(name)
             if not response.is_success:
                 raise BadInput(f"{response.request.url} answered {response.status_code}")
@@ -90,26 +92,26 @@ def _fetch_over(client: httpx.Client, base: str, known: dict[str, bytes]) -> Fet
     return fetch
 
 
-def _show(collection: str, lines: list[Checked]) -> None:
+def _print_results(collection: str, results: list[CheckResult]) -> None:
     table = Table(title=f"collection {collection}")
     for column in ("what", "checked", "bytes", "faults", ""):
         table.add_column(column, justify="left" if column in ("what", "") else "right", overflow="fold")
-    for line in lines:
-        table.add_row(line.what, f"{line.count:,}", f"{line.bytes:,}", f"{len(line.faults):,}", line.said)
+    for result in results:
+        table.add_row(result.kind, f"{result.count:,}", f"{result.bytes:,}", f"{len(result.faults):,}", result.summary)
     console.print(table)
-    faults = lines[-1].faults
-    for fault in faults[:_SHOWN]:
+    faults = results[-1].faults
+    for fault in faults[:_MOST_SHOWN]:
         console.print(f"{fault.code}  {fault}", soft_wrap=True, markup=False)
-    if len(faults) > _SHOWN:
-        console.print(f"and {len(faults) - _SHOWN:,} more")
+    if len(faults) > _MOST_SHOWN:
+        console.print(f"and {len(faults) - _MOST_SHOWN:,} more faults")
 
 
-def believed_keys(trusted: Sequence[Path]) -> tuple[Public, ...]:
-    """The public keys in these files; of the STORAGE_* variables where none is named. Raises BadInput."""
+def load_verification_keys(trusted: Sequence[Path]) -> tuple[PublicKey, ...]:
+    """Read the public keys in these files; without files, those of the STORAGE_* variables. Raises BadInput."""
     if not trusted:
-        return _keys(_settings()).believed
+        return _keys(_settings()).verification_keys
     try:
-        return tuple(read_public(path) for path in trusted)
+        return tuple(read_public_key(path) for path in trusted)
     except ValueError as error:
         raise BadInput(f"--trusted: {error}") from error
 

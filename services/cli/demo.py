@@ -1,4 +1,4 @@
-"""`capture2vr demo`: a (simulated) phone, the gateway, the worker, the store and the viewer, all on this machine."""
+"""`capture2vr demo`: run gateway, worker and store on this machine, and reconstruct a (simulated) phone capture."""
 
 from __future__ import annotations
 
@@ -12,21 +12,25 @@ from services.cli.progress import console
 from services.cli.pull import pull_asset
 from services.cli.push import push_capture
 from services.cli.run import key_from
-from services.cli.up import DEFAULT_PORT, Stack, is_free, running
+from services.cli.up import DEFAULT_PORT, Stack, is_free, run_stack
 
 _KEY = "demo-garment"
-_PRESET = "draft"  # everything once within a minute; `capture2vr run` and `push` train
+_PRESET = "draft"  # no training, so that the demo takes less than a minute
 
 
 def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
-    """Push a capture through everything, leave PNG, meshes and report in `out`, end with the viewer's URL."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # leaves the stack, which stops it
+    """Reconstruct a capture with a stack of its own; write picture, meshes and report to `out`; print the viewer's URL.
+
+    capture  the user's capture; None: simulate one
+    keep     whether to go on serving the viewer until interrupted
+    """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # exits the `with` below: stops the stack
     out.mkdir(parents=True, exist_ok=True)
     key = key_from(capture) if capture else _KEY
-    source = capture or _simulated(out)
-    with running("127.0.0.1", _port(), out / "data") as stack:
-        cut = None if capture else True
-        job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "isolate": cut})
+    source = capture or _simulate_capture(out)
+    with run_stack("127.0.0.1", _port(), out / "data") as stack:
+        isolate = None if capture else True
+        job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "isolate": isolate})
         manifest = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")
         console.print(f"picture  {out / 'asset' / 'preview.png'}")
@@ -35,17 +39,17 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
         if keep:
             _serve_until_interrupted(stack)
         else:
-            console.print(f"to look at it: capture2vr up --data {out / 'data'}")
+            console.print(f"to view it: capture2vr up --data {out / 'data'}")
 
 
 def _port() -> int:
-    """The usual port, so that `up` serves the same address afterwards; any free one where it is taken."""
+    """Return the default port, so that `up` serves the same URL afterwards; 0 (any free port) where it is in use."""
     return DEFAULT_PORT if is_free("127.0.0.1", DEFAULT_PORT) else 0
 
 
-def _simulated(out: Path) -> Path:
-    from services.cli.garment import garment_scene
-    from services.cli.simulate import simulate_capture
+def _simulate_capture(out: Path) -> Path:
+    from services.cli.demo_garment import garment_scene
+    from services.cli.demo_phone import simulate_capture
 
     console.print("simulating a phone's walk around a garment")
     return simulate_capture(garment_scene(), out / "capture")
@@ -55,6 +59,6 @@ def _serve_until_interrupted(stack: Stack) -> None:
     stop = threading.Event()
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, lambda *_: stop.set())
-    console.print("serving the viewer; Ctrl-C stops")
+    console.print("serving the viewer; press Ctrl-C to stop")
     while not stop.wait(0.5):
-        stack.mend()
+        stack.restart_dead()

@@ -1,6 +1,7 @@
-"""The demo's subject: a printed summer dress with pleats, open at neck, sleeves and hem, hung over a wooden floor.
+"""Synthetic test object of the demo: mesh of a summer dress, open at neck, sleeves and hem, above a wooden floor.
 
-Made from formulas, so the demo needs no download and the tests know the true surface. Metres, Y up, the dress faces +Z.
+Generated from formulas, so that the demo needs no download and the tests know the true surface. Metres, Y up, the dress
+faces +Z.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.mesh import Mesh
 from services.edge.mesh.normals import vertex_normals
+from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.topology import compact
 
-_EDGE_M = 0.005  # of the dress's triangles: as fine as its print
-_SLEEVES = ((-1.0, 0.3), (1.0, 2.1))  # side, and the phase that keeps left and right from being mirror images
+_EDGE_M = 0.005  # edge length of the dress's triangles: as fine as its print
+_SLEEVES = ((-1.0, 0.3), (1.0, 2.1))  # side, and a phase, so that left and right are not mirror images
 _PLEATS = 11
-_HUNG_M = 0.10  # how much higher than `_OUTLINE` says: the hem then clears the floor by 15 cm
+_HUNG_M = 0.10  # added to the heights of `_OUTLINE`, so that the hem is about 15 cm above the floor
 _FLOOR_M, _BOARD_M = 4.0, 0.14
-_APART_M, _FLOWER_M = 0.085, (0.024, 0.040)  # flowers' least distance and radii: several points of a scan on each
+_APART_M, _FLOWER_M = 0.085, (0.024, 0.040)  # flowers' least distance, range of radii: several scan points on each
 
 # From hem to neck: height, half-width (x) and half-depth (z), metres.
 _OUTLINE = np.array(
@@ -48,17 +49,17 @@ _OAK = (168, 128, 88)
 
 
 def garment() -> Mesh:
-    """The dress alone, coloured: three tubes of cloth, about 250,000 triangles."""
+    """Make the coloured dress alone: three tubes of cloth, about 250,000 triangles."""
     body = _body()
     sleeves = [_sleeve(side, phase) for side, phase in _SLEEVES]
-    outside = [_without(sleeve, _inside_body(sleeve.vertices)) for sleeve in sleeves]
-    dress = _joined([_without(body, _inside_sleeves(body.vertices)), *outside])
-    return Mesh(dress.vertices + np.array([0.0, _HUNG_M, 0.0]), dress.faces, _print(dress))
+    outside = [_remove_vertices(sleeve, _inside_body(sleeve.vertices)) for sleeve in sleeves]
+    dress = _join([_remove_vertices(body, _inside_sleeves(body.vertices)), *outside])
+    return Mesh(dress.vertices + np.array([0.0, _HUNG_M, 0.0]), dress.faces, _paint(dress))
 
 
 def garment_scene() -> Mesh:
-    """The dress over a floor of oak boards."""
-    return _joined([garment(), _floor()])
+    """Make the dress above a floor of oak boards."""
+    return _join([garment(), _floor()])
 
 
 def _body() -> Mesh:
@@ -69,7 +70,7 @@ def _body() -> Mesh:
 
 
 def _body_point(turn: Floats, height: Floats, half_width: Floats, half_depth: Floats) -> Floats:
-    """A cross-section rounder than an ellipse, with pleats below the waist and creases around it; turn 0 is +Z."""
+    """Points of the body's surface: rounded cross-sections, pleats below the waist, creases around it; turn 0 is +Z."""
     skirt = np.clip((0.63 - height) / 0.57, 0.0, 1.0)
     wave = np.cos(_PLEATS * turn + 0.55 * np.sin(2 * turn + 0.7) + 0.5 * skirt)
     pleat = 0.155 * skirt**0.75 * (wave + 0.25 * wave**2 - 0.1)
@@ -85,20 +86,20 @@ def _body_point(turn: Floats, height: Floats, half_width: Floats, half_depth: Fl
 
 
 def _round(wave: Floats) -> Floats:
-    """sin or cos, a little squared off: people are not elliptic."""
+    """Flatten a sine or cosine a little: a body's cross-section is no ellipse."""
     rounded: Floats = np.sign(wave) * np.abs(wave) ** 0.9
     return rounded
 
 
 @dataclass(frozen=True, slots=True)
 class _Arm:
-    """A sleeve's axis: shoulder and hand end (3,), metres."""
+    """A sleeve's axis: its ends (3,) at the shoulder and at the hand, metres."""
 
     start: Floats
     end: Floats
 
     def radius(self, v: Floats) -> Floats:
-        """At the share v of its length."""
+        """Radius of the sleeve in metres at the fraction v of its length."""
         radius: Floats = 0.066 + 0.022 * v
         return radius
 
@@ -125,14 +126,14 @@ def _sleeve(side: float, phase: float) -> Mesh:
 
 
 def _inside_body(xyz: Floats) -> Bools:
-    """(N,) True where a sleeve would show inside the body: it ends a seam's width, about 1 cm, below the surface."""
+    """(N,) True where a sleeve would be inside the body: sleeves end a seam's width, about 1 cm, below its surface."""
     half_width, half_depth = (np.interp(xyz[:, 1], _OUTLINE[:, 0], _OUTLINE[:, axis]) for axis in (1, 2))
     inside: Bools = (xyz[:, 0] / half_width) ** 2 + (xyz[:, 2] / half_depth) ** 2 < 0.8
     return inside
 
 
 def _inside_sleeves(xyz: Floats) -> Bools:
-    """(N,) True where the body's cloth would run through a sleeve."""
+    """(N,) True where the body's cloth would be inside a sleeve."""
     inside = np.zeros(len(xyz), dtype=np.bool_)
     for side, _ in _SLEEVES:
         arm = _arm(side)
@@ -143,12 +144,12 @@ def _inside_sleeves(xyz: Floats) -> Bools:
     return inside
 
 
-def _print(dress: Mesh) -> Bytes:
-    """Flowers strewn on teal, a coral belt, cream edges at hem and neck."""
+def _paint(dress: Mesh) -> Bytes:
+    """Vertex colours (V,3) uint8 sRGB of the dress: flowers on teal, a coral belt, cream edges at the hem and neck."""
     xyz, normals = dress.vertices, vertex_normals(dress)
     rgb = np.tile(np.array(_TEAL, dtype=np.float64), (len(xyz), 1))
     rng = np.random.default_rng(7)
-    centre = _strewn(xyz, _APART_M, rng)
+    centre = _scatter(xyz, _APART_M, rng)
     away, flower = cKDTree(xyz[centre]).query(xyz, workers=-1)
     offset = xyz - xyz[centre][flower]
     tangent = np.cross(normals[centre], [0.31, 0.9, 0.2])
@@ -166,18 +167,18 @@ def _print(dress: Mesh) -> Bytes:
     return rgb.astype(np.uint8)
 
 
-def _strewn(xyz: Floats, apart_m: float, rng: np.random.Generator) -> Ints:
-    """Indices of points at least `apart_m` from each other: random ones, each kept if no earlier one is too near."""
+def _scatter(xyz: Floats, apart_m: float, rng: np.random.Generator) -> Ints:
+    """Indices of random points at least `apart_m` from each other: each is accepted if no earlier one is too near."""
     order = rng.permutation(len(xyz))[:6000]
     near = cKDTree(xyz[order]).query_ball_point(xyz[order], apart_m)
-    kept = np.zeros(len(order), dtype=np.bool_)
+    accepted = np.zeros(len(order), dtype=np.bool_)
     for number, neighbours in enumerate(near):
-        kept[number] = not kept[neighbours].any()
-    return order[kept]
+        accepted[number] = not accepted[neighbours].any()
+    return order[accepted]
 
 
 def _floor() -> Mesh:
-    """Oak boards at y = 0, 2 cm triangles, square."""
+    """Make a square floor of oak boards at y = 0 with triangles of 2 cm."""
     count = int(_FLOOR_M / 0.02)
     x, z = np.meshgrid(np.linspace(-0.5, 0.5, count) * _FLOOR_M, np.linspace(-0.5, 0.5, count) * _FLOOR_M)
     vertices = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
@@ -187,12 +188,12 @@ def _floor() -> Mesh:
     grain = 0.05 * np.sin(160 * x.ravel() + 6 * np.sin(2.2 * z.ravel() + board)) * rng.uniform(0.5, 1, x.size)
     gap = np.where(np.abs(x.ravel() / _BOARD_M % 1.0 - 0.5) > 0.46, 0.75, 1.0)
     rgb = np.clip(np.array(_OAK) * ((tone + grain) * gap)[:, None], 0, 255).astype(np.uint8)
-    # Wound the other way round than x-then-z would have it, so that the floor's front is its top.
+    # Reversed winding, so that the floor's front side is its top.
     return Mesh(vertices, _grid(count, count)[:, ::-1], rgb)
 
 
 def _tube(point: Callable[[Floats, Floats], Floats], columns: int, rows: int) -> Mesh:
-    """The surface point(turn, v), turn in [0,2π) closing on itself, v in [0,1] open at both ends."""
+    """Triangulate the surface point(turn, v): closed in turn, [0,2π); open at both ends of v, [0,1]."""
     turn, v = np.meshgrid(np.arange(columns) / columns * 2 * np.pi, np.linspace(0, 1, rows + 1))
     faces = _grid(rows + 1, columns + 1)
     row, column = np.divmod(faces, columns + 1)
@@ -200,18 +201,19 @@ def _tube(point: Callable[[Floats, Floats], Floats], columns: int, rows: int) ->
 
 
 def _grid(rows: int, columns: int) -> Ints:
-    """(F,3) two triangles for every cell of a grid of rows × columns vertices."""
+    """Faces (F,3) of a grid of rows × columns vertices, two triangles per cell."""
     corner = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]))
     return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
-def _without(mesh: Mesh, vertices: Bools) -> Mesh:
-    """The mesh less the faces with a corner among the (V,) marked vertices."""
+def _remove_vertices(mesh: Mesh, vertices: Bools) -> Mesh:
+    """Remove the faces that have a corner among the marked vertices (V,)."""
     return compact(mesh, np.flatnonzero(~vertices[mesh.faces].any(axis=1)))
 
 
-def _joined(parts: list[Mesh]) -> Mesh:
+def _join(parts: list[Mesh]) -> Mesh:
+    """Concatenate meshes; coloured if all of them are."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
     colours = [part.rgb for part in parts if part.rgb is not None]

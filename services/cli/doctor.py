@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import shutil
 import sys
@@ -16,12 +15,9 @@ from rich.text import Text
 
 from services.cli.http import client_of
 from services.cli.progress import console
+from services.cli.required_packages import required_packages
 
-_NEEDED = {
-    "edge": ("numpy", "scipy", "trimesh", "cv2", "av", "embreex", "laspy", "lzfse", "grpc", "torch"),
-    "gateway": ("fastapi", "uvicorn", "sqlalchemy", "grpc", "PIL", "pillow_heif", "multipart"),
-    "storage": ("boto3", "cryptography"),
-}
+_EXTRAS = ("edge", "gateway", "storage")  # that `up` needs
 _MIN_FREE_BYTES = 2 << 30  # a capture of 300 frames with its staging, bundle and store copy
 
 
@@ -57,21 +53,24 @@ def _python() -> Iterator[Finding]:
 
 
 def _libraries() -> Iterator[Finding]:
-    for extra, modules in _NEEDED.items():
-        absent = [module for module in modules if not _imports(module)]
-        if absent:
-            yield Finding(f"extra '{extra}'", "bad", f"missing {', '.join(absent)}: pip install 'capture2vr[{extra}]'")
+    for extra in _EXTRAS:
+        packages = required_packages("capture2vr", extra)
+        missing = ", ".join(str(package) for package in packages if not package.suits)
+        if missing:
+            yield Finding(f"extra '{extra}'", "bad", f"missing {missing}: pip install 'capture2vr[{extra}]'")
         else:
-            yield Finding(f"extra '{extra}'", "ok", "all there")
+            yield Finding(f"extra '{extra}'", "ok", ", ".join(map(str, packages)))
 
 
 def _simplifier() -> Iterator[Finding]:
-    if _imports("meshoptimizer"):
-        yield Finding("LODs", "ok", "meshoptimizer")
-    else:
+    try:
+        import meshoptimizer  # noqa: F401 - asked only whether it is there and loads
+    except (ImportError, OSError):
         yield Finding(
             "LODs", "note", "fast-simplification; meshoptimizer is faster: pip install 'capture2vr[fast]' (C++)"
         )
+    else:
+        yield Finding("LODs", "ok", "meshoptimizer")
 
 
 def _device() -> Iterator[Finding]:
@@ -115,11 +114,3 @@ def _gateway(url: str) -> Iterator[Finding]:
         yield Finding("gateway", "note", f"nothing answers at {url}; start one with: capture2vr up")
         return
     yield Finding("gateway", "ok" if answer.is_success else "bad", f"{url}: {answer.text[:200]}")
-
-
-def _imports(module: str) -> bool:
-    try:
-        importlib.import_module(module)
-    except ImportError:
-        return False
-    return True

@@ -1,11 +1,10 @@
-"""Objects below a URL, and the cache of those that are named by their hash: whole and right, or not at all."""
+"""Download objects below a URL, and cache files by their hash; only complete, verified files get into the cache."""
 
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,87 +12,87 @@ from pathlib import Path
 
 import httpx
 
+from services.atomic_write import atomic_write
 from services.cli.errors import BadInput
-from services.storage.faults import FILE_CHANGED, FILE_MISSING, CatalogueFault
-from services.storage.reading import Piece
+from services.storage.catalogue.faults import FILE_CHANGED, FILE_MISSING, CatalogueFault
+from services.storage.catalogue.reader import AssetFile
 
 _CHUNK_BYTES = 1 << 20
-_PART = ".part-"
-_ABANDONED_S = 3600.0  # without a byte; httpx gives a silent server up after half a minute
+_PART = ".part-"  # prefix of temporary files in the cache
+_ABANDONED_S = 3600.0  # since the last byte; a download in progress never pauses so long: httpx times out after 30 s
 
 
 @dataclass(frozen=True, slots=True)
-class Objects:
-    """What `base`, with a slash at its end, and an object's name make an address."""
+class RemoteObjects:
+    """Downloads objects from `base` + name. base: a URL that ends with a slash"""
 
     client: httpx.Client
     base: str
 
-    def whole(self, name: str, limit: int, *, absent: str, changed: str) -> bytes:
-        """An object of at most `limit` bytes. Raises as `blocks`."""
+    def read(self, name: str, limit: int, *, absent: str, changed: str) -> bytes:
+        """Download an object of at most `limit` bytes into memory. Raises as `blocks` does."""
         return b"".join(self.blocks(name, limit, absent=absent, changed=changed))
 
     def blocks(self, name: str, limit: int, *, absent: str, changed: str) -> Iterator[bytes]:
-        """The bytes of an object.
+        """Download an object and yield its bytes in blocks.
 
-        absent, changed  codes of the CatalogueFault for one that is not there, and for one that is longer or breaks off
-        Raises BadInput for a server at fault, httpx.RequestError for one that is out of reach.
+        absent, changed  codes of the CatalogueFault for a missing object, and for one that is too long or incomplete
+        Raises BadInput for other HTTP errors, httpx.RequestError where the server cannot be reached.
         """
         size = 0
         with self.client.stream("GET", self.base + name) as response:
             address, status = response.request.url, response.status_code
-            if status in (403, 404):  # a bucket that may not be listed says 403 of what is not there
-                raise CatalogueFault(absent, name, f"it is not there: {address} answered {status}")
+            if status in (403, 404):  # S3 answers 403 for a missing object if listing is not allowed
+                raise CatalogueFault(absent, name, f"it is missing: {address} answered {status}")
             if not response.is_success:
                 raise BadInput(f"{address} answered {status}")
             try:
                 for block in response.iter_bytes(_CHUNK_BYTES):
                     size += len(block)
-                    if size > limit:  # whoever sends it may never end
+                    if size > limit:  # a hostile server may send for ever
                         raise CatalogueFault(changed, name, f"it has more than {limit:,} bytes")
                     yield block
             except (httpx.RemoteProtocolError, httpx.DecodingError) as error:
-                raise CatalogueFault(changed, name, f"it broke off after {size:,} bytes: {error}") from None
+                raise CatalogueFault(changed, name, f"the download broke off after {size:,} bytes: {error}") from None
 
 
-def fetch(objects: Objects, piece: Piece, cache: Path) -> str:
-    """See that a file is in the cache, under its hash; "cache" or "network" says where it came from.
+def fetch(objects: RemoteObjects, asset_file: AssetFile, cache: Path) -> str:
+    """Download a file into the cache, under its hash, unless it is there already; returns "cache" or "network".
 
-    One whose bytes have rotted is fetched again. Raises CatalogueFault FILE_*, and as `Objects.blocks`.
+    A cached file with a wrong hash is downloaded again. Raises CatalogueFault FILE_*, and as `RemoteObjects.blocks`.
     """
-    cached = cache / piece.sha256
-    if cached.is_file() and sha256_of(cached) == piece.sha256:
+    cached = cache / asset_file.sha256
+    if cached.is_file() and sha256_of(cached) == asset_file.sha256:
         return "cache"
     cache.mkdir(parents=True, exist_ok=True)
-    _sweep(cache)
-    descriptor, part = tempfile.mkstemp(dir=cache, prefix=_PART)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            digest, size = hashlib.sha256(), 0
-            for block in objects.blocks(piece.name, piece.size, absent=FILE_MISSING, changed=FILE_CHANGED):
+    _remove_abandoned(cache)
+    with atomic_write(cached, temporary=cache / f"{_PART}{uuid.uuid4().hex}", durable=False) as part:
+        digest, size = hashlib.sha256(), 0
+        with part.open("wb") as file:
+            for block in objects.blocks(asset_file.name, asset_file.size, absent=FILE_MISSING, changed=FILE_CHANGED):
                 digest.update(block)
                 size += len(block)
                 file.write(block)
-        if size < piece.size:
-            raise CatalogueFault(FILE_CHANGED, piece.name, f"it ends after {size:,} of its {piece.size:,} bytes")
-        if digest.hexdigest() != piece.sha256:
-            raise CatalogueFault(FILE_CHANGED, piece.name, f"its {size:,} bytes do not have the hash of the manifest")
-        Path(part).replace(cached)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+        if size < asset_file.size:
+            raise CatalogueFault(
+                FILE_CHANGED, asset_file.name, f"it ends after {size:,} of its {asset_file.size:,} bytes"
+            )
+        if digest.hexdigest() != asset_file.sha256:
+            raise CatalogueFault(
+                FILE_CHANGED, asset_file.name, f"its {size:,} bytes do not have the hash that the manifest lists"
+            )
     return "network"
 
 
 def sha256_of(path: Path) -> str:
-    """The hash of a file, hex."""
+    """Return the sha256 of a file, hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _sweep(cache: Path) -> None:
-    """Remove what commands that were killed have left half-written."""
+def _remove_abandoned(cache: Path) -> None:
+    """Delete temporary files of commands that were killed."""
     for part in cache.glob(f"{_PART}*"):
-        with suppress(OSError):  # its own command has just renamed or removed it
+        with suppress(OSError):  # the command that writes it has just renamed or deleted it
             if time.time() - part.stat().st_mtime > _ABANDONED_S:
                 part.unlink()

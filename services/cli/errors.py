@@ -1,4 +1,4 @@
-"""What the command line says when the person, not the program, has to change something."""
+"""Errors of the command line that the user can fix, and conversion of problem documents to one-line messages."""
 
 from __future__ import annotations
 
@@ -7,40 +7,42 @@ from typing import Any
 
 import httpx
 
-NO_KEY = "'{}' is no asset key: use 1 to 100 letters, digits, '.', '_' or '-', a letter or digit first"
+INVALID_KEY = "'{}' is not a valid asset key: use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
 
 
 class BadInput(Exception):  # noqa: N818 - it reads as what it is
-    """One sentence for the person; the command ends with exit code 2."""
+    """An error that the user can fix. The command prints its one-line message and ends with exit code 2."""
 
 
 def sentence(message: str, *, file: str | None = None, hints: tuple[str, ...] = ()) -> str:
-    """File, reason and what to do on one line."""
-    said = f"{file}: {message}" if file and not message.startswith(file) else message
-    return f"{said} ({'; '.join(hints)})" if hints else said
+    """Format an error on one line: file, reason, and hints in parentheses."""
+    message_with_file = f"{file}: {message}" if file and not message.startswith(file) else message
+    return f"{message_with_file} ({'; '.join(hints)})" if hints else message_with_file
 
 
-def plain(text: str) -> str:
-    """The text on one line: file names may hold line ends, terminal controls and bytes that are no text."""
+def printable(text: str) -> str:
+    """Replace unprintable characters: file names may have line ends, terminal control codes and invalid bytes."""
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
 
 
-def answer_of(response: httpx.Response, *, file: str = "") -> Any:
-    """The JSON of a good answer. A problem document becomes `BadInput` with its detail, file and hints.
+def parse_answer(response: httpx.Response, *, file: str = "") -> Any:
+    """Return the JSON of a successful answer. Raises BadInput with the detail, file and hints of a problem document.
 
-    file  what was sent, for a problem that blames no file in it
+    file  name of the file that was sent, for problems that name none
     """
     try:
         problem = response.json()
-    except ValueError:  # another server than a gateway
+    except ValueError:  # the server is no gateway
         problem = None
     if response.is_success and problem is not None:
         return problem
     if not isinstance(problem, dict) or "detail" not in problem:
-        raise BadInput(f"{response.request.url} answered {response.status_code}, but not as a gateway does")
-    raise BadInput(told(problem, file=file))
+        raise BadInput(
+            f"{response.request.url} answered {response.status_code}, but not as a gateway does: check --gateway"
+        )
+    raise BadInput(problem_sentence(problem, file=file))
 
 
-def told(problem: Mapping[str, Any], *, file: str = "") -> str:
-    """A problem document as a sentence."""
+def problem_sentence(problem: Mapping[str, Any], *, file: str = "") -> str:
+    """Format a problem document on one line."""
     return sentence(problem["detail"], file=problem.get("file") or file, hints=tuple(problem.get("hints") or ()))

@@ -1,4 +1,4 @@
-"""The command line: `capture2vr run | presets | up | push | pull | ls | rm | restore | catalogue | gateway`, …"""
+"""Commands and options of the command line `capture2vr` (Typer). A command imports its implementation when it runs."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import typer
 
 import services
 from services.cli.catalogue import app as catalogue
-from services.cli.errors import BadInput, plain
+from services.cli.errors import BadInput, printable
 from services.cli.options import DEFAULT_GATEWAY, Collection, Gateway, Trusted
-from services.storage.catalogue import DEFAULT_COLLECTION
+from services.storage.catalogue.entry import DEFAULT_COLLECTION
+from services.strict_settings import SettingsError
 
 app = typer.Typer(
-    help="Point a phone at a thing; a minute later it stands in a VR headset.",
+    help="Turn phone captures (photos, video, scans) into 3D meshes for VR.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -25,19 +26,21 @@ app.add_typer(catalogue, name="catalogue")
 Isolate = Annotated[
     bool | None,
     typer.Option(
-        "--isolate/--whole", help="Remove the supporting plane and clutter; else photos of one thing are cut."
+        "--isolate/--whole",
+        help="Remove the floor or table and the surroundings, or keep them. Default: remove them if the photos were "
+        "taken around one object.",
     ),
 ]
 Longest = Annotated[
     float | None,
-    typer.Option(min=0.001, max=1_000, help="Metres between the farthest points of the thing, if you measured it."),
+    typer.Option(min=0.001, max=1_000, help="Metres between the farthest points of the object, if you measured it."),
 ]
 Target = Annotated[
     str,
     typer.Option(
-        help="quest3, quest2, web or archive: levels of detail that keep within its budget, or an error; quest3-unlit "
-        "and so on: colours as captured, whatever light the scene has; quest3-ktx2 and quest3-unlit-ktx2: textures as "
-        "KTX2, made by the encoder in EDGE_KTX2."
+        help="Device class whose budget the levels of detail must meet: quest3, quest2, web or archive. "
+        "With -unlit (quest3-unlit): colours as captured, independent of the scene's light. With -ktx2 (quest3-ktx2, "
+        "quest3-unlit-ktx2): KTX2 textures, made by the encoder in the folder EDGE_KTX2."
     ),
 ]
 
@@ -46,26 +49,32 @@ Target = Annotated[
 def run(
     capture: Annotated[Path, typer.Argument(help="Photos, a video, a point cloud, a mesh, an RGB-D folder, or a zip.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
-    preset: Annotated[str, typer.Option(help="How to reconstruct; `presets` lists them. Else the points decide.")] = "",
-    device: Annotated[str, typer.Option(help="Where to train: cpu, cuda, cuda:1, or auto.")] = "auto",
-    resolution: Annotated[int, typer.Option(min=0, max=1024, help="Cells along the longest side; 0 chooses.")] = 0,
+    preset: Annotated[
+        str, typer.Option(help="Method of reconstruction, see `capture2vr presets`. Default: chosen from the points.")
+    ] = "",
+    device: Annotated[str, typer.Option(help="Device for training: cpu, cuda, cuda:1, or auto.")] = "auto",
+    resolution: Annotated[
+        int, typer.Option(min=0, max=1024, help="Grid cells along the longest side; 0: automatic.")
+    ] = 0,
     isolate: Isolate = None,
     longest: Longest = None,
     target: Target = "",
-    key: Annotated[str, typer.Option(help="Asset key; from the capture's name otherwise.")] = "",
+    key: Annotated[str, typer.Option(help="Asset key. Default: made from the capture's name.")] = "",
     collection: Collection = DEFAULT_COLLECTION,
-    reference: Annotated[Path | None, typer.Option(help="A mesh of the same thing to measure the result by.")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="A mesh of the same object, to measure the result's error.")
+    ] = None,
 ) -> None:
-    """The whole pipeline in one process: capture in, meshes, picture, report and bundle out."""
-    from services.cli.run import Wanted, run_capture
+    """Reconstruct a capture in this process, without servers: writes meshes, pictures and a report to a folder."""
+    from services.cli.run import RunOptions, run_capture
 
-    wanted = Wanted(key, collection, isolate, longest, target, reference)
-    run_capture(capture, out, wanted, preset=preset, device=device, resolution=resolution)
+    options = RunOptions(key, collection, isolate, longest, target, reference)
+    run_capture(capture, out, options, preset=preset, device=device, resolution=resolution)
 
 
 @app.command()
 def presets() -> None:
-    """What `--preset` may name, whether it trains, and the memory that it takes at most."""
+    """List the presets: whether each trains, and how much memory it takes at most."""
     from services.cli.presets import list_presets
 
     list_presets()
@@ -74,10 +83,10 @@ def presets() -> None:
 @app.command()
 def up(
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port of the gateway; 0 chooses a free one.")] = 8080,
-    data: Annotated[Path, typer.Option(help="Folder of captures, jobs and assets.")] = Path("capture2vr-data"),
+    port: Annotated[int, typer.Option(help="Port of the gateway; 0: any free port.")] = 8080,
+    data: Annotated[Path, typer.Option(help="Folder for captures, jobs and assets.")] = Path("capture2vr-data"),
 ) -> None:
-    """Gateway, worker and embedded store together, until interrupted."""
+    """Run a gateway, a worker and a local store together, until interrupted."""
     from services.cli.up import serve_together
 
     raise typer.Exit(serve_together(host, port, data))
@@ -85,17 +94,19 @@ def up(
 
 @app.command()
 def push(
-    capture: Annotated[Path, typer.Argument(help="What the phone would upload: a file, a folder or a zip.")],
-    key: Annotated[str, typer.Option(help="Asset key under which the VR client will find it.")],
+    capture: Annotated[Path, typer.Argument(help="The capture: a file, a folder or a zip.")],
+    key: Annotated[str, typer.Option(help="Asset key by which VR clients find the asset.")],
     gateway: Gateway = DEFAULT_GATEWAY,
-    preset: Annotated[str, typer.Option(help="How to reconstruct; else the worker chooses.")] = "",
-    label: Annotated[str, typer.Option(help="A name for people.")] = "",
+    preset: Annotated[
+        str, typer.Option(help="Method of reconstruction, see `capture2vr presets`. Default: the gateway's.")
+    ] = "",
+    label: Annotated[str, typer.Option(help="A name for people. Default: the key.")] = "",
     collection: Collection = "",
     isolate: Isolate = None,
     longest: Longest = None,
     target: Target = "",
 ) -> None:
-    """Upload a capture as a phone would, follow the job, print where the asset stands."""
+    """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
     from services.cli.push import push_capture
 
     options = {
@@ -115,9 +126,11 @@ def pull(
     gateway: Gateway = DEFAULT_GATEWAY,
     collection: Collection = "",
     trusted: Trusted = None,
-    cache: Annotated[Path | None, typer.Option(help="Cache folder; $XDG_CACHE_HOME/capture2vr otherwise.")] = None,
+    cache: Annotated[
+        Path | None, typer.Option(help="Cache folder. Default: $XDG_CACHE_HOME/capture2vr or ~/.cache/capture2vr.")
+    ] = None,
 ) -> None:
-    """Fetch an asset as a VR client would, by its signed collection: every hash checked, files cached by content."""
+    """Download an asset from a gateway, checking the collection's signature and every hash. Files are cached."""
     from services.cli.pull import pull_asset
 
     pull_asset(key, out, gateway, collection=collection, trusted=trusted or (), cache=cache)
@@ -127,9 +140,9 @@ def pull(
 def ls(
     gateway: Gateway = DEFAULT_GATEWAY,
     collection: Collection = DEFAULT_COLLECTION,
-    label: Annotated[str, typer.Option(help="Part of the label, or one of the labels.")] = "",
+    label: Annotated[str, typer.Option(help="List only assets with this text in the label, or as a label.")] = "",
 ) -> None:
-    """The assets of a collection."""
+    """List the assets of a collection."""
     from services.cli.assets import list_assets
 
     list_assets(gateway, collection=collection, label=label)
@@ -141,10 +154,10 @@ def rm(
     gateway: Gateway = DEFAULT_GATEWAY,
     collection: Collection = "",
 ) -> None:
-    """Take an asset out of sight. Its files stay: `restore` or a new version brings it back."""
-    from services.cli.assets import mark
+    """Remove (hide) an asset. Its files are kept: `restore` or a new version brings it back."""
+    from services.cli.assets import set_removed
 
-    mark(key, gateway, "remove", collection=collection)
+    set_removed(key, gateway, "remove", collection=collection)
 
 
 @app.command()
@@ -153,40 +166,42 @@ def restore(
     gateway: Gateway = DEFAULT_GATEWAY,
     collection: Collection = "",
 ) -> None:
-    """Bring a removed asset back as it was."""
-    from services.cli.assets import mark
+    """Restore a removed asset as it was."""
+    from services.cli.assets import set_removed
 
-    mark(key, gateway, "restore", collection=collection)
+    set_removed(key, gateway, "restore", collection=collection)
 
 
 @app.command()
 def edge() -> None:
-    """A worker alone, configured by EDGE_* and STORAGE_* variables.
+    """Run a worker alone, configured by the environment variables EDGE_* and STORAGE_*.
 
-    EDGE_CENTRAL=host:port: it makes the points, and the worker there fits the field and publishes to the same store.
+    With EDGE_CENTRAL=host:port it only makes the points; the worker at that address trains the field, and publishes to
+    the same store.
     """
-    from services.cli.serve import serve_edge
+    from services.edge.__main__ import start
 
-    raise typer.Exit(serve_edge())
+    raise typer.Exit(start())
 
 
 @app.command()
 def gateway() -> None:
-    """A gateway alone, configured by GATEWAY_* and STORAGE_* variables."""
-    from services.cli.serve import serve_gateway
+    """Run a gateway alone, configured by the environment variables GATEWAY_* and STORAGE_*."""
+    from services.gateway.__main__ import start
 
-    raise typer.Exit(serve_gateway())
+    raise typer.Exit(start())
 
 
 @app.command()
 def demo(
-    capture: Annotated[Path | None, typer.Argument(help="Your own capture; a simulated one otherwise.")] = None,
+    capture: Annotated[Path | None, typer.Argument(help="Your own capture. Default: a simulated one.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("demo"),
     keep: Annotated[
-        bool | None, typer.Option("--keep/--stop", help="Go on serving the viewer; in a terminal that is the default.")
+        bool | None,
+        typer.Option("--keep/--stop", help="Go on serving the viewer, or stop. Default: go on if run in a terminal."),
     ] = None,
 ) -> None:
-    """Everything once, on this machine, without a network: phone, gateway, worker, store, viewer."""
+    """Run the whole system once on this machine, without a network: simulated phone, gateway, worker, store, viewer."""
     from services.cli.demo import run_demo
 
     run_demo(capture, out, keep=sys.stdout.isatty() if keep is None else keep)
@@ -194,7 +209,7 @@ def demo(
 
 @app.command()
 def doctor(gateway: Gateway = DEFAULT_GATEWAY) -> None:
-    """What this machine has, what is missing, and what to do about it."""
+    """Check this machine: what is installed, what is missing, and what to do about it."""
     from services.cli.doctor import examine
 
     raise typer.Exit(examine(gateway))
@@ -202,19 +217,19 @@ def doctor(gateway: Gateway = DEFAULT_GATEWAY) -> None:
 
 @app.command()
 def version() -> None:
-    """Print the version."""
+    """Print the version of capture2vr."""
     typer.echo(services.__version__)
 
 
 def main() -> None:
-    """Entry point: bad input ends with one sentence on stderr and exit code 2, without a traceback."""
+    """Run the command line. Errors that the user can fix end with one line on stderr and exit code 2, no traceback."""
     try:
         app()
-    except BadInput as error:
-        typer.echo(f"capture2vr: {plain(str(error))}", err=True)
+    except (BadInput, SettingsError) as error:
+        typer.echo(f"capture2vr: {printable(str(error))}", err=True)
         sys.exit(2)
-    except OSError as error:  # a disk that is full, a file that may not be read
-        file = f"{plain(str(error.filename))}: " if error.filename else ""
+    except OSError as error:  # e.g. the disk is full, or a file cannot be read
+        file = f"{printable(str(error.filename))}: " if error.filename else ""
         typer.echo(f"capture2vr: {file}{error.strerror or error}", err=True)
         sys.exit(2)
     except KeyboardInterrupt:

@@ -10,7 +10,11 @@ import typer
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 
 Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
-Collection = Annotated[str, typer.Option("--collection", help="Which collection.", envvar="STORAGE_COLLECTION")]
+Collection = Annotated[str, typer.Option("--collection", help="Name of the collection.", envvar="STORAGE_COLLECTION")]
 Trusted = Annotated[
-    list[Path] | None, typer.Option(help="Public key (PEM) to believe; may be repeated. Else STORAGE_TRUSTED_KEYS.")
+    list[Path] | None,
+    typer.Option(
+        help="File of a public key (PEM) whose signatures are accepted; may be repeated. Default: those in "
+        "STORAGE_TRUSTED_KEYS."
+    ),
 ]

@@ -1,4 +1,4 @@
-"""`capture2vr presets`: what a run or a job may name."""
+"""`capture2vr presets`: print the table of presets."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from rich.table import Table
 from services.cli.progress import console
 from services.edge.preset import AUTOMATIC, load_preset, memory_bytes, preset_names
 
-_LIKE_A_THING = 10_000  # points of a garment, for the column that most people want
+_LIKE_A_THING = 10_000  # points of a garment: a typical size, for the memory column
 
 
 def list_presets() -> None:
-    """Print the table; without a name the points decide."""
+    """Print each preset's training steps, memory and summary; the first row is the automatic choice."""
     table = Table()
     for column in ("preset", "trains", "memory, 10,000 points", "at most"):
-        named = column == "preset"
-        table.add_column(column, justify="left" if named else "right", no_wrap=named)
+        is_name = column == "preset"
+        table.add_column(column, justify="left" if is_name else "right", no_wrap=is_name)
     table.add_column("", overflow="fold")
     table.add_row(AUTOMATIC, "", "", "", load_preset(AUTOMATIC).summary)
     for preset in map(load_preset, preset_names()):

@@ -1,4 +1,4 @@
-"""How far the work is: a bar in a terminal, lines in a log."""
+"""Progress output of commands: a progress bar in a terminal, single lines in a log; and warnings."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rich.text import Text
 
 console = Console(stderr=True, soft_wrap=True)
 
-_LINE_EVERY_S = 15.0  # in a log, within one stage: training takes a minute, and a log that stands still looks dead
+_LINE_EVERY_S = 15.0  # between lines of one stage in a log: training takes a minute, and a silent log looks dead
 
 
 class StageBar:
-    """`with StageBar() as bar: bar.show("FITTING", 0.4, "10,000 points")`"""
+    """Progress bar: `with StageBar() as bar: bar.show("FITTING", 0.4, "10,000 points")`."""
 
     def __init__(self) -> None:
         self._stage = ""
-        self._said = 0.0
+        self._last_line_s = 0.0
         self._bar = Progress(
             TextColumn("{task.description:<12}", style="bold", markup=False),
             BarColumn(),
@@ -33,13 +33,13 @@ class StageBar:
         self._task = self._bar.add_task("", total=1.0, message="")
 
     def show(self, stage: str, fraction: float, message: str = "", losses: Mapping[str, float] | None = None) -> None:
-        """The stage, the share of the whole in [0,1], what the stage says of itself, and the losses of a training."""
-        said = f"{message}, loss {losses['total']:.2g}" if losses and "total" in losses else message
-        self._bar.update(self._task, description=stage, completed=fraction, message=said)
+        """Update the bar: stage, fraction of the whole job [0,1], the stage's message, losses of a training."""
+        line = f"{message}, loss {losses['total']:.2g}" if losses and "total" in losses else message
+        self._bar.update(self._task, description=stage, completed=fraction, message=line)
         now = time.monotonic()
-        if not console.is_terminal and (stage != self._stage or (message and now - self._said > _LINE_EVERY_S)):
-            console.print(f"{stage:<12} {fraction:4.0%}  {said}".rstrip(), highlight=False, markup=False)
-            self._said = now
+        if not console.is_terminal and (stage != self._stage or (message and now - self._last_line_s > _LINE_EVERY_S)):
+            console.print(f"{stage:<12} {fraction:4.0%}  {line}".rstrip(), highlight=False, markup=False)
+            self._last_line_s = now
         self._stage = stage
 
     def __enter__(self) -> StageBar:
@@ -53,5 +53,5 @@ class StageBar:
 
 
 def warn(text: str) -> None:
-    """A line that begins with a yellow "warning"."""
+    """Print a line that begins with "warning" in yellow."""
     console.print(Text("warning ", style="yellow").append(text, style="default"))

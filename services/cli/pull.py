@@ -1,4 +1,4 @@
-"""`capture2vr pull`: fetch an asset as a VR client would, hash by hash from its signed collection down to the files."""
+"""`capture2vr pull`: download an asset as a VR client would, checking all hashes from the signed collection down."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ import httpx
 from rich.table import Table
 
 from services.cli.assets import check_collection
-from services.cli.collections import believed_keys
-from services.cli.errors import NO_KEY, BadInput, answer_of
+from services.cli.catalogue_work import load_verification_keys
+from services.cli.download import RemoteObjects, fetch, sha256_of
+from services.cli.errors import INVALID_KEY, BadInput, parse_answer
 from services.cli.http import client_of
-from services.cli.objects import Objects, fetch, sha256_of
 from services.cli.progress import console, warn
-from services.cli.seen import Seen
-from services.storage.catalogue import DEFAULT_COLLECTION, valid_key
-from services.storage.collection import Index, Row, Shard, read_index, read_shard
-from services.storage.faults import (
+from services.cli.seen_version import SeenVersion
+from services.storage.catalogue.collection import Index, Row, Shard, read_index, read_shard
+from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
+from services.storage.catalogue.faults import (
     CATALOGUE_OLDER,
     MANIFEST_CHANGED,
     MANIFEST_MISSING,
@@ -30,27 +30,33 @@ from services.storage.faults import (
     SHARD_MISSING,
     CatalogueFault,
 )
-from services.storage.reading import DOCUMENT_BYTES, Piece, again_if_moved, pieces_of, row_in
-from services.storage.signing import Public
+from services.storage.catalogue.reader import (
+    DOCUMENT_BYTES,
+    AssetFile,
+    find_row,
+    parse_manifest,
+    retry_if_shard_missing,
+)
+from services.storage.catalogue.signing import PublicKey
 
 _MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True, slots=True)
-class _Site:
-    """A gateway, and what is believed of it."""
+class _CollectionSource:
+    """A collection at a gateway, and the public keys that verify it."""
 
     client: httpx.Client
     gateway: str
     collection: str
-    believed: tuple[Public, ...]
+    verification_keys: tuple[PublicKey, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """An asset in its collection, and the objects of that."""
+class _FoundAsset:
+    """An asset's row in the collection's index, and a client for the collection's objects."""
 
-    objects: Objects
+    objects: RemoteObjects
     index: Index
     row: Row
 
@@ -64,132 +70,141 @@ def pull_asset(
     trusted: Sequence[Path] = (),
     cache: Path | None = None,
 ) -> dict[str, Any]:
-    """Download the newest version of `key` into `out`, all of it or nothing; the answer is its manifest.
+    """Download the newest version of `key` into `out`, all of it or nothing, and return its manifest.
 
-    collection  where to look; "": where the gateway says that the asset is
+    collection  the one that lists the asset; "": the first that the gateway names
     trusted     files of public keys; none: those of the STORAGE_* variables
-    Raises BadInput when the asset is absent, unreachable or not what was signed; `out` is then as it was.
+    Raises BadInput when the asset is missing, cannot be downloaded, or is not what was signed; `out` is then unchanged.
     """
     if not valid_key(key):
-        raise BadInput(NO_KEY.format(key))
+        raise BadInput(INVALID_KEY.format(key))
     if collection:
         check_collection(collection)
-    believed, cache = believed_keys(trusted), cache or default_cache()
+    verification_keys, cache = load_verification_keys(trusted), cache or default_cache()
     try:
         with client_of(gateway, follow_redirects=True) as client:
-            site = _Site(client, gateway, collection or _home_of(client, key), believed)
-            found = again_if_moved(lambda: _find(site, key))
-            manifest, pieces = _manifest(found)
-            sources = [fetch(found.objects, piece, cache) for piece in pieces]
+            source = _CollectionSource(client, gateway, collection or _first_collection(client, key), verification_keys)
+            found = retry_if_shard_missing(lambda: _find(source, key))
+            manifest, asset_files = _manifest(found)
+            origins = [fetch(found.objects, asset_file, cache) for asset_file in asset_files]
     except (httpx.RequestError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     except CatalogueFault as fault:
-        raise BadInput(f"{fault}; {out} is as it was") from fault
-    _place(out, {piece.file: cache / piece.sha256 for piece in pieces}, manifest)
-    _show(site, found, pieces, sources)
+        raise BadInput(f"{fault}; {out} was not changed") from fault
+    _install(out, {asset_file.file: cache / asset_file.sha256 for asset_file in asset_files}, manifest)
+    _print_result(source, found, asset_files, origins)
     document: dict[str, Any] = json.loads(manifest)
     return document
 
 
 def default_cache() -> Path:
-    """$XDG_CACHE_HOME/capture2vr, or ~/.cache/capture2vr."""
+    """Return the cache folder: $XDG_CACHE_HOME/capture2vr, or ~/.cache/capture2vr."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "capture2vr"
 
 
-def _home_of(client: httpx.Client, key: str) -> str:
-    """The first collection that the gateway names for an asset. Raises BadInput."""
-    named = answer_of(client.get(f"/v1/assets/{key}")).get("collections") or [DEFAULT_COLLECTION]
-    name = str(named[0])
+def _first_collection(client: httpx.Client, key: str) -> str:
+    """Ask the gateway for the collections of an asset, and return the first. Raises BadInput."""
+    names = parse_answer(client.get(f"/v1/assets/{key}")).get("collections") or [DEFAULT_COLLECTION]
+    name = str(names[0])
     check_collection(name)
     return name
 
 
-def _find(site: _Site, key: str) -> _Found:
-    """The asset's row in the newest catalogue, which is older than none that was seen. Raises CatalogueFault."""
-    answer = site.client.get(f"/v1/collections/{site.collection}")
-    objects = Objects(site.client, str(answer_of(answer)["base"]))
-    seen = Seen(site.gateway, site.collection)
+def _find(source: _CollectionSource, key: str) -> _FoundAsset:
+    """Find the asset's row in the collection's newest index. Raises CatalogueFault, also for an index older than one
+    seen before.
+    """
+    answer = source.client.get(f"/v1/collections/{source.collection}")
+    objects = RemoteObjects(source.client, str(parse_answer(answer)["base"]))
+    last_seen = SeenVersion(source.gateway, source.collection)
     try:
-        at_least = seen.version if site.believed else 0
-        index = read_index(answer.content, site.collection, site.believed, at_least=at_least)
+        at_least = last_seen.version if source.verification_keys else 0
+        index = read_index(answer.content, source.collection, source.verification_keys, at_least=at_least)
     except CatalogueFault as fault:
-        raise _with_way_out(fault, seen) from None
-    if site.believed:  # what nobody signed must not count as seen: any number can stand in it
-        seen.remember(index.version)
-    found = row_in(index, key, lambda shard: _rows(objects, shard))
+        raise _add_hint(fault, last_seen) from None
+    if source.verification_keys:  # an unverified version must not be remembered: it may be any number
+        last_seen.remember(index.version)
+    found = find_row(index, key, lambda shard: _rows(objects, shard))
     if found is None:
-        raise BadInput(f"there is no asset {key} in collection {site.collection}; `ls` lists those that there are")
+        raise BadInput(f"there is no asset {key} in collection {source.collection}; `capture2vr ls` lists its assets")
     if found[1].removed:
-        raise BadInput(f"asset {key} was removed; `restore {key}` brings it back")
-    return _Found(objects, index, found[1])
+        raise BadInput(f"asset {key} was removed; `capture2vr restore {key}` brings it back")
+    return _FoundAsset(objects, index, found[1])
 
 
-def _rows(objects: Objects, shard: Shard) -> tuple[Row, ...]:
+def _rows(objects: RemoteObjects, shard: Shard) -> tuple[Row, ...]:
     limit = min(shard.bytes, DOCUMENT_BYTES)
-    return read_shard(objects.whole(shard.name, limit, absent=SHARD_MISSING, changed=SHARD_CHANGED), shard)
+    return read_shard(objects.read(shard.name, limit, absent=SHARD_MISSING, changed=SHARD_CHANGED), shard)
 
 
-def _manifest(found: _Found) -> tuple[bytes, list[Piece]]:
-    """The manifest that the row means, and the files in it. Raises CatalogueFault."""
+def _manifest(found: _FoundAsset) -> tuple[bytes, list[AssetFile]]:
+    """Download the asset's manifest, and return it and the files that it lists. Raises CatalogueFault."""
     name = found.row.manifest_name
-    data = found.objects.whole(name, DOCUMENT_BYTES, absent=MANIFEST_MISSING, changed=MANIFEST_CHANGED)
-    return data, pieces_of(data, found.row)
+    data = found.objects.read(name, DOCUMENT_BYTES, absent=MANIFEST_MISSING, changed=MANIFEST_CHANGED)
+    return data, parse_manifest(data, found.row)
 
 
-def _place(out: Path, files: dict[str, Path], manifest: bytes) -> None:
-    """Put everything beside its place first, so that a full disk changes nothing; then all of it into its place.
+def _install(out: Path, files: dict[str, Path], manifest: bytes) -> None:
+    """Copy all files to a staging folder first, so that a full disk changes nothing; then move them into `out`.
 
-    What an earlier pull put there and this one does not goes, unless somebody has changed it since.
+    Deletes files of an earlier pull that are not part of this one, unless the user has changed them.
     """
     out.mkdir(parents=True, exist_ok=True)
     if blocked := next((out / name for name in (*files, _MANIFEST) if (out / name).is_dir()), None):
-        raise BadInput(f"{blocked} is a folder where a file is to come; name another folder with -o")
-    outdated = [path for path in _pulled_before(out) if path.name not in files]
-    beside = out / ".pulling"
-    shutil.rmtree(beside, ignore_errors=True)  # what a killed one left
-    beside.mkdir()
+        raise BadInput(f"{blocked} is a folder, but a file must be written there; choose another folder with -o")
+    outdated = [path for path in _previous_files(out) if path.name not in files]
+    staging = out / ".pulling"
+    shutil.rmtree(staging, ignore_errors=True)  # left by a command that was killed
+    staging.mkdir()
     try:
         for name, cached in files.items():
-            shutil.copyfile(cached, beside / name)
-        (beside / _MANIFEST).write_bytes(manifest)
+            shutil.copyfile(cached, staging / name)
+        (staging / _MANIFEST).write_bytes(manifest)
         for name in (*files, _MANIFEST):
-            (beside / name).replace(out / name)
+            (staging / name).replace(out / name)
         for path in outdated:
             path.unlink()
     finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(staging, ignore_errors=True)
 
 
-def _pulled_before(out: Path) -> list[Path]:
-    """The files that the manifest of an earlier pull lists, as far as they are still those."""
+def _previous_files(out: Path) -> list[Path]:
+    """Return the files in `out` that the manifest of an earlier pull lists, and that are unchanged since."""
     try:
-        told = json.loads((out / _MANIFEST).read_bytes())["files"]
-        files = {out / Path(str(each["file"])).name: str(each["sha256"]) for each in told}
-    except (OSError, ValueError, KeyError, TypeError):  # somebody else's, or none
+        records = json.loads((out / _MANIFEST).read_bytes())["files"]
+        files = {out / Path(str(each["file"])).name: str(each["sha256"]) for each in records}
+    except (OSError, ValueError, KeyError, TypeError):  # no manifest, or not one of ours
         return []
     return [path for path, sha256 in files.items() if path.is_file() and sha256_of(path) == sha256]
 
 
-def _with_way_out(fault: CatalogueFault, seen: Seen) -> CatalogueFault:
-    """The fault; where a catalogue is older than one seen before, with what to do if that was meant."""
+def _add_hint(fault: CatalogueFault, last_seen: SeenVersion) -> CatalogueFault:
+    """Add a hint to the fault of an index older than one seen before: what to do if that was intended."""
     if fault.code != CATALOGUE_OLDER:
         return fault
-    hint = f"{fault.hint}; was it put back on purpose, `catalogue rebuild` there, or delete {seen.path} here"
-    return CatalogueFault(fault.code, fault.name, f"the catalogue went back: {fault.message}", hint=hint)
+    hint = (
+        f"{fault.hint}; if it was restored on purpose: run `capture2vr catalogue rebuild` on the server, or delete "
+        f"{last_seen.path} here"
+    )
+    return CatalogueFault(fault.code, fault.name, f"the catalogue is older: {fault.message}", hint=hint)
 
 
-def _show(site: _Site, found: _Found, pieces: Sequence[Piece], sources: Sequence[str]) -> None:
+def _print_result(
+    source: _CollectionSource, found: _FoundAsset, asset_files: Sequence[AssetFile], origins: Sequence[str]
+) -> None:
     row, index = found.row, found.index
     table = Table(title=f"{row.key} version {row.version} ({row.state})")
     for column in ("file", "bytes", "sha256", "from"):
         table.add_column(column, justify="right" if column == "bytes" else "left", overflow="fold")
-    for piece, source in zip(pieces, sources, strict=True):
-        table.add_row(piece.file, f"{piece.size:,}", piece.sha256, source)
+    for asset_file, origin in zip(asset_files, origins, strict=True):
+        table.add_row(asset_file.file, f"{asset_file.size:,}", asset_file.sha256, origin)
     console.print(table)
-    if site.believed:
-        console.print(f"collection {index.collection} version {index.version}: signature, age, sizes and hashes hold")
+    if source.verification_keys:
+        console.print(
+            f"collection {index.collection} version {index.version}: signature, version, sizes and hashes are correct"
+        )
     else:
         warn(
-            f"collection {index.collection} version {index.version}: sizes and hashes hold; who signed it, and whether "
-            "it is an older one, was not checked: name a public key with --trusted or STORAGE_TRUSTED_KEYS"
+            f"collection {index.collection} version {index.version}: sizes and hashes are correct; signature and "
+            "version were not checked: give a public key with --trusted or STORAGE_TRUSTED_KEYS"
         )

@@ -1,4 +1,4 @@
-"""`capture2vr push`: upload a capture as a phone would and follow its job to the end."""
+"""`capture2vr push`: upload a capture to a gateway, start a job, and follow it until it has ended."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from typing import Any
 import httpx
 
 from services.cli.assets import check_collection
-from services.cli.errors import BadInput, answer_of, told
+from services.cli.errors import BadInput, parse_answer, problem_sentence
 from services.cli.http import client_of
 from services.cli.progress import StageBar, console, warn
 from services.storage.archives import is_zip, pack
 
-_CHUNK_BYTES = 256 << 10
-_TIMEOUT = httpx.Timeout(30.0, read=60.0)  # the gateway says something at least every 15 s while a job runs
-_RECONNECT_S = 1.0
-_GIVE_UP_S = 120.0  # without a word from the gateway; a restart takes seconds
-_AWAY = {502, 503, 504}
+_CHUNK_BYTES = 256 << 10  # of the upload; the progress bar moves with each
+_TIMEOUT = httpx.Timeout(30.0, read=60.0)  # the gateway sends an event at least every 15 s while a job runs
+_RECONNECT_S = 1.0  # pause before reconnecting
+_GIVE_UP_S = 120.0  # without an answer of the gateway; a restart takes seconds
+_GATEWAY_AWAY = {502, 503, 504}
 _TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
 
 
@@ -34,25 +34,26 @@ def push_capture(
     label: str,
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Upload, start a job, follow it; the final job. Raises BadInput with the gateway's own reason.
+    """Upload a capture, start a job, follow it, and return the job when it has ended.
 
-    options: what else the job asks for, by the API's names; None: not told.
+    options: further fields of the job request, by the API's names; None: left out
+    Raises BadInput with the gateway's error message.
     """
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
     if collection := options.get("collection"):
-        check_collection(collection)  # before megabytes are sent
+        check_collection(collection)  # before megabytes are uploaded
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             capture = upload(client, source, bar)
             request = {"capture": capture["capture"], "asset_key": key, "label": label or key}
             request |= {name: value for name, value in options.items() if value is not None}
-            # One key for the whole command: a retry after a lost answer finds the job instead of making a second one.
-            job = answer_of(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
+            # One key per command: a retry after a lost answer finds the job, and creates no second one.
+            job = parse_answer(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
             for state in follow(client, job["id"]):
                 job = state
                 bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "", job.get("losses"))
-                if (asset := job.get("asset")) and asset["state"] == "preview":  # only the event tells of it there
+                if (asset := job.get("asset")) and asset["state"] == "preview":  # only in the event `published`
                     console.print(f"preview  {gateway}/view/{key}")
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
@@ -60,7 +61,7 @@ def push_capture(
 
 
 def upload(client: httpx.Client, source: Path, bar: StageBar) -> Any:
-    """POST the capture as one zip, made on the way where the source is not one already."""
+    """Upload the capture as one zip; zip the source first if it is not one. Returns the receipt."""
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
         archive = source
         if not (source.is_file() and is_zip(source)):
@@ -69,40 +70,40 @@ def upload(client: httpx.Client, source: Path, bar: StageBar) -> Any:
         size = archive.stat().st_size
         headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
         answer = client.post("/v1/captures", content=_chunks(archive, size, bar), headers=headers)
-        return answer_of(answer, file=source.name)
+        return parse_answer(answer, file=source.name)
 
 
 def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
-    """The job each time something happened to it, over server-sent events; reconnects where the connection breaks."""
-    last, heard = "", time.monotonic()
+    """Yield the job's state after each event (server-sent events) until it has ended; reconnects if necessary."""
+    last_event, last_heard = "", time.monotonic()
     while True:
         try:
-            headers = {"Last-Event-ID": last} if last else {}
+            headers = {"Last-Event-ID": last_event} if last_event else {}
             with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as response:
-                _present(response)
+                _raise_if_away(response)
                 if not response.is_success:
                     response.read()
-                    answer_of(response)
+                    parse_answer(response)
                 for line in response.iter_lines():
-                    heard = time.monotonic()
+                    last_heard = time.monotonic()
                     if line.startswith("id:"):
-                        last = line[3:].strip()
+                        last_event = line[3:].strip()
                     elif line.startswith("data:") and line[5:].strip():
                         yield {"stage": "", "fraction": 0.0, "state": "RUNNING", **json.loads(line[5:])}
-            state = answer_of(_present(client.get(f"/v1/jobs/{job}")))
+            state = parse_answer(_raise_if_away(client.get(f"/v1/jobs/{job}")))
             yield state
             if state["state"] in _TERMINAL:
                 return
         except httpx.TransportError:
-            if time.monotonic() - heard > _GIVE_UP_S:
+            if time.monotonic() - last_heard > _GIVE_UP_S:
                 raise
         time.sleep(_RECONNECT_S)
 
 
-def _present(response: httpx.Response) -> httpx.Response:
-    """The answer; where a proxy answers for a gateway that is away, that is no connection."""
-    if response.status_code in _AWAY:
-        raise httpx.ConnectError(f"it answered {response.status_code}")
+def _raise_if_away(response: httpx.Response) -> httpx.Response:
+    """Return the answer. Raises httpx.ConnectError where a proxy answers because the gateway is away."""
+    if response.status_code in _GATEWAY_AWAY:
+        raise httpx.ConnectError(f"the proxy answered {response.status_code}")
     return response
 
 
@@ -118,7 +119,7 @@ def _chunks(archive: Path, size: int, bar: StageBar) -> Iterator[bytes]:
 
 def _outcome(job: dict[str, Any], gateway: str) -> dict[str, Any]:
     if job["state"] != "SUCCEEDED":
-        raise BadInput(told(job["error"]) if job.get("error") else f"the job ended as {job['state']}")
+        raise BadInput(problem_sentence(job["error"]) if job.get("error") else f"the job ended in state {job['state']}")
     for warning in job.get("warnings") or []:
         warn(warning)
     where = f", in collection {job['collection']}" if job["collection"] else ""

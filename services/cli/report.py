@@ -1,4 +1,4 @@
-"""The report of a run as one page: both pictures and both certificates, with nothing to fetch from anywhere."""
+"""HTML report of a run: one self-contained page with the pictures and quality figures of preview and refined mesh."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ from html import escape
 from typing import Any
 
 _ROWS = {
-    "held_out": ("held-out points", "that neither surface was made from; with 0 the input points judge", "{:,}"),
-    "held_out_mean": ("their mean distance", "to the surface, the longest side being 1", "{:.5f}"),
+    "held_out": ("held-out points", "not used for either surface; if 0, the input points are used instead", "{:,}"),
+    "held_out_mean": ("their mean distance", "to the surface; the longest side is 1", "{:.5f}"),
     "held_out_median": ("median", "", "{:.5f}"),
     "held_out_p95": ("95th percentile", "", "{:.5f}"),
-    "coverage": ("coverage", "share of them within one point spacing of the surface", "{:.1%}"),
-    "stray_area": ("stray area", "surface with no points near it", "{:.2%}"),
-    "consistency": ("inconsistency of the field", "1 − |cos| of its gradient here and where it pulls to", "{:.4f}"),
+    "coverage": ("coverage", "fraction of them within one point spacing of the surface", "{:.1%}"),
+    "stray_area": ("stray area", "fraction of the surface without points near it", "{:.2%}"),
+    "consistency": (
+        "inconsistency of the field",
+        "1 − |cos| between its gradients at a point and at the point's projection",
+        "{:.4f}",
+    ),
     "components": ("pieces", "", "{:,}"),
     "boundary_loops": ("border loops", "", "{:,}"),
-    "boundary_length": ("border length", "the longest side being 1", "{:.2f}"),
+    "boundary_length": ("border length", "the longest side is 1", "{:.2f}"),
     "non_manifold_edges": ("non-manifold edges", "", "{:,}"),
     "triangles": ("triangles", "", "{:,}"),
     "resolution": ("cells along the longest side", "", "{:,}"),
     "steps": ("training steps", "", "{:,}"),
     "device": ("device", "", "{}"),
-    "seconds": ("seconds up to here", "", "{:.1f}"),
+    "seconds": ("seconds until this mesh", "", "{:.1f}"),
 }
-"""Key of the certificate -> what people call it, what it means, how it is written."""
+"""Key of the certificate -> name, explanation, number format."""
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222 }
@@ -37,8 +41,8 @@ p.warning { border-left: .25rem solid #c80; padding-left: .75rem }
 """
 
 
-def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """The HTML of a report and of its pictures (PNG) by state, the preview first."""
+def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
+    """Return the HTML of a report. pictures: PNG by state, the preview first"""
     title = escape(report["label"] or report["key"])
     certificates = {state: each for state, each in report["certificates"].items() if each}
     refused = ", not published" if report["verdict"] == "worse" else ""
@@ -52,9 +56,9 @@ def page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
             "<table><tr><th></th>",
             *(f"<th>{escape(state)}{refused if state == 'refined' else ''}</th>" for state in certificates),
             "</tr>",
-            *_rows(certificates),
+            *_certificate_rows(certificates),
             "</table>",
-            *_against(report["reference"]),
+            *_reference_table(report["reference"]),
             *_stages(report["seconds"]),
             *_photos(report["capture"]["photos"]),
             *_unseen(report["capture"]["unseen"]),
@@ -76,26 +80,27 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
 _VERDICTS = {
     "better": "better than the preview",
     "even": "as good as the preview",
-    "worse": "worse than the preview, which was kept",
+    "worse": "worse than the preview, so the preview is the result",
 }
 
 
-def _against(reference: Mapping[str, float] | None) -> Iterator[str]:
-    """How far the surface lies from one that is known, where one was named."""
+def _reference_table(reference: Mapping[str, float] | None) -> Iterator[str]:
+    """Yield the table of distances between the result and the reference mesh, if one was given."""
     if not reference:
         return
-    yield "<h2>Against the reference</h2><p><small>laid over it by the best similarity; shares of its size</small></p>"
+    yield "<h2>Comparison with the reference</h2>"
+    yield "<p><small>aligned by the best similarity transform; distances / the reference's size</small></p>"
     yield "<table>"
-    for key, name in _AGAINST.items():
+    for key, name in _REFERENCE_ROWS.items():
         yield f'<tr><td>{name}</td><td class="figure">{reference[key]:.3%}</td></tr>'
     yield "</table>"
 
 
-_AGAINST = {
-    "median": "median distance of the surface to it",
+_REFERENCE_ROWS = {
+    "median": "median distance of the surface to the reference",
     "p90": "90th percentile",
-    "complete": "share of it within 1 % of the surface",
-    "beside": "share of the surface that is no part of it",
+    "complete": "fraction of the reference within 1 % of the surface",
+    "beside": "fraction of the surface that is not part of the reference",
 }
 
 
@@ -107,7 +112,7 @@ def _stages(seconds: Mapping[str, float]) -> Iterator[str]:
 
 
 def _photos(verdicts: Sequence[Mapping[str, str]]) -> Iterator[str]:
-    """What became of every photo, where the capture was photos."""
+    """Yield the table with the result for each photo, for captures of photos."""
     if not verdicts:
         return
     yield "<h2>Photos</h2><table>"
@@ -118,10 +123,10 @@ def _photos(verdicts: Sequence[Mapping[str, str]]) -> Iterator[str]:
 
 
 def _unseen(sides: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """From where to shoot again, where a side was seen too little."""
+    """Yield advice from where to take more photos, for sides that were hardly seen."""
     if not sides:
         return
-    yield "<h2>To see more of it</h2><ul>"
+    yield "<h2>What to photograph again</h2><ul>"
     yield from (f"<li>{escape(each['advice'])}</li>" for each in sides)
     yield "</ul>"
 
@@ -131,7 +136,7 @@ def _figure(state: str, png: bytes) -> str:
     return f'<figure><img src="{source}" alt="{escape(state)}"><figcaption>{escape(state)}</figcaption></figure>'
 
 
-def _rows(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+def _certificate_rows(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     for key, (name, meaning, form) in _ROWS.items():
         figures = "".join(f'<td class="figure">{form.format(each[key])}</td>' for each in certificates.values())
         yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"

@@ -1,4 +1,4 @@
-"""`capture2vr run`: the whole pipeline in one process, results in a folder."""
+"""`capture2vr run`: reconstruct a capture in this process, and write the results to a folder."""
 
 from __future__ import annotations
 
@@ -18,34 +18,35 @@ from typing import IO, Any
 import numpy as np
 
 from services.cli.assets import check_collection
-from services.cli.errors import NO_KEY, BadInput, plain, sentence
+from services.cli.errors import INVALID_KEY, BadInput, printable, sentence
 from services.cli.progress import StageBar, console, warn
-from services.cli.report import page
+from services.cli.report import report_page
+from services.edge.asset.target import Target, require_encoder, target_of
 from services.edge.capture.nouns import Capture
 from services.edge.errors import EdgeError
+from services.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from services.edge.mesh.nouns import Mesh
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
-from services.edge.target import Target, target_of, wants_ktx2
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
-from services.storage.catalogue import DEFAULT_COLLECTION, valid_key
+from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
+from services.storage.catalogue.publish import PublishedAsset, publish
 from services.storage.local import LocalStore
-from services.storage.publish import Asset, publish
 
-_PICTURE = "preview.png"  # its name in a bundle of either state
-_OF_AN_EARLIER_RUN = ("bundle", "preview", "refined.png")
+_PICTURE = "preview.png"  # name of the picture in bundles of both states
+_EARLIER_RESULTS = ("bundle", "preview", "refined.png")
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """What is asked of the pipeline besides a preset.
+class RunOptions:
+    """Options of a run besides the preset.
 
-    key        asset key; "": from the capture's name
-    collection what the bundle's catalogue is called
-    isolate    cut the thing from its surroundings; None: where photos were taken around one thing
-    longest_m  metres between the farthest points of the thing, or None
-    target     device class whose budget the levels must keep within; "": none
-    reference  a mesh of the same thing that the result is measured against, or None
+    key        asset key; "": made from the capture's name
+    collection name of the collection in the bundle's catalogue
+    isolate    remove the object's surroundings; None: only if photos were taken around one object
+    longest_m  metres between the farthest points of the object, or None
+    target     device class whose budget the levels of detail must meet; "": none
+    reference  a mesh of the same object to measure the result's error, or None
     """
 
     key: str = ""
@@ -56,51 +57,57 @@ class Wanted:
     reference: Path | None = None
 
 
-DEFAULTS = Wanted()
+DEFAULTS = RunOptions()
 
 
-def run_capture(source: Path, out: Path, wanted: Wanted, *, preset: str, device: str, resolution: int) -> None:
-    """Reconstruct `source` into `out` with a preset by name. Raises BadInput."""
+def run_capture(source: Path, out: Path, options: RunOptions, *, preset: str, device: str, resolution: int) -> None:
+    """Reconstruct `source` into the folder `out`, with a preset by name. Raises BadInput."""
     try:
         chosen = load_preset(preset)
     except EdgeError as error:
         raise BadInput(sentence(error.message, hints=error.hints)) from error
     chosen = replace(chosen, resolution=resolution or chosen.resolution)
-    run_preset(source, out, chosen, wanted, device=device)
+    run_preset(source, out, chosen, options, device=device)
 
 
-def run_preset(source: Path, out: Path, preset: Preset, wanted: Wanted = DEFAULTS, *, device: str = "auto") -> None:
-    """Reconstruct `source` into `out`, which is only touched once there is a result. Raises BadInput.
+def run_preset(
+    source: Path, out: Path, preset: Preset, options: RunOptions = DEFAULTS, *, device: str = "auto"
+) -> None:
+    """Reconstruct `source` into the folder `out`, which stays unchanged until there is a result. Raises BadInput.
 
-    Killed while it trained and begun again with the same arguments, it goes on from `out`/fit.checkpoint.
+    If it is killed during training, a run with the same arguments resumes from `out`/fit.checkpoint.
     """
-    key = wanted.key or key_from(source)
+    key = options.key or key_from(source)
     if not valid_key(key):
-        raise BadInput(NO_KEY.format(key))
-    check_collection(wanted.collection)
+        raise BadInput(INVALID_KEY.format(key))
+    check_collection(options.collection)
     _check_writable(out)
-    reference = _surface_of(wanted.reference) if wanted.reference else None
+    reference = _read_reference(options.reference) if options.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            results = Results(out, key, wanted.collection, reference)
-            _reconstruct_into(results, opened(source, Path(scratch)), preset, device, wanted, plain(source.stem))
+            results = Results(out, key, options.collection, reference)
+            _reconstruct_into(
+                results, open_source(source, Path(scratch)), preset, device, options, printable(source.stem)
+            )
     except (EdgeError, ArchiveError) as error:
-        raise BadInput(_told(error, source)) from error
+        raise BadInput(_error_sentence(error, source)) from error
 
 
-def _surface_of(path: Path) -> Mesh:
-    """The reference in a file. Raises BadInput."""
+def _read_reference(path: Path) -> Mesh:
+    """Read the reference mesh from a file. Raises BadInput."""
     try:
         with path.open("rb") as stream:
-            mesh = _mesh_of(stream, path.suffix.lstrip(".").lower())
-    except Exception as error:  # readers of a dozen formats raise what they like
-        raise BadInput(f"{path} cannot be read as a mesh: {error}") from error
+            mesh = _read_mesh(stream, path.suffix.lstrip(".").lower())
+    except Exception as error:  # the readers of a dozen formats raise any exception
+        raise BadInput(f"{path} cannot be read as a mesh: {error}; name a mesh file with --reference") from error
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
-        raise BadInput(f"{path} is no surface: it has {len(mesh.faces)} faces; name a mesh with --reference")
+        raise BadInput(
+            f"{path} has {len(mesh.faces)} faces, or coordinates that are not finite; name a mesh with --reference"
+        )
     return mesh
 
 
-def _mesh_of(stream: IO[bytes], kind: str) -> Mesh:
+def _read_mesh(stream: IO[bytes], kind: str) -> Mesh:
     import trimesh
 
     loaded = trimesh.load_mesh(stream, file_type=kind, process=False)
@@ -108,39 +115,42 @@ def _mesh_of(stream: IO[bytes], kind: str) -> Mesh:
 
 
 def key_from(source: Path) -> str:
-    """An asset key from a file's name: "My shirt.ply" -> "My-shirt"."""
+    """Make an asset key from a file's name: "My shirt.ply" -> "My-shirt"."""
     stem = source.resolve().stem if source.is_file() else source.resolve().name
     return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("._-")[:100] or "capture"
 
 
 def _check_writable(out: Path) -> None:
-    """Find out before the work, not after it."""
-    there = next(path for path in (out, *out.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise BadInput(f"{there} is a file; name a folder with -o")
-    if not os.access(there, os.W_OK):
-        raise BadInput(f"{there} cannot be written to; name another folder with -o")
+    """Raises BadInput where `out` cannot be written; called before the work begins."""
+    existing = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise BadInput(f"{existing} is a file; name a folder with -o")
+    if not os.access(existing, os.W_OK):
+        raise BadInput(f"{existing} is not writable; name another folder with -o")
 
 
-def opened(source: Path, scratch: Path) -> Path:
-    """The capture's folder or file: an archive is unpacked into `scratch` first."""
+def open_source(source: Path, scratch: Path) -> Path:
+    """Return the capture's folder or file, unpacking an archive into `scratch`. Raises BadInput, ArchiveError."""
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
     if not source.is_file() and not source.is_dir():
         raise BadInput(f"{source} is neither a file nor a folder")  # reading a pipe or a device may never end
-    # Record3D's archive is read as it is; another file's name promises an archive whatever its bytes are.
+    # Record3D's archive (.r3d) is read as it is. A file named .zip must be an archive: if not, unpack() says so.
     if source.is_file() and source.suffix.lower() != ".r3d" and (source.suffix.lower() == ".zip" or is_zip(source)):
         unpack(source, scratch / "capture")
         return scratch / "capture"
     return source
 
 
-def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: str, wanted: Wanted, label: str) -> None:
-    from services.edge.capture import read_capture
+def _reconstruct_into(
+    results: Results, folder: Path, preset: Preset, device: str, options: RunOptions, label: str
+) -> None:
+    from services.edge.capture.detect import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
     from services.edge.progress import Progress
 
-    target = _target(wanted.target)
+    target = target_of(options.target)
+    encode = _encoder(target)
     with StageBar() as bar:
 
         def show(progress: Progress) -> None:
@@ -148,16 +158,17 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
 
         bar.show("VALIDATING", 0.0)
         capture = read_capture(folder)
-        place = _room_for(preset, capture, device)
+        device = _choose_device(preset, capture, device)
         steps = reconstruct(
             capture,
             preset,
-            device=place,
+            device=device,
             checkpoint=results.checkpoint,
-            isolate=wanted.isolate,
-            longest_m=wanted.longest_m,
+            isolate=options.isolate,
+            longest_m=options.longest_m,
             label=label,
             target=target,
+            encode=encode,
             watch=show,
         )
         for step in steps:
@@ -173,46 +184,52 @@ def _reconstruct_into(results: Results, folder: Path, preset: Preset, device: st
     _print_result(results.out, results.report)
 
 
-def _target(name: str) -> Target:
-    """By name; the encoder of KTX2 is where a worker would look for it. Raises EdgeError, and BadInput."""
-    from services.edge.mesh.ktx2 import Ktx2Encoder
-    from services.edge.settings import EdgeSettings
+def _encoder(target: Target) -> EncodeKtx2 | None:
+    """Return the KTX2 encoder of the setting EDGE_KTX2, as a worker does; None for targets without KTX2.
 
-    if not wants_ktx2(name):
-        return target_of(name)
+    Raises EdgeError KTX2_UNAVAILABLE, and BadInput for a wrong setting.
+    """
+    from services.edge.worker.settings import EdgeSettings
+
+    if not target.ktx2:
+        return None
     try:
         folder = EdgeSettings().ktx2
     except ValueError as error:
         raise BadInput(str(error)) from error
-    return target_of(name, Ktx2Encoder.at(folder) if folder else None)
+    require_encoder(target, has_encoder=folder is not None)
+    return Ktx2Encoder.at(folder) if folder else None
 
 
-def _room_for(preset: Preset, capture: Capture, wanted: str) -> str:
-    """The device to train on. Raises EdgeError DEVICE_ABSENT, and MEMORY_EXCEEDED before any work is done."""
+def _choose_device(preset: Preset, capture: Capture, device_name: str) -> str:
+    """Choose the device to train on, and check its memory before the work begins.
+
+    Raises EdgeError DEVICE_ABSENT, MEMORY_EXCEEDED.
+    """
     from services.edge.field.device import find_device
-    from services.edge.memory import machine_bytes
+    from services.edge.worker.memory_budget import machine_bytes
 
     if not preset.fit and preset.name != AUTOMATIC:
-        return "cpu"  # whose memory is told as the work goes on: nothing is trained
-    device = find_device(wanted)
+        return "cpu"  # nothing is trained, so no memory of a training is to be checked
+    device = find_device(device_name)
     if preset.fit:
         points = len(capture.cloud.xyz) if capture.cloud else preset.most_points
         takes, has = memory_bytes(preset, points, device.name), device.memory_bytes or machine_bytes()
         if takes > has:
             raise EdgeError(
                 "MEMORY_EXCEEDED",
-                f"preset {preset.name} takes {takes / 1e9:.2f} GB for {points:,} points; "
-                f"{device.description} has {has / 1e9:.2f} GB for it",
-                hints=("name another preset; `capture2vr presets` lists what each takes",),
+                f"preset {preset.name} needs {takes / 1e9:.2f} GB of memory for {points:,} points; "
+                f"{device.description} has {has / 1e9:.2f} GB",
+                hints=("use another preset; `capture2vr presets` lists the memory that each takes",),
             )
         console.print(f"preset {preset.name} on {device.description}: at most {takes / 1e9:.2f} GB of memory")
     return device.name
 
 
 class Results:
-    """The folder that a person looks at: the best there is on top, and the bundle as it would stand on a store.
+    """Writes the results to a folder for the user: the best mesh at the top level, the store's layout in `bundle/`.
 
-    Once there is a refined mesh, the files of the preview stand in `preview/`; the pictures stand side by side.
+    When there is a refined mesh, the files of the preview are moved to `preview/`; the pictures of both stay on top.
     """
 
     def __init__(
@@ -224,13 +241,13 @@ class Results:
         self.checkpoint = out / "fit.checkpoint"
         self.report: dict[str, Any] = {}
         self._key = key
-        self._job = uuid.uuid4().hex  # both bundles are versions of one job
+        self._job = uuid.uuid4().hex  # one id for both bundles, as a job's preview and refined version have
         self._pictures: dict[str, bytes] = {}
 
     def write(self, bundle: Bundle) -> None:
-        """Write a bundle's files and bring the report up to date."""
+        """Write a bundle's files and update the report."""
         if bundle.state == "preview":
-            for name in _OF_AN_EARLIER_RUN:
+            for name in _EARLIER_RESULTS:
                 shutil.rmtree(self.out / name, ignore_errors=True)
                 with suppress(FileNotFoundError, IsADirectoryError):
                     (self.out / name).unlink()
@@ -241,27 +258,27 @@ class Results:
         for name, content in bundle.files.items():
             (self.out / (f"{bundle.state}.png" if name == _PICTURE else name)).write_bytes(content)
         store = LocalStore(self.out / "bundle")
-        asset: Asset = publish(bundle, store, key=self._key, job=self._job, collection=self._collection)
+        asset: PublishedAsset = publish(bundle, store, key=self._key, job=self._job, collection=self._collection)
         quality = bundle.manifest["quality"]
-        self._tell(
+        self._write_report(
             {
                 **bundle.manifest,
                 "key": self._key,
                 "state": bundle.state,
                 "version": asset.version,
                 "bytes": {name: len(content) for name, content in bundle.files.items()},
-                "reference": self._measured(bundle.files["mesh.ply"]),
+                "reference": self._measure_distance(bundle.files["mesh.ply"]),
             },
             quality,
         )
 
     def keep_preview(self, warning: str, quality: Mapping[str, Any] | None, seconds: Mapping[str, float]) -> None:
-        """No refined mesh came of the training: say so, with the figures of what was refused."""
+        """Update the report of a run whose training gave no better mesh, with the rejected mesh's quality figures."""
         refused = quality or {}
-        told = {**self.report, "seconds": seconds, "warnings": [*self.report["warnings"], warning]}
-        self._tell(told, {**refused, "preview": self.report["quality"]})
+        report = {**self.report, "seconds": seconds, "warnings": [*self.report["warnings"], warning]}
+        self._write_report(report, {**refused, "preview": self.report["quality"]})
 
-    def _tell(self, report: dict[str, Any], quality: Mapping[str, Any]) -> None:
+    def _write_report(self, report: dict[str, Any], quality: Mapping[str, Any]) -> None:
         preview = quality.get("preview", quality)
         refined = {key: value for key, value in quality.items() if key != "preview"}
         self.report = {
@@ -271,13 +288,13 @@ class Results:
             "certificates": {"preview": preview, "refined": refined if "verdict" in quality else None},
         }
         (self.out / "report.json").write_text(json.dumps(self.report, indent=2) + "\n")
-        (self.out / "report.html").write_text(page(self.report, self._pictures), encoding="utf-8")
+        (self.out / "report.html").write_text(report_page(self.report, self._pictures), encoding="utf-8")
 
-    def _measured(self, ply: bytes) -> dict[str, float] | None:
-        """How far the mesh lies from the reference, where there is one."""
-        from services.edge.mesh.registration import overlay
+    def _measure_distance(self, ply: bytes) -> dict[str, float] | None:
+        """Measure the mesh's distances to the reference; None without one."""
+        from services.edge.mesh.align_to_reference import overlay
 
-        return asdict(overlay(_mesh_of(BytesIO(ply), "ply"), self._reference)) if self._reference else None
+        return asdict(overlay(_read_mesh(BytesIO(ply), "ply"), self._reference)) if self._reference else None
 
     def _move_preview(self) -> None:
         (self.out / "preview").mkdir()
@@ -298,17 +315,17 @@ def _print_result(out: Path, report: dict[str, Any]) -> None:
     if report["preset_because"]:
         console.print(f"preset {report['preset']}: {report['preset_because']}")
     if report["verdict"] == "better":
-        console.print(f"refined better than preview: {report['because']}")
+        console.print(f"the refined mesh is better than the preview: {report['because']}")
     if found := report["reference"]:
         console.print(
-            f"against the reference, laid over it: median {found['median']:.3%} of its size, 90th percentile "
-            f"{found['p90']:.3%}; {found['complete']:.1%} of it within 1 %"
+            f"distance to the reference, after alignment: median {found['median']:.3%} of its size, 90th percentile "
+            f"{found['p90']:.3%}; {found['complete']:.1%} of the reference is within 1 %"
         )
     for warning in report["warnings"]:
         warn(warning)
-    console.print(f"look at {out / 'report.html'}; figures in {out / 'report.json'}")
+    console.print(f"report: {out / 'report.html'}; all figures: {out / 'report.json'}")
 
 
-def _told(error: EdgeError | ArchiveError, source: Path) -> str:
+def _error_sentence(error: EdgeError | ArchiveError, source: Path) -> str:
     file = f"{source.name}/{error.file}" if error.file and error.file != source.name else source.name
     return sentence(error.message, file=file, hints=error.hints)

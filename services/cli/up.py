@@ -1,4 +1,4 @@
-"""`capture2vr up`: gateway, worker and embedded store on this machine, watched over until interrupted."""
+"""`capture2vr up`: run gateway, worker and a local store on this machine; restart services that die."""
 
 from __future__ import annotations
 
@@ -20,33 +20,36 @@ from services.cli.progress import console, warn
 from services.strict_settings import LOOPBACK
 
 DEFAULT_PORT = 8080
-_READY_S = 60.0  # a cold start on a busy two-core machine takes 3 s
-_STOP_S = 15.0  # the worker drains within EDGE_DRAIN_S, set below
-_DRAIN_S = 10
+_READY_S = 60.0  # timeout of the start; a cold start on a busy two-core machine takes 3 s
+_STOP_S = 15.0  # timeout of the stop; longer than the worker's EDGE_DRAIN_S, set below
+_DRAIN_S = 10  # seconds that the worker's running jobs get at the stop
 _RESTART_PAUSE_S = 1.0
-_RESTARTS = 20  # a service that dies more often than this will not be healed by another start
+_RESTARTS = 20  # of dead services in all: after so many, another restart will not help
 
 
 def serve_together(host: str, port: int, data: Path) -> int:
-    """Run until SIGINT or SIGTERM; the exit code. Raises BadInput where the port is taken or a service cannot start."""
+    """Run all services until SIGINT or SIGTERM, and return the exit code.
+
+    Raises BadInput where the port is in use or a service cannot start.
+    """
     stop = threading.Event()
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, lambda *_: stop.set())
-    with running(host, port, data) as stack:
+    with run_stack(host, port, data) as stack:
         console.print(f"capture page   {stack.url}/")
         console.print(f"viewer         {stack.url}/view/KEY")
         console.print(f"API            {stack.url}/openapi.json")
         console.print(f"data           {data.resolve()}")
         if host not in LOOPBACK:
-            warn("open to the network without access keys: whoever reaches this port can use it")
+            warn("open to the network without authentication: everybody who reaches this port can use it")
         while not stop.wait(0.5):
-            stack.mend()
+            stack.restart_dead()
     return 0
 
 
 @contextmanager
-def running(host: str, port: int, data: Path) -> Iterator[Stack]:
-    """Both services, ready; stopped on leaving."""
+def run_stack(host: str, port: int, data: Path) -> Iterator[Stack]:
+    """Start both services, yield when they are ready, and stop them on exit. Raises BadInput."""
     port = port or free_port()
     _check_free(host, port)
     data.mkdir(parents=True, exist_ok=True)
@@ -60,7 +63,7 @@ def running(host: str, port: int, data: Path) -> Iterator[Stack]:
 
 
 class Stack:
-    """The two child processes. A child that dies is started again: its jobs are leased and run again by themselves."""
+    """The child processes, gateway and worker. A dead one is restarted; its jobs are leased again automatically."""
 
     def __init__(self, host: str, port: int, data: Path) -> None:
         self.url = f"http://{'127.0.0.1' if host in {'0.0.0.0', '::'} else host}:{port}"  # noqa: S104
@@ -71,7 +74,7 @@ class Stack:
         self._restarts = 0
 
     def start(self) -> None:
-        """Start whichever service does not run."""
+        """Start the services that are not running."""
         self._logs.mkdir(parents=True, exist_ok=True)
         for service in ("edge", "gateway"):
             if service not in self._children or self._children[service].poll() is not None:
@@ -81,28 +84,28 @@ class Stack:
                         env=self._environment,
                         stdout=log,
                         stderr=log,
-                        start_new_session=True,  # an interrupt reaches us alone, and we stop them in order
+                        start_new_session=True,  # Ctrl-C reaches only this process, which stops the children in order
                     )
 
-    def mend(self) -> None:
-        """Start again what has died."""
+    def restart_dead(self) -> None:
+        """Restart services that have died. Raises BadInput after too many restarts."""
         dead = [name for name, child in self._children.items() if child.poll() is not None]
         if not dead:
             return
         self._restarts += 1
         if self._restarts > _RESTARTS:
-            raise BadInput(f"the {dead[0]} keeps dying; see {self._logs / dead[0]}.log")
-        warn(f"{dead[0]} ended with {self._children[dead[0]].returncode}; starting it again")
+            raise BadInput(f"the service {dead[0]} ended too often; see {self._logs / dead[0]}.log")
+        warn(f"the service {dead[0]} ended with exit code {self._children[dead[0]].returncode}; restarting it")
         time.sleep(_RESTART_PAUSE_S)
         self.start()
 
     def wait_ready(self) -> None:
-        """Return once the gateway reports itself, its store and its worker ready."""
+        """Wait until the gateway reports that it, its store and its worker are ready. Raises BadInput."""
         deadline = time.monotonic() + _READY_S
         while time.monotonic() < deadline:
             for name, child in self._children.items():
                 if child.poll() is not None:
-                    raise BadInput(f"the {name} could not start: {_last_line(self._logs / f'{name}.log')}")
+                    raise BadInput(f"the service {name} cannot start: {_last_line(self._logs / f'{name}.log')}")
             try:
                 if httpx.get(f"{self.url}/readyz", timeout=2.0, trust_env=False).is_success:
                     return
@@ -112,7 +115,7 @@ class Stack:
         raise BadInput(f"the services were not ready within {_READY_S:.0f} s; see {self._logs}")
 
     def stop(self) -> None:
-        """Gateway first, so that no new job reaches a draining worker."""
+        """Stop the gateway, then the worker, so that no new job reaches a worker that is shutting down."""
         for name in ("gateway", "edge"):
             child = self._children.get(name)
             if child is None or child.poll() is not None:
@@ -126,7 +129,7 @@ class Stack:
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on at this moment."""
+    """Return a TCP port that is free at this moment."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -134,7 +137,7 @@ def free_port() -> int:
 
 
 def is_free(host: str, port: int) -> bool:
-    """Whether one could listen there."""
+    """Return whether the port is free."""
     try:
         _check_free(host, port)
     except BadInput:
@@ -148,11 +151,13 @@ def _check_free(host: str, port: int) -> None:
         try:
             probe.bind((host, port))
         except OSError as error:
-            raise BadInput(f"cannot listen on {host}:{port}: {error.strerror}; choose another with --port") from error
+            raise BadInput(
+                f"cannot listen on {host}:{port}: {error.strerror}; choose another port with --port"
+            ) from error
 
 
 def _environment(host: str, port: int, data: Path, *, edge_port: int) -> Mapping[str, str]:
-    """What the operator has set wins; only addresses and folders that must agree are given."""
+    """Return the services' environment: our defaults, then the operator's settings, then addresses that must agree."""
     defaults = {
         "STORAGE_KIND": "local",
         "STORAGE_ROOT": str(data / "store"),
@@ -174,4 +179,4 @@ def _environment(host: str, port: int, data: Path, *, edge_port: int) -> Mapping
 
 def _last_line(log: Path) -> str:
     lines = log.read_text(errors="replace").strip().splitlines()
-    return lines[-1] if lines else "it said nothing"
+    return lines[-1] if lines else "its log is empty"

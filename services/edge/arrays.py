@@ -1,4 +1,4 @@
-"""The array types and the two callables that stages hand each other.
+"""Array types, and the two callables that stages pass to each other: a distance function and a progress tick.
 
 Frames: *capture* is the frame and units of the files; *unit* has the bounding box centred at 0 with its longest side 1;
 *asset* is metres, Y up, origin on the floor under the object.
@@ -7,7 +7,7 @@ Frames: *capture* is the frame and units of the files; *unit* has the bounding b
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,25 @@ Ints = NDArray[np.integer[Any]]
 Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 
+Picked = TypeVar("Picked", bound=np.generic)
+
 DistanceFn = Callable[[Floats], tuple[Floats, Floats]]
 """(N,3) queries in the unit frame -> unsigned distance (N,), gradient (N,3)."""
 
 Tick = Callable[[float], None]
-"""Called between slabs with the fraction done in [0,1]; raises `Cancelled` to stop the work."""
+"""Callback for progress and cancellation: called between parts of the work with the fraction done in [0,1]; raises
+`Cancelled` to stop the work."""
 
 
 def no_tick(fraction: float) -> None:
-    """The tick of a caller who neither watches nor cancels."""
+    """Do nothing: the tick of a caller that neither shows progress nor cancels."""
+
+
+def part_of(tick: Tick, start: float, end: float) -> Tick:
+    """Return a tick for one part of the work: it maps that part's fraction to the range from `start` to `end`."""
+    return lambda fraction: tick(start + (end - start) * fraction)
+
+
+def pick(rows: NDArray[Picked] | None, which: Bools | Ints) -> NDArray[Picked] | None:
+    """Select rows by a mask or by indices: rows[which], or None if `rows` is None."""
+    return None if rows is None else rows[which]

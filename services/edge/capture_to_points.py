@@ -1,30 +1,72 @@
-"""The first half of the method: capture (→ depth) → points, from which another worker may go on."""
+"""Capture → points: the first half of the method, with photos turned into depth first. A worker may send the points to
+another worker, which does the second half."""
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import replace
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated
 
-from services.edge.capture.nouns import Capture, CaptureKind
-from services.edge.photos import finer, to_depth
-from services.edge.points import Points, to_points, with_longest
-from services.edge.prepared import Prepared, Source
+import numpy as np
+from pydantic import Field
+
+from services.edge.arrays import Tick, no_tick, pick
+from services.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
+from services.edge.errors import CaptureError
+from services.edge.odometry.tracker import track_frames
+from services.edge.photos.depth_maps import at_texture_resolution
+from services.edge.photos.to_depth import to_depth
+from services.edge.points.clean_cloud import MIN_POINTS, cloud_points
+from services.edge.points.coverage import unseen_sides
+from services.edge.points.denoise_stereo import smooth_stereo_points
+from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
+from services.edge.points.isolate import isolate_object
+from services.edge.points.nouns import Points
+from services.edge.points.orbit import orbits_one_object
+from services.edge.points.outliers import inliers
+from services.edge.points.scale import scale_to_longest
+from services.edge.points.texture_views import select_texture_views
+from services.edge.points.upright import estimate_up, level_up
 from services.edge.progress import Bar, Clock, Progress
 
-# Where each stage begins on the bar's part up to the preview, from the seconds of a 10,000-point cloud and of an RGB-D
-# room on two cores.
+# Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
+# RGB-D room, on two cores.
 STARTS = {"VALIDATING": 0.0, "POINT_CLOUD": 0.05, "FITTING": 0.25}
-# The same of photos, which have to become depth images first: that takes longer than all the rest.
+# The same for photos, which have to become depth images first: that takes longer than all the rest.
 PHOTO_STARTS = {"VALIDATING": 0.0, "ALIGNING": 0.01, "POINT_CLOUD": 0.62, "FITTING": 0.7}
 
 PREVIEW_SHARE = 0.15
-"""Of the bar up to the preview, where a second pass follows."""
+"""Fraction of the whole progress bar that the preview takes, where a training follows it."""
 
-_PHOTO_PREVIEW_SHARE = 0.6
+_PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most of the time
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureSummary:
+    """The manifest's facts about a capture: kind, format, number of frames or photos, and each photo's verdict."""
+
+    kind: CaptureKind
+    format: str
+    frames: Annotated[int, Field(ge=0)]
+    verdicts: tuple[PhotoVerdict, ...] = ()
+
+    @classmethod
+    def of(cls, capture: Capture) -> CaptureSummary:
+        """Summarise a capture."""
+        return cls(capture.kind, capture.format, len(capture.frames) or len(capture.photos), capture.verdicts)
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedPoints:
+    """Points ready for fitting a field, with a summary of their capture and the seconds that each stage took."""
+
+    points: Points
+    source: CaptureSummary
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
 
 def preview_share(kind: CaptureKind) -> float:
-    """Of the bar up to the preview, where a second pass follows and the points are made on the same bar."""
+    """Fraction of the progress bar that points and preview take together, where a training follows."""
     return _PHOTO_PREVIEW_SHARE if kind == "photos" else PREVIEW_SHARE
 
 
@@ -36,32 +78,105 @@ def prepare(
     device: str = "cpu",
     isolate: bool | None = None,
     longest_m: float | None = None,
-) -> Generator[Progress, None, Prepared]:
-    """Points of a capture; `bar` then stands where fitting begins. Arguments and errors as of `reconstruct`.
+) -> Generator[Progress, None, PreparedPoints]:
+    """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
-    refines  whether a second pass may follow the preview
+    refines  whether a training may follow the preview
     """
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
-    bar.covers(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
-    source = Source.of(capture)
+    bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
+    source = CaptureSummary.of(capture)
     if capture.kind == "photos":
-        yield bar.starts("ALIGNING", f"{len(capture.photos)} photos")
+        yield bar.begin("ALIGNING", f"{len(capture.photos)} photos")
         with clock("ALIGNING"):
-            capture = to_depth(capture, device=device, tick=bar.inside("ALIGNING"))
+            capture = to_depth(capture, device=device, tick=bar.tick("ALIGNING"))
             source = replace(source, verdicts=capture.verdicts)
-    yield bar.starts("POINT_CLOUD", f"reading {source.format}")
+    yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
         points = _points(capture, isolate, bar)
-        points = with_longest(points, longest_m) if longest_m else points
-        points = replace(points, shots=tuple(replace(shot, load_rgb=finer(shot.load_rgb)) for shot in points.shots))
-    bar.at("POINT_CLOUD", 1.0)
-    return Prepared(points, source, clock.seconds)
+        points = scale_to_longest(points, longest_m) if longest_m else points
+        views = [replace(view, load_rgb=at_texture_resolution(view.load_rgb)) for view in points.texture_views]
+        points = replace(points, texture_views=tuple(views))
+    bar.advance("POINT_CLOUD", 1.0)
+    return PreparedPoints(points, source, clock.seconds)
 
 
 def _points(capture: Capture, isolate: bool | None, bar: Bar) -> Points:
     if capture.kind == "image":
-        from services.edge.guess.to_points import to_points as guessed_points  # loads torch
+        from services.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
-        return guessed_points(capture, tick=bar.inside("POINT_CLOUD"))
-    return to_points(capture, isolate=isolate, tick=bar.inside("POINT_CLOUD"))
+        return guess_points(capture, tick=bar.tick("POINT_CLOUD"))
+    return to_points(capture, isolate=isolate, tick=bar.tick("POINT_CLOUD"))
+
+
+def to_points(
+    capture: Capture, *, voxel: float | None = None, isolate: bool | None = None, tick: Tick = no_tick
+) -> Points:
+    """Make a clean, coloured point cloud of a capture, in its frame and units.
+
+    voxel    distance between points in capture units; None: from the depth pixels' size, and a cloud is left as it is
+    isolate  whether to keep only the object in the middle, without what it stands on and what stands around it. None:
+             only where photos were taken around one object, and that object is found
+
+    Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `isolate` finds
+    no object, CAPTURE_NO_POSES where frames without poses cannot be tracked. `tick` may raise `Cancelled`.
+    """
+    if any(frame.camera_to_world is None for frame in capture.frames):
+        posed = _track(capture, lambda fraction: tick(0.5 * fraction))
+        return to_points(posed, voxel=voxel, isolate=isolate, tick=lambda fraction: tick(0.5 + 0.5 * fraction))
+    share = 1.0 if isolate is False else 0.9
+    if capture.kind == "points":
+        points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
+        return isolate_object(points, tick=tick) if isolate else points
+    fused = fuse(capture.frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
+    points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+    if isolate is False or (isolate is None and not _is_around_one_object(capture)):
+        return points
+    try:
+        isolated = isolate_object(points, aim=fused.aim, cameras=fused.cameras, turntable=capture.turntable, tick=tick)
+    except CaptureError as error:
+        if isolate:
+            raise
+        return replace(points, warnings=(*points.warnings, f"The surroundings were not removed: {error.message}."))
+    return replace(isolated, unseen=unseen_sides(isolated, capture.frames))
+
+
+def _track(capture: Capture, tick: Tick) -> Capture:
+    """The capture with the camera poses that tracking its frames found."""
+    tracked = track_frames(capture.frames, tick)
+    return replace(capture, frames=tracked.frames, warnings=capture.warnings + tracked.warnings)
+
+
+def _is_around_one_object(capture: Capture) -> bool:
+    """Whether the frames are photos taken around one object.
+
+    Photos show the surroundings whether they are wanted or not; a depth sensor is pointed at what is wanted.
+    """
+    return has_stereo_depth(capture.frames) and orbits_one_object(capture.frames)
+
+
+def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
+    """Points of fused depth images: without outliers, and smoothed where the depth comes from stereo."""
+    stereo = has_stereo_depth(capture.frames)
+    keep = inliers(fused.xyz - fused.cameras[0], (lambda part: tick(0.4 * part)) if stereo else tick)
+    if keep.sum() < MIN_POINTS:
+        raise CaptureError(
+            "CAPTURE_TOO_FEW_POINTS",
+            f"{int(keep.sum())} of {len(keep)} fused points are consistent; at least {MIN_POINTS} are needed",
+            hints=("Move slowly, in good light, and keep the object in view.",),
+        )
+    xyz = fused.xyz[keep]
+    if stereo:
+        xyz = smooth_stereo_points(xyz, fused.confidence[keep], lambda part: tick(0.4 + 0.6 * part))
+    poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in capture.frames])
+    return Points(
+        xyz=xyz,
+        rgb=pick(fused.rgb, keep),
+        confidence=fused.confidence[keep],
+        metres_per_unit=capture.metres_per_unit,
+        scale_confidence=capture.scale_confidence,
+        up=estimate_up(poses, xyz) if capture.up is None else level_up(capture.up, xyz),
+        warnings=capture.warnings + fused.warnings,
+        texture_views=select_texture_views(capture.frames, fused.sharpness),
+    )

@@ -1,13 +1,13 @@
-"""What a bundle says of its own quality: measured without the truth, on points that no field has seen.
+"""Quality figures of a reconstructed surface, measured without a ground truth on held-out points of the cloud.
 
 h_j   a held-out point, kept out of the field's input, with all its noise
 s_j   the spacing of the input points around it
 d_j   its distance to the mesh
 q, q̂  a query near the surface and where the field pulls it: q̂ = q − f(q)·ĝ(q)
 
-Everything is in the unit frame. A surface that follows the noise or bridges a fold is far from points it was not shown,
-so d tells two surfaces of one cloud apart; with noise σ in the points d cannot fall below some 0.8 σ, for any surface.
-What d cannot see, surface where no point is, the stray area tells.
+Everything is in the unit frame. A surface that follows the noise or bridges a fold is far from points that its field
+was not given, so d shows which of two surfaces of one cloud is better. With noise σ in the points d cannot fall below
+some 0.8 σ, for any surface. What d cannot show is surface where no point is: the stray area measures that.
 """
 
 from __future__ import annotations
@@ -19,37 +19,40 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import DistanceFn, Floats, Ints
-from services.edge.mesh.metrics import area, edge_faces, pieces, sample
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import area, sample
 from services.edge.mesh.spacing import point_spacing
+from services.edge.mesh.topology import component_count
 
-HELD_OUT_SHARE = 0.02
-HELD_OUT = (20, 2_000)  # fewer say nothing, and 2,000 know their mean distance to 2 %
+HELD_OUT_SHARE = 0.02  # of the points
+HELD_OUT = (20, 2_000)  # least and most points: fewer say nothing, and 2,000 give their mean distance to within 2 %
 HOLD_OUT_FROM = 500  # points; below it the least number would thin the cloud by more than 4 %: none is held out
 INPUT_POINTS = 10_000  # of the input, for the distances that no field is judged by: 0.2 s
-PROBES = 5_000  # queries for the consistency and places on the mesh: shares are then known to 1 %
-NEAR = 0.5  # standard deviation of the queries' offset from a point, in spacings: where the extraction asks
+PROBES = 5_000  # queries for the consistency, and samples of the mesh: gives shares to within 1 %
+NEAR = 0.5  # spacings: standard deviation of the queries' offset from a point, where the extraction queries too
 STRAY = 2.0  # spacings: no disc of that radius is empty inside a surface (see `mesh/support.py`)
-TRIANGLES = 16  # with the nearest centroids; those of an extracted mesh are alike in size, so the nearest is among them
+TRIANGLES = 16  # candidates by nearest centroid: triangles of an extracted mesh are alike in size, so these suffice
 _TINY = 1e-12
 _SEED = 0
 
 Outcome = Literal["better", "even", "worse"]
 
-# What a refined mesh may lose before it is called worse. Each is twice what two samplings of one surface differ by.
-SURE = 2.0  # standard errors of the mean of the paired differences
-FARTHER = 0.01  # of the preview's mean distance: less cannot be seen
-UNCOVERED = 0.005
-STRAYED = 0.01
-TANGLED = 0.001  # non-manifold edges, of all edges
-TORN = (2, 3)  # components: at most 2 × the preview's + 3, for thin parts that come apart or are found
+# How much worse than the preview a refined mesh may be before it is called worse. Each is twice the difference between
+# two samplings of one surface.
+SIGNIFICANCE = 2.0  # standard errors of the mean of the paired differences
+MAX_FARTHER = 0.01  # of the preview's mean distance: less cannot be seen
+MAX_UNCOVERED = 0.005  # share of the held-out points
+MAX_STRAY = 0.01  # share of the mesh's area
+MAX_NON_MANIFOLD = 0.001  # non-manifold edges, of all edges
+MAX_PIECES = (2, 3)  # components: at most 2 × the preview's + 3, for thin parts that come apart or are found
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What surfaces of one cloud are judged by.
+    """The points that surfaces of one cloud are compared with.
 
-    xyz (N,3) the points the fields were given, as measured or denoised, N ≥ 2; tree of `xyz`;
+    xyz (N,3) the points that the fields were given, as measured or denoised, N ≥ 2; tree: KD-tree of `xyz`;
     held_out (H,3) points that they were not given, H = 0 for a cloud too small to spare any.
     """
 
@@ -59,19 +62,19 @@ class Evidence:
 
     @classmethod
     def of(cls, xyz_unit: Floats, held_out: Floats) -> Evidence:
-        """The evidence of a cloud and its held-out points."""
+        """Build the KD-tree of a cloud, and keep it with the held-out points."""
         return cls(xyz_unit, cKDTree(xyz_unit), held_out)
 
     def spacing_of(self, index: Ints) -> Floats:
-        """(M,) spacing around each of these input points. All of a large cloud's would cost more than they tell."""
+        """(M,) spacing around the input points with these indices; for all of a large cloud it would take too long."""
         return point_spacing(self.xyz[index], self.tree)
 
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """A surface's figures, unit frame.
+    """Quality figures of a surface, unit frame.
 
-    held_out             points that no field has seen; 0: the cloud is too small, its input points stand in for them
+    held_out             number of points held out; 0: the cloud is too small, and its input points are used instead
     held_out_mean, _median, _p95   their distance to the mesh
     coverage             share of them within one local spacing of the mesh
     points_to_mesh_median, _p95    distance of the input points to the mesh
@@ -99,24 +102,24 @@ class Certificate:
     distances: Floats = field(repr=False, compare=False)
 
     def as_json(self) -> dict[str, Any]:
-        """All but the distances, which only a comparison needs."""
+        """The figures for JSON, without the distances, which only `compare` needs."""
         figures = asdict(self)
         del figures["distances"]
         return figures
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """Refined against preview: the outcome, and the sentence with the figures that it rests on."""
+class QualityVerdict:
+    """Result of comparing the refined surface with the preview: the outcome, and a sentence with the figures."""
 
     outcome: Outcome
     because: str
 
 
 def hold_out(count: int, sets: int = 1) -> Ints:
-    """(N,) which of N points the fields may see: 0; the others belong to held-out set 1, 2, ...
+    """Choose held-out points at random: (N,) 0 for points that the fields may use, else the held-out set 1, 2, ...
 
-    Each set is a fixed random 2 %, at least 20 and at most 2,000 points; a cloud of fewer than 500 spares none.
+    Each set is a fixed random 2 %, at least 20 and at most 2,000 points; of fewer than 500 points none is held out.
     """
     which = np.zeros(count, np.int64)
     if count >= HOLD_OUT_FROM:
@@ -129,65 +132,73 @@ def hold_out(count: int, sets: int = 1) -> Ints:
 def certify(distance: DistanceFn, mesh_unit: Mesh, evidence: Evidence) -> Certificate:
     """Measure a field and its mesh, which has faces, against the evidence: 0.3 s at 10,000 points, 1 s at 200,000."""
     rng = np.random.default_rng(_SEED)
-    seen = evidence.xyz[rng.permutation(len(evidence.xyz))[:INPUT_POINTS]]
-    unseen = evidence.held_out if len(evidence.held_out) else seen
-    shown, away = np.split(distance_to_mesh(np.concatenate([seen, unseen]), mesh_unit), [len(seen)])
-    beside = evidence.tree.query(unseen, workers=-1)[1]
-    alone, nearest = evidence.tree.query(sample(mesh_unit, PROBES, rng).xyz, workers=-1)
-    edges = edge_faces(mesh_unit.faces)
-    border = edges.vertices[edges.faces == 1]
+    inputs = evidence.xyz[rng.permutation(len(evidence.xyz))[:INPUT_POINTS]]
+    held_out = evidence.held_out if len(evidence.held_out) else inputs
+    input_away, away = np.split(distance_to_mesh(np.concatenate([inputs, held_out]), mesh_unit), [len(inputs)])
+    neighbour = evidence.tree.query(held_out, workers=-1)[1]
+    mesh_away, nearest = evidence.tree.query(sample(mesh_unit, PROBES, rng).xyz, workers=-1)
+    edges = edges_of(mesh_unit.faces)
+    border = edges.border_ends
     return Certificate(
         held_out=len(evidence.held_out),
         held_out_mean=float(away.mean()),
         held_out_median=float(np.median(away)),
         held_out_p95=float(np.quantile(away, 0.95)),
-        coverage=float((away <= evidence.spacing_of(beside)).mean()),
-        points_to_mesh_median=float(np.median(shown)),
-        points_to_mesh_p95=float(np.quantile(shown, 0.95)),
+        coverage=float((away <= evidence.spacing_of(neighbour)).mean()),
+        points_to_mesh_median=float(np.median(input_away)),
+        points_to_mesh_p95=float(np.quantile(input_away, 0.95)),
         consistency=consistency(distance, _near_surface(evidence, rng)),
-        stray_area=float((alone > STRAY * evidence.spacing_of(nearest)).mean()),
+        stray_area=float((mesh_away > STRAY * evidence.spacing_of(nearest)).mean()),
         area=area(mesh_unit),
         triangles=len(mesh_unit.faces),
-        components=pieces(edges.vertices),
+        components=component_count(edges.ends),
         boundary_length=_length(mesh_unit, border),
-        boundary_loops=pieces(border),
-        non_manifold_edges=int((edges.faces > 2).sum()),
+        boundary_loops=component_count(border),
+        non_manifold_edges=edges.crowded_count,
         distances=away,
     )
 
 
-def compare(preview: Certificate, refined: Certificate) -> Verdict:
-    """Which of two surfaces of one cloud is better by their figures.
+def compare(preview: Certificate, refined: Certificate) -> QualityVerdict:
+    """Compare the figures of two surfaces of one cloud: is the refined one better, even or worse than the preview?
 
-    Worse is one that is surely farther from the held-out points, covers fewer of them, strays, tangles or falls apart;
-    better is one that is not worse and lies nearer to them on average. The distances are compared point by point: what
-    noise adds to both drops out.
+    Worse: significantly farther from the held-out points, fewer of them covered, more surface where no points are, more
+    non-manifold edges, or more separate pieces. Better: not worse, and nearer to the held-out points on average. The
+    distances are compared point by point, so that the noise, which both share, cancels.
     """
     farther = refined.distances - preview.distances
     mean, error = float(farther.mean()), float(farther.std() / np.sqrt(len(farther)))
     share = np.sqrt(preview.coverage * (1 - preview.coverage) / len(farther))
     edges = 1.5 * refined.triangles  # of a surface: three to a triangle, each shared by two
+    limit = max(SIGNIFICANCE * error, MAX_FARTHER * preview.held_out_mean)
+    judged_by = "held-out points" if refined.held_out else "input points"
     faults = {
-        "lies farther from points that it has not seen": mean > max(SURE * error, FARTHER * preview.held_out_mean),
-        "covers fewer points": refined.coverage < preview.coverage - UNCOVERED - SURE * share,
-        "has surface where no points are": refined.stray_area > preview.stray_area + STRAYED,
-        "has tangled edges": refined.non_manifold_edges > preview.non_manifold_edges + TANGLED * edges,
-        "falls apart": refined.components > TORN[0] * preview.components + TORN[1],
+        f"lies farther from the {judged_by}": mean > limit,
+        "covers fewer points": refined.coverage < preview.coverage - MAX_UNCOVERED - SIGNIFICANCE * share,
+        "has more surface where there are no points": refined.stray_area > preview.stray_area + MAX_STRAY,
+        "has more non-manifold edges": refined.non_manifold_edges
+        > preview.non_manifold_edges + MAX_NON_MANIFOLD * edges,
+        "has more separate pieces": refined.components > MAX_PIECES[0] * preview.components + MAX_PIECES[1],
     }
-    judges = f"{len(farther):,} {'held-out' if refined.held_out else 'input'} points"
     figures = (
-        f"mean distance to {judges} {refined.held_out_mean:.5f} after {preview.held_out_mean:.5f} (± {error:.5f}), "
-        f"coverage {refined.coverage:.1%} after {preview.coverage:.1%}, "
-        f"pieces {refined.components:,} after {preview.components:,}"
+        f"mean distance to {len(farther):,} {judged_by} {refined.held_out_mean:.5f}, was {preview.held_out_mean:.5f} "
+        f"(± {error:.5f}); coverage {refined.coverage:.1%}, was {preview.coverage:.1%}; "
+        f"pieces {refined.components:,}, was {preview.components:,}"
     )
     if any(faults.values()):
-        said = ", ".join(fault for fault, found in faults.items() if found)
-        return Verdict("worse", f"the refined surface {said}: {figures}")
-    return Verdict("better" if mean < 0 else "even", figures)
+        faulty = ", ".join(fault for fault, found in faults.items() if found)
+        return QualityVerdict("worse", f"the refined surface {faulty}: {figures}")
+    return QualityVerdict("better" if mean < 0 else "even", figures)
 
 
 def consistency(distance: DistanceFn, queries: Floats) -> float:
-    """Mean of 1 − |cos(g(q), g(q̂))| over queries (M,3). A gradient of no length agrees with nothing."""
+    """Mean of 1 − |cos(g(q), g(q̂))| over near-surface queries q (M,3), with q̂ = q − f(q)·ĝ(q) where the field pulls q.
+
+    0 where the level sets of the field run parallel, as those of a true distance do between a surface and its medial
+    axis. A gradient of length 0 counts as 1. Raises ValueError without queries.
+    """
+    if len(queries) == 0:
+        raise ValueError("the consistency of a field needs queries")
     f, gradient = distance(queries)
     direction = _directions(gradient)
     _, at_pull = distance(queries - f[:, None] * direction)
@@ -195,9 +206,9 @@ def consistency(distance: DistanceFn, queries: Floats) -> float:
 
 
 def distance_to_mesh(xyz: Floats, mesh: Mesh) -> Floats:
-    """(N,) distance of each point (N,3) to the nearest of the triangles whose centroids are nearest to it."""
+    """(N,) distance from each point (N,3) to the mesh: to the nearest of the triangles with the nearest centroids."""
     corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-    # For a single use: quick to build, though a little slower to ask.
+    # Used once: this tree is quick to build, though a little slower to query.
     tree = cKDTree(corners.mean(axis=1), balanced_tree=False, compact_nodes=False)
     near: Ints = tree.query(xyz, k=range(1, 1 + min(TRIANGLES, len(corners))), workers=-1)[1]
     away = _to_triangles(np.repeat(xyz, near.shape[1], axis=0), corners[near.ravel()])
@@ -206,7 +217,8 @@ def distance_to_mesh(xyz: Floats, mesh: Mesh) -> Floats:
 
 
 def _to_triangles(xyz: Floats, corners: Floats) -> Floats:
-    """(M,) distance of each point (M,3) to its triangle (M,3,3): its plane where the point is over it, else a side."""
+    """(M,) distance from each point (M,3) to its triangle (M,3,3): to its plane where the point is over it, else to a
+    side."""
     sides = np.roll(corners, -1, axis=1) - corners
     aside = xyz[:, None] - corners
     normal = np.cross(sides[:, 0], sides[:, 1])
@@ -220,7 +232,7 @@ def _to_triangles(xyz: Floats, corners: Floats) -> Floats:
 
 
 def _near_surface(evidence: Evidence, rng: np.random.Generator) -> Floats:
-    """(M,3) queries around random input points, half a spacing off on average."""
+    """(M,3) queries near the surface: random input points, with a normally distributed offset of σ = half a spacing."""
     chosen = rng.integers(len(evidence.xyz), size=PROBES)
     offset = rng.normal(size=(PROBES, 3)) * (NEAR * evidence.spacing_of(chosen)[:, None])
     queries: Floats = evidence.xyz[chosen] + offset
@@ -228,11 +240,13 @@ def _near_surface(evidence: Evidence, rng: np.random.Generator) -> Floats:
 
 
 def _directions(gradient: Floats) -> Floats:
+    """(N,3) unit vectors of gradients (N,3)."""
     g = np.asarray(gradient, np.float64)
     direction: Floats = g / (np.linalg.norm(g, axis=1, keepdims=True) + _TINY)
     return direction
 
 
 def _length(mesh: Mesh, edges: Ints) -> float:
+    """Total length of edges (E,2)."""
     ends = mesh.vertices[edges]
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())

@@ -1,9 +1,11 @@
-"""A program of its own beside ours, for work that nothing can interrupt: it is watched, and killed when it takes too
-long or is no longer wanted."""
+"""Run a program in a child process and kill it on a timeout or when the job is cancelled: for native code that cannot
+be interrupted from Python."""
 
 from __future__ import annotations
 
+import json
 import os
+import selectors
 import signal
 import subprocess
 import time
@@ -12,42 +14,96 @@ from pathlib import Path
 
 from services.edge.arrays import Tick
 
-_POLL_SECONDS = 0.1
+_POLL_SECONDS = 0.1  # between two ticks: the longest time that a cancelled job still runs
+_LOG_LINES = 3  # the last lines of the program's output that are quoted in an error
+_HALF_WAY_SECONDS = 5.0  # after which the progress of a program that reports none is shown as one half
 
 
 class ChildError(Exception):
-    """It did not do its work, and why: a sentence that begins with its name."""
+    """The program failed or took too long (`too_slow`). The message begins with the program's name and says why."""
+
+    def __init__(self, message: str, *, too_slow: bool = False) -> None:
+        super().__init__(message)
+        self.too_slow = too_slow
 
 
-def run_child(command: Sequence[str | Path], name: str, log: Path, tick: Tick, most_seconds: float) -> None:
-    """The program from start to end; what it says goes to the file `log`.
+def run_child(
+    command: Sequence[str | Path],
+    name: str,
+    log: Path,
+    tick: Tick,
+    *,
+    most_seconds: float,
+    tells_progress: bool = False,
+) -> None:
+    """Run a program to its end, in a process group of its own; its output goes to the file `log`.
 
-    Raises ChildError where it fails or takes more than `most_seconds`, OSError where no process is to be had, and what
-    `tick` raises. In each case nothing of it runs on.
+    name            the program's name in error messages
+    most_seconds    longest run time; with `tells_progress`, longest time between two lines of progress
+    tells_progress  whether it prints lines of JSON, {"fraction": 0.5}, to standard output, which are passed to `tick`
+
+    Raises ChildError where the program fails or takes too long, OSError where no process can be started, and within a
+    fraction of a second what `tick` raises. In each case the whole process group is killed.
     """
-    with (
-        log.open("wb") as said,
-        subprocess.Popen(  # noqa: S603 - our own programs
-            command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
-        ) as child,
-    ):
-        try:
-            code = _ended(child, name, tick, most_seconds)
-        finally:
-            if child.poll() is None:
-                os.killpg(child.pid, signal.SIGKILL)
+    with log.open("wb") as errors:
+        output = subprocess.PIPE if tells_progress else errors
+        with subprocess.Popen(  # noqa: S603 - our own programs
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, bufsize=0, start_new_session=True
+        ) as child:
+            try:
+                deadline = _Deadline(name, most_seconds, silent=tells_progress)
+                code = (_follow if tells_progress else _wait)(child, tick, deadline)
+            finally:
+                if child.poll() is None:
+                    os.killpg(child.pid, signal.SIGKILL)
     if code != 0:
-        last = log.read_text(errors="replace").strip().splitlines()[-1:]
-        raise ChildError(f"{name} ended with status {code}" + "".join(f": {line}" for line in last))
+        last = " | ".join(log.read_text(errors="replace").strip().splitlines()[-_LOG_LINES:])
+        raise ChildError(f"{name} ended with status {code}: {last or 'no output'}")
 
 
-def _ended(child: subprocess.Popen[bytes], name: str, tick: Tick, most_seconds: float) -> int:
-    """The child's status; nothing tells how far it is, so the bar creeps on."""
-    began = time.monotonic()
-    while (spent := time.monotonic() - began) < most_seconds:
-        tick(spent / (spent + 5))
+class _Deadline:
+    """A program's time limit; `restart` begins it anew."""
+
+    def __init__(self, name: str, most_seconds: float, *, silent: bool) -> None:
+        self._name, self._most_seconds, self._silent = name, most_seconds, silent
+        self.restart()
+
+    def restart(self) -> None:
+        self._since = time.monotonic()
+
+    def elapsed(self) -> float:
+        """Seconds since the start or the last restart. Raises ChildError where they are more than the limit."""
+        elapsed = time.monotonic() - self._since
+        if elapsed > self._most_seconds:
+            fault = "reported no progress for" if self._silent else "took more than"
+            raise ChildError(f"{self._name} {fault} {self._most_seconds:.0f} s", too_slow=True)
+        return elapsed
+
+
+def _wait(child: subprocess.Popen[bytes], tick: Tick, deadline: _Deadline) -> int:
+    """Wait for the program's end; return its exit status. Its progress is unknown: the fraction creeps towards 1."""
+    while True:
+        elapsed = deadline.elapsed()
+        tick(elapsed / (elapsed + _HALF_WAY_SECONDS))
         try:
             return child.wait(_POLL_SECONDS)
         except subprocess.TimeoutExpired:
             continue
-    raise ChildError(f"{name} took more than {most_seconds:.0f} s")
+
+
+def _follow(child: subprocess.Popen[bytes], tick: Tick, deadline: _Deadline) -> int:
+    """Pass the program's progress to `tick` until it closes its output; return its exit status."""
+    assert child.stdout is not None
+    fraction = 0.0
+    with selectors.DefaultSelector() as selector:
+        selector.register(child.stdout, selectors.EVENT_READ)
+        while True:
+            if selector.select(_POLL_SECONDS):
+                line = child.stdout.readline()
+                if not line:
+                    break
+                fraction = float(json.loads(line)["fraction"])
+                deadline.restart()
+            deadline.elapsed()
+            tick(fraction)
+    return _wait(child, lambda _: tick(fraction), deadline)

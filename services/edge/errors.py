@@ -1,10 +1,10 @@
-"""Errors that cross the edge's seams: each carries a code that a program can test and a sentence to act on."""
+"""Errors that the edge passes to its callers: each has a stable code for programs and a message for people."""
 
 from __future__ import annotations
 
 
 class EdgeError(Exception):
-    """A failure with a name.
+    """A failure with a stable code, a message and hints.
 
     code       SCREAMING_SNAKE, stable, e.g. "CAPTURE_TOO_FEW_POINTS"
     message    one sentence: what is wrong, with the numbers
@@ -31,32 +31,32 @@ class EdgeError(Exception):
 
     @classmethod
     def _usual_hints(cls, code: str) -> tuple[str, ...]:
-        """What to do where the raiser knows nothing better."""
+        """Default hints for a code, used where the raiser gives none."""
         return ()
 
 
-_WHAT_TO_DO = {
-    "CAPTURE_EMPTY": "choose the files again, and look whether there is anything in them",
+_DEFAULT_HINTS = {
+    "CAPTURE_EMPTY": "choose the files again, and check that they are not empty",
     "CAPTURE_TRUNCATED": "copy or export the file again",
     "CAPTURE_NOT_FINITE": "export the capture again, in metres",
-    "CAPTURE_TOO_FEW_POINTS": "walk around the thing and scan it again",
-    "CAPTURE_DEGENERATE": "walk around the thing and scan it again",
-    "CAPTURE_TOO_LARGE": "send fewer frames, or a thinner cloud",
-    "CAPTURE_NO_POSES": "send the file with the camera's poses too",
-    "CAPTURE_COUNT_MISMATCH": "send the whole recording, every file of it",
+    "CAPTURE_TOO_FEW_POINTS": "walk around the object and scan it again",
+    "CAPTURE_DEGENERATE": "walk around the object and scan it again",
+    "CAPTURE_TOO_LARGE": "send fewer frames or fewer points",
+    "CAPTURE_NO_POSES": "also send the file with the camera poses",
+    "CAPTURE_COUNT_MISMATCH": "send all files of the recording",
     "CAPTURE_BAD_INTRINSICS": "send the camera's own intrinsics, for the size of its images",
     "IMAGE_TOO_LARGE": "send smaller pictures",
 }
-_OTHERWISE = "export the capture again"
+_OTHER_HINT = "export the capture again"
 
 
 class CaptureError(EdgeError):
-    """The capture itself is at fault; the person who made it can mend it, so there always is a hint."""
+    """An error in the capture itself. It always has a hint, because the person who made the capture can correct it."""
 
     @classmethod
     def _usual_hints(cls, code: str) -> tuple[str, ...]:
-        return (_WHAT_TO_DO.get(code, _OTHERWISE),)
+        return (_DEFAULT_HINTS.get(code, _OTHER_HINT),)
 
 
 class Cancelled(Exception):  # noqa: N818 - not an error: somebody asked for it
-    """Raised from a `Tick` when the work is no longer wanted."""
+    """Raised by a `Tick` to stop the work because the job was cancelled."""

@@ -1,4 +1,4 @@
-"""Work on a few threads: numpy, the KD-tree and Embree let go of the interpreter."""
+"""Run functions in a small thread pool. Threads suffice: numpy, the KD-tree and Embree release the interpreter lock."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from typing import TypeVar
 
 from services.edge.arrays import Tick, no_tick
 
-WORKERS = min(4, os.cpu_count() or 1)  # more would crowd a worker's other jobs and gain little: memory binds
+WORKERS = min(4, os.cpu_count() or 1)  # threads; more would slow a worker's other jobs and gain little: memory-bound
 
 In = TypeVar("In")
 Out = TypeVar("Out")
 
 
 def in_threads(work: Callable[[In], Out], parts: Sequence[In], tick: Tick = no_tick) -> list[Out]:
-    """The work's results in the order of the parts. `tick` hears after each, on this thread; if it raises, all ends."""
+    """Apply `work` to all parts on a few threads; return the results in the order of the parts.
+
+    tick  called after each result, on the caller's thread; if it raises, the parts that have not begun are cancelled
+    """
     pool = ThreadPoolExecutor(WORKERS)
     results = []
     try:
@@ -24,11 +27,11 @@ def in_threads(work: Callable[[In], Out], parts: Sequence[In], tick: Tick = no_t
             results.append(result)
             tick(len(results) / len(parts))
     finally:
-        # After an exception (a cancelled job's tick raises) the parts that wait must not run.
+        # After an exception (a cancelled job's tick raises) the parts that still wait must not run.
         pool.shutdown(cancel_futures=True)
     return results
 
 
 def slices(count: int, size: int) -> list[slice]:
-    """Consecutive slices of `size` that cover range(count)."""
+    """Split range(count) into consecutive slices of `size`."""
     return [slice(start, min(start + size, count)) for start in range(0, count, size)]

@@ -1,25 +1,30 @@
-"""Presets: what a client may choose by name. A file holds only what differs from the defaults, with its reason."""
+"""Presets: settings of a reconstruction that a client chooses by name.
+
+A preset's TOML file holds only what differs from the defaults, with its reason.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from services.edge.errors import EdgeError
-from services.edge.field.config import FitConfig
+from services.edge.field.config import AnchorConfig
+from services.edge.paper_field.network_config import UNUSED_KEYS, NetworkConfig
 
 AUTOMATIC = "auto"
-"""The name under which the pipeline chooses a preset from the points (`choose.py`); so does no name at all."""
+"""Name of the automatic choice: the pipeline then chooses a preset from the points (`preset_choice.py`). An empty name
+means the same."""
 
-_ORDER = ("draft", "standard", "fine", "scene")  # from quick to thorough, as people read them; baselines come behind
+_ORDER = ("draft", "standard", "fine", "scene")  # in lists, from quick to thorough; the baselines come after them
 _POINT_BYTES = 400  # of a capture: 1,000,000 points take 400 MB on their way to the 200,000 that are kept
 _CELL_BYTES = 1_500  # per cell of the surface, some resolution² of them: 384 cells take 220 MB while extracting
-_CELLS = (48, 4 / 3)  # the least along a side, and per √points and cell per spacing: folded cloth fills half of it
+_CELLS = (48, 4 / 3)  # least cells along a side; and cells per √points at one cell per spacing: cloth fills half a box
 
 T = TypeVar("T")
 
@@ -28,15 +33,13 @@ T = TypeVar("T")
 class Preset:
     """Settings of one reconstruction.
 
-    resolution   grid cells along the longest side; 0 chooses from the spacing of the points, giving each of them
-                 `cells_per_spacing`
-    finest       the most cells that choice may take: 384 on a room gives some 300,000 triangles, three times LOD 0
-    most_points  points that the field is fitted to; more are thinned evenly first. 200,000 points give some 400,000
-                 triangles, four times the finest LOD, in about 30 s on two cores
+    resolution   grid cells along the longest side; 0: from the spacing of the points, `cells_per_spacing` to each
+    finest       most cells with resolution 0: 384 on a room gives some 300,000 triangles, three times LOD 0
+    most_points  most points that the field is fitted to; more are downsampled evenly first. 200,000 points give some
+                 400,000 triangles, four times the finest LOD, in about 30 s on two cores
     lod_faces    triangle budgets of the LODs, finest first: what a standalone headset draws at 90 Hz beside a scene
-    fit          the training whose refined bundle follows the preview; None: the preview is the result
-    denoised     whether the training sees the points with the noise taken off, as the preview does; the baselines
-                 see them as they were measured
+    fit          configuration of the training whose refined bundle follows the preview; None: the preview is the result
+    denoised     whether the training gets the denoised points, as the preview does; the baselines get them as measured
     """
 
     name: str
@@ -46,51 +49,51 @@ class Preset:
     finest: int = 384
     most_points: int = 200_000
     lod_faces: tuple[int, ...] = (100_000, 25_000, 5_000)
-    fit: FitConfig | None = None
+    fit: AnchorConfig | NetworkConfig | None = None
     denoised: bool = True
 
 
-_LEFT_TO_THE_POINTS = Preset(AUTOMATIC, "chosen from the points, their spacing and noise, and the device")
+_AUTOMATIC_PRESET = Preset(AUTOMATIC, "chosen from the points, their spacing and noise, and the device")
 
 
 def preset_names() -> tuple[str, ...]:
-    """The presets that may be named, the product's from quick to thorough, then the baselines."""
+    """List the presets that a client may name: the product's from quick to thorough, then the baselines."""
     product = [*_ORDER, *(name for name in _names(_folder()) if name not in _ORDER)]
     return (*product, *_names(_folder() / "baselines"))
 
 
 def load_preset(name: str) -> Preset:
-    """The preset of that name; "" and "auto" leave it to the points. Raises EdgeError PRESET_UNKNOWN, naming all."""
+    """Load a preset by name; "" and "auto": the automatic choice. Raises EdgeError PRESET_UNKNOWN, which names all."""
     if name in ("", AUTOMATIC):
-        return _LEFT_TO_THE_POINTS
+        return _AUTOMATIC_PRESET
     for folder in (_folder(), _folder() / "baselines"):
         if name in _names(folder):
             return parse_preset(name, (folder / f"{name}.toml").read_text())
     known = ", ".join(preset_names())
     raise EdgeError(
-        "PRESET_UNKNOWN", f"there is no preset '{name}'; known are: {known}", hints=(f"use one of: {known}",)
+        "PRESET_UNKNOWN", f"there is no preset '{name}'; the presets are: {known}", hints=(f"use one of: {known}",)
     )
 
 
 def parse_preset(name: str, text: str) -> Preset:
-    """Read a preset's TOML. Raises EdgeError PRESET_INVALID for a key that none has and a value that none takes."""
+    """Parse a preset's TOML. Raises EdgeError PRESET_INVALID for an unknown key and for a value that does not fit."""
     values = tomllib.loads(text)
     if "name" in values:
         raise EdgeError("PRESET_INVALID", f"preset '{name}' has unknown keys: name")
-    preset = _built(Preset, {"name": name, **values}, name, "")
+    preset = _build(Preset, {"name": name, **values}, name, "")
     if list(preset.lod_faces) != sorted(set(preset.lod_faces), reverse=True) or not preset.lod_faces:
-        raise EdgeError("PRESET_INVALID", f"preset '{name}': lod_faces must fall from level to level")
+        raise EdgeError("PRESET_INVALID", f"preset '{name}': lod_faces must decrease from level to level")
     return preset
 
 
 def memory_bytes(preset: Preset, points: int, device: str = "cpu") -> int:
-    """The most memory that a reconstruction of that many points takes, the interpreter's own 350 MB not counted."""
+    """Estimate the most memory that a reconstruction of that many points takes, without the interpreter's 350 MB."""
     filled = max(_CELLS[0], int(_CELLS[1] * preset.cells_per_spacing * points**0.5))
     cells = preset.resolution or min(preset.finest, filled)
     mesh = _POINT_BYTES * points + _CELL_BYTES * cells**2
     if preset.fit is None:
         return mesh
-    from services.edge.field.memory import fit_memory_bytes
+    from services.edge.paper_field.memory_estimate import fit_memory_bytes
 
     return mesh + fit_memory_bytes(min(points, preset.most_points), preset.fit, device)
 
@@ -103,8 +106,8 @@ def _names(folder: Traversable) -> list[str]:
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def _built(kind: type[T], values: Mapping[str, Any], preset: str, table: str) -> T:
-    """A dataclass of a TOML table. Raises EdgeError PRESET_INVALID naming every key it does not have."""
+def _build(kind: type[T], values: Mapping[str, Any], preset: str, table: str) -> T:
+    """Build a dataclass from a TOML table. Raises EdgeError PRESET_INVALID naming every unknown key."""
     unknown = values.keys() - {each.name for each in fields(kind)}  # type: ignore[arg-type]
     if unknown:
         named = ", ".join(sorted(f"{table}{key}" for key in unknown))
@@ -114,34 +117,57 @@ def _built(kind: type[T], values: Mapping[str, Any], preset: str, table: str) ->
 
 
 def _value(hint: Any, value: Any, preset: str, key: str) -> Any:
-    """A TOML value as the field's type has it. Raises EdgeError PRESET_INVALID."""
+    """Convert a TOML value to the type of its field. Raises EdgeError PRESET_INVALID where it does not fit."""
     choices = [each for each in get_args(hint) if each is not NoneType] if isinstance(hint, UnionType) else [hint]
+    if isinstance(value, dict) and (
+        tables := [each for each in choices if isinstance(each, type) and is_dataclass(each)]
+    ):
+        return _table(tables, value, preset, key)
     for choice in choices:
-        if isinstance(value, dict) and hasattr(choice, "__dataclass_fields__"):
-            return _built(choice, value, preset, f"{key}.")
-        if isinstance(value, list) and get_origin(choice) is tuple and all(_fits(each, int) for each in value):
+        if isinstance(value, list) and get_origin(choice) is tuple and all(_is_a(each, int) for each in value):
             return tuple(value)
         if get_origin(choice) is Literal and value in get_args(choice):
             return value
-        if choice is float and _fits(value, int):
+        if choice is float and _is_a(value, int):
             return float(value)
-        if isinstance(choice, type) and _fits(value, choice):
+        if isinstance(choice, type) and _is_a(value, choice):
             return value
-    wanted = " or ".join(_words(hint))
-    raise EdgeError("PRESET_INVALID", f"preset '{preset}': {key} = {value!r} is not {wanted}")
+    expected = " or ".join(_type_names(hint))
+    raise EdgeError("PRESET_INVALID", f"preset '{preset}': {key} = {value!r} is not {expected}")
 
 
-def _fits(value: Any, kind: type) -> bool:
-    # A bool is an int to Python; to a person who writes `steps = true` it is a mistake.
+def _table(kinds: Sequence[type[Any]], values: Mapping[str, Any], preset: str, key: str) -> Any:
+    """Build a dataclass from a TOML table. Of several kinds, the table's `model` decides; its default is the last's.
+
+    Raises EdgeError PRESET_INVALID for an unknown model, and for a key that the model does not use.
+    """
+    if len(kinds) == 1:
+        return _build(kinds[0], values, preset, f"{key}.")
+    models = {model: kind for kind in kinds for model in get_args(get_type_hints(kind)["model"])}
+    model = values.get("model", kinds[-1]().model)
+    if model not in models:
+        choices = " or ".join(map(repr, models))
+        raise EdgeError("PRESET_INVALID", f"preset '{preset}': {key}.model = {model!r} is not {choices}")
+    known = {each.name for kind in kinds for each in fields(kind)}
+    used = {each.name for each in fields(models[model])} - set(UNUSED_KEYS.get(model, ()))
+    unused = ", ".join(sorted(f"{key}.{name}" for name in values.keys() & known - used))
+    if unused:
+        raise EdgeError("PRESET_INVALID", f"preset '{preset}' has keys that the model '{model}' does not use: {unused}")
+    return _build(models[model], values, preset, f"{key}.")
+
+
+def _is_a(value: Any, kind: type) -> bool:
+    """Whether a TOML value has this type. Python counts a bool as an int; here `steps = true` is a mistake."""
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 
-def _words(hint: Any) -> Iterator[str]:
+def _type_names(hint: Any) -> Iterator[str]:
+    """The names for people of the types and values that a field accepts."""
     if get_origin(hint) is Literal:
         yield from (repr(each) for each in get_args(hint))
     elif isinstance(hint, UnionType):
         for each in get_args(hint):
-            yield from _words(each)
+            yield from _type_names(each)
     elif hasattr(hint, "__dataclass_fields__"):
         yield "a table"
     elif hint is not NoneType:

@@ -1,4 +1,4 @@
-"""How far a job is: stages on one bar that never goes back, and the seconds that each of them takes."""
+"""Progress of a job: its stages on one bar that never goes back, and the seconds that each stage takes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from services.edge.arrays import Tick
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far the whole job is: `fraction` in [0,1] never goes back; `losses` while a field is trained."""
+    """One progress report: stage, `fraction` of the whole job in [0,1], and `losses` while a field is trained."""
 
     stage: str
     fraction: float
@@ -22,15 +22,15 @@ class Progress:
 
 
 Watch = Callable[[Progress], None]
-"""Hears of progress inside a stage; may raise `Cancelled`, which stops the work between two slabs."""
+"""Callback for progress inside a stage; may raise `Cancelled`, which stops the work at the next tick."""
 
 
-def unwatched(progress: Progress) -> None:
-    """The watch of a caller who does not look."""
+def ignore_progress(progress: Progress) -> None:
+    """Do nothing: the `Watch` of a caller that does not show progress."""
 
 
 class Bar:
-    """The bar of a job that goes through its stages in passes, each on its own part of the bar."""
+    """Progress bar of a job. The job runs through its stages in passes, each on its own part of the bar."""
 
     def __init__(self, watch: Watch) -> None:
         self._watch = watch
@@ -38,32 +38,37 @@ class Bar:
 
     @property
     def reached(self) -> float:
-        """How far it is, in [0,1]."""
+        """Fraction of the whole bar reached so far, in [0,1]."""
         return self._reached
 
-    def covers(self, starts: Mapping[str, float], begin: float, end: float) -> None:
-        """From now on stages begin where `starts` says, in [0,1] of the bar's part from `begin` to `end`."""
+    def set_range(self, starts: Mapping[str, float], begin: float, end: float) -> None:
+        """Begin a pass on the part of the bar from `begin` to `end`.
+
+        starts  fraction of that part, in [0,1], at which each stage begins
+        """
         self._starts, self._begin, self._end = starts, begin, end
 
-    def at(self, stage: str, part: float, message: str = "", losses: Mapping[str, float] | None = None) -> Progress:
-        """That part of a stage is done, in [0,1]. What is repeated, after a step down say, stands still until then."""
+    def advance(
+        self, stage: str, part: float, message: str = "", losses: Mapping[str, float] | None = None
+    ) -> Progress:
+        """Report that `part` of a stage, in [0,1], is done. The bar stands still while work is repeated."""
         start = self._starts[stage]
         following = min((each for each in self._starts.values() if each > start), default=1.0)
         within = start + (following - start) * float(np.clip(part, 0.0, 1.0))
         self._reached = max(self._reached, self._begin + (self._end - self._begin) * within)
         return Progress(stage, self._reached, message, losses or {})
 
-    def starts(self, stage: str, message: str) -> Progress:
-        """A stage begins."""
-        return self.at(stage, 0.0, message)
+    def begin(self, stage: str, message: str) -> Progress:
+        """Report that a stage begins."""
+        return self.advance(stage, 0.0, message)
 
-    def inside(self, stage: str) -> Tick:
-        """A tick that maps a stage's own fraction onto the job's, and tells whoever watches."""
-        return lambda part: self._watch(self.at(stage, part))
+    def tick(self, stage: str) -> Tick:
+        """Return a tick that maps a stage's own fraction to the job's, and reports it to the watch."""
+        return lambda part: self._watch(self.advance(stage, part))
 
 
 class Clock:
-    """Seconds per stage: `with clock("FITTING"): ...` adds to `clock.seconds["FITTING"]`."""
+    """Stopwatch of the stages: `with clock("FITTING"): ...` adds its seconds to `clock.seconds["FITTING"]`."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""sRGB bytes <-> linear light, so that averages of colours are averages of light."""
+"""Convert sRGB bytes to linear light and back, so that averages of colours are averages of light."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from services.edge.arrays import Bytes, Floats
 
 _CODES = np.arange(256) / 255.0
 _LINEAR: Floats = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)
-"""(256,) linear light in [0,1] of every sRGB code, IEC 61966-2-1."""
+"""(256,) linear light in [0,1] of every sRGB byte, IEC 61966-2-1."""
 _BOUNDARIES: Floats = ((_LINEAR[1:] + _LINEAR[:-1]) / 2).astype(np.float32)
-"""(255,) between two codes: the half-way light decides, so that a code survives the round trip."""
+"""(255,) limits between neighbouring bytes, half-way in linear light: so a byte survives the round trip."""
 
 
 def to_linear(rgb: Bytes) -> Floats:
-    """(...,3) uint8 sRGB -> (...,3) float32 linear light in [0,1]."""
+    """Convert (...,3) uint8 sRGB to (...,3) float32 linear light in [0,1]."""
     linear: Floats = _LINEAR[rgb]
     return linear
 
 
 def to_srgb(linear: Floats) -> Bytes:
-    """(...,3) linear light -> (...,3) uint8 sRGB; values outside [0,1] are clipped."""
+    """Convert (...,3) linear light to (...,3) uint8 sRGB; values outside [0,1] are clipped."""
     return np.searchsorted(_BOUNDARIES, np.asarray(linear, np.float32)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The training behind a preview: steps as progress, and steps down where a GPU's memory does not suffice."""
+"""Train the field that refines a preview: report its progress, and retry with less memory where a GPU is full."""
 
 from __future__ import annotations
 
@@ -12,30 +12,32 @@ from typing import TYPE_CHECKING
 
 from services.edge.arrays import DistanceFn, Floats
 from services.edge.errors import EdgeError
-from services.edge.field.config import FitConfig
+from services.edge.field.config import AnchorConfig
 from services.edge.field.noise import Noise
+from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.progress import Bar, Clock, Progress
 
 if TYPE_CHECKING:
-    from services.edge.field.fit import Step
+    from services.edge.field.step import Step
 
-_ETA_FROM = 20  # steps before the rate says anything: the first ones warm the caches
-_RATE_OF = 50  # yields that the rate is taken from: a second or two of steps
+_ETA_FROM = 20  # steps before a remaining time is shown: the first ones warm the caches
+_RATE_OF = 50  # latest yields that the rate is measured over: a second or two of steps
 
 
 @dataclass(frozen=True, slots=True)
-class Training:
-    """What a field is trained on and how.
+class FieldTraining:
+    """Inputs of a training: points, configuration and device.
 
-    xyz_unit    (N,3) points; noise: theirs, None where it was taken off
-    base        the local field of the same denoised, smooth (N,3)
-    watched     (W,3) held-out points that may end it early
-    checkpoint  file that it writes and goes on from, or None
+    xyz_unit    (N,3) points; noise: their noise, None where they were denoised
+    base        the local field of the denoised points, smooth (N,3)
+    watched     (W,3) held-out points for early stopping
+    checkpoint  file that the training writes and resumes from, or None
+    halved      whether the batch was halved to save memory
     """
 
     xyz_unit: Floats
     noise: Noise | None
-    config: FitConfig
+    config: AnchorConfig | NetworkConfig
     device: str
     base: DistanceFn
     smooth: Floats
@@ -43,21 +45,21 @@ class Training:
     checkpoint: Path | None = None
     halved: bool = False
 
-    def lower(self) -> tuple[Training, str] | None:
-        """The same in less memory of a GPU, and what to say of it: half a network's batch, the CPU, then nothing."""
+    def with_less_memory(self) -> tuple[FieldTraining, str] | None:
+        """The same training in less GPU memory, and a warning: half a network's batch, then the CPU, then None."""
         if self.device == "cpu":
             return None
-        if not self.halved and self.config.model != "anchors":  # a step of anchors sees them all
+        if not self.halved and isinstance(self.config, NetworkConfig):  # anchors have no batch: a step uses them all
             smaller = replace(self.config, batch=max(1, self.config.batch // 2))
             return replace(self, config=smaller, halved=True), "the batch was halved"
-        return replace(self, device="cpu"), "it was trained on the CPU"
+        return replace(self, device="cpu"), "the field was trained on the CPU"
 
 
 @dataclass(frozen=True, slots=True)
-class Trained:
-    """A field and how it was come by; `warnings` tell of steps down on the way.
+class TrainedField:
+    """A trained field with its figures; `warnings` say whether memory ran out on the way.
 
-    near  (N,3) the points that its surface lies near: where anchors were trained, where they have come to lie
+    near  (N,3) points that its surface lies near; for anchors, the anchors' trained positions
     """
 
     distance: DistanceFn
@@ -68,53 +70,68 @@ class Trained:
     warnings: tuple[str, ...]
 
 
-def train(training: Training, clock: Clock, bar: Bar) -> Generator[Progress, None, Trained]:
-    """Train to the end. Raises EdgeError as `fit` does, GPU_OOM only where stepping down does not help."""
+def train(training: FieldTraining, clock: Clock, bar: Bar) -> Generator[Progress, None, TrainedField]:
+    """Train to the end, with less memory whenever the GPU's is exhausted. Raises EdgeError as the fits do; GPU_OOM only
+    where nothing smaller is left."""
     warnings: tuple[str, ...] = ()
     while True:
         try:
             with clock("FITTING"):
                 return (yield from _steps(training, bar, warnings))
         except EdgeError as error:
-            below = training.lower()
-            if error.code != "GPU_OOM" or below is None:
+            smaller = training.with_less_memory()
+            if error.code != "GPU_OOM" or smaller is None:
                 raise
-            training, said = below
-            warnings = (*warnings, f"{error.message}; {said}")
-        # Here, not inside: the error holds the frames that it came through, and they the tensors that filled the GPU.
-        if training.checkpoint:  # of another batch or another device
+            training, change = smaller
+            warnings = (*warnings, f"{error.message}; {change}")
+        # Outside the `except`: until it ends, the error keeps the stack frames alive whose tensors fill the GPU.
+        if training.checkpoint:  # it was written for another batch or another device
             training.checkpoint.unlink(missing_ok=True)
 
 
-def _steps(training: Training, bar: Bar, warnings: tuple[str, ...]) -> Generator[Progress, None, Trained]:
-    # Here, not above: who only makes previews needs no torch.
+def _steps(training: FieldTraining, bar: Bar, warnings: tuple[str, ...]) -> Generator[Progress, None, TrainedField]:
+    # Imported here: a worker that makes previews only must not load torch.
     from services.edge.field.anchors import AnchorField
-    from services.edge.field.fit import fit
 
-    config = training.config
-    yield bar.starts("FITTING", f"training on {training.device}")
-    steps = fit(
-        training.xyz_unit,
-        config,
-        device=training.device,
-        base=training.base,
-        noise=training.noise,
-        held_out=training.watched,
-        checkpoint=training.checkpoint,
-    )
+    yield bar.begin("FITTING", f"training on {training.device}")
+    steps = _fit(training)
     losses: Mapping[str, float] = {}
     eta = _Eta()
     with closing(steps):
         for step in steps:
             losses = step.losses or losses
-            message = f"step {step.number:,} of {step.of:,}{eta(step)}" if step.number else "looking at the points"
-            yield bar.at("FITTING", step.number / step.of, message, step.losses)
+            message = f"step {step.number:,} of {step.of:,}{eta(step)}" if step.number else "analysing the points"
+            yield bar.advance("FITTING", step.number / step.of, message, step.losses)
     near = step.field.points if isinstance(step.field, AnchorField) else training.smooth
-    return Trained(step.field, near, step.number, losses, training.device, warnings)
+    return TrainedField(step.field, near, step.number, losses, training.device, warnings)
+
+
+def _fit(training: FieldTraining) -> Generator[Step, None, None]:
+    """Start the fit for the config's model: anchors or a network."""
+    from services.edge.field.anchor_fit import fit_anchors
+    from services.edge.paper_field.network_fit import fit_network
+
+    if isinstance(training.config, AnchorConfig):
+        return fit_anchors(
+            training.xyz_unit,
+            training.config,
+            device=training.device,
+            base=training.base,
+            noise=training.noise,
+            checkpoint=training.checkpoint,
+        )
+    return fit_network(
+        training.xyz_unit,
+        training.config,
+        device=training.device,
+        base=training.base,
+        held_out=training.watched,
+        checkpoint=training.checkpoint,
+    )
 
 
 class _Eta:
-    """How long the rest takes at the rate of the latest steps: those of the warm start are quicker than the others."""
+    """Estimates the remaining time from the rate of the latest steps: the first steps, a warm start, are quicker."""
 
     def __init__(self) -> None:
         self._latest: deque[tuple[int, float]] = deque(maxlen=_RATE_OF)

@@ -1,4 +1,4 @@
-"""`python -m services.gateway`: one gateway, configured by GATEWAY_* and STORAGE_* variables."""
+"""`python -m services.gateway`: run one gateway, configured by the environment variables GATEWAY_* and STORAGE_*."""
 
 from __future__ import annotations
 
@@ -7,17 +7,26 @@ import sys
 from services.gateway.app import serve
 from services.gateway.settings import GatewaySettings
 from services.storage.settings import StorageSettings, open_keys, open_store
+from services.strict_settings import SettingsError
 
 
-def main() -> int:
-    """The exit status: 0 when told to stop, 1 when it could not start, 2 when the settings are wrong."""
+def start() -> int:
+    """Serve a gateway until SIGTERM, and return the exit status. Raises SettingsError that names a wrong setting."""
     try:
         settings, storage = GatewaySettings(), StorageSettings()
         store, keys = open_store(storage), open_keys(storage)
     except ValueError as error:
+        raise SettingsError(str(error)) from error
+    return serve(settings, store, keys)
+
+
+def main() -> int:
+    """Run the gateway. Exit status: 0 after a normal stop, 1 when it could not start, 2 when the settings are wrong."""
+    try:
+        return start()
+    except SettingsError as error:
         sys.stderr.write(f"gateway: {error}\n")
         return 2
-    return serve(settings, store, keys)
 
 
 if __name__ == "__main__":

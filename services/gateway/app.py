@@ -1,4 +1,4 @@
-"""The gateway: HTTP in, gRPC out. `create_app` builds it, `serve` runs it."""
+"""The gateway's HTTP application (FastAPI) and server: `create_app` builds the app, `serve` runs it with uvicorn."""
 
 from __future__ import annotations
 
@@ -18,59 +18,59 @@ from starlette.middleware.gzip import GZipMiddleware
 
 import services
 from services.gateway import errors
-from services.gateway.edge import EdgePool
-from services.gateway.instance import FolderInUse, instance
-from services.gateway.jobs.conductor import Means
-from services.gateway.jobs.desk import Desk
-from services.gateway.jobs.dispatcher import Dispatcher
+from services.gateway.dispatch.dispatcher import Dispatcher
+from services.gateway.dispatch.run_supervisor import Dependencies
+from services.gateway.instance_lock import FolderInUse, lock_instance
+from services.gateway.jobs.async_store import AsyncJobStore
+from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
 from services.gateway.jobs.tables import open_engine
-from services.gateway.jobs.transitions import Retry
 from services.gateway.metrics import Metrics
-from services.gateway.middleware import Around
+from services.gateway.middleware import RequestMiddleware
 from services.gateway.routes import assets, captures, collections, files, health, jobs, pages
-from services.gateway.settings import GatewaySettings, open_way_to_workers
+from services.gateway.settings import GatewaySettings, worker_credentials
+from services.gateway.worker_client import WorkerPool
 from services.logs import configure
-from services.storage.signing import NO_KEYS, Keys
+from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
-_GRACE_S = 5  # that answers under way get when the gateway is told to stop
+_GRACE_S = 5  # for answers in progress when the gateway stops
 
 _log = logging.getLogger(__name__)
 
 
 def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> FastAPI:
-    """The app; its database, its dispatcher and its connections live from startup to shutdown.
+    """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
-    Routes find what they need in `app.state`: settings, store, keys, rows_of, edge, metrics, desk, dispatcher.
-    Raises SettingsError where the workers' certificate or token cannot be used.
+    Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, job_store,
+    dispatcher. Raises SettingsError where the workers' certificate or token cannot be used.
     """
     app = FastAPI(
         title="capture2vr",
         version=services.__version__,
-        summary="Captures in, assets for VR out.",
+        summary="Upload phone captures, reconstruct them as meshes, and download the assets for VR.",
         lifespan=_lifespan,
-        docs_url=None,  # its page loads scripts from elsewhere; the document itself is at /openapi.json
+        docs_url=None,  # that page loads scripts from another host; the document itself is at /openapi.json
         redoc_url=None,
     )
     metrics = Metrics()
     app.state.settings = settings
     app.state.store = store
     app.state.keys = keys
-    app.state.rows_of = collections.kept_rows(store)
+    app.state.load_rows = collections.row_cache(store)
     app.state.metrics = metrics
-    app.state.edge = EdgePool(
+    app.state.workers = WorkerPool(
         settings.workers,
         silence_s=settings.silence_s,
         job_timeout_s=settings.job_timeout_s,
-        caller=open_way_to_workers(settings),
+        credentials=worker_credentials(settings),
     )
-    errors.install(app)
+    errors.install_handlers(app)
     for routes in (captures, jobs, assets, collections, files, health, pages):
         app.include_router(routes.router)
-    # Scripts shrink to a quarter: 2.5 MB would be a second of a first visit at 20 Mbit/s.
-    app.mount("/web", GZipMiddleware(pages.Web(directory=pages.WEB), compresslevel=6), name="web")
+    # Compression makes scripts four times smaller: 2.5 MB would take a second of a first visit at 20 Mbit/s.
+    app.mount("/web", GZipMiddleware(pages.WebFiles(directory=pages.WEB), compresslevel=6), name="web")
     if settings.cors_origins:
         app.add_middleware(
             CORSMiddleware,
@@ -79,32 +79,32 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
             allow_headers=["Content-Type", "Idempotency-Key", "Last-Event-ID"],
             expose_headers=["ETag", "Location", "X-Request-ID"],
         )
-    app.add_middleware(Around, metrics=metrics, max_upload_bytes=settings.max_upload_bytes)
+    app.add_middleware(RequestMiddleware, metrics=metrics, max_upload_bytes=settings.max_upload_bytes)
     return app
 
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     settings: GatewaySettings = app.state.settings
-    edge: EdgePool = app.state.edge
+    workers: WorkerPool = app.state.workers
     async with AsyncExitStack() as stack:
-        holder = stack.enter_context(instance(settings.data_dir))
+        holder = stack.enter_context(lock_instance(settings.data_dir))
         engine = open_engine(settings.database)
         stack.callback(engine.dispose)
-        desk = Desk(JobStore(engine))
-        stack.callback(desk.close)
-        stack.push_async_callback(edge.close)
-        means = Means(
-            desk=desk,
-            edge=edge,
+        job_store = AsyncJobStore(JobStore(engine))
+        stack.callback(job_store.close)
+        stack.push_async_callback(workers.close)
+        dependencies = Dependencies(
+            job_store=job_store,
+            workers=workers,
             store=app.state.store,
             retry=Retry(settings.max_attempts, settings.retry_s),
             attach_for_s=settings.attach_for_s,
-            ended=app.state.metrics.ended,
+            on_job_ended=app.state.metrics.observe_job,
         )
-        app.state.desk = desk
-        app.state.dispatcher = Dispatcher(means, holder=holder, lease_s=settings.lease_s)
-        for background in (app.state.dispatcher.run(), desk.follow_others()):
+        app.state.job_store = job_store
+        app.state.dispatcher = Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
+        for background in (app.state.dispatcher.run(), job_store.watch_other_gateways()):
             task = asyncio.create_task(background)
             task.add_done_callback(_report_death)
             stack.push_async_callback(_stop, task)
@@ -118,27 +118,27 @@ async def _stop(task: asyncio.Task[None]) -> None:
 
 
 def _report_death(task: asyncio.Task[None]) -> None:
-    """Background tasks end only when they are told to; anything else must be seen."""
+    """Log an exception that ended a background task. These tasks should only end by being cancelled."""
     if not task.cancelled() and (error := task.exception()):
-        _log.critical("a background task of the gateway died", exc_info=error)
+        _log.critical("a background task of the gateway ended with an error; restart the gateway", exc_info=error)
 
 
 def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
-    """Serve until SIGTERM or SIGINT; the process's exit status: 0, or 1 when it could not start."""
+    """Serve until SIGTERM or SIGINT, and return the exit status: 0, or 1 when the gateway could not start."""
     configure(settings.log_level)
     try:
         app = create_app(settings, store, keys)
-        with instance(settings.data_dir):
+        with lock_instance(settings.data_dir):
             open_engine(settings.database).dispose()
         listening = _listen(settings)
-    # ImportError: the database's driver
+    # ImportError: the database's driver is not installed
     except (FolderInUse, OSError, SQLAlchemyError, ImportError, SettingsError) as error:
         _log.error("cannot start: %s", error)
         return 1
     with listening:
         _announce(settings, listening.getsockname()[1])
-        if not keys.believed:
-            _log.warning("collections are believed as they are: name the keys in STORAGE_SIGNING_KEY or _TRUSTED_KEYS")
+        if not keys.verification_keys:
+            _log.warning("signatures of collections are not checked: set STORAGE_SIGNING_KEY or STORAGE_TRUSTED_KEYS")
         config = uvicorn.Config(
             app,
             log_config=None,
@@ -147,7 +147,7 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
             server_header=False,
         )
         server = uvicorn.Server(config)
-        # The server raises the signal that stopped it once more when it is done: being told to stop is no failure.
+        # uvicorn raises the signal that stopped it again at the end; ignored, because a requested stop is no failure.
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: None)
         server.run(sockets=[listening])
@@ -155,10 +155,10 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
 
 
 def _listen(settings: GatewaySettings) -> socket.socket:
-    """Raises OSError."""
+    """Open the listening socket. Raises OSError."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     listening = socket.create_server((settings.host, settings.port), family=family)
-    # asyncio does this for sockets that it opens itself only. Without it every answer of two segments, head and body,
+    # asyncio sets this only for sockets that it opens itself. Without it, an answer of two TCP segments (head and body)
     # waits 40 ms for the client's delayed acknowledgement.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listening
@@ -168,4 +168,4 @@ def _announce(settings: GatewaySettings, port: int) -> None:
     _log.info("settings: %s", json.dumps(settings.describe()))
     _log.info("listening on http://%s:%d", settings.host, port)
     if settings.is_public:
-        _log.warning("GATEWAY_HOST=%s: there are no access keys, so whoever reaches this may use it", settings.host)
+        _log.warning("GATEWAY_HOST=%s: everybody who reaches this port can use it: no authentication", settings.host)

@@ -1,7 +1,7 @@
-"""Problem documents (RFC 9457): the only shape in which this service says no.
+"""Problem documents (RFC 9457): the JSON format of all errors that this service returns.
 
-Every error ends here: our own `Problem`, the framework's HTTP errors, requests that do not fit their schema, and
-anything unexpected, which tells the client nothing but a request id to quote.
+Handles our own `Problem`, the framework's HTTP errors, and requests that do not match their schema. An unexpected
+exception tells the client nothing but a request id to quote.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from starlette.exceptions import HTTPException
 
 MEDIA_TYPE = "application/problem+json"
 
-_SEE = ("see /openapi.json",)
-_AGAIN = ("try again in a moment",)
+_SEE_OPENAPI = ("see /openapi.json",)
+_TRY_AGAIN = ("try again in a moment",)
 
 _log = logging.getLogger(__name__)
 
 
 class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
-    """Something the client is told, and may act upon.
+    """An error to be returned to the client as a problem document.
 
     status     HTTP status
     code       stable, upper case, for programs: CAPTURE_UNKNOWN
     detail     for people: what is wrong with this request, with the numbers; never a path or a secret of the server
-    title      for people: what kind of problem; the status' phrase otherwise
+    title      for people: the kind of problem; default: the status' phrase
     retryable  whether the same request may succeed later
-    stage      of the job in which it happened, or ""
-    file       of the capture that it concerns, or ""
-    hints      what the person can do about it; to try again, unless said otherwise, where that may help
+    stage      stage of the job in which it happened, or ""
+    file       file of the capture that it concerns, or ""
+    hints      what the user can do about it; default for retryable problems: try again
     headers    of the answer, e.g. Retry-After
     """
 
@@ -58,11 +58,11 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
         self.retryable = retryable
         self.stage = stage
         self.file = file
-        self.hints = hints or (_AGAIN if retryable else ())
+        self.hints = hints or (_TRY_AGAIN if retryable else ())
         self.headers = headers or {}
 
     def document(self) -> dict[str, Any]:
-        """The JSON of the problem; `stage` and `file` only where there are any."""
+        """Return the problem as JSON; `stage` and `file` only where they are set."""
         where = {name: value for name, value in (("stage", self.stage), ("file", self.file)) if value}
         return {
             "type": f"urn:capture2vr:problem:{self.code}",
@@ -76,23 +76,23 @@ class Problem(Exception):  # noqa: N818 - RFC 9457 calls it a problem
         }
 
     def response(self) -> JSONResponse:
-        """The answer that carries it."""
+        """Return the problem as an HTTP answer."""
         return JSONResponse(self.document(), self.status, headers=self.headers, media_type=MEDIA_TYPE)
 
 
-def unexpected(request_id: str) -> Problem:
-    """What a client learns of a fault of ours: the id under which the log has the rest."""
+def internal_error(request_id: str) -> Problem:
+    """Return the problem for an unexpected exception. It tells only the request id; the log has the rest under it."""
     return Problem(
         500,
         "INTERNAL",
-        f"something went wrong on this side; the log has it under request {request_id}",
+        f"an internal error of the gateway; its log has the details under request id {request_id}",
         retryable=True,
-        hints=("try again", f"report request id {request_id} if it stays"),
+        hints=("try again", f"report request id {request_id} if it happens again"),
     )
 
 
-def install(app: FastAPI) -> None:
-    """Teach the app to answer every error that a route can raise; the rest is caught by the outermost middleware."""
+def install_handlers(app: FastAPI) -> None:
+    """Register the handlers that turn routes' errors into problem documents; RequestMiddleware catches all others."""
     app.add_exception_handler(Problem, _on_problem)
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
@@ -104,24 +104,24 @@ async def _on_problem(_: Request, error: Exception) -> JSONResponse:
 
 
 async def _on_http_exception(_: Request, error: Exception) -> JSONResponse:
-    """The framework's own refusals: no such route, method not allowed, body that is no JSON."""
+    """Answer the framework's own errors: unknown route, method not allowed, body that is not JSON."""
     assert isinstance(error, HTTPException)
     status = HTTPStatus(error.status_code)
     detail = error.detail if isinstance(error.detail, str) else status.phrase
-    return Problem(status.value, status.name, detail, hints=_SEE, headers=dict(error.headers or {})).response()
+    return Problem(status.value, status.name, detail, hints=_SEE_OPENAPI, headers=dict(error.headers or {})).response()
 
 
 async def _on_invalid_request(request: Request, error: Exception) -> JSONResponse:
-    """Names every field at fault and why; the values are not repeated, they may be anything."""
+    """Answer a request that does not match its schema: each wrong field and why, without its value."""
     assert isinstance(error, RequestValidationError)
     if any(fault["loc"] == ("body",) for fault in error.errors()) and not _is_json(request):
         detail = "the body must be JSON, sent as Content-Type: application/json"
-        return Problem(415, "REQUEST_MEDIA_TYPE", detail, hints=_SEE).response()
+        return Problem(415, "REQUEST_MEDIA_TYPE", detail, hints=_SEE_OPENAPI).response()
     faults = tuple(f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}" for fault in error.errors())
-    return Problem(422, "REQUEST_INVALID", "; ".join(faults), hints=_SEE).response()
+    return Problem(422, "REQUEST_INVALID", "; ".join(faults), hints=_SEE_OPENAPI).response()
 
 
 def _is_json(request: Request) -> bool:
-    """Whether the body is said to be JSON: any other is not looked into."""
+    """Return whether the Content-Type is JSON; a body of another type is not parsed."""
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     return media_type == "application/json" or media_type.endswith("+json")

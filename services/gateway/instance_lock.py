@@ -1,4 +1,4 @@
-"""Who this gateway is: a name that survives restarts, and a lock that keeps a second one out of the same folder."""
+"""The gateway's persistent id, and a lock file that keeps a second gateway out of the same data folder."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from services.atomic_write import atomic_write
+
 
 class FolderInUse(Exception):  # noqa: N818 - it reads as what it is
-    """Another gateway works in this data folder."""
+    """Another gateway uses this data folder."""
 
 
 @contextmanager
-def instance(data_dir: Path) -> Iterator[str]:
-    """This gateway's name, while nobody else has it. The lock ends with the process, however that ends.
+def lock_instance(data_dir: Path) -> Iterator[str]:
+    """Lock the data folder and yield this gateway's id. The kernel releases the lock when the process ends.
 
     Raises FolderInUse.
     """
@@ -24,13 +26,12 @@ def instance(data_dir: Path) -> Iterator[str]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise FolderInUse(f"another gateway works in {data_dir}: stop it, or set GATEWAY_DATA_DIR") from None
+            raise FolderInUse(f"another gateway uses {data_dir}: stop it, or set GATEWAY_DATA_DIR") from None
         yield _name(data_dir / "gateway.id")
 
 
 def _name(path: Path) -> str:
     if not path.exists():
-        fresh = path.with_suffix(".new")
-        fresh.write_text(f"gw_{uuid.uuid4().hex}")
-        fresh.replace(path)  # a crash leaves no half a name
+        with atomic_write(path) as fresh:
+            fresh.write_text(f"gw_{uuid.uuid4().hex}")
     return path.read_text().strip()

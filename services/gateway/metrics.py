@@ -1,4 +1,4 @@
-"""What Prometheus is told. One registry per app, so that two apps in one process do not count together."""
+"""Prometheus metrics. Each app has a registry of its own, so that two apps in one process count separately."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LAG_S = (0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 30)
 
 
 class Metrics:
-    """The gateway's counters."""
+    """The gateway's counters, gauges and histograms."""
 
     def __init__(self) -> None:
         self._registry = CollectorRegistry()
@@ -39,29 +39,34 @@ class Metrics:
             "capture2vr_stage_seconds", "By stage of jobs that succeeded", ["stage"], buckets=_JOB_S, registry=registry
         )
         self._lag_s = Histogram(
-            "capture2vr_event_lag_seconds", "Event written to event sent", buckets=_LAG_S, registry=registry
+            "capture2vr_event_lag_seconds",
+            "Event written to event sent",
+            buckets=_LAG_S,
+            registry=registry,
         )
         self._listeners = Gauge("capture2vr_event_listeners", "Open event streams", registry=registry)
 
-    def answered(self, method: str, route: str, status: int, seconds: float, received: int, streamed: bool) -> None:
-        """One answer is complete; `received` bytes of body came with its request."""
+    def observe_response(
+        self, method: str, route: str, status: int, seconds: float, received: int, streamed: bool
+    ) -> None:
+        """Record a complete answer. received: bytes of the request's body; streamed: an event stream, not timed"""
         self._requests.labels(method, route, str(status)).inc()
         self._upload_bytes.inc(received)
         if not streamed:
             self._request_s.labels(route).observe(seconds)
 
-    def ended(self, job: Job) -> None:
-        """A job has ended."""
+    def observe_job(self, job: Job) -> None:
+        """Record the times of a job that has ended."""
         self._job_s.labels(job.state.value).observe(job.elapsed_s)
         for stage, seconds in job.seconds.items():
             self._stage_s.labels(stage).observe(seconds)
 
-    def sent(self, lag_s: float) -> None:
-        """A live event went out so long after it was written."""
+    def observe_event_lag(self, lag_s: float) -> None:
+        """Record the seconds between the writing of a live event and its sending."""
         self._lag_s.observe(max(0.0, lag_s))
 
-    def page(self, counts: Mapping[State, int], listeners: int) -> bytes:
-        """The text that Prometheus reads."""
+    def render(self, counts: Mapping[State, int], listeners: int) -> bytes:
+        """Return the metrics in Prometheus' text format."""
         for state, count in counts.items():
             self._jobs.labels(state.value).set(count)
         self._queue.set(counts.get(State.QUEUED, 0))

@@ -1,4 +1,5 @@
-"""Around every request: an id, limits on its body, security headers, a count, a log line, and the last catch of errors.
+"""Middleware for every request: request id, limit of the body's size, security headers, metrics, log line, and a last
+handler of exceptions.
 
 Plain ASGI, because the framework's own middleware class buffers streams and hides disconnects.
 """
@@ -15,23 +16,23 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from services.gateway.errors import Problem, unexpected
+from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
 from services.logs import request_id
 
-_JSON_BYTES = 64 << 10  # a job request has a few hundred bytes
+_JSON_BYTES = 64 << 10  # limit of a body that is no upload: a job request has a few hundred bytes
 _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and headers of some thousand files
 _UPLOADS = "/v1/captures"
-_HUNG_UP = 499  # nginx's word for a client that left before its answer; never sent, only counted
+_CLIENT_CLOSED = 499  # nginx's status for a client that disconnected before its answer; never sent, only counted
 _STREAM = "text/event-stream"
-_GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 _log = logging.getLogger("services.gateway.requests")
 
 
 @dataclass(slots=True)
 class _Exchange:
-    """What is known of a request and its answer while they pass."""
+    """State of one request and its answer while they are processed."""
 
     limit: int
     began: float = field(default_factory=time.perf_counter)
@@ -41,8 +42,8 @@ class _Exchange:
     too_large: bool = False
 
 
-class Around:
-    """The outermost layer of the app."""
+class RequestMiddleware:
+    """The outermost layer of the app: adds ids and headers, limits bodies, counts and logs, answers all exceptions."""
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics, max_upload_bytes: int) -> None:
         self._app = app
@@ -54,15 +55,15 @@ class Around:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        given = headers.get("x-request-id", "")
-        identity = given if _GIVEN_ID.fullmatch(given) else uuid.uuid4().hex
+        client_id = headers.get("x-request-id", "")
+        identity = client_id if _REQUEST_ID.fullmatch(client_id) else uuid.uuid4().hex
         token = request_id.set(identity)
         try:
-            await self._pass(scope, receive, send, headers, identity)
+            await self._handle(scope, receive, send, headers, identity)
         finally:
             request_id.reset(token)
 
-    async def _pass(self, scope: Scope, receive: Receive, send: Send, headers: Headers, identity: str) -> None:
+    async def _handle(self, scope: Scope, receive: Receive, send: Send, headers: Headers, identity: str) -> None:
         exchange = _Exchange(self._limit(scope["path"]))
 
         async def receive_counted() -> Message:
@@ -73,36 +74,36 @@ class Around:
                 raise _too_large(exchange.limit)
             return message
 
-        async def send_marked(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 exchange.status = message["status"]
-                marked = MutableHeaders(scope=message)
-                marked.setdefault("X-Content-Type-Options", "nosniff")
-                marked.setdefault("Referrer-Policy", "no-referrer")
-                marked.setdefault("X-Request-ID", identity)
-                exchange.streamed = marked.get("content-type", "").startswith(_STREAM)
+                headers_out = MutableHeaders(scope=message)
+                headers_out.setdefault("X-Content-Type-Options", "nosniff")
+                headers_out.setdefault("Referrer-Policy", "no-referrer")
+                headers_out.setdefault("X-Request-ID", identity)
+                exchange.streamed = headers_out.get("content-type", "").startswith(_STREAM)
             await send(message)
 
         async def send_unless_too_large(message: Message) -> None:
-            # The framework takes what `receive` raises for a malformed body; the answer must still say the true reason.
+            # The framework answers an exception of `receive` as a malformed body: drop that answer, send ours below.
             if not exchange.too_large or exchange.status:
-                await send_marked(message)
+                await send_with_headers(message)
 
         try:
-            if _declared(headers) > exchange.limit:
+            if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
             await self._app(scope, receive_counted, send_unless_too_large)
             if exchange.too_large and not exchange.status:
                 raise _too_large(exchange.limit)
         except Problem as problem:
-            await problem.response()(scope, receive, send_marked)
+            await problem.response()(scope, receive, send_with_headers)
         except ClientDisconnect:
-            exchange.status = exchange.status or _HUNG_UP
+            exchange.status = exchange.status or _CLIENT_CLOSED
         except Exception:
             _log.exception("%s %s failed", scope["method"], scope["path"])
-            if exchange.status:  # the answer is under way: breaking the connection is all that is left to say
+            if exchange.status:  # the answer has been started: all that is left is to break the connection
                 raise
-            await unexpected(identity).response()(scope, receive, send_marked)
+            await internal_error(identity).response()(scope, receive, send_with_headers)
         finally:
             self._count(scope, exchange)
 
@@ -111,9 +112,11 @@ class Around:
 
     def _count(self, scope: Scope, exchange: _Exchange) -> None:
         seconds = time.perf_counter() - exchange.began
-        # The template, never the path: one series per route, not per job.
+        # The route's template, not the path: one time series per route, not per job.
         route = getattr(scope.get("route"), "path", "unmatched")
-        self._metrics.answered(scope["method"], route, exchange.status, seconds, exchange.received, exchange.streamed)
+        self._metrics.observe_response(
+            scope["method"], route, exchange.status, seconds, exchange.received, exchange.streamed
+        )
         extra = {
             "method": scope["method"],
             "path": scope["path"],
@@ -123,11 +126,11 @@ class Around:
         _log.info("%s %s %d", scope["method"], scope["path"], exchange.status, extra=extra)
 
 
-def _declared(headers: Headers) -> int:
+def _declared_length(headers: Headers) -> int:
     length = headers.get("content-length", "")
     return int(length) if length.isascii() and length.isdigit() else 0
 
 
 def _too_large(limit: int) -> Problem:
-    detail = f"the request's body may have {limit:,} bytes"
-    return Problem(413, "REQUEST_TOO_LARGE", detail, hints=("send less at once",))
+    detail = f"the request's body is too large; at most {limit:,} bytes are allowed"
+    return Problem(413, "REQUEST_TOO_LARGE", detail, hints=("send a smaller request",))

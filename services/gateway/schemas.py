@@ -1,4 +1,4 @@
-"""The JSON of the job routes, with examples. Unknown fields of a request are an error: a typo must not be a default."""
+"""JSON models of the job and health routes, with examples. Unknown fields of a request are an error, to catch typos."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.gateway.jobs.job import Job, Order, State
-from services.gateway.workers import Preset
+from services.gateway.worker_types import WorkerPreset
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
 _EXAMPLE_CAPTURE = "cap_7f3c9a1e5b2d4c68"
 
 
 class JobRequest(BaseModel):
-    """What to make of a capture."""
+    """A job: which capture to reconstruct, how, and as which asset."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -26,29 +26,35 @@ class JobRequest(BaseModel):
 
     capture: Annotated[str, Field(max_length=100, description="Id from POST /v1/captures.")]
     asset_key: Annotated[
-        str, Field(max_length=200, description="The VR client finds the asset by this: letters, digits and ._-")
+        str, Field(max_length=200, description="Key by which VR clients find the asset: letters, digits and ._-")
     ]
     preset: Annotated[str, Field(max_length=100, description="A name from GET /v1/presets; empty: the default.")] = ""
     label: Annotated[str, Field(max_length=200, description="A name for people; empty: the asset key.")] = ""
-    target: Annotated[str, Field(max_length=100, description="Device class whose budget must be met; empty: none.")] = (
-        ""
-    )
+    target: Annotated[
+        str, Field(max_length=100, description="Device class whose budget the levels of detail must meet; empty: none.")
+    ] = ""
     isolate: Annotated[
         bool | None,
-        Field(description="Remove the supporting plane and clutter; null: where photos were taken around one thing."),
+        Field(
+            description="Whether to remove the floor or table and the surroundings; null: only if photos were taken "
+            "around one object."
+        ),
     ] = None
     longest_m: Annotated[
         float | None,
-        Field(ge=0.001, le=1_000, description="Metres between the farthest points of the thing, where it is known."),
+        Field(ge=0.001, le=1_000, description="Metres between the farthest points of the object, if you measured it."),
     ] = None
 
     collection: Annotated[
         str,
-        Field(max_length=200, description="Where the asset is listed; empty: what the upload named, or where it is."),
+        Field(
+            max_length=200,
+            description="Collection that lists the asset; empty: the one that the upload named, or that has it.",
+        ),
     ] = ""
 
     def order(self, preset: str, collection: str) -> Order:
-        """As the jobs know it, with the preset and the collection that were chosen."""
+        """Convert to the job's order, with the preset and the collection that were chosen."""
         return Order(
             capture=self.capture,
             preset=preset,
@@ -62,7 +68,7 @@ class JobRequest(BaseModel):
 
 
 class ProblemView(BaseModel):
-    """A problem document (RFC 9457)."""
+    """A problem document (RFC 9457). `code` is for programs; `detail` says what is wrong, `hints` what to do."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -73,7 +79,7 @@ class ProblemView(BaseModel):
                 "detail": f"there is no capture {_EXAMPLE_CAPTURE}",
                 "code": "CAPTURE_UNKNOWN",
                 "retryable": False,
-                "hints": ["upload it with POST /v1/captures"],
+                "hints": ["upload it first, with POST /v1/captures"],
             }
         }
     )
@@ -90,7 +96,7 @@ class ProblemView(BaseModel):
 
 
 class PublishedView(BaseModel):
-    """A version of the asset that is on the store; `collection`: where it is listed, "" if its worker does not say."""
+    """A published version of the asset. `collection` is the one that lists it, "" if the worker does not report it."""
 
     key: str
     version: int
@@ -100,7 +106,7 @@ class PublishedView(BaseModel):
 
 
 class Links(BaseModel):
-    """Where to go from a job; `collection` and `place`, the asset's row in it, are "" until it is known which."""
+    """URLs of a job and its asset. `collection` and `place` (the asset in its collection) are "" until it is chosen."""
 
     self: str
     events: str
@@ -112,9 +118,8 @@ class Links(BaseModel):
 
 
 class JobView(BaseModel):
-    """Where a job stands. The fraction never goes back; elapsed time counts from its acceptance, across restarts.
-
-    `collection` is where the asset is listed; "" until a worker that nobody named one to has chosen.
+    """State, progress and result of a job. `fraction` never decreases; `elapsed_s` counts from the job's creation, also
+    across restarts. `collection` lists the asset; "" until the worker has chosen it, if nobody named one.
     """
 
     id: str
@@ -140,7 +145,7 @@ class JobView(BaseModel):
 
     @classmethod
     def of(cls, job: Job, now: float) -> JobView:
-        """A job at the time `now`, seconds since the epoch."""
+        """Convert a job. now: the present time, seconds since the epoch"""
         return cls(
             id=job.id,
             state=job.state,
@@ -166,14 +171,16 @@ class JobView(BaseModel):
 
 
 class JobPage(BaseModel):
-    """Jobs, newest first; `next` is the `after` of the next page, or null."""
+    """A page of jobs, newest first. `next` is the value of `after` for the next page; null on the last page."""
 
     jobs: list[JobView]
     next: str | None
 
 
 class PresetView(BaseModel):
-    """A preset; its job takes at most `memory_bytes` of a worker. A `trained` one refines the asset after a preview."""
+    """A preset. `memory_bytes` is the most memory that its job takes on a worker; `trained`: whether a refined version
+    follows the preview.
+    """
 
     name: str
     summary: str
@@ -181,13 +188,13 @@ class PresetView(BaseModel):
     memory_bytes: int
 
     @classmethod
-    def of(cls, preset: Preset) -> PresetView:
-        """A worker's preset, for clients."""
+    def of(cls, preset: WorkerPreset) -> PresetView:
+        """Convert a worker's preset."""
         return cls(name=preset.name, summary=preset.summary, trained=preset.trained, memory_bytes=preset.memory_bytes)
 
 
 class Presets(BaseModel):
-    """What a job may name as its preset, and what is taken where it names none."""
+    """The presets that a job may name, and the default for jobs that name none."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -203,21 +210,21 @@ class Presets(BaseModel):
 
 
 class Check(BaseModel):
-    """One thing that readiness depends on."""
+    """Result of one readiness check."""
 
     ok: bool
     detail: str
 
 
 class Readiness(BaseModel):
-    """Whether the gateway can take a job and have it done."""
+    """Whether the gateway can accept and run jobs, and the result of each check."""
 
     ready: bool
     checks: dict[str, Check]
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The `responses` of a route that may answer with problem documents of these statuses."""
+    """Return the OpenAPI `responses` of a route that may answer with problem documents of these statuses."""
     content = {"application/problem+json": {"schema": ProblemView.model_json_schema()}}
     return {status: {"description": "A problem document (RFC 9457)", "content": content} for status in statuses}
 
@@ -227,7 +234,7 @@ def _published(asset: Mapping[str, Any] | None) -> PublishedView | None:
 
 
 def _collection(job: Job) -> str:
-    """What was asked for, else where the worker has listed it."""
+    """Return the collection that the job names, else the one that the worker has chosen, else ""."""
     published = job.asset or job.preview or {}
     return job.order.collection or str(published.get("collection", ""))
 

@@ -1,60 +1,47 @@
-"""The only place that speaks gRPC: workers in, the gateway's own words out.
+"""gRPC client for the workers: poll their status, inspect captures, run, follow and cancel jobs.
 
-A call ends with an answer, an exception of workers.py, or a `Problem` that no other worker would solve.
+The only module of the gateway that uses gRPC. A call returns the gateway's own types, or raises an exception of
+worker_types.py, or a `Problem` where another worker would fail in the same way.
 """
 
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import logging
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import aclosing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import grpc
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.api import edge_pb2_grpc
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job
-from services.gateway.jobs.reports import Beat, Failed, Finished, Progressed, Published, Report
-from services.gateway.jobs.transitions import problem_of
-from services.gateway.workers import (
-    Preset,
+from services.gateway.jobs.reports import Report, RunFailed, RunFinished, RunHeartbeat, RunProgress, VersionPublished
+from services.gateway.jobs.state_machine import problem_of
+from services.gateway.worker_types import (
     RunKnown,
     RunUnknown,
     WorkerBusy,
     WorkerLost,
+    WorkerPreset,
     WorkerStatus,
     WorkerUnreachable,
 )
-from services.link import PLAIN, Caller
+from services.grpc_client import RUN_S, SILENCE_S, GrpcClient, StreamEnded, file_chunks
+from services.grpc_security import NO_CREDENTIALS, ClientCredentials
 
 _log = logging.getLogger(__name__)
 
-CHUNK_BYTES = 512 << 10  # the wire asks for 256 KiB to 1 MiB
-POLL_S = 1.0  # deadline of a question about a worker's state: one that needs longer is as good as absent
+POLL_S = 1.0  # deadline of a status request: a worker that needs longer counts as absent
 INSPECT_S = 120.0  # deadline of an inspection: uploading 1 GB within a data centre and reading its headers
 CANCEL_S = 2.0  # deadline of a cancellation; it is repeated until the run ends
-
-_OPTIONS = (
-    ("grpc.max_receive_message_length", 8 << 20),
-    ("grpc.max_send_message_length", 8 << 20),
-    ("grpc.keepalive_time_ms", 20_000),
-    ("grpc.keepalive_timeout_ms", 10_000),
-    # A worker that restarts is back within seconds; gRPC's own pauses grow to two minutes.
-    ("grpc.initial_reconnect_backoff_ms", 200),
-    ("grpc.min_reconnect_backoff_ms", 500),
-    ("grpc.max_reconnect_backoff_ms", 1_000),
-)
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """A worker's verdict on a capture; `failure` says why it cannot be used."""
+    """What a worker found in a capture. failure: why it cannot be reconstructed, or None"""
 
     kind: str
     format: str
@@ -64,49 +51,52 @@ class Inspection:
     failure: Problem | None
 
 
-class EdgePool:
-    """The workers that the settings name; each has one channel, opened when first needed."""
+class WorkerPool:
+    """The workers named in the settings, each with one gRPC channel that is opened at first use."""
 
     def __init__(
         self,
         addresses: Sequence[str],
         *,
-        silence_s: float = 15.0,
-        job_timeout_s: float = 6 * 3600.0,
-        caller: Caller = PLAIN,
+        silence_s: float = SILENCE_S,
+        job_timeout_s: float = RUN_S,
+        credentials: ClientCredentials = NO_CREDENTIALS,
     ) -> None:
-        """silence_s: how long a stream may say nothing; job_timeout_s: deadline of a whole run."""
+        """silence_s: a stream without a message for so long counts as dead; job_timeout_s: deadline of a whole run"""
         self.addresses = tuple(addresses)
-        self._offers: dict[str, tuple[Preset, ...]] = {}
+        self._presets_by_worker: dict[str, tuple[WorkerPreset, ...]] = {}
         self._silence_s = silence_s
         self._job_timeout_s = job_timeout_s
-        self._caller = caller
-        self._channels: dict[str, grpc.aio.Channel] = {}
+        self._credentials = credentials
+        self._clients: dict[str, GrpcClient] = {}
         self._faults: dict[str, grpc.StatusCode] = {}
 
     @property
-    def presets(self) -> dict[str, Preset]:
-        """What the workers heard of so far offer, by name, even those that are away: they come back.
+    def presets(self) -> dict[str, WorkerPreset]:
+        """Presets of all workers that have ever answered, by name. Includes workers that are away: they may come back.
 
-        Where several offer a preset, the bound is the largest of theirs.
+        Where several workers offer a preset, the one with the largest memory_bytes is returned.
         """
-        found: dict[str, Preset] = {}
+        found: dict[str, WorkerPreset] = {}
         for address in self.addresses:
-            for preset in self._offers.get(address, ()):
+            for preset in self._presets_by_worker.get(address, ()):
                 known = found.get(preset.name, preset)
                 found[preset.name] = max(known, preset, key=lambda each: each.memory_bytes)
         return found
 
-    async def workers(self) -> tuple[WorkerStatus, ...]:
-        """Those that answer within a second, in the settings' order; remembers the presets they offer."""
+    async def poll(self) -> tuple[WorkerStatus, ...]:
+        """Ask all workers for their status, and remember their presets.
+
+        Returns those that answer within a second, in the settings' order.
+        """
         answers = await asyncio.gather(*map(self._status, self.addresses))
         found = tuple(status for status in answers if status is not None)
-        self._offers.update({status.address: status.presets for status in found})
+        self._presets_by_worker.update({status.address: status.presets for status in found})
         return found
 
     async def inspect(self, archive: Path) -> Inspection | None:
-        """A worker's verdict on a packed capture; None when no worker can give one now."""
-        for status in sorted(await self.workers(), key=lambda status: (status.draining, -status.free_slots)):
+        """Have a worker inspect a packed capture; None when no worker can do so now."""
+        for status in sorted(await self.poll(), key=lambda status: (status.draining, -status.free_slots)):
             try:
                 return await self._inspect(status.address, archive)
             except (WorkerBusy, WorkerLost):
@@ -114,64 +104,49 @@ class EdgePool:
         return None
 
     async def reconstruct(
-        self, address: str, job: Job, data: AsyncIterator[bytes], size: int
+        self, address: str, job: Job, data: AsyncGenerator[bytes, None], size: int
     ) -> AsyncGenerator[Report, None]:
-        """Run the job there: send `data` (`size` bytes in all), then yield reports up to a `Failed` or `Finished`.
+        """Run a job on a worker: send `data` (`size` bytes), then yield reports up to `RunFailed` or `RunFinished`.
 
         Raises WorkerBusy, WorkerLost, RunKnown, Problem, and whatever reading `data` raises.
         """
-        call = self._stub(address).Reconstruct(timeout=self._job_timeout_s)
-        silence = _Silence(self._silence_s)
-        upload = asyncio.create_task(_upload(call, _header(job, size), data, silence.broken))
-        try:
-            async with aclosing(_reports(call, silence)) as reports:
-                async for report in reports:
-                    yield report
-        except WorkerLost:
-            # An upload that failed on our side reaches us as the worker's complaint about it.
-            if upload.done() and not upload.cancelled() and (error := upload.exception()):
-                raise error from None
-            raise
-        finally:
-            upload.cancel()
-            call.cancel()
-            await asyncio.wait([upload])
+        async with aclosing(_reports(self._client(address).reconstruct(_header(job, size), data))) as reports:
+            async for report in reports:
+                yield report
 
-    async def attach(self, address: str, job: str, after_seq: int) -> AsyncGenerator[Report, None]:
-        """The reports of a run beyond `after_seq`, up to a `Failed` or `Finished`. Raises WorkerLost, RunUnknown."""
-        request = pb.AttachRequest(job=job, after_seq=after_seq)
-        call = self._stub(address).Attach(request, timeout=self._job_timeout_s)
-        try:
-            async with aclosing(_reports(call, _Silence(self._silence_s))) as reports:
-                async for report in reports:
-                    yield report
-        finally:
-            call.cancel()
+    async def follow(self, address: str, job: str, after_seq: int, give_up_s: float) -> AsyncGenerator[Report, None]:
+        """Yield a run's reports after number `after_seq`, up to `RunFailed` or `RunFinished`, reconnecting if needed.
+
+        Raises RunUnknown, and WorkerLost, WorkerBusy or WorkerUnreachable when nothing was received for `give_up_s`.
+        """
+        events = self._client(address).follow(job, after_seq, give_up_s=give_up_s)
+        async with aclosing(_reports(events)) as reports:
+            async for report in reports:
+                yield report
 
     async def cancel(self, address: str, job: str) -> bool:
-        """Stop a run; whether there was one to stop. Raises WorkerLost."""
+        """Cancel a run, and return whether the worker had it. Raises WorkerLost."""
         try:
-            reply = await self._stub(address).Cancel(pb.CancelRequest(job=job), timeout=CANCEL_S)
+            return await self._client(address).cancel(job, CANCEL_S)
         except grpc.aio.AioRpcError as error:
             raise WorkerLost(f"{address}: {error.details()}") from None
-        return bool(reply.was_running)
 
     async def close(self) -> None:
-        """Close the channels; open streams end."""
-        await asyncio.gather(*(channel.close() for channel in self._channels.values()))
+        """Close the channels, which ends open streams."""
+        await asyncio.gather(*(client.close() for client in self._clients.values()))
 
     async def _status(self, address: str) -> WorkerStatus | None:
         try:
-            worker = await self._stub(address).GetWorker(pb.GetWorkerRequest(), timeout=POLL_S)
+            worker = await self._client(address).worker(POLL_S)
         except grpc.aio.AioRpcError as error:
-            self._hear_fault(address, error)
+            self._log_fault(address, error)
             return None
         self._faults.pop(address, None)
         return WorkerStatus(
             address,
             worker.version,
             worker.device,
-            tuple(Preset(each.name, each.summary, each.trained, each.memory_bytes) for each in worker.presets),
+            tuple(WorkerPreset(each.name, each.summary, each.trained, each.memory_bytes) for each in worker.presets),
             worker.slots,
             worker.free_slots,
             worker.queued,
@@ -179,43 +154,26 @@ class EdgePool:
             frozenset(worker.jobs),
         )
 
-    def _hear_fault(self, address: str, error: grpc.aio.AioRpcError) -> None:
-        """Log why a worker does not answer, once: a wrong token or certificate looks like an absent worker else."""
+    def _log_fault(self, address: str, error: grpc.aio.AioRpcError) -> None:
+        """Log once why a worker does not answer; otherwise a wrong token or certificate would look like absence."""
         if self._faults.get(address) != error.code():
             self._faults[address] = error.code()
             _log.warning("worker %s does not answer: %s: %s", address, error.code().name, error.details())
 
     async def _inspect(self, address: str, archive: Path) -> Inspection:
-        call = self._stub(address).Inspect(timeout=INSPECT_S)
-        size = archive.stat().st_size
-        header = pb.Header(job=archive.stem, capture_bytes=size)
-        upload = asyncio.create_task(_upload(call, header, _file_chunks(archive)))
+        header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size)
         try:
-            answer = await call
+            answer = await self._client(address).inspect(header, file_chunks(archive), INSPECT_S)
         except grpc.aio.AioRpcError as error:
-            raise _translated(error) from None
-        finally:
-            upload.cancel()
-            call.cancel()
+            raise _to_exception(error.code(), error.details() or error.code().name) from None
         failure = problem_of(_failed(0, answer.failure)) if answer.HasField("failure") else None
         return Inspection(answer.kind, answer.format, answer.frames, answer.points, tuple(answer.warnings), failure)
 
-    def _stub(self, address: str) -> Any:
-        if address not in self._channels:
-            self._channels[address] = self._caller.aio_channel(address, _OPTIONS)
-        return edge_pb2_grpc.EdgeReconstructionStub(self._channels[address])  # type: ignore[no-untyped-call]
-
-
-class _Silence:
-    """How long a stream may be silent; sending an upload counts as hearing of it."""
-
-    def __init__(self, seconds: float) -> None:
-        self.seconds = seconds
-        self.limit: asyncio.Timeout | None = None
-
-    def broken(self) -> None:
-        if self.limit is not None and not self.limit.expired():
-            self.limit.reschedule(asyncio.get_running_loop().time() + self.seconds)
+    def _client(self, address: str) -> GrpcClient:
+        if address not in self._clients:
+            client = GrpcClient(address, self._credentials, silence_s=self._silence_s, run_s=self._job_timeout_s)
+            self._clients[address] = client
+        return self._clients[address]
 
 
 def _header(job: Job, size: int) -> pb.Header:
@@ -234,85 +192,52 @@ def _header(job: Job, size: int) -> pb.Header:
     )
 
 
-async def _upload(
-    call: Any, header: pb.Header, data: AsyncIterator[bytes], sent: Callable[[], None] = lambda: None
-) -> None:
-    """Header, data, trailer. A worker that hangs up says why in its status; when `data` fails, no trailer is sent."""
-    digest = hashlib.sha256()
-    offset = 0
-    try:
-        await call.write(pb.Chunk(header=header))
-        # The worker admits the upload by its metadata. A refusal that overtook a write would reach us as INTERNAL.
-        await call.initial_metadata()
+async def _reports(events: AsyncGenerator[pb.Event, None]) -> AsyncGenerator[Report, None]:
+    async with aclosing(events):
         try:
-            async for block in data:
-                digest.update(block)
-                await call.write(pb.Chunk(data=pb.Data(offset=offset, data=block)))
-                offset += len(block)
-                sent()
-            await call.write(pb.Chunk(trailer=pb.Trailer(sha256=digest.digest())))
-        finally:
-            await call.done_writing()
-    except (grpc.aio.AioRpcError, asyncio.InvalidStateError):
-        return
-
-
-async def _file_chunks(path: Path) -> AsyncIterator[bytes]:
-    with path.open("rb") as file:
-        while block := await asyncio.to_thread(file.read, CHUNK_BYTES):
-            yield block
-
-
-async def _reports(call: Any, silence: _Silence) -> AsyncGenerator[Report, None]:
-    while True:
-        try:
-            async with asyncio.timeout(silence.seconds) as silence.limit:
-                event = await call.read()
-        except grpc.aio.AioRpcError as error:
-            raise _translated(error) from None
-        except TimeoutError:
-            raise WorkerLost(f"not a word for {silence.seconds:g} s") from None
-        if event is grpc.aio.EOF:
-            raise WorkerLost("the stream ended before the run did")
-        report = _report(event)
-        yield report
-        if isinstance(report, Failed | Finished):
-            return
+            async for event in events:
+                yield _report(event)
+        except StreamEnded as ended:
+            raise _to_exception(ended.status, str(ended)) from None
 
 
 def _report(event: pb.Event) -> Report:
     match event.WhichOneof("what"):
         case "progress":
-            said = event.progress
-            stage = _stage(said.stage)
-            return Progressed(event.seq, stage, said.fraction, dict(said.losses), said.eta_s, said.message)
+            step = event.progress
+            stage = _stage(step.stage)
+            return RunProgress(event.seq, stage, step.fraction, dict(step.losses), step.eta_s, step.message)
         case "published":
-            made = event.published
-            return Published(event.seq, made.asset_key, made.version, made.state, made.manifest, made.collection)
+            asset = event.published
+            return VersionPublished(
+                event.seq, asset.asset_key, asset.version, asset.state, asset.manifest, asset.collection
+            )
         case "failure":
             return _failed(event.seq, event.failure)
         case "finished":
-            return Finished(event.seq, tuple(event.finished.warnings), dict(event.finished.seconds))
-        case _:  # a heartbeat, or something that a newer worker says and we need not know
-            return Beat(event.seq)
+            return RunFinished(event.seq, tuple(event.finished.warnings), dict(event.finished.seconds))
+        case _:  # a heartbeat, or a kind of event that only newer workers send
+            return RunHeartbeat(event.seq)
 
 
-def _failed(seq: int, failure: pb.Failure) -> Failed:
+def _failed(seq: int, failure: pb.Failure) -> RunFailed:
     hints = tuple(failure.hints)
     stage = _stage(failure.stage)
-    return Failed(seq, failure.code, failure.message, failure.file, hints, failure.retryable, stage)
+    return RunFailed(seq, failure.code, failure.message, failure.file, hints, failure.retryable, stage)
 
 
 def _stage(stage: int) -> str:
-    """The name of a stage; "" for none, and for one that only a newer worker knows."""
+    """Return the name of a stage; "" for none, and for one that only newer workers know."""
     name: str = pb.Stage.Name(stage) if stage in pb.Stage.values()[1:] else ""
     return name
 
 
-def _translated(error: grpc.aio.AioRpcError) -> Exception:
-    details = error.details() or error.code().name
+def _to_exception(status: grpc.StatusCode | None, details: str) -> Exception:
+    """Return the exception for a call that ended with this gRPC status; None: the stream broke off without one."""
     code, _, sentence = details.partition(": ")
-    match error.code():
+    match status:
+        case None:
+            return WorkerLost(details)
         case grpc.StatusCode.RESOURCE_EXHAUSTED:
             return WorkerBusy(details)
         case grpc.StatusCode.UNAVAILABLE if code == "WORKER_DRAINING":
@@ -326,4 +251,4 @@ def _translated(error: grpc.aio.AioRpcError) -> Exception:
         case grpc.StatusCode.INVALID_ARGUMENT:
             return Problem(422, code if code.isupper() else "WORKER_REFUSED", sentence or details)
         case _:
-            return WorkerLost(f"{error.code().name}: {details}")
+            return WorkerLost(f"{status.name}: {details}")

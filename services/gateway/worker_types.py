@@ -1,4 +1,4 @@
-"""What the gateway knows of workers, and the ways in which they disappoint."""
+"""Status of workers, and the exceptions that a call to a worker can raise."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 
 class WorkerBusy(Exception):  # noqa: N818 - it reads as what it is
-    """The worker takes no more for now, its queue is full or it is draining: ask another, or later."""
+    """The worker accepts no jobs now: its queue is full, or it is shutting down. Ask another worker, or ask later."""
 
 
 class WorkerLost(Exception):  # noqa: N818 - it reads as what it is
-    """The stream broke off, or the worker cannot be reached: look for it, then elsewhere."""
+    """The stream broke off, or the worker cannot be reached: try to reattach to the run, then use another worker."""
 
 
 class WorkerUnreachable(WorkerLost):
-    """There is no connection to the worker."""
+    """No connection to the worker can be made."""
 
 
 class RunUnknown(Exception):  # noqa: N818 - it reads as what it is
-    """The worker knows no such run: begin anew."""
+    """The worker does not know this run: start it again."""
 
 
 class RunKnown(Exception):  # noqa: N818 - it reads as what it is
@@ -26,8 +26,12 @@ class RunKnown(Exception):  # noqa: N818 - it reads as what it is
 
 
 @dataclass(frozen=True, slots=True)
-class Preset:
-    """What a job may name: `trained` when a refined version follows the preview; `memory_bytes` at most, of its fit."""
+class WorkerPreset:
+    """A preset that a worker offers.
+
+    trained       whether a refined version follows the preview
+    memory_bytes  the most memory that its training takes
+    """
 
     name: str
     summary: str = ""
@@ -37,12 +41,12 @@ class Preset:
 
 @dataclass(frozen=True, slots=True)
 class WorkerStatus:
-    """What a worker says of itself; `jobs` are those that have not ended there."""
+    """Status that a worker reports. jobs: ids of its queued and running jobs"""
 
     address: str
     version: str
     device: str
-    presets: tuple[Preset, ...]
+    presets: tuple[WorkerPreset, ...]
     slots: int
     free_slots: int
     queued: int
@@ -50,5 +54,5 @@ class WorkerStatus:
     jobs: frozenset[str]
 
     def offers(self, preset: str) -> bool:
-        """Whether it takes jobs of this preset."""
+        """Return whether the worker offers this preset."""
         return any(preset == each.name for each in self.presets)

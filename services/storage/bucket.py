@@ -1,7 +1,7 @@
-"""`python -m services.storage.bucket`: make the bucket and let anybody read `assets/` and `collections/`, nothing else.
+"""`python -m services.storage.bucket`: create the S3 bucket; make `assets/` and `collections/` readable by everybody.
 
-They are meant for any headset, which checks them by signature and hash; captures, and the entries and aliases that
-services work with, stay with the services.
+Headsets read these two without credentials and check them by signature and hash. Captures, catalogue entries and
+aliases stay private.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PUBLIC_PREFIXES = ("assets/", "collections/")
 
 
 def read_policy(bucket: str) -> str:
-    """The bucket policy (JSON) under which anybody may get an asset or a collection by its name, and list nothing."""
+    """Return the bucket policy (JSON): everybody may read assets and collections by name, and list nothing."""
     statement = {
         "Sid": "ReadAssetsAndCollections",
         "Effect": "Allow",
@@ -31,7 +31,7 @@ def read_policy(bucket: str) -> str:
 
 
 def main() -> None:
-    """Idempotent: run before the services at every start."""
+    """Create the bucket and set its policy. Idempotent: run it before the services at every start."""
     from services.storage.s3 import S3Store
 
     logging.basicConfig(level=logging.INFO, format="%(message)s")

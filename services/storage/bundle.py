@@ -1,4 +1,4 @@
-"""A `Bundle`: the files of one asset in one state, before they have names on a store."""
+"""`Bundle`: the files and the manifest of one asset version, before they are written to a store."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import Any, Literal
 
 Json = Any
-"""What `json` can write; the manifest's shape is the pipeline's business."""
+"""Any value that `json` can write. The pipeline decides what a manifest contains."""
 
 State = Literal["preview", "refined"]
 
@@ -28,10 +28,10 @@ CONTENT_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """What a reconstruction yields.
+    """The result of a reconstruction.
 
-    files     by plain name: "lod0.glb", "lod1.glb", "preview.png", "mesh.ply"
-    manifest  everything there is to know about the asset except where its files are, as JSON
+    files     contents by plain file name: "lod0.glb", "lod1.glb", "preview.png", "mesh.ply"
+    manifest  JSON with everything about the asset except where its files are stored
     """
 
     state: State
@@ -40,13 +40,13 @@ class Bundle:
 
 
 def content_name(file: str, sha256: str) -> str:
-    """`lod0.glb` → `lod0.<sha256>.glb`: a name that never means other bytes."""
+    """Add the content's hash to a file name: `lod0.glb` → `lod0.<sha256>.glb`. Such a name always means these bytes."""
     path = PurePosixPath(file)
     return f"{path.stem}.{sha256}{path.suffix}"
 
 
 def content_type(file: str) -> str:
-    """The media type of a file by its ending."""
+    """Return the media type of a file by its extension."""
     return CONTENT_TYPES.get(PurePosixPath(file).suffix.lower(), "application/octet-stream")
 
 

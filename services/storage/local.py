@@ -1,7 +1,7 @@
-"""A store in a folder: the embedded default. Several processes (gateway, workers) may share one root.
+"""An object store in a local folder, the default. Several processes (gateway, workers) may share one root.
 
-Layout: `<root>/<object name>` holds the bytes and nothing else, so any file server can serve them. Beside it
-`.meta/<object name>` says what the bytes are, `.tmp/` holds puts under way and `.locks/` the locks of conditional puts.
+Layout: `<root>/<object name>` is the object itself, so any file server can serve it. `.meta/<object name>` holds its
+etag and content type (JSON), `.tmp/` files that are being written, `.locks/` the lock files of conditional puts.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from zlib import crc32
 
+from services.atomic_write import atomic_write, sync
 from services.storage.bundle import content_type as type_by_name
 from services.storage.store import IMMUTABLE, NO_CACHE, ConditionFailed, Head, check_name
 
 _COPY_BYTES = 1 << 20  # per read while copying: fast enough for a disk, small for 32 uploads at once
-_LOCKS = 64  # lock files; two names that share one wait for each other a few ms
-_ABANDONED_S = 24 * 3600.0  # a put that has not ended after a day belongs to a process that died
+_LOCKS = 64  # lock files; two names with the same lock file wait a few ms for each other
+_ABANDONED_S = 24 * 3600.0  # a temporary file older than a day belongs to a process that died
 
 
 @dataclass(frozen=True, slots=True)
 class _Meta:
-    """What the sidecar says of the bytes. inode, size and mtime_ns tell whether it speaks of the file that is there."""
+    """Content of the metadata file. inode, size and mtime_ns tell whether it belongs to the present object file."""
 
     etag: str
     content_type: str
@@ -65,19 +66,19 @@ class LocalStore:
         if_absent: bool = False,
     ) -> Head:
         path = self.path(name)
-        temporary = self.root / ".tmp" / uuid.uuid4().hex
+        temporary = self._temporary_path()
         try:
-            etag = _write_synced(temporary, data)
+            etag = _write_and_sync(temporary, data)
             stat = temporary.stat()
             meta = _Meta(etag, content_type, cache_control, stat.st_ino, stat.st_size, stat.st_mtime_ns)
-            with self._locked(name):
+            with self._lock(name):
                 self._check(name, if_match, if_absent)
-                # A crash between the two renames leaves the new sidecar beside the old bytes: `_Meta.describes` sees
-                # that, and the etag is computed from the bytes. The other order would show new bytes with an old type.
+                # A crash between the two renames leaves new metadata beside the old bytes. `_Meta.describes` notices,
+                # and head() computes the etag anew. The other order would give new bytes an old content type.
                 self._write_meta(name, meta)
                 _make_folder(path.parent)
                 temporary.replace(path)
-                _sync_folder(path.parent)
+                sync(path.parent)
         finally:
             temporary.unlink(missing_ok=True)
         return _head(name, stat, meta)
@@ -101,7 +102,7 @@ class LocalStore:
             stat = os.fstat(file.fileno())
             meta = self._read_meta(name)
             if meta is None or not meta.describes(stat):
-                meta = self._renewed(name, file, stat, meta)
+                meta = self._rebuild_meta(name, file, stat, meta)
         return _head(name, stat, meta)
 
     def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
@@ -119,18 +120,15 @@ class LocalStore:
 
     def delete(self, name: str) -> None:
         path = self.path(name)
-        with self._locked(name):
+        with self._lock(name):
             path.unlink(missing_ok=True)
             self._meta_path(name).unlink(missing_ok=True)
 
     def url(self, name: str) -> str:
         return f"{self._base_url}/{check_name(name)}"
 
-    def upload_url(self, name: str, *, expires_s: int) -> str:
-        raise io.UnsupportedOperation("a local store takes no direct uploads; post the capture to the gateway")
-
     def path(self, name: str) -> Path:
-        """The file of an object, there or not: for whoever serves it. Raises ValueError for an impossible name."""
+        """Return the path of an object's file, which may not exist. Raises ValueError for an invalid name."""
         return self.root / check_name(name)
 
     def _meta_path(self, name: str) -> Path:
@@ -155,40 +153,43 @@ class LocalStore:
             raise ConditionFailed(f"{name} has changed")
 
     @contextmanager
-    def _locked(self, name: str) -> Iterator[None]:
-        """One writer of a name at a time, among threads and processes; a process that dies loses its lock."""
+    def _lock(self, name: str) -> Iterator[None]:
+        """Hold the lock of an object name, across threads and processes; a process that dies loses its lock."""
         with (self.root / ".locks" / f"{crc32(name.encode()) % _LOCKS:02d}").open("ab") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
+
+    def _temporary_path(self) -> Path:
+        """Return a new path for a file to be written; `_remove_abandoned` deletes those that a crash left."""
+        return self.root / ".tmp" / uuid.uuid4().hex
 
     def _read_meta(self, name: str) -> _Meta | None:
         try:
             return _Meta(**json.loads(self._meta_path(name).read_bytes()))
         except (FileNotFoundError, NotADirectoryError, ValueError, TypeError):
-            return None  # lost or torn: the bytes are what counts
+            return None  # missing or damaged: head() makes it anew from the object
 
     def _write_meta(self, name: str, meta: _Meta) -> None:
         path = self._meta_path(name)
-        temporary = self.root / ".tmp" / uuid.uuid4().hex
         fields = {field: getattr(meta, field) for field in meta.__slots__}
-        _write_synced(temporary, json.dumps(fields).encode())
         _make_folder(path.parent)
-        temporary.replace(path)
+        with atomic_write(path, temporary=self._temporary_path()) as temporary:
+            temporary.write_text(json.dumps(fields))
 
-    def _renewed(self, name: str, file: io.BufferedReader, stat: os.stat_result, old: _Meta | None) -> _Meta:
-        """A sidecar for bytes that have none of their own: after a crash between two renames, or from a backup.
+    def _rebuild_meta(self, name: str, file: io.BufferedReader, stat: os.stat_result, old: _Meta | None) -> _Meta:
+        """Make metadata for an object that has none that fits: after a crash between two renames, or a restored backup.
 
-        Written without the lock: if a put comes between, the next head finds a mismatch and renews once more.
+        Written without the lock: if a put happens meanwhile, the next head() finds a mismatch and repeats this.
         """
         etag = hashlib.file_digest(file, "sha256").hexdigest()
         kind = (old.content_type, old.cache_control) if old else (type_by_name(name), NO_CACHE)
         meta = _Meta(etag, *kind, stat.st_ino, stat.st_size, stat.st_mtime_ns)
-        with suppress(OSError):  # a folder that may only be read
+        with suppress(OSError):  # the folder may be read-only
             self._write_meta(name, meta)
         return meta
 
     def _names(self, prefix: str) -> Iterator[str]:
-        """Names that may begin with `prefix`: only its deepest whole folder is walked."""
+        """Yield object names that may begin with `prefix`, walking only the deepest folder that the prefix names."""
         top = prefix.rpartition("/")[0]
         try:
             start = self.path(top) if top else self.root
@@ -213,10 +214,10 @@ def _head(name: str, stat: os.stat_result, meta: _Meta) -> Head:
     return Head(name, stat.st_size, meta.etag, meta.content_type, meta.cache_control, modified)
 
 
-def _write_synced(path: Path, data: bytes | Path) -> str:
-    """Write and fsync; the sha256 of the bytes in hex."""
+def _write_and_sync(path: Path, data: bytes | Path) -> str:
+    """Write a file, fsync it, and return the sha256 of its bytes in hex."""
     digest = hashlib.sha256()
-    with path.open("xb") as target, _opened(data) as source:
+    with path.open("xb") as target, _open_data(data) as source:
         while block := source.read(_COPY_BYTES):
             digest.update(block)
             target.write(block)
@@ -225,22 +226,14 @@ def _write_synced(path: Path, data: bytes | Path) -> str:
     return digest.hexdigest()
 
 
-def _opened(data: bytes | Path) -> io.BufferedIOBase:
+def _open_data(data: bytes | Path) -> io.BufferedIOBase:
     return data.open("rb") if isinstance(data, Path) else io.BytesIO(data)
 
 
 def _make_folder(folder: Path) -> None:
-    """Create a folder so that it survives a power cut: every new one is synced into its parent."""
+    """Create a folder and its parents so that they survive a power cut: each new one is synced into its parent."""
     if folder.is_dir():
         return
     _make_folder(folder.parent)
     folder.mkdir(exist_ok=True)
-    _sync_folder(folder.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    sync(folder.parent)

@@ -1,9 +1,8 @@
-"""A store in memory: the fake that ships and passes the same contract as the real ones."""
+"""An object store in memory, for tests. It passes the same contract test as the real stores."""
 
 from __future__ import annotations
 
 import hashlib
-import io
 import threading
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,7 +11,7 @@ from services.storage.store import IMMUTABLE, ConditionFailed, Head, check_name
 
 
 class MemoryStore:
-    """Objects of one process, gone with it. Safe among threads."""
+    """Objects in the memory of one process. Thread-safe."""
 
     def __init__(self) -> None:
         self._objects: dict[str, tuple[Head, bytes]] = {}
@@ -61,9 +60,6 @@ class MemoryStore:
 
     def url(self, name: str) -> str:
         return f"memory:///{check_name(name)}"
-
-    def upload_url(self, name: str, *, expires_s: int) -> str:
-        raise io.UnsupportedOperation("a store in memory has no address to upload to")
 
     def _find(self, name: str) -> tuple[Head, bytes]:
         with self._lock:

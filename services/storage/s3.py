@@ -1,4 +1,4 @@
-"""A store on any S3-compatible service: AWS, MinIO, Ceph's RADOS Gateway, R2, ..."""
+"""An object store on any S3-compatible service: AWS, MinIO, Ceph's RADOS Gateway, R2, ..."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from botocore.config import Config
 from botocore.exceptions import BotoCoreError, ClientError, HTTPClientError
 from botocore.exceptions import ConnectionError as BotoConnectionError
 
+from services.atomic_write import atomic_write
 from services.storage.store import IMMUTABLE, ConditionFailed, Head, check_name
 
-_MULTIPART_BYTES = 16 << 20  # below, one request is faster; S3's smallest part is 5 MiB
+_MULTIPART_BYTES = 16 << 20  # larger files go in parts; below, one request is faster. S3's smallest part is 5 MiB
 _TRANSFER = TransferConfig(
     multipart_threshold=_MULTIPART_BYTES, multipart_chunksize=_MULTIPART_BYTES, max_concurrency=4
 )
-_CONNECT_S, _READ_S = 5.0, 60.0  # a healthy endpoint accepts in ms; a slow one may think for seconds before an answer
+_CONNECT_S, _READ_S = 5.0, 60.0  # timeouts: a healthy endpoint accepts in ms; a slow one may need seconds to answer
 _ATTEMPTS = 5  # boto's standard mode: exponential back-off with jitter, up to 20 s each
-_CONNECTIONS = 32  # as many uploads as the gateway promises at once
-_LIST_LIMIT = 1000  # S3 answers no more in one page
+_CONNECTIONS = 32  # pool size: the number of simultaneous uploads that the gateway promises
+_LIST_LIMIT = 1000  # objects per page: S3 lists no more at once
 
 
 class S3Store:
-    """Objects of one bucket, addressed path-style (no wildcard DNS needed).
+    """The objects of one bucket, addressed path-style (no wildcard DNS needed).
 
     endpoint         where this process reaches the service; "" for AWS
-    public_endpoint  where clients reach it; presigned URLs are signed for this host. Default: endpoint
+    public_endpoint  where clients reach the service. Default: endpoint
     base_url         where clients read objects, e.g. a CDN in front of the bucket. Default: public_endpoint/bucket
     """
 
@@ -50,14 +51,12 @@ class S3Store:
     ) -> None:
         self._bucket = bucket
         self._client = _client(endpoint, access_key, secret_key, region)
-        public = public_endpoint or endpoint
-        self._public_client = _client(public, access_key, secret_key, region) if public != endpoint else self._client
-        home = public.rstrip("/") or f"https://s3.{region}.amazonaws.com"
-        self._base_url = base_url.rstrip("/") or f"{home}/{bucket}"
+        service_url = (public_endpoint or endpoint).rstrip("/") or f"https://s3.{region}.amazonaws.com"
+        self._base_url = base_url.rstrip("/") or f"{service_url}/{bucket}"
 
     def create_bucket(self) -> None:
-        """Make the bucket unless it is there: for first starts and tests."""
-        with _translated(self._bucket):
+        """Create the bucket unless it exists."""
+        with _translate_errors(self._bucket):
             try:
                 self._client.head_bucket(Bucket=self._bucket)
             except ClientError as error:
@@ -67,7 +66,7 @@ class S3Store:
 
     def set_policy(self, policy: str) -> None:
         """Replace the bucket's policy (JSON): who may read what without credentials."""
-        with _translated(self._bucket):
+        with _translate_errors(self._bucket):
             self._client.put_bucket_policy(Bucket=self._bucket, Policy=policy)
 
     def put(
@@ -80,49 +79,45 @@ class S3Store:
         if_match: str | None = None,
         if_absent: bool = False,
     ) -> Head:
-        what = {"ContentType": content_type, "CacheControl": cache_control}
+        headers = {"ContentType": content_type, "CacheControl": cache_control}
         size = data.stat().st_size if isinstance(data, Path) else len(data)
-        condition = _condition(if_match, if_absent)
-        with _translated(check_name(name)):
+        condition = _condition_arguments(if_match, if_absent)
+        with _translate_errors(check_name(name)):
             if isinstance(data, Path) and size > _MULTIPART_BYTES and not condition:
-                self._client.upload_file(str(data), self._bucket, name, ExtraArgs=what, Config=_TRANSFER)
+                self._client.upload_file(str(data), self._bucket, name, ExtraArgs=headers, Config=_TRANSFER)
                 return self.head(name)
-            answer = self._put_object(name, data, what | condition)
+            answer = self._put_object(name, data, headers | condition)
         date = answer["ResponseMetadata"]["HTTPHeaders"].get("date")
         modified = parsedate_to_datetime(date) if date else datetime.now(UTC)
-        return Head(name, size, _bare(answer["ETag"]), content_type, cache_control, modified)
+        return Head(name, size, _unquote(answer["ETag"]), content_type, cache_control, modified)
 
     def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
         if length == 0:
             self.head(name)
             return b""
-        wanted = {"Range": f"bytes={start}-{'' if length is None else start + length - 1}"} if start or length else {}
-        with _translated(check_name(name)):
+        bounds = {"Range": f"bytes={start}-{'' if length is None else start + length - 1}"} if start or length else {}
+        with _translate_errors(check_name(name)):
             try:
-                body: bytes = self._client.get_object(Bucket=self._bucket, Key=name, **wanted)["Body"].read()
+                body: bytes = self._client.get_object(Bucket=self._bucket, Key=name, **bounds)["Body"].read()
             except ClientError as error:
-                if _status(error) == 416:  # begins behind the end
+                if _status(error) == 416:  # the range begins behind the end
                     return b""
                 raise
         return body
 
     def fetch(self, name: str, path: Path) -> None:
-        """Parts arrive in parallel in a neighbour file, which takes the name when it is whole."""
-        partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-        try:
-            with _translated(check_name(name)):
-                self._client.download_file(self._bucket, name, str(partial), Config=_TRANSFER)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+        """Download an object in parallel parts into a temporary file, then rename that to `path`."""
+        neighbour = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+        with atomic_write(path, temporary=neighbour, durable=False) as part, _translate_errors(check_name(name)):
+            self._client.download_file(self._bucket, name, str(part), Config=_TRANSFER)
 
     def head(self, name: str) -> Head:
-        with _translated(check_name(name)):
+        with _translate_errors(check_name(name)):
             answer = self._client.head_object(Bucket=self._bucket, Key=name)
         return Head(
             name,
             answer["ContentLength"],
-            _bare(answer["ETag"]),
+            _unquote(answer["ETag"]),
             answer.get("ContentType", ""),
             answer.get("CacheControl", ""),
             answer["LastModified"],
@@ -132,12 +127,12 @@ class S3Store:
         heads: list[Head] = []
         while len(heads) < limit:
             page = min(limit - len(heads), _LIST_LIMIT)
-            with _translated(self._bucket):
+            with _translate_errors(self._bucket):
                 answer = self._client.list_objects_v2(
                     Bucket=self._bucket, Prefix=prefix, StartAfter=after, MaxKeys=page
                 )
             found = [
-                Head(each["Key"], each["Size"], _bare(each["ETag"]), "", "", each["LastModified"])
+                Head(each["Key"], each["Size"], _unquote(each["ETag"]), "", "", each["LastModified"])
                 for each in answer.get("Contents", ())
             ]
             heads += found
@@ -147,16 +142,11 @@ class S3Store:
         return heads
 
     def delete(self, name: str) -> None:
-        with _translated(check_name(name)):
+        with _translate_errors(check_name(name)):
             self._client.delete_object(Bucket=self._bucket, Key=name)
 
     def url(self, name: str) -> str:
         return f"{self._base_url}/{quote(check_name(name))}"
-
-    def upload_url(self, name: str, *, expires_s: int) -> str:
-        where = {"Bucket": self._bucket, "Key": check_name(name)}
-        url: str = self._public_client.generate_presigned_url("put_object", Params=where, ExpiresIn=expires_s)
-        return url
 
     def _put_object(self, name: str, data: bytes | Path, arguments: dict[str, str]) -> dict[str, Any]:
         with data.open("rb") if isinstance(data, Path) else nullcontext(data) as body:
@@ -165,7 +155,7 @@ class S3Store:
 
 
 def _client(endpoint: str, access_key: str, secret_key: str, region: str) -> Any:
-    # A session of its own: boto3's default one is not safe among threads while it makes clients.
+    # Not boto3's default session, which is not thread-safe while it creates clients.
     return boto3.session.Session().client(
         "s3",
         endpoint_url=endpoint or None,
@@ -187,49 +177,51 @@ def _client(endpoint: str, access_key: str, secret_key: str, region: str) -> Any
     )
 
 
-def _condition(if_match: str | None, if_absent: bool) -> dict[str, str]:
-    # The etag goes bare: the RADOS Gateway compares the header as it stands with its own bare one, so a quoted etag
-    # never matches; MinIO and AWS take both.
+def _condition_arguments(if_match: str | None, if_absent: bool) -> dict[str, str]:
+    # The etag is sent without quotes: the RADOS Gateway compares the header literally with its own unquoted etag, so a
+    # quoted one never matches. MinIO and AWS accept both.
     matching = {"IfMatch": if_match} if if_match is not None else {}
     return matching | ({"IfNoneMatch": "*"} if if_absent else {})
 
 
 @contextmanager
-def _translated(name: str) -> Iterator[None]:
-    """Botocore's errors become built-in ones here and nowhere else."""
+def _translate_errors(name: str) -> Iterator[None]:
+    """Translate botocore's errors into built-in ones."""
     try:
         yield
     except ClientError as error:
-        raise _builtin(name, error) from None
+        raise _builtin_error(name, error) from None
     except (BotoConnectionError, HTTPClientError) as error:
         raise OSError(f"the S3 service cannot be reached for {name}: {error}") from None
     except (BotoCoreError, boto3.exceptions.Boto3Error) as error:
-        raise _wrapped(name, error) from None
+        raise _unwrap(name, error) from None
 
 
-def _builtin(name: str, error: ClientError) -> Exception:
+def _builtin_error(name: str, error: ClientError) -> Exception:
     status, code = _status(error), str(error.response.get("Error", {}).get("Code", ""))
     if code == "NoSuchBucket":
-        return OSError(f"the bucket for {name} does not exist")
+        return OSError(f"the bucket of {name} does not exist; create it with python -m services.storage.bucket")
     if status == 404:
-        # AWS answers a conditional put of an absent object so, others with 412.
+        # AWS answers a conditional put of a missing object with 404, others with 412.
         return ConditionFailed(f"{name} is gone") if error.operation_name == "PutObject" else FileNotFoundError(name)
     if status == 412 or code == "ConditionalRequestConflict":
         return ConditionFailed(f"{name} has changed")
     if status in (401, 403):
-        return PermissionError(f"the S3 service refuses {error.operation_name} of {name}: {code}")
+        return PermissionError(
+            f"the S3 service denies {error.operation_name} of {name}: {code}; check STORAGE_ACCESS_KEY"
+        )
     return OSError(f"the S3 service failed at {error.operation_name} of {name}: {status} {code}")
 
 
-def _wrapped(name: str, error: Exception) -> Exception:
-    """boto3's transfers wrap the ClientError that matters into an error of their own."""
+def _unwrap(name: str, error: Exception) -> Exception:
+    """Translate an error of boto3's transfers, which wrap the ClientError that says what happened."""
     cause = error.__context__
-    return _builtin(name, cause) if isinstance(cause, ClientError) else OSError(f"{name}: {error}")
+    return _builtin_error(name, cause) if isinstance(cause, ClientError) else OSError(f"{name}: {error}")
 
 
 def _status(error: ClientError) -> int:
     return int(error.response.get("ResponseMetadata", {}).get("HTTPStatusCode", 0))
 
 
-def _bare(etag: str) -> str:
+def _unquote(etag: str) -> str:
     return etag.strip('"')

@@ -1,4 +1,4 @@
-"""Which store a service uses, from the variables STORAGE_*."""
+"""Settings of the object store and its signing keys, from the environment variables STORAGE_*."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, SecretStr
 from pydantic_settings import SettingsConfigDict
 
-from services.storage.catalogue import DEFAULT_COLLECTION, valid_key
+from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
+from services.storage.catalogue.publish import Publish, publish
+from services.storage.catalogue.signing import KeyFileError, Keys, read_public_key, read_signer
 from services.storage.local import LocalStore
-from services.storage.publish import Publish, publish
-from services.storage.signing import KeyFileError, Keys, read_public, read_signer
 from services.storage.store import Store
 from services.strict_settings import CommaList, SettingsError, StrictSettings
 
 
-def _collection(name: str) -> str:
+def _check_collection_name(name: str) -> str:
     if not valid_key(name):
         raise ValueError("use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
     return name
 
 
 class StorageSettings(StrictSettings):
-    """`local` needs only a root; `s3` needs a bucket and, outside AWS, an endpoint.
+    """Settings of the store. kind `local` needs only a root; `s3` needs a bucket and, outside AWS, an endpoint.
 
-    public_endpoint  the S3 service as clients reach it; presigned URLs are signed for this host
-    base_url         what stands before an object's name in the URLs that clients get: a CDN, or the gateway's /v1/files
-    collection       which collection is entered by what nobody named one for
-    signing_key      private keys (PEM) that sign collections; one, or two while they are exchanged; none: unsigned
-    trusted_keys     public keys (PEM) whose collections are believed, besides those of signing_key; none: anybody's
+    public_endpoint  URL under which clients reach the S3 service, where no base_url is set
+    base_url         prefix of the objects' URLs that clients get: a CDN, or the gateway's /v1/files
+    collection       collection of assets for which nobody named one
+    signing_key      files of private keys (PEM) that sign collections: one, two during a key rotation; none: unsigned
+    trusted_keys     files of public keys (PEM) whose signatures are accepted, besides those of signing_key; with
+                     neither, any collection is accepted
     """
 
     model_config = SettingsConfigDict(env_prefix="STORAGE_")
@@ -44,42 +45,44 @@ class StorageSettings(StrictSettings):
     region: str = "us-east-1"
     access_key: SecretStr = SecretStr("")
     secret_key: SecretStr = SecretStr("")
-    collection: Annotated[str, AfterValidator(_collection)] = DEFAULT_COLLECTION
+    collection: Annotated[str, AfterValidator(_check_collection_name)] = DEFAULT_COLLECTION
     signing_key: CommaList = ()
     trusted_keys: CommaList = ()
 
 
 def open_store(settings: StorageSettings) -> Store:
-    """The store of these settings; it connects when it is first used. Raises SettingsError for half a pair of keys."""
+    """Create the store that the settings name; it connects at first use.
+
+    Raises SettingsError where only one of access key and secret key is set.
+    """
     if settings.kind == "local":
         return LocalStore(settings.root, settings.base_url or "/v1/files")
     access, secret = settings.access_key.get_secret_value(), settings.secret_key.get_secret_value()
     if bool(access) != bool(secret):
-        raise SettingsError("STORAGE_ACCESS_KEY and STORAGE_SECRET_KEY go together: set both or none")
+        raise SettingsError("only one of STORAGE_ACCESS_KEY and STORAGE_SECRET_KEY is set: set both or neither")
     return _open_s3(settings, access, secret)
 
 
 def open_keys(settings: StorageSettings) -> Keys:
-    """The keys of these settings. Raises SettingsError that names the variable and the file at fault."""
+    """Read the signing and trusted keys. Raises SettingsError that names the variable and the file at fault."""
     try:
         variable = "STORAGE_SIGNING_KEY"
         signers = tuple(read_signer(Path(path)) for path in settings.signing_key)
         variable = "STORAGE_TRUSTED_KEYS"
-        return Keys(signers, tuple(read_public(Path(path)) for path in settings.trusted_keys))
+        return Keys(signers, tuple(read_public_key(Path(path)) for path in settings.trusted_keys))
     except KeyFileError as error:
         raise SettingsError(f"{variable}: {error}") from None
 
 
 def open_publish(settings: StorageSettings) -> Publish:
-    """`publish` for those who publish for others: signed with these settings' keys, each asset in its own collection.
-
-    Raises SettingsError.
+    """Return `publish` as workers use it: signing with these settings' keys, and never adding an asset of another
+    collection to a second one. Raises SettingsError.
     """
-    return partial(publish, keys=open_keys(settings), joins=False)
+    return partial(publish, keys=open_keys(settings), allow_other_collections=False)
 
 
 def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:
-    from services.storage.s3 import S3Store  # boto3 takes 0.2 s to import, which a local store need not pay
+    from services.storage.s3 import S3Store  # here, because importing boto3 takes 0.2 s, which a local store saves
 
     return S3Store(
         bucket=settings.bucket,

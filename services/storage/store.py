@@ -1,4 +1,7 @@
-"""The `Store` seam: named objects with a content type, an etag and conditional puts. One contract test for all."""
+"""`Store`: the interface of object stores. Named objects with content type, etag and conditional puts.
+
+One contract test (tests/storage/test_contract.py) holds for every store.
+"""
 
 from __future__ import annotations
 
@@ -9,28 +12,30 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
+# Values of Cache-Control.
 IMMUTABLE = "public, max-age=31536000, immutable"  # a year, the longest that caches honour: names contain their sha256
-NO_CACHE = "no-cache"  # keep, but ask before every use: catalogues and aliases move
+NO_CACHE = "no-cache"  # caches may keep it, but must ask before every use: for catalogues and aliases, which change
 
-# Letters that mean the same in a URL, a shell, an S3 key and a file name on every system. No segment begins with a dot,
-# which shuts out "..", hidden files and the local store's own folders. 255 bytes is the longest file name of ext4.
+# Characters that mean the same in a URL, a shell, an S3 key and a file name on every system. No segment begins with a
+# dot, which excludes "..", hidden files and the local store's own folders. ext4's longest file name has 255 bytes.
 _SEGMENT = r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}"
 _NAME = re.compile(rf"{_SEGMENT}(/{_SEGMENT})*")
-_NAME_LIMIT = 512  # S3 takes 1,024 bytes; ours stay near 150
+_NAME_LIMIT = 512  # characters: S3 takes 1,024 bytes; ours have about 150
 
 
 class ConditionFailed(Exception):  # noqa: N818 - not a fault: somebody else was faster
-    """`if_match` or `if_absent` did not hold; nothing was written.
+    """A conditional put was refused: the object is not the one in `if_match`, or exists despite `if_absent`.
 
-    After a lost answer the store may refuse a put that did succeed, so read again before concluding who won.
+    Nothing was written, except where an earlier attempt succeeded and its answer was lost: so read the object again
+    before concluding that somebody else wrote it.
     """
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What a store knows about an object: size in bytes, etag opaque and unquoted, modified in UTC.
+    """Metadata of an object: size in bytes, etag opaque and unquoted, modified in UTC.
 
-    In listings content_type and cache_control are empty: S3 does not list them.
+    In listings content_type and cache_control are empty, because S3 does not list them.
     """
 
     name: str
@@ -42,9 +47,10 @@ class Head:
 
 
 class Store(Protocol):
-    """Objects by name. Absent is FileNotFoundError, an impossible name ValueError, an unreachable backend OSError.
+    """An object store. Methods raise FileNotFoundError for a missing object, ValueError for an invalid name, OSError
+    where the backend cannot be reached.
 
-    A put is all or nothing and durable when it returns; a reader sees the old object or the new one, never a mix.
+    A put is atomic, and durable when it returns: a reader sees the old object or the new one, never a mix.
     """
 
     def put(
@@ -57,45 +63,43 @@ class Store(Protocol):
         if_match: str | None = None,
         if_absent: bool = False,
     ) -> Head:
-        """Write an object. Raises ConditionFailed unless its etag is `if_match`, or there is none (`if_absent`)."""
+        """Write an object. Raises ConditionFailed unless its etag is `if_match`, or it does not exist (`if_absent`)."""
         ...
 
     def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
-        """Bytes from `start`, as a slice gives them: fewer or none beyond the end."""
+        """Read at most `length` bytes from `start`; like a slice, fewer or none beyond the end."""
         ...
 
     def fetch(self, name: str, path: Path) -> None:
-        """Stream an object into a file, whatever its size. On failure the file is not there."""
+        """Download an object of any size into a file. On failure no file is left."""
         ...
 
-    def head(self, name: str) -> Head: ...
+    def head(self, name: str) -> Head:
+        """Return the metadata of an object."""
+        ...
 
     def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
-        """At most `limit` objects, in the byte order of their names, that come behind `after`."""
+        """List at most `limit` objects whose names begin with `prefix` and sort behind `after`, in byte order."""
         ...
 
     def delete(self, name: str) -> None:
-        """Remove an object; an absent one is no error, so that a repeated clean-up is none either."""
+        """Delete an object. A missing one is no error, so that a clean-up can be repeated."""
         ...
 
     def url(self, name: str) -> str:
-        """Where a client reads it without credentials."""
-        ...
-
-    def upload_url(self, name: str, *, expires_s: int) -> str:
-        """Where a client may PUT it for a while. Raises io.UnsupportedOperation where there is no such address."""
+        """Return the URL where clients read the object without credentials."""
         ...
 
 
 def check_name(name: str) -> str:
-    """The name itself. Raises ValueError for one that no store takes, which covers every kind of path traversal."""
+    """Return the name unchanged. Raises ValueError for one that no store accepts, including any path traversal."""
     if len(name) > _NAME_LIMIT or not _NAME.fullmatch(name):
-        raise ValueError(f"{name!r} is no object name")
+        raise ValueError(f"{name!r} is not a valid object name")
     return name
 
 
 def list_all(store: Store, prefix: str, *, page: int = 1000) -> Iterator[Head]:
-    """Every object under a prefix, page by page."""
+    """Yield every object under a prefix, fetching `page` at a time."""
     after = ""
     while heads := store.list(prefix, after=after, limit=page):
         yield from heads

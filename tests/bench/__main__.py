@@ -1,4 +1,4 @@
-"""`python -m tests.bench NAME`: the tables of tests/bench/README.md. Compare timings within one run only."""
+"""`python -m tests.bench NAME`: the tables of tests/bench/results. Compare timings within one run only."""
 
 from __future__ import annotations
 

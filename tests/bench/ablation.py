@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from services.edge.field.config import FitConfig
+from services.edge.field.config import AnchorConfig
+from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.preset import load_preset
 from tests.bench.cell import run_cell
 from tests.bench.methods import Settings
@@ -31,7 +32,7 @@ LOSSES = {
     "far_share": "far queries",
 }
 ANCHOR_LOSSES = {"DISTANCE": "L_d", "GRADIENT": "L_g", "FLATNESS": "L_c"}
-"""Weights of the anchors' losses, constants of `agreement.py`."""
+"""Weights of the anchors' losses, constants of `anchor_losses.py`."""
 SURFACE = 0.1  # τ_f where the preset has none: LevelSetUDF's
 CONSISTENCY = (1e-3, 1e-1)  # τ_s beside the preset's own
 
@@ -53,10 +54,10 @@ def main(arguments: list[str]) -> None:
             print(f"| {row.label} | {name} | {' | '.join(_cells(record.figures))} |", flush=True)
 
 
-def variants(config: FitConfig) -> Iterator[tuple[str, dict[str, float]]]:
+def variants(config: AnchorConfig | NetworkConfig) -> Iterator[tuple[str, dict[str, float]]]:
     """The preset, then each of its losses off (or the one it has not, on), then other weights of self-consistency."""
     yield "as it is", {}
-    if config.model == "anchors":
+    if isinstance(config, AnchorConfig):
         yield from ((f"without {name}", {constant: 0.0}) for constant, name in ANCHOR_LOSSES.items())
         yield "without L_d and L_g: no self-consistency", {"DISTANCE": 0.0, "GRADIENT": 0.0}
         return

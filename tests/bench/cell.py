@@ -16,20 +16,13 @@ import numpy as np
 
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
-from services.edge.mesh.metrics import (
-    SAMPLES,
-    Quality,
-    Samples,
-    compare,
-    edge_faces,
-    gaps_between,
-    pieces,
-    sample,
-    welded,
-)
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import SurfaceSamples, sample
+from services.edge.mesh.topology import component_count
 from tests.bench.methods import Settings, Unavailable, make
 from tests.bench.records import code_version
+from tests.support.mesh_metrics import SAMPLES, Quality, compare, gaps_between, welded
 
 ROOT = Path(__file__).parents[2]
 
@@ -88,16 +81,16 @@ def figures_of(mesh: Mesh, truth: Mesh) -> dict[str, Any]:
     if len(truth.faces):
         return asdict(compare(mesh, truth))
     made = sample(mesh, SAMPLES, np.random.default_rng(0))
-    gaps = gaps_between(made, Samples(truth.vertices, np.zeros_like(truth.vertices)))
-    edges = edge_faces(mesh.faces)
+    gaps = gaps_between(made, SurfaceSamples(truth.vertices, np.zeros_like(truth.vertices)))
+    edges = edges_of(mesh.faces)
     known = {
         "chamfer_l1": gaps.chamfer_l1,
         "chamfer_l2": gaps.chamfer_l2,
         "f_005": gaps.f_score(0.005),
         "f_010": gaps.f_score(0.010),
-        "components": pieces(edges.vertices),
-        "boundary_loops": pieces(edges.vertices[edges.faces == 1]),
-        "non_manifold_edges": int((edges.faces > 2).sum()),
+        "components": component_count(edges.ends),
+        "boundary_loops": component_count(edges.border_ends),
+        "non_manifold_edges": edges.crowded_count,
     }
     return {each.name: known.get(each.name) for each in fields(Quality)}
 

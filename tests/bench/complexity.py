@@ -13,11 +13,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 
-from services.edge.field.config import FitConfig
-from services.edge.field.fit import Step, fit
-from services.edge.field.networks import network_of
+from services.edge.field.step import Step
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.network_fit import fit_network
+from services.edge.paper_field.networks import network_of
 from services.edge.preset import load_preset
-from tests import surfaces
+from tests.support import surfaces
 
 MODELS = {"separable": "ours", "mlp": "ancestors' MLP"}
 TERMS = {"all terms": {}, "pull": {"projection": 0.0, "orthogonality": 0.0, "self_consistency": 0.0, "surface": 0.0}}
@@ -51,11 +52,11 @@ def main(arguments: list[str]) -> None:
             )
 
 
-def step_seconds(options: argparse.Namespace, config: FitConfig, model: str) -> Iterator[float]:
+def step_seconds(options: argparse.Namespace, config: NetworkConfig, model: str) -> Iterator[float]:
     """The seconds of a step, each time it is asked."""
     points = surfaces.sampled(surfaces.pleated_skirt(), options.points)
     device = "cuda" if options.device.startswith("cuda") else "cpu"
-    running = fit(points, replace(config, model=model), device=options.device)
+    running = fit_network(points, replace(config, model=model), device=options.device)
     steps = (step for step in running if step.losses)
     first = next(islice(steps, WARM, None))
     while True:

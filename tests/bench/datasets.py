@@ -20,8 +20,8 @@ import numpy as np
 import trimesh
 
 from services.edge.arrays import Floats
-from services.edge.mesh.metrics import area, sample
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import area, sample
 
 POINT_FILES = (".ply", ".xyz.npy", ".xyz", ".npy", ".npz")
 MESH_FILES = (".obj", ".off", ".ply")

@@ -21,11 +21,13 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
-from services.edge.mesh import Mesh, lods, to_glb
-from services.edge.mesh.glb import best_packing
-from services.edge.mesh.metrics import area, edge_faces, sample
+from services.edge.export.glb import to_glb
+from services.edge.mesh.edges import edges_of
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import area, sample
+from services.edge.mesh.simplify import lods
 from tests.bench.shapes import load
-from tests.pinned import installed
+from tests.support.npm_packages import installed
 
 _LINKS = (20, 100, 1000)  # Mbit/s
 _SAMPLES = 50_000  # whose distances are told
@@ -84,7 +86,7 @@ def main(arguments: list[str]) -> None:
         mesh = replace(mesh, vertices=mesh.vertices / np.ptp(mesh.vertices, axis=0).max())
         began = time.perf_counter()
         made = lods(mesh)
-        packed = [to_glb(level, best_packing()) for level in made]
+        packed = [to_glb(level, "meshopt") for level in made]
         seconds = time.perf_counter() - began
         with tempfile.TemporaryDirectory() as scratch:
             variants = _written(Path(scratch), mesh, made, packed)
@@ -121,7 +123,7 @@ def _sent(variants: list[_Variant], folder: Path) -> list[str]:
     for each, cost in zip(variants, json.loads(done.stdout), strict=True):
         size = each.file.stat().st_size
         wire = " | ".join(f"{8 * size / (link * 1e6):.3f}" for link in _LINKS)
-        counts = f"{len(each.mesh.vertices):,} | {len(edge_faces(each.mesh.faces).faces):,} | {len(each.mesh.faces):,}"
+        counts = f"{len(each.mesh.vertices):,} | {len(edges_of(each.mesh.faces).ends):,} | {len(each.mesh.faces):,}"
         figures = f"{size / 1e6:.2f} | {size / raw:.2f} | {wire} | {1000 * cost['seconds']:.1f}"
         rows.append(f"| {each.name} | {counts} | {figures} | {cost['bytes'] / 1e6:.1f} |")
     return rows

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from services.edge.arrays import DistanceFn, Floats
-from services.edge.field import local_field
-from services.edge.field.fit import fit
+from services.edge.field.local import local_field
 from services.edge.mesh.clean import clean
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.extract import extract
-from services.edge.mesh.metrics import edge_faces, pieces
-from services.edge.preset import load_preset
-from tests import surfaces
+from services.edge.mesh.topology import component_count
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.network_fit import fit_network
 from tests.bench.methods import peak_mb
+from tests.support import surfaces
 
 RESOLUTIONS = (64, 128, 256, 512)
 SHAPES = ((surfaces.hemisphere, 1), (surfaces.pleated_skirt, 2), (surfaces.two_sheets, 2))  # and their borders
@@ -49,10 +49,10 @@ def _row(distance: DistanceFn, near: Floats, resolution: int, borders: int) -> s
     mesh = clean(raw, near)
     cleaned = time.perf_counter()
     peak = peak_mb() - before
-    edges = edge_faces(mesh.faces)
+    edges = edges_of(mesh.faces)
     return (
         f"{extracted - began:.2f} | {cleaned - extracted:.2f} | {peak:.0f} | {len(mesh.vertices):,} "
-        f"| {pieces(edges.vertices)} | {int((edges.faces > 2).sum())} | {pieces(edges.vertices[edges.faces == 1])} "
+        f"| {component_count(edges.ends)} | {edges.crowded_count} | {component_count(edges.border_ends)} "
         f"({borders}) |"
     )
 
@@ -62,10 +62,8 @@ def _local(near: Floats, options: argparse.Namespace) -> DistanceFn:
 
 
 def _learned(near: Floats, options: argparse.Namespace) -> DistanceFn:
-    config = load_preset("standard").fit
-    assert config is not None
-    config = replace(config, warm_start=REGRESSION, steps=1, patience=0)
-    *_, last = fit(near, config, device=options.device, base=local_field(near))
+    config = NetworkConfig(warm_start=REGRESSION, steps=1)
+    *_, last = fit_network(near, config, device=options.device, base=local_field(near))
     return last.field
 
 

@@ -17,8 +17,9 @@ import trimesh
 
 from services.edge.arrays import DistanceFn, Floats
 from services.edge.errors import EdgeError
-from services.edge.field.config import FitConfig
+from services.edge.field.config import AnchorConfig
 from services.edge.mesh.nouns import Mesh
+from services.edge.paper_field.network_config import NetworkConfig
 
 PRODUCT = {"draft": "local field", "standard": "standard", "fine": "fine"}
 ANCESTORS = {"cap-udf": "CAP-UDF", "levelset-udf": "LevelSetUDF"}
@@ -108,9 +109,9 @@ def trained(points: Floats, settings: Settings) -> Made:
 
     The ancestors' own extraction takes 7 to 51 s and leaves unwelded soup; with ours only the fields differ.
     """
+    from services.edge.certificate import consistency
     from services.edge.mesh.clean import clean
     from services.edge.mesh.extract import extract
-    from services.edge.mesh.metrics import consistency
     from services.edge.points.unit import unit_frame
 
     began = time.perf_counter()
@@ -128,9 +129,9 @@ def fitted(xyz_unit: Floats, settings: Settings) -> tuple[Floats, DistanceFn]:
     Raises EdgeError, and ValueError for a preset that trains nothing.
     """
     from services.edge.field.denoise import denoise
-    from services.edge.field.fit import fit
     from services.edge.field.folds import noise_of
     from services.edge.field.local import local_field
+    from services.edge.paper_field.network_fit import fit_network
     from services.edge.points.outliers import inliers
     from services.edge.preset import load_preset
 
@@ -140,15 +141,15 @@ def fitted(xyz_unit: Floats, settings: Settings) -> tuple[Floats, DistanceFn]:
     if preset.denoised:
         xyz_unit = xyz_unit[inliers(xyz_unit)]
         xyz_unit = denoise(xyz_unit, noise_of(xyz_unit))
-    if preset.fit.model == "anchors":
+    if isinstance(preset.fit, AnchorConfig):
         return anchored(xyz_unit, preset.fit, settings)
     config = shortened(preset.fit, settings)
     base = local_field(xyz_unit) if config.warm_start else None
-    *_, last = fit(xyz_unit, config, device=settings.device, base=base)
+    *_, last = fit_network(xyz_unit, config, device=settings.device, base=base)
     return xyz_unit, last.field
 
 
-def anchored(xyz_unit: Floats, config: FitConfig, settings: Settings) -> tuple[Floats, DistanceFn]:
+def anchored(xyz_unit: Floats, config: AnchorConfig, settings: Settings) -> tuple[Floats, DistanceFn]:
     """As `fitted`, with constants of the anchors' fit changed: each cell is a process of its own."""
     from services.edge.field import anchor_fit
     from services.edge.field.anchors import AnchorField
@@ -162,7 +163,7 @@ def anchored(xyz_unit: Floats, config: FitConfig, settings: Settings) -> tuple[F
     return np.asarray(last.field.points, np.float64), last.field
 
 
-def shortened(config: FitConfig, settings: Settings) -> FitConfig:
+def shortened(config: NetworkConfig, settings: Settings) -> NetworkConfig:
     """The fit with `settings.steps` in all, every part of its schedule shortened alike."""
     config = replace(config, seed=settings.seed, batch=settings.batch or config.batch, patience=0, **settings.changes)
     if not settings.steps:

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from services.edge.guess.lessons import Lesson, lessons
-from services.edge.guess.losses import chamfer_loss
-from services.edge.guess.network import POINTS, base_sphere
+from services.edge.single_photo.network import POINTS, base_sphere
+from services.edge.single_photo_training.batches import Batch, training_batches
+from services.edge.single_photo_training.losses import chamfer_loss
 
 MINUTES = 14.0  # of one core: what it was given
 _WIDTHS = (4, 48, 96, 192, 384)
@@ -67,7 +67,7 @@ def _train(head: Peer, seconds: float) -> int:
     torch.manual_seed(_SEED)
     optimiser = torch.optim.Adam(head.parameters(), lr=_RATE)
     spent = 0.0
-    for steps, lesson in enumerate(lessons(_SEED, 0), start=1):
+    for steps, lesson in enumerate(training_batches(_SEED, 0), start=1):
         began = time.process_time()
         for group in optimiser.param_groups:
             group["lr"] = _RATE * max(1.0 - spent / seconds, 0.02)
@@ -80,7 +80,7 @@ def _train(head: Peer, seconds: float) -> int:
     raise AssertionError("lessons never end")
 
 
-def _learn(head: Peer, optimiser: torch.optim.Optimizer, lesson: Lesson) -> float:
+def _learn(head: Peer, optimiser: torch.optim.Optimizer, lesson: Batch) -> float:
     few = lesson.surface[:, torch.randperm(lesson.surface.shape[1])[:POINTS]]
     loss = chamfer_loss(head(lesson.picture), few)
     optimiser.zero_grad()

@@ -18,11 +18,11 @@ from playwright.sync_api import Page, sync_playwright
 
 from services.cli.progress import StageBar
 from services.cli.push import follow, upload
-from services.cli.up import running
+from services.cli.up import run_stack
 from tests.conftest import data_folder
-from tests.edge.walkaround import render_walkaround
+from tests.support.screenshots import drawn, stage
+from tests.support.walkaround import render_walkaround
 from tests.web.conftest import CHROMIUM_FLAGS, PHONE
-from tests.web.pictures import drawn, stage
 
 _SIZE, _PHONE = (1280, 960), (4000, 3000)
 _VIEWS = 25
@@ -67,7 +67,7 @@ def main(arguments: list[str]) -> None:
             photos.mkdir()
             source = CASES[case](photos)
             size = sum(each.stat().st_size for each in source.iterdir()) / 1e6
-            with running("127.0.0.1", 0, Path(scratch) / "data") as stack:
+            with run_stack("127.0.0.1", 0, Path(scratch) / "data") as stack:
                 kept = (folders or [photos])[0]
                 told = _by_page(stack.url, source, kept) if _BY_PAGE in case else _by_http(stack.url, source)
                 print(f"| {case} | {size:.1f} | {' | '.join(told)} |", flush=True)

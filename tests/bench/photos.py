@@ -23,17 +23,17 @@ import trimesh
 from PIL import Image
 
 from services.edge.arrays import Bools, Floats
-from services.edge.capture import read_capture
+from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.mesh.registration import laid_over, measured
-from services.edge.photos.align import align
-from services.edge.photos.depths import depth_frames
-from services.edge.photos.screen import screen
+from services.edge.capture_to_points import to_points
+from services.edge.mesh.align_to_reference import align_to_surface, measure_overlay
+from services.edge.photos.depth_maps import depth_frames
+from services.edge.photos.screening import screen
+from services.edge.photos.structure_from_motion import align
 from services.edge.photos.to_depth import to_depth
-from services.edge.points import to_points
 from tests.bench.cell import ROOT
 from tests.conftest import data_folder
-from tests.edge.walkaround import render_walkaround
+from tests.support.walkaround import render_walkaround
 
 CASES = (
     "fruit, 20 photos of 600 x 400",
@@ -173,10 +173,10 @@ def _errors(
     theirs = np.stack([camera(frame.name)[:3, 3] for frame in frames])
     laid, _, _ = trimesh.registration.procrustes(ours, theirs, reflection=False)
     normals = truth.face_normals[face]
-    over = laid_over(xyz, surface, normals, laid)
-    found = measured(over, surface, normals)
+    over = align_to_surface(xyz, surface, normals, laid)
+    found = measure_overlay(over, surface, normals)
     seen = sum(_sees(camera(frame.name), frame.intrinsics, surface) for frame in frames) >= _SEEN_BY
-    shown = measured(over, surface[seen], normals[seen])
+    shown = measure_overlay(over, surface[seen], normals[seen])
     return {
         "median %": round(100 * found.median, 3),
         "90th %": round(100 * found.p90, 3),

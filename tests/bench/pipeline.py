@@ -17,8 +17,8 @@ from services.edge.capture.nouns import Capture, Cloud
 from services.edge.pipeline import reconstruct
 from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
+from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from services.storage.publish import publish
 from tests.conftest import data_folder
 
 _STAGES = ("POINT_CLOUD", "FITTING", "EXTRACTING", "TEXTURING", "PACKING", "PUBLISHING")

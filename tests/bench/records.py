@@ -19,8 +19,8 @@ _EDGE = Path(__file__).parents[2] / "services" / "edge"
 # What decides over a mesh of the product; a baseline never sees anchors, patches or the noise estimate, so cells of
 # hours stay valid when those change.
 _PRODUCT = ("field", "mesh", "points", "presets", "pipeline.py", "preset.py")
-_NETWORK = ("networks", "losses", "objectives", "queries", "schedule", "run", "densify", "learned", "compute", "config")
-_BASELINE = (*(f"field/{name}.py" for name in _NETWORK), "mesh", "points/unit.py", "presets/baselines")
+_SHARED = tuple(f"field/{name}.py" for name in ("compute", "config", "schedule", "step"))
+_BASELINE = ("paper_field", *_SHARED, "mesh", "points/unit.py", "presets/baselines")
 
 
 @dataclass(frozen=True, slots=True)

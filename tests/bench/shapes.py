@@ -8,10 +8,12 @@ from functools import cache, partial
 from typing import Any
 
 from services.edge.arrays import Floats
-from services.edge.mesh.metrics import edge_faces, pieces, welded
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from services.edge.mesh.topology import component_count
 from tests.conftest import data_folder
+from tests.support import surfaces
+from tests.support.mesh_metrics import welded
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +68,8 @@ def load(file: str, part: str = "") -> Mesh:
 @cache
 def topology(truth: Callable[[], Mesh]) -> tuple[int, int, int]:
     """Pieces, border loops and non-manifold edges of a shape, vertices at the same place being one."""
-    edges = edge_faces(welded(truth()).faces)
-    return pieces(edges.vertices), pieces(edges.vertices[edges.faces == 1]), int((edges.faces > 2).sum())
+    edges = edges_of(welded(truth()).faces)
+    return component_count(edges.ends), component_count(edges.border_ends), edges.crowded_count
 
 
 def half_of(truth: Callable[[], Mesh]) -> Mesh:

@@ -19,14 +19,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from services.edge.guess.examine import head_points
-from services.edge.guess.heads import anchors
-from services.edge.guess.lessons import BATCH, Lesson, held_out, lessons
-from services.edge.guess.looks import LOOKS, look
-from services.edge.guess.losses import chamfer, f_score
-from services.edge.guess.network import POINTS, Pixels
-from services.edge.guess.shapes import CLASSES, PAPER_CLASSES, about_vertical
-from services.edge.guess.weights import load_field, load_pixels, trained
+from services.edge.single_photo.camera import about_vertical
+from services.edge.single_photo.network import POINTS, Pixels
+from services.edge.single_photo.test_time_views import VIEWS, predict_from_views
+from services.edge.single_photo.weights import load_pixels
+from services.edge.single_photo_training.batches import BATCH, Batch, held_out_batch, training_batches
+from services.edge.single_photo_training.evaluate import head_points
+from services.edge.single_photo_training.field_heads import anchors
+from services.edge.single_photo_training.losses import chamfer, f_score
+from services.edge.single_photo_training.shapes import CLASSES, PAPER_CLASSES
+from services.edge.single_photo_training.weight_files import load_field, training_of
 from tests.bench.peer_image import MINUTES, peer
 
 _EACH = 10  # held-out shapes of every class
@@ -57,7 +59,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--minutes", type=float, default=MINUTES, help="of its training, on one core")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    test = held_out(1, _EACH, clean=given.clean)
+    test = held_out_batch(1, _EACH, clean=given.clean)
     truth = test.surface[:, :POINTS]
     rows = [*_baselines(test), *(_peer(test, given.peer, given.minutes) if given.peer else []), *_heads(test)]
     of_the_paper = torch.isin(test.label, torch.arange(len(PAPER_CLASSES)))
@@ -73,7 +75,7 @@ def main(arguments: list[str]) -> None:
     _print_classes(test.label, truth, rows)
 
 
-def _baselines(test: Lesson) -> list[Row]:
+def _baselines(test: Batch) -> list[Row]:
     known = _known()
     small = [functional.avg_pool2d(each.picture, 2).flatten(1) for each in (test, known)]
     masks = [each.picture[:, 3].flatten(1) for each in (known, test)]
@@ -93,7 +95,7 @@ def _baselines(test: Lesson) -> list[Row]:
 
 
 @torch.no_grad()
-def _peer(test: Lesson, folder: Path, minutes: float) -> list[Row]:
+def _peer(test: Batch, folder: Path, minutes: float) -> list[Row]:
     with torch.enable_grad():
         head, steps = peer(folder, minutes)
     began = time.perf_counter()
@@ -102,7 +104,7 @@ def _peer(test: Lesson, folder: Path, minutes: float) -> list[Row]:
     return [Row(f"proof of concept's network, {steps} steps in {minutes:g} min", points, seconds, "its network")]
 
 
-def _heads(test: Lesson) -> list[Row]:
+def _heads(test: Batch) -> list[Row]:
     rows = []
     loaders: dict[str, Callable[[], nn.Module]] = {
         "pixels": load_pixels,
@@ -110,7 +112,7 @@ def _heads(test: Lesson) -> list[Row]:
         "implicit": lambda: load_field("implicit"),
     }
     for name, load in loaders.items():
-        head, how = load(), trained(name)
+        head, how = load(), training_of(name)
         began = time.perf_counter()
         points = torch.cat([head_points(head, picture[None]) for picture in test.picture])
         seconds = (time.perf_counter() - began) / len(points)
@@ -120,30 +122,30 @@ def _heads(test: Lesson) -> list[Row]:
     return rows
 
 
-def _looks(head: Pixels, test: Lesson) -> Row:
+def _looks(head: Pixels, test: Batch) -> Row:
     """As a photo's points are made; every other of them."""
     began = time.perf_counter()
-    points = torch.cat([look(head, picture[None]).points for picture in test.picture])
+    points = torch.cat([predict_from_views(head, picture[None]).points for picture in test.picture])
     seconds = (time.perf_counter() - began) / len(points)
     return Row(
         "pixels, looks with and without a mirror, and the outline",
-        points[:, :, ::LOOKS].flatten(1, 2),
+        points[:, :, ::VIEWS].flatten(1, 2),
         seconds,
         "looks",
     )
 
 
 @torch.no_grad()
-def _told(head: Pixels, test: Lesson) -> Tensor:
+def _told(head: Pixels, test: Batch) -> Tensor:
     """Turned as the thing is: what is wrong with the shape alone."""
     return about_vertical(torch.cat([head(part).own for part in test.picture.split(100)]), test.yaw)
 
 
-def _known() -> Lesson:
+def _known() -> Batch:
     """Pictures and shapes of training, as many different ones as a bag has."""
-    batches = list(islice(lessons(_SEED, 0), _TRAINING // BATCH))
-    fields = (each.name for each in dataclasses.fields(Lesson))
-    return Lesson(*(torch.cat([getattr(batch, field) for batch in batches]) for field in fields))
+    batches = list(islice(training_batches(_SEED, 0), _TRAINING // BATCH))
+    fields = (each.name for each in dataclasses.fields(Batch))
+    return Batch(*(torch.cat([getattr(batch, field) for batch in batches]) for field in fields))
 
 
 def _truly_nearest(truth: Tensor, known: Tensor) -> Tensor:

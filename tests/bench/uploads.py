@@ -22,7 +22,7 @@ from pathlib import Path
 import psutil
 from PIL import Image
 
-from tests.gateway.pictures import telling_exif
+from tests.support.private_pictures import telling_exif
 
 PHONES, PHOTOS, PHOTO_BYTES = 32, 8, 2_500_000
 _PROBE_S, _SAMPLE_S = 0.02, 0.05  # between two questions for the job, between two looks at the memory

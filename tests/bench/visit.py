@@ -18,14 +18,16 @@ import cv2
 import numpy as np
 from playwright.sync_api import Browser, BrowserContext, sync_playwright
 
-from services.cli.up import running
-from services.edge.mesh import Mesh, Textured, lods, render_sheet, to_glb
-from services.edge.mesh.bake import jpeg_of
-from services.edge.mesh.glb import best_packing
-from services.edge.target import cost_of
+from services.cli.up import run_stack
+from services.edge.asset.target import measure_cost
+from services.edge.export.glb import to_glb
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.mesh.simplify import lods
+from services.edge.render.contact_sheet import render_sheet
+from services.edge.texture.bake import jpeg_of
 from services.storage.bundle import Bundle
+from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from services.storage.publish import publish
 from tests.bench.delivery import scan
 from tests.web.conftest import CHROMIUM_FLAGS
 
@@ -71,7 +73,7 @@ def _visits(what: str, bundle: Bundle, chromium: Browser) -> None:
     context = chromium.new_context(viewport={"width": 1280, "height": 800})
     context.add_init_script(_WATCH)
     with tempfile.TemporaryDirectory() as folder:
-        with running("127.0.0.1", 0, Path(folder)) as stack:
+        with run_stack("127.0.0.1", 0, Path(folder)) as stack:
             publish(bundle, LocalStore(stack.store_root), key=_KEY)
             for name in ("first, 20 Mbit/s", "second, 20 Mbit/s"):
                 _print(f"{what}: {name}", _visit(context, f"{stack.url}/view/{_KEY}"))
@@ -79,17 +81,17 @@ def _visits(what: str, bundle: Bundle, chromium: Browser) -> None:
     context.close()
 
 
-def _painted(level: Mesh, side: int) -> Textured:
+def _painted(level: Mesh, side: int) -> TexturedMesh:
     """The sheet seen from above, with a picture that compresses as a photo does."""
     rng = np.random.default_rng(0)
     coarse = rng.integers(0, 256, (side // 8, side // 8, 3)).astype(np.uint8)
     picture = np.asarray(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC), np.uint8)
-    return Textured(replace(level, rgb=None), level.vertices[:, [0, 2]].clip(0, 1), jpeg_of(picture, 88), side)
+    return TexturedMesh(replace(level, rgb=None), level.vertices[:, [0, 2]].clip(0, 1), jpeg_of(picture, 88), side)
 
 
-def _bundle(levels: Sequence[Mesh | Textured]) -> Bundle:
-    files = {f"lod{level}.glb": to_glb(each, best_packing()) for level, each in enumerate(levels)}
-    costs = [asdict(cost_of(glb)) for glb in files.values()]
+def _bundle(levels: Sequence[Mesh | TexturedMesh]) -> Bundle:
+    files = {f"lod{level}.glb": to_glb(each, "meshopt") for level, each in enumerate(levels)}
+    costs = [asdict(measure_cost(glb)) for glb in files.values()]
     files["preview.png"] = render_sheet(levels[2])
     manifest: Mapping[str, Any] = {
         "label": "Sheet",

@@ -16,12 +16,12 @@ import uvicorn
 from services.cli.main import main
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
-from services.storage.catalogue import entry
-from services.storage.collection import index_name
+from services.storage.catalogue.collection import index_name
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.local import LocalStore
-from services.storage.publish import publish
-from services.storage.signing import Keys, generate, read_signer
-from tests.storage.bundles import bundle
+from tests.support.bundles import bundle
 
 INDEX = index_name("default")
 
@@ -30,8 +30,8 @@ INDEX = index_name("default")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two key pairs and, under `objects`, a store with a shoe and a sofa, signed with `key`."""
     folder = tmp_path_factory.mktemp("catalogue")
-    generate(folder / "key")
-    generate(folder / "other")
+    generate_key(folder / "key")
+    generate_key(folder / "other")
     store, keys = LocalStore(folder / "objects"), Keys((read_signer(folder / "key"),))
     publish(bundle(label="[bold]Shoe", labels=["footwear"]), store, key="shoe", keys=keys)
     publish(bundle(label="Sofa"), store, key="sofa", keys=keys)
@@ -95,7 +95,7 @@ def test_what_is_there_is_listed_removed_and_restored(url: str, run: Run) -> Non
     pulled = run("pull", "sofa", "-o", "never", "--gateway", url)
     assert (pulled.code, "was removed" in pulled.said) == (2, True)
     restored = run("restore", "sofa", "--gateway", url)
-    assert (restored.code, "sofa version 1 is there" in restored.said) == (0, True)
+    assert (restored.code, "sofa version 1 is available" in restored.said) == (0, True)
     assert "sofa" in run("ls", "--gateway", url).said
 
 
@@ -104,7 +104,7 @@ def test_a_collection_of_ones_own(url: str, store: LocalStore, folder: Path, run
     assert "ada: 1 assets" in run("ls", "--gateway", url, "--collection", "ada").said
     assert "ada: 1 assets" in run("ls", "--gateway", url, STORAGE_COLLECTION="ada").said
     assert "hers" not in run("ls", "--gateway", url).said
-    for verb, word in (("rm", "is removed"), ("restore", "is there")):
+    for verb, word in (("rm", "is removed"), ("restore", "is available")):
         other = run(verb, "hers", "--gateway", url, "--collection", "default")
         assert (other.code, "no asset hers in collection default" in other.said, "ada" in other.said) == (2, True, True)
         mine = run(verb, "hers", "--gateway", url, "--collection", "ada")
@@ -115,14 +115,14 @@ def test_a_collection_of_ones_own(url: str, store: LocalStore, folder: Path, run
     ("arguments", "word"),
     [
         (["ls", "--collection", "none"], "no collection none"),
-        (["ls", "--collection", "../x"], "no collection"),
+        (["ls", "--collection", "../x"], "not a valid collection"),
         (["rm", "none"], "no asset none"),
-        (["rm", "shoe", "--collection", "x" * 300], "no collection"),
-        (["pull", "shoe", "-o", "never", "--collection", "ädä"], "no collection"),
+        (["rm", "shoe", "--collection", "x" * 300], "not a valid collection"),
+        (["pull", "shoe", "-o", "never", "--collection", "ädä"], "not a valid collection"),
         (["pull", "shoe", "-o", "never", "--collection", "none"], "no collection none"),
         (["pull", "none", "-o", "never"], "no asset none"),
-        (["rm", "a/b"], "no asset key"),
-        (["restore", "ü"], "no asset key"),
+        (["rm", "a/b"], "not a valid asset key"),
+        (["restore", "ü"], "not a valid asset key"),
         (["catalogue", "verify", "--collection", "none"], "no collection none"),
         (["catalogue", "verify", "--trusted", "nowhere.pub"], "nowhere.pub"),
     ],
@@ -157,7 +157,7 @@ def test_the_first_class_of_faults_ends_with_exit_code_1(
         return run("catalogue", "verify", *place, *options)
 
     trusted = ("--trusted", str(folder / "key.pub"))
-    level = entry(store, "shoe").document["lods"][0]["name"]
+    level = read_entry(store, "shoe").document["lods"][0]["name"]
     content = store.get(level)
     store.delete(level)
     gone = verified(*trusted)
@@ -180,14 +180,14 @@ def test_every_collection_of_a_store_at_once(tmp_path: Path, run: Run) -> None:
     mine = partial(run, STORAGE_ROOT=tmp_path / "objects", STORAGE_SIGNING_KEY=tmp_path / "mine")
     assert run("catalogue", "keygen", tmp_path / "mine").code == 0
     nothing = mine("catalogue", "rebuild", "--all")
-    assert (nothing.code, "no asset belongs to a collection default" in nothing.said) == (2, True)
+    assert (nothing.code, "there is no collection default" in nothing.said) == (2, True)
     for collection in ("ada", "bob"):
         publish(bundle(), LocalStore(tmp_path / "objects"), key=f"{collection}-shoe", collection=collection)
     rebuilt = mine("catalogue", "rebuild", "--all")
     assert (rebuilt.code, rebuilt.said.count("signed by")) == (0, 2), rebuilt.said
     verified = mine("catalogue", "verify", "--all")
     assert (verified.code, "collection ada" in verified.said, "collection bob" in verified.said) == (0, True, True)
-    level = entry(LocalStore(tmp_path / "objects"), "ada-shoe").document["lods"][0]["name"]
+    level = read_entry(LocalStore(tmp_path / "objects"), "ada-shoe").document["lods"][0]["name"]
     LocalStore(tmp_path / "objects").delete(level)
     broken = mine("catalogue", "verify", "--all")
     assert (broken.code, "FILE_MISSING" in broken.said, "collection bob" in broken.said) == (1, True, True)
@@ -196,15 +196,17 @@ def test_every_collection_of_a_store_at_once(tmp_path: Path, run: Run) -> None:
 def test_a_key_is_made_once_and_a_collection_signed_with_it(tmp_path: Path, run: Run) -> None:
     mine = partial(run, STORAGE_ROOT=tmp_path / "objects")
     publish(bundle(), LocalStore(tmp_path / "objects"), key="shoe")
-    made = run("catalogue", "keygen", tmp_path / "mine")
+    mine_key = tmp_path / "keys" / "mine"
+    made = run("catalogue", "keygen", mine_key)
     assert made.code == 0, made.said
-    assert (tmp_path / "mine").stat().st_mode & 0o777 == 0o600
-    again = run("catalogue", "keygen", tmp_path / "mine")
-    assert (again.code, "there already" in again.said) == (2, True)
-    trusted = ("--trusted", str(tmp_path / "mine.pub"))
+    assert mine_key.stat().st_mode & 0o777 == 0o600
+    assert mine_key.parent.stat().st_mode & 0o777 == 0o700
+    again = run("catalogue", "keygen", mine_key)
+    assert (again.code, "exists already" in again.said) == (2, True)
+    trusted = ("--trusted", f"{mine_key}.pub")
     unsigned = mine("catalogue", "verify", "--store", *trusted)
     assert (unsigned.code, "SIGNATURE_MISSING" in unsigned.said) == (1, True)
-    rebuilt = mine("catalogue", "rebuild", STORAGE_SIGNING_KEY=str(tmp_path / "mine"))
+    rebuilt = mine("catalogue", "rebuild", STORAGE_SIGNING_KEY=str(mine_key))
     assert rebuilt.code == 0, rebuilt.said
     assert "1 assets in 1 shards, signed by" in rebuilt.said
     assert mine("catalogue", "verify", "--store", *trusted).code == 0

@@ -11,13 +11,16 @@ import pytest
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from services.cli.garment import garment, garment_scene
-from services.cli.simulate import simulate_capture
+from services.cli.demo_garment import garment, garment_scene
+from services.cli.demo_phone import simulate_capture
 from services.edge.arrays import Floats
-from services.edge.capture import Capture, Frame, read_capture
-from services.edge.mesh import Mesh
-from services.edge.mesh.metrics import edge_faces, pieces, sample
-from tests import surfaces
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Frame
+from services.edge.mesh.edges import edges_of
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import sample
+from services.edge.mesh.topology import component_count
+from tests.support import surfaces
 
 FRAMES = 6
 
@@ -124,9 +127,9 @@ def test_depth_is_sixteen_bit_millimetres(folder: Path) -> None:
 
 def test_the_dress_is_open_whole_and_of_a_person_s_size() -> None:
     dress = garment()
-    edges = edge_faces(dress.faces)
-    assert (edges.faces <= 2).all()
-    assert pieces(edges.vertices[edges.faces == 1]) >= 4  # neck, hem, two sleeves; seams on top
+    edges = edges_of(dress.faces)
+    assert (edges.size <= 2).all()
+    assert component_count(edges.border_ends) >= 4  # neck, hem, two sleeves; seams on top
     assert 1.0 < np.ptp(dress.vertices[:, 1]) < 1.2
     assert dress.rgb is not None
     assert dress.vertices[:, 1].min() > 0.02  # nowhere does it touch the floor

@@ -16,8 +16,8 @@ from PIL import Image
 
 from services.cli.run import run_preset
 from services.edge.preset import Preset
-from tests.clouds import write_ply
-from tests.edge.glb_reader import Glb
+from tests.referees.glb_reader import Glb
+from tests.support.clouds import write_ply
 
 # For speed: what is read, fused and oriented is the same at any resolution.
 BRIEFLY = ("--preset", "draft", "--resolution", 72)
@@ -52,7 +52,7 @@ def out(bowl: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     told = ("--reference", reference, "--longest", "0.5", "--collection", "bowls")
     result = capture2vr("run", bowl, "-o", out, *BRIEFLY, *told)
     assert result.returncode == 0, result.stderr
-    assert "against the reference" in result.stderr
+    assert "distance to the reference" in result.stderr
     return out
 
 
@@ -98,7 +98,7 @@ def test_the_report_tells_how_far_the_reference_is(out: Path) -> None:
     assert found["median"] < 0.002
     assert found["complete"] > 0.97
     page = (out / "report.html").read_text()
-    assert "Against the reference" in page
+    assert "Comparison with the reference" in page
     assert f"{found['median']:.3%}" in page
 
 

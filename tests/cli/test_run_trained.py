@@ -14,18 +14,18 @@ import pytest
 
 from services.cli.errors import BadInput
 from services.cli.run import Results, run_preset
-from services.edge import memory
-from services.edge.field.config import FitConfig
+from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.preset import Preset, preset_names
+from services.edge.worker import memory_budget
 from services.storage.bundle import Bundle
 from tests.cli.test_run import capture2vr
-from tests.clouds import write_ply
+from tests.support.clouds import write_ply
+from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
-ROOT = Path(__file__).parents[2]
 MESHES = {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb"}
-TINY = Preset("tiny", resolution=24, fit=FitConfig(warm_start=5, steps=5, warm_up=1, batch=100, pool=2_000))
+TINY = Preset("tiny", resolution=24, fit=NetworkConfig(warm_start=5, steps=5, warm_up=1, batch=100, pool=2_000))
 
 # A process of its own, which can be killed: enough steps, and a checkpoint soon.
 LONG = """
@@ -34,12 +34,12 @@ from pathlib import Path
 import pytest
 from services.cli.run import run_preset
 from services.edge.field import checkpoint
-from services.edge.field.config import FitConfig
+from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.preset import Preset
-from tests.hurry import draw_small
+from tests.support.small_pictures import draw_small
 checkpoint.SECONDS = 0.2
 draw_small(pytest.MonkeyPatch())
-fit = FitConfig(warm_start=5, steps=int(sys.argv[3]), warm_up=1, batch=100, pool=2_000)
+fit = NetworkConfig(warm_start=5, steps=int(sys.argv[3]), warm_up=1, batch=100, pool=2_000)
 run_preset(Path(sys.argv[1]), Path(sys.argv[2]), Preset("tiny", resolution=24, fit=fit), device="cpu")
 """
 
@@ -139,7 +139,7 @@ def test_a_kept_preview_stays_on_top_with_the_figures_of_what_was_refused(result
     assert report["warnings"] == ["one", "the preview was kept: it is farther"]
     assert report["certificates"]["refined"]["held_out_mean"] == 0.004
     page = (results.out / "report.html").read_text()
-    assert "worse than the preview, which was kept" in page
+    assert "worse than the preview, so the preview is the result" in page
     assert "0.00300" in page
     assert "0.00400" in page
 
@@ -202,7 +202,7 @@ def test_a_killed_run_goes_on_from_its_checkpoint(bowl: Path, tmp_path: Path) ->
 
     result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert result.returncode == 0, result.stderr
-    assert "starts anew" not in result.stderr, "the checkpoint was taken"
+    assert "starts from the beginning" not in result.stderr, "the checkpoint was taken"
     assert not checkpoint.exists()
     report = json.loads((out / "report.json").read_text())
     assert report["certificates"]["refined"]["steps"] == 155
@@ -211,8 +211,8 @@ def test_a_killed_run_goes_on_from_its_checkpoint(bowl: Path, tmp_path: Path) ->
 def test_a_preset_that_memory_does_not_hold_is_refused_before_any_work(
     bowl: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(memory, "machine_bytes", lambda: 1 << 20)
-    with pytest.raises(BadInput, match=r"preset tiny takes .* GB for 1,500 points") as told:
+    monkeypatch.setattr(memory_budget, "machine_bytes", lambda: 1 << 20)
+    with pytest.raises(BadInput, match=r"preset tiny needs .* GB of memory for 1,500 points") as told:
         run_preset(bowl, tmp_path / "out", TINY, device="cpu")
     assert "capture2vr presets" in str(told.value)
     assert not (tmp_path / "out").exists()

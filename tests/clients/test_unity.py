@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.clients.site import serving
-from tests.clients.unity_world import build
 from tests.conftest import missing
+from tests.support.repository import ROOT
+from tests.support.unity_site import serving
+from tests.support.unity_world import build
 
 _HERE = Path(__file__).parent / "unity"
-_PACKAGE = Path(__file__).parents[2] / "clients" / "unity"
+_PACKAGE = ROOT / "clients" / "unity"
 _DEFINES = (
     "",
     "CAPTURE2VR_ADDRESSABLES_2",

@@ -14,9 +14,9 @@ import pytest
 
 from services.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER
 from services.storage.unity.nouns import BASE_URL
-from services.storage.unity.publication import file_names
+from services.storage.unity.publication import catalogue_names
+from tests.support.repository import ROOT
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "clients" / "unity"
 
 
@@ -104,7 +104,7 @@ def test_the_property_that_addresses_begin_with_is_there_and_kept() -> None:
 def test_the_files_that_it_asks_for_are_those_that_are_published() -> None:
     text = _sources("Runtime")["Catalogue.cs"]
     asked = {f"collections/default/unity/{name}" for name in re.findall(r'return "(catalog[^"]*)"', text)}
-    assert asked == {names.catalogue for names in file_names("default")}
+    assert asked == {names.catalogue for names in catalogue_names("default")}
     assert "{BaseUrl}/collections/{collection}/unity/{FileName}" in text
 
 

@@ -20,11 +20,12 @@ from services.cli.up import free_port
 from services.storage.s3 import S3Store
 from services.storage.store import NO_CACHE
 from tests.conftest import missing
-from tests.s3.server import S3Server
+from tests.referees.s3.server import S3Server
+from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.s3
 
-CONF = Path(__file__).parents[2] / "deploy" / "nginx.conf"
+CONF = ROOT / "deploy" / "nginx.conf"
 BUCKET = "capture2vr"  # the name that the configuration knows
 CONTENT = os.urandom(3 << 20)  # three slices
 ROWS = b'{"rows":[' + b'["thing"],' * 400 + b'["thing"]]}'

@@ -13,14 +13,13 @@ from typing import Any
 
 import pytest
 
-from services.edge.settings import EdgeSettings, open_door, open_way_to_central
-from services.gateway.settings import GatewaySettings, open_way_to_workers
-from services.link import PLAIN
+from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
+from services.gateway.settings import GatewaySettings, worker_credentials
+from services.grpc_security import NO_CREDENTIALS
 from services.storage.settings import StorageSettings, open_keys
 from services.strict_settings import StrictSettings
 from tests.conftest import missing
-
-ROOT = Path(__file__).parents[2]
+from tests.support.repository import ROOT
 
 
 @pytest.fixture(scope="session")
@@ -82,9 +81,42 @@ def test_the_gpu_worker_exists_only_in_its_profile(compose: list[str]) -> None:
 def test_each_worker_has_the_torch_of_its_device(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
     assert "args" not in services["edge"]["build"], "the Dockerfile's own default is the CPU build"
-    assert services["edge-gpu"]["build"]["args"] == {"TORCH_INDEX": "https://pypi.org/simple"}
+    assert services["edge-gpu"]["build"]["args"] == {"TORCH_INDEX": ""}, "empty, not absent: it replaces that default"
     assert services["edge-gpu"]["image"] != services["edge"]["image"]
-    assert re.search(r"ARG TORCH_INDEX=\S+/cpu$", (ROOT / "deploy" / "edge.Dockerfile").read_text(), re.MULTILINE)
+    named = _config(compose, "gpu", TORCH_INDEX="https://example.org/cuda")["services"]["edge-gpu"]["build"]["args"]
+    assert named == {"TORCH_INDEX": "https://example.org/cuda"}
+
+
+@pytest.mark.parametrize(
+    ("index", "flags"),
+    [
+        (None, ["--extra-index-url", "https://download.pytorch.org/whl/cpu"]),
+        ("", []),
+        ("https://example.org/cuda", ["--extra-index-url", "https://example.org/cuda"]),
+    ],
+)
+def test_the_worker_image_takes_torch_from_the_index_that_is_named(index: str | None, flags: list[str]) -> None:
+    """None: nobody names one. pip's place is taken by a program that prints what it is asked for."""
+    build, _ = _edge_stages()
+    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", build, re.MULTILINE)
+    (install,) = re.findall(r"/venv/bin/(pip install .*)", build)
+    script = f"pip() {{ printf '%s\\n' \"$@\"; }}; {install}"
+    environment = {"PATH": os.environ["PATH"], "TORCH_INDEX": default if index is None else index}
+    asked = subprocess.run(["sh", "-euc", script], capture_output=True, text=True, check=True, env=environment).stdout
+    assert asked.splitlines() == ["install", "--no-cache-dir", "-c", "constraints.txt", *flags, ".[edge,storage,fast]"]
+
+
+def test_the_worker_image_has_a_compiler_only_while_it_is_built() -> None:
+    build, shipped = _edge_stages()
+    assert "g++" in build
+    assert "apt-get" not in shipped
+    assert "COPY --from=build /venv /venv" in shipped
+
+
+def _edge_stages() -> list[str]:
+    """The instructions of the worker's Dockerfile by stage, each on one line."""
+    text = (ROOT / "deploy" / "edge.Dockerfile").read_text().replace("\\\n", "")
+    return re.split(r"^FROM .*$", text, flags=re.MULTILINE)[1:]
 
 
 def test_every_variable_is_one_that_the_services_know(compose: list[str]) -> None:
@@ -134,10 +166,10 @@ def test_empty_variables_are_none(compose: list[str], monkeypatch: pytest.Monkey
     for name in KEYED:
         for variable, value in _config(compose, "gpu")["services"][name]["environment"].items():
             monkeypatch.setenv(variable, value)
-    assert open_keys(StorageSettings()).believed == ()
+    assert open_keys(StorageSettings()).verification_keys == ()
     assert StorageSettings().collection == "default"
-    assert open_door(EdgeSettings()).credentials is None
-    assert open_way_to_workers(GatewaySettings()) == open_way_to_central(EdgeSettings()) == PLAIN
+    assert server_security(EdgeSettings()).credentials is None
+    assert worker_credentials(GatewaySettings()) == central_credentials(EdgeSettings()) == NO_CREDENTIALS
 
 
 def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:

@@ -19,7 +19,7 @@ from services.edge.certificate import (
     hold_out,
 )
 from services.edge.mesh.nouns import Mesh
-from tests.surfaces import disk, hemisphere, moved, patch, sampled
+from tests.support.surfaces import disk, hemisphere, moved, patch, sampled
 
 
 def flat_field(queries: Floats) -> tuple[Floats, Floats]:
@@ -138,7 +138,7 @@ def test_the_nearer_surface_is_better_and_the_farther_worse(evidence: Evidence) 
     assert compare(far, near).outcome == "better"
     verdict = compare(near, far)
     assert verdict.outcome == "worse"
-    assert "0.00400 after 0.00200" in verdict.because
+    assert "0.00400, was 0.00200" in verdict.because
 
 
 def test_what_noise_adds_to_both_drops_out() -> None:
@@ -157,8 +157,8 @@ def test_what_noise_adds_to_both_drops_out() -> None:
     [
         ({"coverage": 0.9}, "covers"),
         ({"stray_area": 0.1}, "no points"),
-        ({"non_manifold_edges": 1000}, "tangled"),
-        ({"components": 20}, "apart"),
+        ({"non_manifold_edges": 1000}, "non-manifold"),
+        ({"components": 20}, "separate pieces"),
     ],
 )
 def test_any_fault_makes_it_worse(flat: Certificate, change: dict[str, float], word: str) -> None:

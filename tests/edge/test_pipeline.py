@@ -11,17 +11,17 @@ import trimesh
 from PIL import Image
 
 from services.edge.arrays import Tick
+from services.edge.asset.target import Target, target_of
 from services.edge.capture.nouns import Capture, Cloud
+from services.edge.capture_to_points import STARTS
 from services.edge.errors import Cancelled, EdgeError
-from services.edge.mesh.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
+from services.edge.export.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
 from services.edge.pipeline import PREVIEW_STARTS, reconstruct
-from services.edge.prepare import STARTS
 from services.edge.preset import Preset, load_preset
 from services.edge.progress import Progress
-from services.edge.target import Target, target_of
 from services.storage.bundle import Bundle
-from tests.edge.glb_reader import Glb
-from tests.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
+from tests.referees.glb_reader import Glb
+from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -112,8 +112,8 @@ def test_what_the_points_know_more_of_than_the_vertices_comes_as_a_texture() -> 
 
 
 def test_textures_come_as_ktx2_where_that_is_asked_for(ktx2: Ktx2Encoder) -> None:  # noqa: F811
-    target = replace(target_of("web-ktx2", ktx2), texture_px=128)
-    *_, bundle = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target)
+    target = replace(target_of("web-ktx2"), texture_px=128)
+    *_, bundle = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target, encode=ktx2)
     assert bundle.manifest["target"] == "web-ktx2"
     assert bundle.manifest["lods"][2]["bytes"] <= 150_000
     for level in bundle.manifest["lods"]:
@@ -123,11 +123,26 @@ def test_textures_come_as_ktx2_where_that_is_asked_for(ktx2: Ktx2Encoder) -> Non
     assert b"colour.jpg" in bundle.files["asset.usdz"]
 
 
+def test_ktx2_without_an_encoder_is_refused_before_any_work() -> None:
+    steps = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target_of("quest3-ktx2"))
+    with pytest.raises(EdgeError) as caught:
+        next(steps)
+    assert caught.value.code == "KTX2_UNAVAILABLE"
+
+
+def test_an_encoder_alone_changes_nothing() -> None:
+    def fails(picture: np.ndarray, tick: Tick) -> bytes:
+        raise AssertionError("nothing is encoded here")
+
+    *_, bundle = reconstruct(_printed(5_000), Preset("coarse", resolution=16), encode=fails)
+    assert bundle.state == "preview"
+
+
 def test_ktx2_that_cannot_be_made_is_an_error_behind_the_preview() -> None:
     def fails(picture: np.ndarray, tick: Tick) -> bytes:
         raise Ktx2Error("ktx2-encoder ended with status 1")
 
-    steps = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target_of("quest3-ktx2", fails))
+    steps = reconstruct(_printed(5_000), Preset("coarse", resolution=16), target=target_of("quest3-ktx2"), encode=fails)
     bundle = next(step for step in steps if isinstance(step, Bundle))
     assert bundle.state == "preview"
     assert [level["texture_bytes"] for level in bundle.manifest["lods"]] == [0, 0, 0]

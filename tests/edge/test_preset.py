@@ -8,7 +8,7 @@ import pytest
 
 from services.edge import preset as presets
 from services.edge.errors import EdgeError
-from services.edge.field.config import Densify, FitConfig
+from services.edge.paper_field.network_config import Densify, NetworkConfig
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
 
 BASELINES = ("cap-udf", "levelset-udf", "ours-no-self", "ours-paper", "ours-paper-scene")
@@ -64,12 +64,12 @@ def test_an_unknown_key_is_an_error_that_names_it(text: str, named: str) -> None
         ("resolution = 1.5", "resolution = 1.5 is not a whole number"),
         ("summary = 3", "summary = 3 is not text"),
         ("lod_faces = [1.5]", "is not a list of numbers"),
-        ("lod_faces = [100, 1000]", "must fall"),
-        ("lod_faces = []", "must fall"),
+        ("lod_faces = [100, 1000]", "must decrease"),
+        ("lod_faces = []", "must decrease"),
         ("denoised = 1", "is not true or false"),
         ("fit = 3", "fit = 3 is not a table"),
         ("[fit]\nsteps = true", "fit.steps = True is not a whole number"),
-        ('[fit]\nmodel = "larger"', "fit.model = 'larger' is not 'anchors' or"),
+        ('[fit]\nmodel = "larger"', "fit.model = 'larger' is not 'anchors' or 'separable' or 'mlp'"),
         ("[fit]\ndensify = 3", "fit.densify = 3 is not a table"),
     ],
 )
@@ -79,17 +79,31 @@ def test_a_value_of_another_kind_is_an_error_that_says_which(text: str, said: st
     assert told.value.code == "PRESET_INVALID"
 
 
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ('model = "anchors"\nbatch = 5\npool = 3', "'anchors' does not use: fit.batch, fit.pool"),
+        ('model = "anchors"\n[fit.densify]\nsteps = 5', "'anchors' does not use: fit.densify"),
+        ('model = "mlp"\nwidth = 128', "'mlp' does not use: fit.width"),
+    ],
+)
+def test_a_key_that_the_model_does_not_use_is_an_error_that_names_it(text: str, named: str) -> None:
+    with pytest.raises(EdgeError, match=named) as told:
+        parse_preset("mine", f"[fit]\n{text}")
+    assert told.value.code == "PRESET_INVALID"
+
+
 def test_a_preset_holds_only_differences() -> None:
     preset = parse_preset("mine", "lod_faces = [1000, 100]")
     assert preset == Preset("mine", lod_faces=(1000, 100))
     trained = parse_preset("mine", "[fit]\nlearning_rate = 1\n[fit.densify]\nsteps = 5").fit
-    assert trained == FitConfig(learning_rate=1.0, densify=Densify(steps=5))
+    assert trained == NetworkConfig(learning_rate=1.0, densify=Densify(steps=5))
 
 
 def test_the_baselines_are_the_papers() -> None:
     fits = {name: load_preset(name).fit for name in BASELINES}
-    assert fits["ours-paper"] == FitConfig()
-    assert fits["ours-no-self"] == FitConfig(self_consistency=0.0)
+    assert fits["ours-paper"] == NetworkConfig()
+    assert fits["ours-no-self"] == NetworkConfig(self_consistency=0.0)
     pull, levels = fits["cap-udf"], fits["levelset-udf"]
     assert pull is not None
     assert levels is not None

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from services.edge.arrays import Floats
-from services.edge.choose import CROWD, FEWEST, NOISY, Traits, choose, traits_of
-from services.edge.mesh import Mesh
-from services.edge.points import Points
-from tests.surfaces import patch, sampled
+from services.edge.mesh.nouns import Mesh
+from services.edge.points.nouns import Points
+from services.edge.preset_choice import CROWD, FEWEST, NOISY, Traits, choose, traits_of
+from tests.support.surfaces import patch, sampled
 
 GARMENT = Traits(points=20_000, spacing=0.01, noise=0.0, extent_m=0.0, gpu=False)
 
@@ -19,7 +19,7 @@ GARMENT = Traits(points=20_000, spacing=0.01, noise=0.0, extent_m=0.0, gpu=False
 @pytest.mark.parametrize(
     ("change", "preset", "reason"),
     [
-        ({}, "standard", "under a minute"),
+        ({}, "standard", "on a CPU"),
         ({"gpu": True}, "fine", "little noise"),
         ({"gpu": True, "noise": NOISY + 0.1}, "standard", "noise"),
         ({"gpu": True, "spacing": 0.03}, "standard", "apart"),
@@ -27,9 +27,9 @@ GARMENT = Traits(points=20_000, spacing=0.01, noise=0.0, extent_m=0.0, gpu=False
         ({"points": FEWEST - 1, "gpu": True}, "draft", "too few"),
         ({"extent_m": 5.2}, "scene", "5.2 m"),
         ({"extent_m": 5.2, "gpu": True}, "scene", "5.2 m"),
-        ({"extent_m": 1.8}, "standard", "under a minute"),
-        ({"points": CROWD + 1, "gpu": True}, "scene", "many for one thing"),
-        ({"points": CROWD + 1}, "scene", "many for one thing"),
+        ({"extent_m": 1.8}, "standard", "on a CPU"),
+        ({"points": CROWD + 1, "gpu": True}, "scene", "many for one object"),
+        ({"points": CROWD + 1}, "scene", "many for one object"),
     ],
 )
 def test_the_choice_and_its_reason(change: dict[str, float], preset: str, reason: str) -> None:

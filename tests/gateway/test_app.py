@@ -10,11 +10,12 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.instance import FolderInUse, instance
+from services.gateway.instance_lock import FolderInUse, lock_instance
 from services.gateway.routes.pages import WEB
 from services.gateway.settings import GatewaySettings
 from services.strict_settings import SettingsError
-from tests.gateway.support import Making, capture, ended, gateway, memory, start, worker
+from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
+from tests.support.patience import PATIENCE_S
 
 
 async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
@@ -76,30 +77,31 @@ async def test_pages_run_only_what_is_ours(tmp_path: Path) -> None:
             scripts = policy.split("script-src")[1].split(";")[0]
             assert not {"'unsafe-inline'", "'unsafe-eval'"} & set(scripts.split())
         assert (await client.get("/view/-bad")).status_code == 404
-        module = await client.get("/web/api.js")
+        module = await client.get("/web/shared/api.js")
         assert module.headers["cache-control"] == "no-cache"
-        assert (await client.get("/web/api.js", headers={"If-None-Match": module.headers["etag"]})).status_code == 304
+        known = {"If-None-Match": module.headers["etag"]}
+        assert (await client.get("/web/shared/api.js", headers=known)).status_code == 304
 
 
 async def test_one_worker_may_make_functions_of_text_and_nothing_else(tmp_path: Path) -> None:
     async with gateway(tmp_path / "gw", memory()) as client:
-        worker = await client.get("/web/ktx2-worker.js")
+        worker = await client.get("/web/graphics/ktx2-worker.js")
         assert worker.headers["content-security-policy"] == "default-src 'none'; script-src 'self' 'unsafe-eval'"
-        again = await client.get("/web/ktx2-worker.js", headers={"If-None-Match": worker.headers["etag"]})
+        again = await client.get("/web/graphics/ktx2-worker.js", headers={"If-None-Match": worker.headers["etag"]})
         assert (again.status_code, "content-security-policy" in again.headers) == (304, True)
-        transcoder = await client.get("/web/three-0.187.0.basis-transcoder.wasm")
+        transcoder = await client.get("/web/vendor/three-0.187.0.basis-transcoder.wasm")
         assert transcoder.headers["content-type"] == "application/wasm"  # else no browser compiles it as it comes
         assert "immutable" in transcoder.headers["cache-control"]
 
 
 async def test_scripts_travel_small(tmp_path: Path) -> None:
     async with gateway(tmp_path / "gw", memory()) as client:
-        address = "/web/three-0.187.0.core.js"
+        address = "/web/vendor/three-0.187.0.core.js"
         for accepted, share in (("gzip", 0.3), ("identity", 1.0)):
             async with client.stream("GET", address, headers={"Accept-Encoding": accepted}) as answer:
                 sent = sum([len(chunk) async for chunk in answer.aiter_raw()])
                 assert answer.headers["vary"] == "Accept-Encoding"
-            whole = (WEB / Path(address).name).stat().st_size
+            whole = (WEB.parent / address.lstrip("/")).stat().st_size
             assert share / 2 < sent / whole <= share
 
 
@@ -112,9 +114,9 @@ async def test_other_origins_call_only_when_they_are_named(tmp_path: Path) -> No
 
 
 def test_a_folder_has_one_gateway_and_keeps_its_name(tmp_path: Path) -> None:
-    with instance(tmp_path) as name, pytest.raises(FolderInUse, match="another gateway"), instance(tmp_path):
+    with lock_instance(tmp_path) as name, pytest.raises(FolderInUse, match="another gateway"), lock_instance(tmp_path):
         pass
-    with instance(tmp_path) as again:
+    with lock_instance(tmp_path) as again:
         assert again == name
 
 
@@ -142,8 +144,8 @@ def test_a_gateway_starts_and_stops_when_told(tmp_path: Path, unused_tcp_port: i
         for line in running.stderr:
             if "listening on" in line:
                 break
-        assert httpx.get(f"http://127.0.0.1:{unused_tcp_port}/livez", timeout=20).text == "ok\n"
+        assert httpx.get(f"http://127.0.0.1:{unused_tcp_port}/livez", timeout=PATIENCE_S).text == "ok\n"
         second = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert (second.returncode, "another gateway" in second.stderr) == (1, True)
         running.terminate()
-        assert running.wait(timeout=20) == 0
+        assert running.wait(timeout=PATIENCE_S) == 0

@@ -16,7 +16,7 @@ from services.gateway.app import create_app
 from services.gateway.errors import Problem
 from services.gateway.settings import GatewaySettings
 from services.storage.memory import MemoryStore
-from tests.gateway.support import capture, gateway, listening, memory
+from tests.support.in_process_gateway import capture, gateway, listening, memory
 
 JSON = {"Content-Type": "application/json"}
 _SECRET = "/home/somebody/secret-4711"

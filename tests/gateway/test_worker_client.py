@@ -10,23 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from services.gateway.edge import EdgePool
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job, Lease, Order
-from services.gateway.jobs.reports import Finished, Published
-from services.gateway.workers import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
-from tests.gateway.support import Making, memory, worker
+from services.gateway.jobs.reports import RunFinished, VersionPublished
+from services.gateway.worker_client import WorkerPool
+from services.gateway.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
+from tests.support.in_process_gateway import Making, memory, worker
+from tests.support.patience import CANCEL_S
 
 _NOBODY = "127.0.0.1:9"
 
 
 @asynccontextmanager
-async def pool(tmp_path: Path, *others: str, **settings: int) -> AsyncIterator[tuple[EdgePool, str, Making]]:
+async def pool(tmp_path: Path, *others: str, **settings: int) -> AsyncIterator[tuple[WorkerPool, str, Making]]:
     """A pool of one worker (and addresses where nobody is); its address and its work."""
     work = Making(memory())
     async with AsyncExitStack() as stack:
         port = await stack.enter_async_context(worker(work, tmp_path / "edge", **settings))
-        made = EdgePool((*others, f"127.0.0.1:{port}"))
+        made = WorkerPool((*others, f"127.0.0.1:{port}"))
         stack.push_async_callback(made.close)
         yield made, f"127.0.0.1:{port}", work
 
@@ -47,12 +48,12 @@ def written(tmp_path: Path, **script: object) -> Path:
 
 
 async def test_a_verdict_comes_from_a_worker(tmp_path: Path) -> None:
-    async with pool(tmp_path, _NOBODY) as (edge, _, _):
-        verdict = await edge.inspect(written(tmp_path, points=123))
+    async with pool(tmp_path, _NOBODY) as (workers, _, _):
+        verdict = await workers.inspect(written(tmp_path, points=123))
         assert verdict is not None
         assert (verdict.kind, verdict.format, verdict.points, verdict.warnings) == ("points", "ply", 123, ("sparse",))
         assert verdict.failure is None
-        refused = await edge.inspect(written(tmp_path, fail="CAPTURE_DEGENERATE"))
+        refused = await workers.inspect(written(tmp_path, fail="CAPTURE_DEGENERATE"))
     assert refused is not None
     assert refused.failure is not None
     assert refused.failure.document() == {
@@ -69,49 +70,49 @@ async def test_a_verdict_comes_from_a_worker(tmp_path: Path) -> None:
 
 
 async def test_without_a_worker_there_is_no_verdict_and_no_waiting(tmp_path: Path) -> None:
-    edge = EdgePool((_NOBODY,))
+    workers = WorkerPool((_NOBODY,))
     began = time.monotonic()
-    assert await edge.inspect(written(tmp_path)) is None
-    assert time.monotonic() - began < 3.0
-    await edge.close()
+    assert await workers.inspect(written(tmp_path)) is None
+    assert time.monotonic() - began < CANCEL_S
+    await workers.close()
 
 
 async def test_workers_that_answer_are_known_with_their_presets(tmp_path: Path) -> None:
-    async with pool(tmp_path, _NOBODY, slots=3) as (edge, address, _):
-        (status,) = await edge.workers()
+    async with pool(tmp_path, _NOBODY, slots=3) as (workers, address, _):
+        (status,) = await workers.poll()
         assert (status.address, status.slots, status.free_slots, status.queued) == (address, 3, 3, 0)
-        assert list(edge.presets) == ["draft", "fine"]
+        assert list(workers.presets) == ["draft", "fine"]
         assert status.offers("fine")
         assert not status.offers("scene")
 
 
 async def test_a_run_is_reported_to_its_end_and_can_be_heard_again(tmp_path: Path) -> None:
     archive = json.dumps({"steps": 2}).encode()
-    async with pool(tmp_path) as (edge, address, _):
-        told = [report async for report in edge.reconstruct(address, job(), chunks(archive), len(archive))]
-        assert isinstance(told[-1], Finished)
+    async with pool(tmp_path) as (workers, address, _):
+        told = [report async for report in workers.reconstruct(address, job(), chunks(archive), len(archive))]
+        assert isinstance(told[-1], RunFinished)
         assert [report.seq for report in told] == list(range(1, len(told) + 1))
-        assert [report.state for report in told if isinstance(report, Published)] == ["preview", "refined"]
-        assert [report async for report in edge.attach(address, "job_1", 2)] == told[2:]
+        assert [report.state for report in told if isinstance(report, VersionPublished)] == ["preview", "refined"]
+        assert [report async for report in workers.follow(address, "job_1", 2, 0.0)] == told[2:]
         with pytest.raises(RunKnown):
-            _ = [report async for report in edge.reconstruct(address, job(), chunks(archive), len(archive))]
-        assert await edge.cancel(address, "job_1") is False
+            _ = [report async for report in workers.reconstruct(address, job(), chunks(archive), len(archive))]
+        assert await workers.cancel(address, "job_1") is False
 
 
 async def test_refusals_have_names(tmp_path: Path) -> None:
     archive = json.dumps({"wait": 1}).encode()
-    async with pool(tmp_path, queue=0) as (edge, address, work):
+    async with pool(tmp_path, queue=0) as (workers, address, work):
         with pytest.raises(RunUnknown):
-            _ = [report async for report in edge.attach(address, "job_9", 0)]
+            _ = [report async for report in workers.follow(address, "job_9", 0, 0.0)]
         with pytest.raises(Problem) as unknown:
-            await anext(edge.reconstruct(address, job(preset="nope"), chunks(archive), len(archive)))
+            await anext(workers.reconstruct(address, job(preset="nope"), chunks(archive), len(archive)))
         assert unknown.value.code == "PRESET_UNKNOWN"
         with pytest.raises(WorkerUnreachable):
-            await anext(edge.attach(_NOBODY, "job_1", 0))
-        running = edge.reconstruct(address, job(), chunks(archive), len(archive))
+            await anext(workers.follow(_NOBODY, "job_1", 0, 0.0))
+        running = workers.reconstruct(address, job(), chunks(archive), len(archive))
         await anext(running)
         with pytest.raises(WorkerBusy):
-            await anext(edge.reconstruct(address, job("job_2"), chunks(archive), len(archive)))
+            await anext(workers.reconstruct(address, job("job_2"), chunks(archive), len(archive)))
         work.release.set()
         await running.aclose()
 
@@ -121,15 +122,17 @@ async def test_an_upload_that_cannot_be_read_says_so(tmp_path: Path) -> None:
         yield b"{"
         raise OSError("the store went away")
 
-    async with pool(tmp_path) as (edge, address, work):
+    async with pool(tmp_path) as (workers, address, work):
         with pytest.raises(OSError, match="went away"):
-            _ = [report async for report in edge.reconstruct(address, job(), broken(), 10)]
+            _ = [report async for report in workers.reconstruct(address, job(), broken(), 10)]
         assert work.runs == []
 
 
 async def test_a_large_archive_arrives_whole(tmp_path: Path) -> None:
     script = json.dumps({"steps": 1}).encode()
     archive = script + b" " * (9 << 20)  # more than one message may hold
-    async with pool(tmp_path) as (edge, address, _):
-        told = [report async for report in edge.reconstruct(address, job(), chunks(archive, 512 << 10), len(archive))]
-    assert isinstance(told[-1], Finished)
+    async with pool(tmp_path) as (workers, address, _):
+        told = [
+            report async for report in workers.reconstruct(address, job(), chunks(archive, 512 << 10), len(archive))
+        ]
+    assert isinstance(told[-1], RunFinished)

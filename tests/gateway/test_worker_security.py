@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from pydantic import SecretStr
 
-from services.edge.settings import EdgeSettings
+from services.edge.worker.settings import EdgeSettings
 from services.gateway.app import serve
-from services.gateway.edge import EdgePool
-from services.gateway.settings import GatewaySettings, open_way_to_workers
-from services.link import Caller
+from services.gateway.settings import GatewaySettings, worker_credentials
+from services.gateway.worker_client import WorkerPool
+from services.grpc_security import ClientCredentials
 from services.strict_settings import SettingsError
-from tests.certificates import TOKEN, Authority
-from tests.gateway.support import Making, capture, ended, gateway, memory, start, worker
+from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
+from tests.support.tls_certificates import TOKEN, Authority
 
 
 @pytest.fixture
@@ -43,17 +43,17 @@ async def test_a_worker_that_does_not_know_us_is_told_of_once(
 ) -> None:
     async with worker(Making(memory()), tmp_path / "edge", **of_worker(authority)) as port:
         for caller, word in (
-            (Caller(authority.ca.read_bytes(), TOKEN + "x"), "UNAUTHENTICATED: TOKEN_WRONG"),
-            (Caller(authority.ca.read_bytes()), "UNAUTHENTICATED: TOKEN_MISSING"),
-            (Caller(Authority(tmp_path, "stranger").ca.read_bytes(), TOKEN), "UNAVAILABLE"),
+            (ClientCredentials(authority.ca.read_bytes(), TOKEN + "x"), "UNAUTHENTICATED: TOKEN_WRONG"),
+            (ClientCredentials(authority.ca.read_bytes()), "UNAUTHENTICATED: TOKEN_MISSING"),
+            (ClientCredentials(Authority(tmp_path, "stranger").ca.read_bytes(), TOKEN), "UNAVAILABLE"),
         ):
-            pool = EdgePool((f"127.0.0.1:{port}",), caller=caller)
+            pool = WorkerPool((f"127.0.0.1:{port}",), credentials=caller)
             caplog.clear()
             with caplog.at_level(logging.WARNING):
                 for _ in range(3):
-                    assert await pool.workers() == ()
+                    assert await pool.poll() == ()
             await pool.close()
-            (record,) = [each for each in caplog.records if each.name == "services.gateway.edge"]
+            (record,) = [each for each in caplog.records if each.name == "services.gateway.worker_client"]
             assert word in record.getMessage()
             assert TOKEN not in record.getMessage()
 
@@ -63,7 +63,7 @@ async def test_a_worker_that_does_not_know_us_is_told_of_once(
     [
         ({"edge_token": SecretStr(TOKEN)}, "GATEWAY_EDGE_TOKEN needs GATEWAY_EDGE_CA"),
         ({"edge_ca": Path("/nowhere.pem")}, "GATEWAY_EDGE_CA: /nowhere.pem cannot be read"),
-        ({"edge_ca": Path(__file__)}, "GATEWAY_EDGE_CA: .* holds no certificate"),
+        ({"edge_ca": Path(__file__)}, "GATEWAY_EDGE_CA: .* contains no PEM certificate"),
     ],
 )
 def test_wrong_settings_are_named_and_nothing_starts(
@@ -73,7 +73,7 @@ def test_wrong_settings_are_named_and_nothing_starts(
     monkeypatch.setattr("services.gateway.app.configure", lambda level: None)
     settings = GatewaySettings(data_dir=tmp_path / "gw", port=0, **way)
     with pytest.raises(SettingsError, match=said):
-        open_way_to_workers(settings)
+        worker_credentials(settings)
     assert serve(settings, memory()) == 1
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import struct
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
+import meshopt
 import numpy as np
 
 _TYPES = {5126: "<f4", 5120: "i1", 5123: "<u2", 5125: "<u4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_MESHOPT = "EXT_meshopt_compression"
 
 
 @dataclass
@@ -36,9 +39,8 @@ class Glb:
         view = self.document["bufferViews"][accessor["bufferView"]]
         width, kind = _WIDTHS[accessor["type"]], np.dtype(_TYPES[accessor["componentType"]])
         stride = view.get("byteStride", width * kind.itemsize)
-        compressed = view.get("extensions", {}).get("EXT_meshopt_compression")
-        content = _decoded(self.binary, compressed) if compressed else self.binary[view["byteOffset"] :]
-        rows = np.frombuffer(content, kind, accessor["count"] * stride // kind.itemsize).reshape(accessor["count"], -1)
+        count = accessor["count"]
+        rows = np.frombuffer(self._content(view), kind, count * stride // kind.itemsize).reshape(count, -1)
         return rows[:, :width] if width > 1 else rows.ravel()
 
     def attribute(self, name: str) -> np.ndarray[Any, Any]:
@@ -65,8 +67,7 @@ class Glb:
     def image(self) -> bytes:
         """The file of the only picture."""
         (image,) = self.document["images"]
-        view = self.document["bufferViews"][image["bufferView"]]
-        return self.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        return self._content(self.document["bufferViews"][image["bufferView"]])
 
     @property
     def normals(self) -> np.ndarray[Any, Any]:
@@ -74,18 +75,35 @@ class Glb:
         normals = self.attribute("NORMAL").astype(float)
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
+    def decompressed(self) -> bytes:
+        """The same file without EXT_meshopt_compression: every view holds what a decoder makes of it."""
+        document, binary = deepcopy(self.document), b""
+        for view in document["bufferViews"]:
+            content = self._content(view)
+            view |= {"buffer": 0, "byteOffset": len(binary)}
+            view.pop("extensions", None)
+            assert view["byteLength"] == len(content)
+            binary += content + bytes(-len(content) % 4)
+        document["buffers"] = [{"byteLength": len(binary)}]
+        for listed in (document["extensionsUsed"], document["extensionsRequired"]):
+            listed.remove(_MESHOPT)
+        text = json.dumps(document).encode()
+        text += b" " * (-len(text) % 4)
+        head = struct.pack("<4sIIII", b"glTF", 2, 28 + len(text) + len(binary), len(text), 0x4E4F534A)
+        return head + text + struct.pack("<II", len(binary), 0x004E4942) + binary
+
+    def _content(self, view: dict[str, Any]) -> bytes:
+        compressed = view.get("extensions", {}).get(_MESHOPT)
+        if compressed:
+            return _decoded(self.binary, compressed)
+        return self.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+
 
 def _decoded(binary: bytes, how: dict[str, Any]) -> bytes:
-    import meshoptimizer
-
-    part = np.frombuffer(binary, np.uint8, how["byteLength"], how["byteOffset"])
-    if how["mode"] == "TRIANGLES":
-        indices = meshoptimizer.decode_index_buffer(how["count"], 4, part)
-        return np.asarray(indices).astype({2: "<u2", 4: "<u4"}[how["byteStride"]]).tobytes()
-    assert how["mode"] == "ATTRIBUTES"
-    assert part[0] == 0xA0  # the version of the codec that the extension knows
-    rows = np.asarray(meshoptimizer.decode_vertex_buffer(how["count"], how["byteStride"], part))
-    rows = rows.view(np.uint8).reshape(how["count"], how["byteStride"])
+    """Of a compressed view what stands in it. The codecs are those whose version the extension knows."""
+    part = binary[how["byteOffset"] : how["byteOffset"] + how["byteLength"]]
+    assert part[0] == {"TRIANGLES": 0xE1, "ATTRIBUTES": 0xA0}[how["mode"]]
+    rows = meshopt.decode_gltf_buffer(part, how["count"], how["byteStride"], how["mode"])
     if how.get("filter") == "OCTAHEDRAL":
         return _octahedral(rows.view(np.int8)).tobytes()
     assert "filter" not in how

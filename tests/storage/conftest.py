@@ -12,7 +12,7 @@ from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
 from services.storage.s3 import S3Store
 from services.storage.store import Store, list_all
-from tests.s3.server import S3Server
+from tests.referees.s3.server import S3Server
 
 
 @pytest.fixture(scope="session")

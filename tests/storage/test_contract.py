@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import httpx
 import pytest
 
 from services.storage.store import IMMUTABLE, NO_CACHE, ConditionFailed, Store, list_all
@@ -123,12 +121,12 @@ IMPOSSIBLE += ("a\0b", "a\n", "é", "x" * 600)
 
 @pytest.mark.parametrize("name", IMPOSSIBLE)
 def test_an_impossible_name_is_a_value_error(store: Store, name: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no object name"):
+    with pytest.raises(ValueError, match="not a valid object name"):
         store.put(name, b"1", content_type=TEXT)
     for read in (store.get, store.head, store.delete, store.url):
-        with pytest.raises(ValueError, match="no object name"):
+        with pytest.raises(ValueError, match="not a valid object name"):
             read(name)
-    with pytest.raises(ValueError, match="no object name"):
+    with pytest.raises(ValueError, match="not a valid object name"):
         store.fetch(name, tmp_path / "x")
 
 
@@ -233,12 +231,3 @@ def test_list_all_walks_every_page(store: Store) -> None:
 
 def test_url_ends_with_the_name(store: Store) -> None:
     assert store.url("assets/a/lod0.glb").endswith("/assets/a/lod0.glb")
-
-
-def test_upload_url_takes_a_put_or_is_unsupported(store: Store) -> None:
-    try:
-        url = store.upload_url("captures/direct.zip", expires_s=60)
-    except io.UnsupportedOperation:
-        return
-    httpx.put(url, content=b"from a phone").raise_for_status()
-    assert store.get("captures/direct.zip") == b"from a phone"

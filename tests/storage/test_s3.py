@@ -1,4 +1,4 @@
-"""What only a real S3 service can show: credentials, policies, presigned addresses, foreign errors."""
+"""What only a real S3 service can show: credentials, policies, foreign errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from services.storage.bucket import read_policy
 from services.storage.s3 import S3Store
 from services.storage.store import Store
-from tests.s3.server import S3Server
+from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
 
 pytestmark = pytest.mark.s3
@@ -36,22 +36,6 @@ def test_anybody_reads_assets_and_collections_and_nothing_else(s3_server: S3Serv
         assert httpx.get(address).status_code == 403
     for name in ("assets/a/mine", "collections/c/index.json"):
         assert httpx.put(store.url(name), content=b"x").status_code == 403
-
-
-def test_presigned_addresses_are_for_the_public_host(s3_server: S3Server, bucket: str) -> None:
-    s3_store(s3_server, bucket)
-    store = S3Store(
-        bucket=bucket,
-        access_key=s3_server.access_key,
-        secret_key=s3_server.secret_key,
-        endpoint=s3_server.endpoint,
-        public_endpoint=s3_server.endpoint.replace("127.0.0.1", "localhost"),
-    )
-    url = store.upload_url("captures/a.zip", expires_s=60)
-    assert url.startswith(s3_server.endpoint.replace("127.0.0.1", "localhost"))
-    assert httpx.put(url, content=b"1").status_code == 200
-    assert httpx.put(url.replace("localhost", "127.0.0.1"), content=b"2").status_code == 403
-    assert store.get("captures/a.zip") == b"1"
 
 
 def test_a_cdn_stands_before_the_names(s3_server: S3Server) -> None:

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tests.edge import captures
-from tests.gateway import pictures
+from tests.support import captures, private_pictures
 
 Make = Callable[[Path], Path]
 
@@ -114,7 +113,7 @@ def _tar() -> bytes:
 
 def _picture(mode: str, kind: str) -> bytes:
     buffer = io.BytesIO()
-    pictures.picture(mode=mode).save(buffer, kind)
+    private_pictures.picture(mode=mode).save(buffer, kind)
     return buffer.getvalue()
 
 
@@ -154,17 +153,17 @@ BAD: dict[str, Bad] = {
     "a name of other letters": Bad("CAPTURE_TRUNCATED", EMOJI, one(EMOJI, lambda: _PLY[:-100])),
     # pictures
     "a PNG of 60,000 × 60,000": Bad(
-        "IMAGE_TOO_LARGE", "a.png", one("a.png", lambda: pictures.huge_png(60_000, 60_000))
+        "IMAGE_TOO_LARGE", "a.png", one("a.png", lambda: private_pictures.huge_png(60_000, 60_000))
     ),
     "a JPEG's beginning named .txt": Bad(
         "IMAGE_UNREADABLE", "photo.txt", one("photo.txt", lambda: b"\xff\xd8\xff\xe0 not really")
     ),
     "HTML named .jpg": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: HTML)),
-    "a truncated JPEG": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: pictures.jpeg()[:1500])),
+    "a truncated JPEG": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: private_pictures.jpeg()[:1500])),
     "a CMYK JPEG of nothing": Bad("CAPTURE_NO_OBJECT", "a.jpg", one("a.jpg", lambda: _picture("CMYK", "JPEG"))),
     "a 16-bit PNG of nothing": Bad("CAPTURE_NO_OBJECT", "a.png", one("a.png", lambda: _picture("I;16", "PNG"))),
     "a GIF": Bad("CAPTURE_UNKNOWN_FORMAT", "a.gif", one("a.gif", lambda: _picture("P", "GIF"))),
-    "a cut film": Bad("CAPTURE_UNREADABLE", "a.mp4", one("a.mp4", lambda: pictures.film()[:150])),
+    "a cut film": Bad("CAPTURE_UNREADABLE", "a.mp4", one("a.mp4", lambda: private_pictures.film()[:150])),
     # recordings
     "fewer poses than images": Bad("CAPTURE_COUNT_MISMATCH", "trajectory.log", recording(_few_poses)),
     "fewer depth images than colours": Bad(
@@ -173,7 +172,7 @@ BAD: dict[str, Bad] = {
     "a gigantic depth image": Bad(
         "IMAGE_TOO_LARGE",
         "depth/00001.png",
-        recording(lambda folder: (folder / "depth/00001.png").write_bytes(pictures.huge_png(60_000, 60_000))),
+        recording(lambda folder: (folder / "depth/00001.png").write_bytes(private_pictures.huge_png(60_000, 60_000))),
     ),
     "a depth image that unpacks to 200 MB": Bad(
         "CAPTURE_BAD_INTRINSICS",

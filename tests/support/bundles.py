@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from services.storage.bundle import Bundle, State
-from services.storage.collection import Row, index_name, load_shard, read_index
-from services.storage.signing import Public
+from services.storage.catalogue.collection import Row, index_name, load_shard, read_index
+from services.storage.catalogue.signing import PublicKey
 from services.storage.store import IMMUTABLE, Head, Store
 
 
@@ -21,7 +21,7 @@ def bundle(state: State = "preview", content: str = "a", **manifest: object) -> 
     return Bundle(state=state, files=files, manifest={"lods": lods, "quality": {"triangles": 100}} | facts | manifest)
 
 
-def listed(store: Store, collection: str = "default", believed: tuple[Public, ...] = ()) -> dict[str, Row]:
+def listed(store: Store, collection: str = "default", believed: tuple[PublicKey, ...] = ()) -> dict[str, Row]:
     """The rows of a collection by key, each shard as the index says and in order."""
     index = read_index(store.get(index_name(collection)), collection, believed)
     rows: list[Row] = []
@@ -83,6 +83,3 @@ class CrashingStore:
 
     def url(self, name: str) -> str:
         return self._inner.url(name)
-
-    def upload_url(self, name: str, *, expires_s: int) -> str:
-        return self._inner.upload_url(name, expires_s=expires_s)

@@ -14,23 +14,25 @@ import grpc
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
 from services.edge.errors import EdgeError
-from services.edge.offer import Offer
-from services.edge.requests import JobRequest
-from services.edge.run import Say, Work
-from services.edge.scratch import Scratch
-from services.edge.server import EdgeServer
-from services.edge.settings import EdgeSettings
+from services.edge.worker.capabilities import Capabilities
+from services.edge.worker.job_request import ReconstructionRequest
+from services.edge.worker.job_run import Report, Work
+from services.edge.worker.scratch import Scratch
+from services.edge.worker.server import EdgeServer
+from services.edge.worker.settings import EdgeSettings
+from tests.support.patience import PATIENCE_S
 
 TICK_S = 0.02
 
 
 class Scripted:
-    """Work whose job is what the archive's bytes say: "ticks 3", "wait" (for `release`), "deaf" (hears nothing), ...
+    """Work whose job is what the archive's bytes say: "ticks 3", "wait" (for `release`), "deaf" (hears nothing),
+    "until /some/file" (is there), ...
 
     "keep x" leaves the checkpoint "x" and fails for now; `found` is the checkpoint that each job began with.
     """
 
-    offer = Offer(
+    offer = Capabilities(
         "cpu, 2 cores",
         (
             pb.Preset(name="draft", summary="quick", memory_bytes=1 << 28),
@@ -42,11 +44,13 @@ class Scripted:
 
     def __init__(self, **acts: Callable[[], object]) -> None:
         self.release = threading.Event()
-        self.seen: dict[str, JobRequest] = {}
+        self.seen: dict[str, ReconstructionRequest] = {}
         self.found: dict[str, str] = {}
         self._acts = acts
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
+    def reconstruct(
+        self, archive: Path, request: ReconstructionRequest, scratch: Path, checkpoint: Path, report: Report
+    ) -> pb.Finished:
         self.seen[request.job] = request
         self.found[request.job] = checkpoint.read_text() if checkpoint.exists() else ""
         (scratch / "leftover.bin").write_bytes(b"x")
@@ -54,27 +58,28 @@ class Scripted:
         match word:
             case "ticks":
                 for done in range(int(rest[0])):
-                    say(pb.Progress(stage=pb.POINT_CLOUD + done, fraction=done / int(rest[0])))
+                    report(pb.Progress(stage=pb.POINT_CLOUD + done, fraction=done / int(rest[0])))
             case "fractions":
                 for place, fraction in enumerate(rest):
-                    say(pb.Progress(stage=pb.VALIDATING + place, fraction=float(fraction)))
+                    report(pb.Progress(stage=pb.VALIDATING + place, fraction=float(fraction)))
             case "wait":
                 checkpoint.write_text("waited")
-                say(pb.Progress(stage=pb.FITTING, fraction=0.5, message="waiting"))
+                report(pb.Progress(stage=pb.FITTING, fraction=0.5, message="waiting"))
                 while not self.release.wait(TICK_S):
-                    say(pb.Progress(stage=pb.FITTING, fraction=0.5))
+                    report(pb.Progress(stage=pb.FITTING, fraction=0.5))
             case "keep":
                 checkpoint.write_text(rest[0])
                 raise EdgeError("STORE_UNAVAILABLE", "no store", retryable=True)
-            case "pause":
-                say(pb.Progress(stage=pb.FITTING, fraction=0.5))
-                self.release.wait(float(rest[0]))
+            case "until":
+                report(pb.Progress(stage=pb.FITTING, fraction=0.5))
+                while not Path(*rest).exists():
+                    self.release.wait(TICK_S)
             case "deaf":
-                say(pb.Progress(stage=pb.FITTING, fraction=0.5))
+                report(pb.Progress(stage=pb.FITTING, fraction=0.5))
                 self.release.wait(30)
             case act:
                 self._acts[act]()
-        say(pb.Published(asset_key=request.asset_key, version=1, state="preview", manifest="m"))
+        report(pb.Published(asset_key=request.asset_key, version=1, state="preview", manifest="m"))
         return pb.Finished(warnings=["one"], seconds={"FITTING": 1.5})
 
     def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
@@ -138,7 +143,7 @@ async def worker(work: Work, scratch: Path, **settings: object) -> AsyncIterator
     hurry = asyncio.Event()
     hurry.set()
     place = Scratch(scratch)
-    with place.held():
+    with place.claim():
         server = EdgeServer(EdgeSettings(port=0, scratch=scratch, **settings), work, place)
         port = await server.start()
         try:
@@ -153,7 +158,7 @@ def leftovers(scratch: Path) -> list[str]:
     return [path.name for path in scratch.glob("worker-*/*") if path.name != ".lock"]
 
 
-async def until(holds: Callable[[], bool], within_s: float = 5.0) -> None:
+async def until(holds: Callable[[], bool], within_s: float = PATIENCE_S) -> None:
     """Wait for a condition; a test that waits in vain fails here."""
     async with asyncio.timeout(within_s):
         while not holds():

@@ -1,4 +1,4 @@
-"""The worker with small pictures and checkpoints 1.5 s apart, not 5: `python -m tests.gateway.hasty_worker edge`."""
+"""The worker with small pictures and checkpoints 1.5 s apart, not 5: `python -m tests.support.hasty_worker edge`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from services.cli.main import main
 from services.edge.field import checkpoint
-from tests.hurry import draw_small
+from tests.support.small_pictures import draw_small
 
 if __name__ == "__main__":
     with pytest.MonkeyPatch.context() as patch:

@@ -13,14 +13,15 @@ import httpx
 import uvicorn
 from fastapi import FastAPI
 
-from services.edge.scratch import Scratch
-from services.edge.server import EdgeServer
-from services.edge.settings import EdgeSettings
+from services.edge.worker.scratch import Scratch
+from services.edge.worker.server import EdgeServer
+from services.edge.worker.settings import EdgeSettings
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
 from services.storage.memory import MemoryStore
 from services.storage.store import Store
-from tests.gateway.making import Making
+from tests.support.patience import PATIENCE_S
+from tests.support.scripted_work import Making
 
 TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
 SHORT = {"lease_s": 1.0, "silence_s": 6.0, "attach_for_s": 1.0, "retry_s": 0.05, "presets": ("draft", "fine")}
@@ -32,7 +33,7 @@ async def worker(work: Making, scratch: Path, *, port: int = 0, **settings: Any)
     hurry = asyncio.Event()
     hurry.set()
     place = Scratch(scratch)
-    with place.held():
+    with place.claim():
         server = EdgeServer(EdgeSettings(port=port, scratch=scratch, **settings), work, place)
         bound = await server.start()
         try:
@@ -46,7 +47,7 @@ async def gateway(data_dir: Path, store: Store, *ports: int, **settings: Any) ->
     """A gateway that listens on a real socket; a client of it. Leaves runs alone when it goes, as a restart does."""
     workers = tuple(f"127.0.0.1:{port}" for port in ports) or ("127.0.0.1:9",)
     app = create_app(GatewaySettings(data_dir=data_dir, workers=workers, port=0, **{**SHORT, **settings}), store)
-    async with listening(app) as url, httpx.AsyncClient(base_url=url, timeout=10.0) as client:
+    async with listening(app) as url, httpx.AsyncClient(base_url=url, timeout=PATIENCE_S) as client:
         yield client
 
 
@@ -58,7 +59,7 @@ async def listening(app: FastAPI) -> AsyncIterator[str]:
     # serve() would take this process's signal handlers.
     task = asyncio.create_task(server._serve())
     try:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while not server.started:
                 assert not task.done(), "the app did not start"
                 await asyncio.sleep(0.01)
@@ -83,7 +84,7 @@ async def start(client: httpx.AsyncClient, capture_id: str, key: str = "dress", 
 
 
 async def job_when(
-    client: httpx.AsyncClient, job: str, holds: Callable[[dict[str, Any]], bool], within_s: float = 15.0
+    client: httpx.AsyncClient, job: str, holds: Callable[[dict[str, Any]], bool], within_s: float = PATIENCE_S
 ) -> dict[str, Any]:
     """The job as soon as something holds of it."""
     async with asyncio.timeout(within_s):
@@ -92,7 +93,7 @@ async def job_when(
     return dict(found)
 
 
-async def ended(client: httpx.AsyncClient, job: str, within_s: float = 15.0) -> dict[str, Any]:
+async def ended(client: httpx.AsyncClient, job: str, within_s: float = PATIENCE_S) -> dict[str, Any]:
     """The job at its end."""
     return await job_when(client, job, lambda found: found["state"] in TERMINAL, within_s)
 
@@ -115,7 +116,7 @@ async def events(client: httpx.AsyncClient, job: str, **headers: str) -> list[tu
     return told
 
 
-async def until(holds: Callable[[], Awaitable[bool]], within_s: float = 10.0) -> None:
+async def until(holds: Callable[[], Awaitable[bool]], within_s: float = PATIENCE_S) -> None:
     """Wait for a condition; a test that waits in vain fails here."""
     async with asyncio.timeout(within_s):
         while not await holds():

@@ -9,17 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import DistanceFn, Floats, Ints
+from services.edge.arrays import Floats
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import SurfaceSamples, area, sample
+from services.edge.mesh.topology import component_count
 
 SAMPLES = 100_000  # per mesh: the floor of a unit sphere is then .0028, well under what methods differ by
 BORDER_SAMPLES = 20_000  # per mesh: borders of length 5 are then sampled every .00025, a tenth of the usual floor
 SAME_PLACE = 9  # decimals of the unit frame to which vertices at one place agree
-TINY = 1e-12  # a gradient shorter than this has no direction: its cosine counts as 0, the worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +56,6 @@ class Quality:
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """Points of a surface: xyz (N,3), normals (N,3) of length 1."""
-
-    xyz: Floats
-    normals: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class Gaps:
     """Nearest-sample distances between surfaces a and b, both ways, and |cos| of the normals that meet."""
 
@@ -90,41 +82,27 @@ def compare(mesh: Mesh, truth: Mesh, samples: int = SAMPLES, seed: int = 0) -> Q
     rng = np.random.default_rng(seed)
     made, true, again = (sample(surface, samples, rng) for surface in (mesh, truth, truth))
     gaps, floor = gaps_between(made, true), gaps_between(again, true)
-    edges = edge_faces(mesh.faces)
-    boundary = edges.vertices[edges.faces == 1]
+    edges = edges_of(mesh.faces)
+    boundary = edges.border_ends
     return Quality(
         chamfer_l1=gaps.chamfer_l1,
         chamfer_l2=gaps.chamfer_l2,
         f_005=gaps.f_score(0.005),
         f_010=gaps.f_score(0.010),
         normal_consistency=float(gaps.cos.mean()),
-        edges=len(edges.faces),
+        edges=len(edges.ends),
         boundary_edges=len(boundary),
-        boundary_loops=pieces(boundary),
+        boundary_loops=component_count(boundary),
         boundary_error=boundary_error(mesh, truth, seed=seed),
-        non_manifold_edges=int((edges.faces > 2).sum()),
-        components=pieces(edges.vertices),
+        non_manifold_edges=edges.crowded_count,
+        components=component_count(edges.ends),
         area_ratio=area(mesh) / area(truth),
         floor=floor.chamfer_l1,
         floor_f_005=floor.f_score(0.005),
     )
 
 
-def sample(mesh: Mesh, count: int, rng: np.random.Generator) -> Samples:
-    """`count` area-weighted uniform random points of a mesh. Raises ValueError where the mesh has no area."""
-    corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled = np.linalg.norm(cross, axis=1)
-    if not doubled.sum() > 0:
-        raise ValueError(f"a mesh of {len(mesh.faces)} faces without area cannot be sampled")
-    face = rng.choice(len(doubled), count, p=doubled / doubled.sum())
-    # √u spreads evenly over the triangle: without it samples crowd at the first corner.
-    u, v = np.sqrt(rng.random(count)), rng.random(count)
-    bary = np.stack([1 - u, u * (1 - v), u * v], axis=1)
-    return Samples(np.einsum("nc,ncx->nx", bary, corners[face]), cross[face] / doubled[face, None])
-
-
-def gaps_between(a: Samples, b: Samples) -> Gaps:
+def gaps_between(a: SurfaceSamples, b: SurfaceSamples) -> Gaps:
     """Distances from every sample to the nearest of the other surface."""
     a_to_b, nearest_b = cKDTree(b.xyz).query(a.xyz, workers=-1)
     b_to_a, nearest_a = cKDTree(a.xyz).query(b.xyz, workers=-1)
@@ -155,8 +133,7 @@ def boundary_error(mesh: Mesh, truth: Mesh, samples: int = BORDER_SAMPLES, seed:
 def sample_border(mesh: Mesh, count: int, rng: np.random.Generator) -> Floats:
     """(count,3) uniform random points along the edges of one face; (0,3) where the mesh is closed."""
     whole = welded(mesh)
-    edges = edge_faces(whole.faces)
-    ends = whole.vertices[edges.vertices[edges.faces == 1]]
+    ends = whole.vertices[edges_of(whole.faces).border_ends]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     if not length.sum() > 0:
         return np.empty((0, 3))
@@ -174,62 +151,6 @@ def welded(mesh: Mesh) -> Mesh:
     faces = same.ravel()[mesh.faces]
     whole = (faces != faces[:, [1, 2, 0]]).all(axis=1)
     return Mesh(mesh.vertices[first], faces[whole])
-
-
-def consistency(distance: DistanceFn, queries: Floats) -> float:
-    """Mean of 1 − |cos(g(q), g(q̂))| over (N,3) near-surface queries q, with q̂ = q − f(q)·g(q)/|g(q)| the pulled one.
-
-    0 where the level sets of the field run parallel, as those of a true distance do between a surface and its medial
-    axis. Raises ValueError without queries.
-    """
-    if len(queries) == 0:
-        raise ValueError("the consistency of a field needs queries")
-    f, g = distance(queries)
-    pulled = queries - f[:, None] * _directions(g)
-    cos = _abs_cos(_directions(g), _directions(distance(pulled)[1]))
-    return float(np.mean(1 - cos))
-
-
-def area(mesh: Mesh) -> float:
-    """Sum of the triangles' areas."""
-    corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.linalg.norm(cross, axis=1).sum() / 2)
-
-
-@dataclass(frozen=True, slots=True)
-class EdgeFaces:
-    """The undirected edges of a mesh: vertices (E,2) in rising order, faces (E,) how many faces share each."""
-
-    vertices: Ints
-    faces: Ints
-
-
-def edge_faces(faces: Ints) -> EdgeFaces:
-    """Edges with the number of faces on each: 1 at a border, 2 inside, more where the mesh is not manifold."""
-    if len(faces) == 0:
-        return EdgeFaces(np.empty((0, 2), np.int64), np.empty(0, np.int64))
-    ends = np.sort(np.asarray(faces, np.int64)[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    stride = ends.max() + 1
-    keys, counts = np.unique(ends[:, 0] * stride + ends[:, 1], return_counts=True)
-    return EdgeFaces(np.stack([keys // stride, keys % stride], axis=1), counts)
-
-
-def pieces(edges: Ints) -> int:
-    """Connected components of the graph of the edges (E,2); vertices without an edge do not count."""
-    if len(edges) == 0:
-        return 0
-    used, ends = np.unique(edges, return_inverse=True)
-    a, b = ends.reshape(-1, 2).T
-    graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(len(used), len(used)))
-    count: int = connected_components(graph, directed=False, return_labels=False)
-    return int(count)
-
-
-def _directions(gradients: Floats) -> Floats:
-    wide = np.asarray(gradients, np.float64)
-    directions: Floats = wide / np.maximum(np.linalg.norm(wide, axis=1, keepdims=True), TINY)
-    return directions
 
 
 def _abs_cos(a: Floats, b: Floats) -> Floats:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.errors import EdgeError
-from services.edge.offer import Offer
-from services.edge.requests import JobRequest
-from services.edge.run import Say
+from services.edge.worker.capabilities import Capabilities
+from services.edge.worker.job_request import ReconstructionRequest
+from services.edge.worker.job_run import Report
 from services.storage.bundle import Bundle
-from services.storage.catalogue import DEFAULT_COLLECTION
-from services.storage.publish import publish
+from services.storage.catalogue.entry import DEFAULT_COLLECTION
+from services.storage.catalogue.publish import publish
 from services.storage.store import Store
 
 
@@ -26,20 +26,22 @@ class Making:
     def __init__(self, store: Store, *presets: str) -> None:
         """presets: on offer, "draft" and "fine" where none is named."""
         names = presets or ("draft", "fine")
-        self.offer = Offer("cpu", tuple(pb.Preset(name=name, summary="quick", memory_bytes=7) for name in names))
+        self.offer = Capabilities("cpu", tuple(pb.Preset(name=name, summary="quick", memory_bytes=7) for name in names))
         self._store = store
         self.release = threading.Event()
         self.runs: list[str] = []
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
+    def reconstruct(
+        self, archive: Path, request: ReconstructionRequest, scratch: Path, checkpoint: Path, report: Report
+    ) -> pb.Finished:
         self.runs.append(request.job)
         script = json.loads(archive.read_bytes())
         steps = script.get("steps", 3)
         for step in range(steps):
-            say(pb.Progress(stage=pb.FITTING, fraction=step / steps, losses={"distance": 1.0 / (step + 1)}))
+            report(pb.Progress(stage=pb.FITTING, fraction=step / steps, losses={"distance": 1.0 / (step + 1)}))
             threading.Event().wait(script.get("pause_s", 0.0))
         while script.get("wait") and not self.release.wait(0.02):
-            say(pb.Progress(stage=pb.FITTING, fraction=0.9))
+            report(pb.Progress(stage=pb.FITTING, fraction=0.9))
         if "fail" in script:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", retryable=script.get("retryable", False))
         for state in ("preview", "refined"):
@@ -53,7 +55,7 @@ class Making:
                 fence=request.fence,
                 collection=collection,
             )
-            say(
+            report(
                 pb.Published(
                     asset_key=made.key,
                     version=made.version,

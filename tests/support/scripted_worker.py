@@ -1,13 +1,13 @@
-"""A worker process of its own, with scripted work: `python -m tests.edge.scripted_worker`, configured by EDGE_*."""
+"""A worker process of its own, with scripted work: `python -m tests.support.scripted_worker`, configured by EDGE_*."""
 
 from __future__ import annotations
 
 import logging
 import sys
 
-from services.edge.server import serve
-from services.edge.settings import EdgeSettings
-from tests.edge.edge_client import Scripted
+from services.edge.worker.server import serve
+from services.edge.worker.settings import EdgeSettings
+from tests.support.edge_client import Scripted
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")

@@ -13,8 +13,8 @@ import uvicorn
 
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
+from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.local import LocalStore
-from services.storage.signing import NO_KEYS, Keys
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ import pytest
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:
     """Small pictures of the assets that this process makes: at full size they take 90 % of a small job's seconds."""
-    appearance = importlib.import_module("services.edge.appearance")  # here: most tests need none of the worker
-    thumbnail = importlib.import_module("services.edge.mesh.thumbnail")
+    appearance = importlib.import_module("services.edge.asset.levels")  # here: most tests need none of the worker
+    thumbnail = importlib.import_module("services.edge.render.thumbnail")
     patch.setattr(appearance, "render_sheet", partial(appearance.render_sheet, size=32))
     for name, value in {"THUMBNAIL_SIDE": 32, "TURNING_SIDE": 32, "_SKY_RAYS": 10_000}.items():
         patch.setattr(thumbnail, name, value)

@@ -14,8 +14,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
-from services.edge.mesh.metrics import sample
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import sample
 
 
 def sampled(

@@ -8,19 +8,13 @@ import numpy as np
 import pytest
 
 from services.edge.arrays import Floats
-from services.edge.mesh.metrics import (
-    area,
-    boundary_error,
-    compare,
-    consistency,
-    edge_faces,
-    pieces,
-    sample,
-    sample_border,
-    welded,
-)
+from services.edge.certificate import consistency
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from services.edge.mesh.sampling import area, sample
+from services.edge.mesh.topology import component_count
+from tests.support import surfaces
+from tests.support.mesh_metrics import boundary_error, compare, sample_border, welded
 
 SAMPLES = 20_000
 
@@ -97,7 +91,7 @@ def test_areas_of_known_shapes() -> None:
 def test_a_mesh_without_area_is_refused() -> None:
     with pytest.raises(ValueError, match="0 faces"):
         compare(Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64)), surfaces.disk())
-    assert pieces(edge_faces(np.empty((0, 3), np.int64)).vertices) == 0
+    assert component_count(edges_of(np.empty((0, 3), np.int64)).ends) == 0
 
 
 def test_quality_is_frozen() -> None:
@@ -143,8 +137,8 @@ def test_borders_that_only_one_mesh_has_are_infinitely_wrong() -> None:
 def test_welding_closes_seams_and_drops_the_faces_of_a_pole() -> None:
     sphere = surfaces.sphere()
     whole = welded(sphere)
-    assert (edge_faces(sphere.faces).faces == 1).any()
-    assert (edge_faces(whole.faces).faces == 2).all()
+    assert (edges_of(sphere.faces).size == 1).any()
+    assert (edges_of(whole.faces).size == 2).all()
     assert len(whole.faces) == len(sphere.faces) - 2 * 192
     assert area(whole) == pytest.approx(area(sphere))
 

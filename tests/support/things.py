@@ -11,7 +11,7 @@ from PIL import Image
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from services.edge.mesh.glb import to_glb
+from services.edge.export.glb import to_glb
 from services.edge.mesh.nouns import Mesh
 from services.storage.bundle import Bundle, Json, State
 

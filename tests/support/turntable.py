@@ -13,9 +13,9 @@ from PIL import Image
 from services.edge.arrays import Bools, Floats
 from services.edge.capture.nouns import Intrinsics
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.rays import pinhole
-from tests.edge.scenes import look_at
-from tests.edge.walkaround import Sheet, _camera, _developed, _exif, _mesh, _room, _shell, _Stage, _surroundings
+from services.edge.render.rays import pinhole
+from tests.support.scenes import look_at
+from tests.support.walkaround import Sheet, _camera, _developed, _exif, _mesh, _room, _shell, _Stage, _surroundings
 
 PLATE_RADIUS = 0.24  # metres
 _PLATE_Z = 0.012  # above the table, which it hides

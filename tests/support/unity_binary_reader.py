@@ -5,7 +5,7 @@ Strings split into shared parts, which this program never writes, are refused.
 
 from __future__ import annotations
 
-from services.storage.unity.bounded import Bounded
+from services.storage.unity.bounded import BoundedReader
 from services.storage.unity.listing import BundleOptions, Listing, Location, TypeName
 
 _MAGIC = 0x0DE38942
@@ -76,7 +76,7 @@ class _Reader:
     """The kinds of records, each by its offset."""
 
     def __init__(self, data: bytes) -> None:
-        self.bytes = Bounded("binary catalogue", data)
+        self.bytes = BoundedReader("binary catalogue", data)
         self._arrays: dict[int, tuple[int, ...]] = {}
         self._texts: dict[int, str] = {_NULL: ""}
         self._sizes: dict[int, int] = {}

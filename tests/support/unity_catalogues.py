@@ -8,20 +8,20 @@ from collections.abc import Callable
 
 from hypothesis import strategies as st
 
-from services.storage.unity.binary_reader import read_binary_catalogue
 from services.storage.unity.binary_writer import binary_catalogue
 from services.storage.unity.json_reader import read_json_catalogue
 from services.storage.unity.json_writer import json_catalogue
 from services.storage.unity.listing import Listing
+from services.storage.unity.locations import build_listing
 from services.storage.unity.nouns import Asset, Catalogue, LodFile
-from services.storage.unity.plan import locations
+from tests.support.unity_binary_reader import read_binary_catalogue
 
 FORMS = (0, 1, 2, 3)
 
 
 def written(catalogue: Catalogue, form: int) -> bytes:
     """The catalogue as JSON (0) or in a binary version."""
-    listing = locations(catalogue)
+    listing = build_listing(catalogue)
     return binary_catalogue(listing, version=form) if form else json_catalogue(listing)  # type: ignore[arg-type]
 
 

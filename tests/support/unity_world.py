@@ -18,25 +18,25 @@ from typing import Any
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from services.edge.mesh.glb import best_packing, to_glb
+from services.edge.export.glb import to_glb
 from services.edge.mesh.nouns import Mesh
 from services.storage.bundle import Bundle
-from services.storage.catalogue import entry
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.removal import remove
+from services.storage.catalogue.signing import Keys, Signer, public_key
 from services.storage.local import LocalStore
-from services.storage.publish import publish
-from services.storage.removal import remove
-from services.storage.signing import Keys, Signer, public_of
 from services.storage.unity.json_reader import read_json_catalogue
 from services.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER, Listing
+from services.storage.unity.locations import parse_assets
 from services.storage.unity.nouns import Asset, Catalogue, LodFile
-from services.storage.unity.plan import assets
-from services.storage.unity.publication import file_names, publication
+from services.storage.unity.publication import catalogue_files, catalogue_names
 
 
 def build(root: Path) -> dict[str, Any]:
     """Publish everything below `root`; the facts that the tests compare with."""
     private = Ed25519PrivateKey.generate()
-    signer = Signer(public_of(private.public_key().public_bytes_raw()), private)
+    signer = Signer(public_key(private.public_key().public_bytes_raw()), private)
     keys = Keys((signer,))
     store = LocalStore(root / "store")
     publish(_bundle(0.1), store, key="cup", keys=keys)
@@ -44,7 +44,7 @@ def build(root: Path) -> dict[str, Any]:
     _snapshot(store, root / "v1")
     publish(_bundle(0.6), store, key="bowl", keys=keys)
     _snapshot(store, root / "v2")
-    lods = entry(store, "bowl").document["lods"]
+    lods = read_entry(store, "bowl").document["lods"]
     remove(store, "bowl", keys)
     _snapshot(store, root / "removed")
     _variants(root)
@@ -54,7 +54,7 @@ def build(root: Path) -> dict[str, Any]:
 
 def _bundle(radius_m: float) -> Bundle:
     """A bowl on the floor, three levels of it."""
-    levels = {f"lod{level}.glb": to_glb(_bowl(radius_m, 48 >> level), best_packing()) for level in range(3)}
+    levels = {f"lod{level}.glb": to_glb(_bowl(radius_m, 48 >> level), "meshopt") for level in range(3)}
     lods = [{"file": name, "level": level} for level, name in enumerate(levels)]
     size = [2 * radius_m, radius_m, 2 * radius_m]
     manifest = {"lods": lods, "label": "Bowl", "scale_confidence": "metric", "size_m": size}
@@ -81,7 +81,7 @@ def _snapshot(store: LocalStore, folder: Path) -> None:
 def _variants(root: Path) -> None:
     for name in ("forged", "spoilt", "partly"):
         shutil.copytree(root / "v2", root / name)
-    bowl, cup = assets(_tabulate(root / "v2"))
+    bowl, cup = parse_assets(_tabulate(root / "v2"))
     _replace(root / "forged", replace(bowl, version=3, files=cup.files), replace(cup, files=bowl.files))
     _replace(root / "spoilt", replace(bowl, version=3, files=tuple(map(_renamed, bowl.files))), cup)
     for file in bowl.files:
@@ -97,14 +97,14 @@ def _renamed(file: LodFile) -> LodFile:
 
 def _replace(folder: Path, *listed: Asset) -> None:
     """The Unity catalogues of a folder by others."""
-    for name, data in publication(Catalogue("default", listed), "default"):
+    for name, data in catalogue_files(Catalogue("default", listed), "default"):
         (folder / name).write_bytes(data)
     _tabulate(folder)
 
 
 def _tabulate(folder: Path) -> Listing:
     """The table that the Unity catalogues hold, written beside them for a stub that reads none of their forms."""
-    path = folder / file_names("default")[0].catalogue
+    path = folder / catalogue_names("default")[0].catalogue
     listing = read_json_catalogue(path.read_bytes())
     providers = [asdict(FILE_PROVIDER), asdict(PREFAB_PROVIDER)]
     path.with_name(path.name + ".table").write_text(json.dumps(asdict(listing) | {"providers": providers}))

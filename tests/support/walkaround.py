@@ -19,8 +19,8 @@ from scipy.ndimage import map_coordinates
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.nouns import Intrinsics
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.rays import Scene, pinhole
-from tests.edge.scenes import look_at
+from services.edge.render.rays import Scene, pinhole
+from tests.support.scenes import look_at
 
 FOCAL_35MM = 28  # of the main camera of many phones; written into the EXIF as such
 DIAGONAL_35MM = float(np.hypot(36, 24))  # millimetres: equivalents compare diagonals

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
-from services.cli.up import Stack, running
+from services.cli.up import Stack, run_stack
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.pipeline import reconstruct
 from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
 from tests.conftest import missing
-from tests.hurry import draw_small
-from tests.pinned import installed
-from tests.web.sites import Site, site_at
+from tests.support.npm_packages import installed
+from tests.support.sites import Site, site_at
+from tests.support.small_pictures import draw_small
 
 # Software rendering, and none of the connections that a browser opens for itself.
 CHROMIUM_FLAGS = [
@@ -65,7 +65,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("EDGE_PRESETS", str(presets))
         environment.setenv("OMP_NUM_THREADS", "1")  # Chromium draws on the other core; torch's threads would spin
-        with running("127.0.0.1", 0, tmp_path_factory.mktemp("stack")) as stack:
+        with run_stack("127.0.0.1", 0, tmp_path_factory.mktemp("stack")) as stack:
             yield stack
 
 

@@ -66,15 +66,15 @@ class EdgeReconstructionServicer:
 
     def Reconstruct(self, request_iterator, context):
         """Run a job. First message: header; then data in order; last: trailer. The stream of events ends with a terminal one.
-        The worker sends its initial metadata once it has admitted the header: wait for that before sending data, and a
-        refusal costs no upload (and cannot be lost to a write that fails because the call is over).
-        ALREADY_EXISTS      this worker knows the job: use Attach. One that failed here may be sent again under a higher fence
-        RESOURCE_EXHAUSTED  no free slot and the queue is full
-        UNAVAILABLE         the worker is draining, or only its central offers the preset and is away
+        The worker sends its initial metadata once it has admitted the header. Wait for it before sending data: a refusal
+        then costs no upload, and its status is not replaced by the error of a write to an ended call.
+        ALREADY_EXISTS      this worker knows the job: use Attach. After a failure: may run again with a higher fence
+        RESOURCE_EXHAUSTED  no free slot and the queue is full, or the worker's disk is full
+        UNAVAILABLE         the worker is draining, or only its central offers the preset and takes no jobs now
         DATA_LOSS           offsets or sha256 do not match
-        INVALID_ARGUMENT    header malformed, preset not on offer here, capture larger than the worker takes
-        DEADLINE_EXCEEDED   the upload stood still for 30 s
-        A status reads "CODE: sentence". Once the trailer is through, the job runs on whether or not the caller stays.
+        INVALID_ARGUMENT    header malformed, preset not offered here, capture larger than the worker takes
+        DEADLINE_EXCEEDED   no data arrived for 30 s
+        A status reads "CODE: sentence". Once the trailer has arrived, the job runs on even if the caller disconnects.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -82,32 +82,33 @@ class EdgeReconstructionServicer:
 
     def Inspect(self, request_iterator, context):
         """Read a capture without reconstructing it: the verdict that the phone gets before its upload is accepted.
-        Same upload as Reconstruct, but only `capture_bytes` of the header matters; a capture at fault is an answer
-        (`failure` set), not a status. Statuses as for Reconstruct.
+        Same upload as Reconstruct, but of the header only `capture_bytes` is used. A capture that cannot be used is an
+        answer with `failure` set, not a status. Statuses as for Reconstruct.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Attach(self, request, context):
-        """The events of a job that this worker knows, from `after_seq` on: replayed, then live. A job is known from its whole
-        upload till ten minutes after its end.
+        """The events of a job that this worker knows, after `after_seq`: replayed, then live. A job is known from the end of
+        its upload until ten minutes after its own end.
         NOT_FOUND           no such job here
-        OUT_OF_RANGE        this run has not said `after_seq` events yet: the caller counts another run's; start from 0
+        OUT_OF_RANGE        this run has fewer than `after_seq` events: the number is of another run; start from 0
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Cancel(self, request, context):
-        """Stop a job; its slot is free within two seconds. Cancelling a job that has ended is no error.
+        """Stop a job; its slot is free within two seconds. Cancelling a job that has ended is not an error.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetWorker(self, request, context):
-        """Missing associated documentation comment in .proto file."""
+        """The worker's version, device, presets, load and jobs.
+        """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')

@@ -1,4 +1,4 @@
-"""From a mesh in the unit frame to the bundle that is published: colours, levels, textures, files and manifest."""
+"""Assemble a bundle from a mesh in the unit frame: colours, levels of detail, textures, files and manifest."""
 
 from __future__ import annotations
 
@@ -6,79 +6,89 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from services.edge.appearance import levels_of, packed, pictures_of, textured
-from services.edge.arrays import Floats, Tick
-from services.edge.asset import Subject, asset_frame, manifest_of
-from services.edge.mesh import Mesh, Textured, carry_colours, ply_bytes
-from services.edge.mesh.band import part_of
-from services.edge.mesh.ktx2 import Ktx2Error
+from services.edge.arrays import Floats, Tick, part_of
+from services.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
+from services.edge.asset.manifest import AssetSubject, asset_frame, build_manifest
+from services.edge.asset.target import measure_cost, require_budget
+from services.edge.export.ktx2 import EncodeKtx2, Ktx2Error
+from services.edge.export.ply import ply_bytes
+from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.progress import Bar, Clock, Progress
-from services.edge.target import cost_of, require_within
+from services.edge.texture.nearest_colour import transfer_colours
 from services.storage.bundle import Bundle, State
 
-_LODS_SHARE = 0.3  # of the time that colours take where the levels get textures
+_LODS_SHARE = 0.3  # of the TEXTURING stage's time goes into levels of detail, where they get textures too
 
 
-def bundled(
+def assemble_bundle(
     mesh_unit: Mesh,
-    subject: Subject,
+    *,
+    subject: AssetSubject,
     state: State,
     quality: Mapping[str, Any],
-    warnings: tuple[str, ...],
+    warnings: tuple[str, ...] = (),
     clock: Clock,
     bar: Bar,
-    *,
     last: bool,
+    encode: EncodeKtx2 | None = None,
 ) -> Iterator[Progress | Bundle]:
-    """Colour a mesh and pack it with its levels of detail, its picture and its manifest.
+    """Colour a mesh, make its levels of detail, and yield the bundle with its files, preview images and manifest.
 
-    last  whether nothing better follows: then it gets textures, a turning preview and the file for iOS, for which
-          nobody waits who wants a first look
+    last    whether this is the job's last bundle. Textures, animation and USDZ are made only then; they would delay the
+            preview
+    encode  encoder of KTX2 textures for a target that wants them; `require_encoder` has checked that it is there
+
+    Raises EdgeError BUDGET_UNREACHABLE and Ktx2Error: before a refined bundle, but after a preview is yielded.
     """
     points = subject.points
-    yield bar.starts("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
+    yield bar.begin("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
     with clock("TEXTURING"):
-        tick = bar.inside("TEXTURING")
+        tick = bar.tick("TEXTURING")
         if points.rgb is not None:
-            mesh_unit = carry_colours(mesh_unit, subject.xyz_unit, points.rgb)
+            mesh_unit = transfer_colours(mesh_unit, subject.xyz_unit, points.rgb)
         full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
         to_asset = asset_frame(full.vertices, points)
-        levels = levels_of(full, to_asset, subject, part_of(tick, 0, _LODS_SHARE if last else 1))
+        levels = build_levels(full, to_asset, subject, part_of(tick, 0, _LODS_SHARE if last else 1))
         rest = part_of(tick, _LODS_SHARE, 1)
-        shown, told, failed = _dressed(levels, to_asset, subject, state, rest) if last else (levels, (), None)
-    yield bar.starts("PACKING", "files and pictures")
+        assets: Sequence[Mesh | TexturedMesh] = levels
+        texture_warnings: tuple[str, ...] = ()
+        failed = None
+        if last:
+            assets, texture_warnings, failed = _try_textures(levels, to_asset, subject, state, encode, rest)
+    yield bar.begin("PACKING", "files and preview images")
     with clock("PACKING"):
-        tick = bar.inside("PACKING")
-        files = {f"lod{level}.glb": packed(asset, subject.target) for level, asset in enumerate(shown)}
-        costs = [cost_of(glb) for glb in files.values()]
-        files |= pictures_of(shown, last=last, tick=tick)
+        tick = bar.tick("PACKING")
+        files = {f"lod{level}.glb": pack_glb(asset, subject.target) for level, asset in enumerate(assets)}
+        costs = [measure_cost(glb) for glb in files.values()]
+        files |= preview_images(assets, last=last, tick=tick)
         files["mesh.ply"] = ply_bytes(full)
-    manifest = manifest_of(
+    manifest = build_manifest(
         subject,
         quality=quality,
         costs=costs,
         finest=levels[0],
         to_asset=to_asset,
         seconds=clock.seconds,
-        warnings=(*warnings, *told),
+        warnings=(*warnings, *texture_warnings),
     )
     if state == "refined":
-        require_within(subject.target, costs)
-    # The last word before the store: a job cancelled by now must publish nothing.
-    yield bar.starts("PUBLISHING", f"publishing the {state}")
+        require_budget(subject.target, costs)
+    # The last report before the bundle goes to the store: it raises Cancelled, and nothing is published then.
+    yield bar.begin("PUBLISHING", f"publishing the {state}")
     yield Bundle(state=state, files=files, manifest=manifest)
-    # A preview is kept without its textures, and whatever it costs: better than nothing to look at.
+    # A preview is published even without its textures and beyond the budget: better than nothing to look at.
     if failed:
         raise failed
-    require_within(subject.target, costs)
+    require_budget(subject.target, costs)
 
 
-def _dressed(
-    levels: Sequence[Mesh], to_asset: Floats, subject: Subject, state: State, tick: Tick
-) -> tuple[Sequence[Mesh | Textured], tuple[str, ...], Ktx2Error | None]:
-    """The levels with textures, and warnings; a preview whose textures cannot be packed has none, and the reason."""
+def _try_textures(
+    levels: Sequence[Mesh], to_asset: Floats, subject: AssetSubject, state: State, encode: EncodeKtx2 | None, tick: Tick
+) -> tuple[Sequence[Mesh | TexturedMesh], tuple[str, ...], Ktx2Error | None]:
+    """Return the levels with textures, warnings, and None. If a preview's textures cannot be encoded as KTX2: the
+    levels without textures, and the error."""
     try:
-        return *textured(levels, to_asset, subject, tick), None
+        return *add_textures(levels, to_asset, subject, encode, tick), None
     except Ktx2Error as error:
         if state == "refined":
             raise

@@ -1,4 +1,4 @@
-"""The levels of detail of a subject in the asset frame, with the colours that its capture knows, and their files."""
+"""Levels of detail of an asset: simplify the mesh, add textures, write the files and render the preview images."""
 
 from __future__ import annotations
 
@@ -7,71 +7,75 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick
-from services.edge.asset import Subject
-from services.edge.mesh import Mesh, Textured, lods, render_sheet, to_glb
-from services.edge.mesh.bake_pictures import Pictures, PosedPicture
-from services.edge.mesh.band import part_of
-from services.edge.mesh.colour import ColouredPoints
-from services.edge.mesh.glb import best_packing
-from services.edge.mesh.texture import Palette, with_pictures
-from services.edge.mesh.thumbnail import thumbnail, turning
-from services.edge.mesh.usdz import to_usdz
-from services.edge.points.nouns import Shot
-from services.edge.target import Target
+from services.edge.arrays import Floats, Tick, part_of
+from services.edge.asset.manifest import AssetSubject
+from services.edge.asset.target import Target
+from services.edge.export.glb import to_glb
+from services.edge.export.ktx2 import EncodeKtx2
+from services.edge.export.usdz import to_usdz
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.mesh.simplify import lods
+from services.edge.points.nouns import TextureView
+from services.edge.render.contact_sheet import render_sheet
+from services.edge.render.thumbnail import thumbnail, turning_preview
+from services.edge.texture.bake_photos import PhotoProjection, PosedPicture
+from services.edge.texture.nearest_colour import ColouredPoints
+from services.edge.texture.texture_mesh import Palette, texture_levels
 
-_LEVELLED = 0.2  # of the time: bringing photos to one brightness
+_EXPOSURE_SHARE = 0.2  # of the time goes into matching the photos' exposures
 
 
-def levels_of(full: Mesh, to_asset: Floats, subject: Subject, tick: Tick) -> tuple[Mesh, ...]:
-    """The LODs in the asset frame, finest first."""
+def build_levels(full: Mesh, to_asset: Floats, subject: AssetSubject, tick: Tick) -> tuple[Mesh, ...]:
+    """Simplify a mesh in the capture frame to its levels of detail in the asset frame, finest first."""
     vertices = full.vertices @ to_asset[:3, :3].T + to_asset[:3, 3]
     budgets = subject.target.lod_faces or subject.preset.lod_faces
     return lods(replace(full, vertices=vertices), budgets, binding=bool(subject.target.lod_faces), tick=tick)
 
 
-def textured(
-    levels: Sequence[Mesh], to_asset: Floats, subject: Subject, tick: Tick
-) -> tuple[tuple[Mesh | Textured, ...], tuple[str, ...]]:
-    """The levels, those with textures that show more so, and a warning for each that could get none.
+def add_textures(
+    levels: Sequence[Mesh], to_asset: Floats, subject: AssetSubject, encode: EncodeKtx2 | None, tick: Tick
+) -> tuple[tuple[Mesh | TexturedMesh, ...], tuple[str, ...]]:
+    """Give textures to the levels that gain by them; also return a warning for each level that could get none.
 
-    Raises Ktx2Error where the target wants KTX2 and none comes of a texture.
+    encode  encoder of KTX2 textures; must be given where the target wants KTX2
+    Raises Ktx2Error where the target wants KTX2 and a texture cannot be encoded.
     """
     target, points = subject.target, subject.colours
     if points.rgb is None or not target.texture_px:
         return tuple(levels), ()
     known = ColouredPoints.of(points.xyz @ to_asset[:3, :3].T + to_asset[:3, 3], points.rgb)
     palette = Palette(known)
-    if points.shots:
-        posed = [_posed(shot, to_asset) for shot in points.shots]
-        pictures = Pictures(levels[0], posed, known, part_of(tick, 0, _LEVELLED))
+    if points.texture_views:
+        posed = [_posed_picture(view, to_asset) for view in points.texture_views]
+        pictures = PhotoProjection(levels[0], posed, known, part_of(tick, 0, _EXPOSURE_SHARE))
         palette = Palette(known, pictures, pictures.pixel)
 
-    def fits(made: Textured) -> bool:
-        return not target.last_bytes or len(packed(made, target)) <= target.last_bytes
+    def fits(made: TexturedMesh) -> bool:
+        return not target.last_bytes or len(pack_glb(made, target)) <= target.last_bytes
 
-    start = _LEVELLED if points.shots else 0.0
-    behind = part_of(tick, start, 1)
-    return with_pictures(levels, palette, most_px=target.texture_px, fits=fits, encode=target.ktx2, tick=behind)
-
-
-def packed(asset: Mesh | Textured, target: Target) -> bytes:
-    """The .glb of a level for a target."""
-    return to_glb(asset, target.packing or best_packing(), unlit=target.unlit)
+    rest = part_of(tick, _EXPOSURE_SHARE if points.texture_views else 0.0, 1)
+    encode = encode if target.ktx2 else None
+    return texture_levels(levels, palette, most_px=target.texture_px, fits=fits, encode=encode, tick=rest)
 
 
-def pictures_of(levels: Sequence[Mesh | Textured], *, last: bool, tick: Tick) -> dict[str, bytes]:
-    """Files by name: the sheet of the finest level, and the thumbnail; of the last bundle of a job also the turning
-    preview and the file for iOS, which take two seconds. The middle level is enough for all that is small."""
+def pack_glb(asset: Mesh | TexturedMesh, target: Target) -> bytes:
+    """Write a level as .glb, packed as the target wants it."""
+    return to_glb(asset, target.packing, unlit=target.unlit)
+
+
+def preview_images(levels: Sequence[Mesh | TexturedMesh], *, last: bool, tick: Tick) -> dict[str, bytes]:
+    """Render the preview images, by file name: contact sheet and thumbnail. For the job's last bundle also the turning
+    preview and the USDZ file for iOS, which take two seconds. The middle level is fine enough for the small images."""
     middle = levels[len(levels) // 2]
     files = {"preview.png": render_sheet(levels[0], tick=part_of(tick, 0, 0.6)), "thumbnail.webp": thumbnail(middle)}
     if last:
-        files["turning.webp"] = turning(middle, tick=part_of(tick, 0.6, 1))
+        files["turning.webp"] = turning_preview(middle, tick=part_of(tick, 0.6, 1))
         files["asset.usdz"] = to_usdz(middle)
     return files
 
 
-def _posed(shot: Shot, to_asset: Floats) -> PosedPicture:
+def _posed_picture(shot: TextureView, to_asset: Floats) -> PosedPicture:
+    """A photo with its camera in the asset frame, for baking."""
     camera = shot.intrinsics
     return PosedPicture(
         to_camera=np.linalg.inv(to_asset @ shot.camera_to_world),

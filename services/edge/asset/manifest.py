@@ -10,20 +10,19 @@ import numpy as np
 
 import services
 from services.edge.arrays import Floats
+from services.edge.asset.target import Cost, Target
+from services.edge.capture_to_points import CaptureSummary
 from services.edge.certificate import Certificate, Evidence
-from services.edge.mesh import Mesh
-from services.edge.points import Points, UnitFrame, hints
-from services.edge.prepared import Source
+from services.edge.mesh.nouns import Mesh
+from services.edge.points.anchor_points import cluster_anchors
+from services.edge.points.nouns import Points, UnitFrame
 from services.edge.preset import Preset
-from services.edge.target import Cost, Target
 
-_DEFAULT_UP = np.array(
-    [0.0, 1.0, 0.0]
-)  # what modelling tools and glTF use; scanners that differ say so in their format
+_DEFAULT_UP = np.array([0.0, 1.0, 0.0])  # as in modelling tools and glTF; scanners that differ say so in their format
 
 
 def asset_frame(vertices: Floats, points: Points) -> Floats:
-    """(4,4) capture frame -> asset frame, for a mesh with these (V,3) vertices in the capture frame."""
+    """Transform (4,4) from the capture frame to the asset frame, for a mesh with vertices (V,3) in the former."""
     up = _DEFAULT_UP if points.up is None else np.asarray(points.up, dtype=np.float64)
     linear = points.metres_per_unit * rotation_between(up, _DEFAULT_UP)
     turned = vertices @ linear.T
@@ -36,10 +35,10 @@ def asset_frame(vertices: Floats, points: Points) -> Floats:
 
 
 def rotation_between(source: Floats, target: Floats) -> Floats:
-    """(3,3) the smallest rotation taking one unit vector to another (Rodrigues' formula)."""
+    """(3,3) the smallest rotation that turns one unit vector to another (Rodrigues' formula)."""
     axis = np.cross(source, target)
     cosine = float(source @ target)
-    if cosine < -1.0 + 1e-9:  # opposite: any axis across will do
+    if cosine < -1.0 + 1e-9:  # opposite: half a turn about any perpendicular axis
         across = np.cross(source, np.eye(3)[np.argmin(np.abs(source))])
         across /= np.linalg.norm(across)
         half_turn: Floats = 2.0 * np.outer(across, across) - np.eye(3)
@@ -50,17 +49,17 @@ def rotation_between(source: Floats, target: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
-    """What is reconstructed and how it was asked for.
+class AssetSubject:
+    """Inputs of an asset that all its bundles share: capture, preset, label, target and points.
 
     preset     as named, or as chosen from the points: then `because` says why
-    points     those that the field is fitted to; xyz_unit (N,3) the same, denoised, in the unit frame
+    points     points that the field is fitted to; xyz_unit (N,3) the same, denoised, in the unit frame
     colours    all points of the capture, for textures: more of them than a field needs
-    target     the device class that it is made for
-    evidence   what its surfaces are judged by
+    target     device class that the asset is made for
+    evidence   points that its surfaces are compared with
     """
 
-    source: Source
+    source: CaptureSummary
     preset: Preset
     because: str
     label: str
@@ -73,11 +72,12 @@ class Subject:
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
-    """A field's mesh in the unit frame, at that many cells along the longest side, and how it was come by.
+class MeasuredSurface:
+    """A field's mesh in the unit frame, with its quality figures and those of the training.
 
-    steps    of training, 0 for the local field; device: where
-    losses   as the training left them
+    resolution  grid cells along the longest side
+    steps       of training, 0 for the local field; device: where it was trained
+    losses      at the end of the training
     """
 
     mesh_unit: Mesh
@@ -88,7 +88,7 @@ class Surface:
     losses: Mapping[str, float] = field(default_factory=dict)
 
     def quality(self, preset: Preset, seconds: Mapping[str, float]) -> dict[str, Any]:
-        """The certificate as the manifest holds it; seconds by stage, up to here."""
+        """The manifest's `quality` entry: certificate and training; seconds: by stage, up to here."""
         return {
             "resolution": self.resolution,
             **self.certificate.as_json(),
@@ -100,8 +100,8 @@ class Surface:
         }
 
 
-def manifest_of(
-    subject: Subject,
+def build_manifest(
+    subject: AssetSubject,
     *,
     quality: Mapping[str, Any],
     costs: Sequence[Cost],
@@ -110,15 +110,15 @@ def manifest_of(
     seconds: Mapping[str, float],
     warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """Everything a client or an engineer may ask of the asset, as JSON; publishing adds names, sizes and hashes.
+    """Build the asset's manifest as JSON; publishing adds the files' names, sizes and hashes.
 
     costs: of the levels of detail, finest first; finest: the first of them, in the asset frame.
     """
     source, points, unit = subject.source, subject.points, subject.unit
     low, high = finest.vertices.min(axis=0), finest.vertices.max(axis=0)
-    told = [*points.warnings, *warnings]
+    all_warnings = [*points.warnings, *warnings]
     if points.up is None:
-        told.append("nothing in the capture tells which way is up; Y was taken")
+        all_warnings.append("The capture does not say which way is up: its Y axis was taken as up.")
     return {
         "generator": f"capture2vr {services.__version__}",
         "label": subject.label,
@@ -129,7 +129,7 @@ def manifest_of(
             "format": source.format,
             "frames": source.frames,
             "photos": [asdict(verdict) for verdict in source.verdicts],
-            "unseen": _unseen(points, to_asset),
+            "unseen": _unseen_sides(points, to_asset),
         },
         "origin": "guess" if source.kind == "image" else "measured",
         "confidence": round(float(points.confidence.mean()), 3),
@@ -144,12 +144,12 @@ def manifest_of(
         "lods": [{"file": f"lod{level}.glb", "level": level, **asdict(cost)} for level, cost in enumerate(costs)],
         "quality": dict(quality),
         "seconds": dict(seconds),
-        "warnings": told,
+        "warnings": all_warnings,
     }
 
 
-def _unseen(points: Points, to_asset: Floats) -> list[dict[str, Any]]:
-    """From where to shoot again; `toward` in the asset frame."""
+def _unseen_sides(points: Points, to_asset: Floats) -> list[dict[str, Any]]:
+    """Sides of the object that no photo shows, with advice for new photos; `toward` in the asset frame."""
     turn = to_asset[:3, :3] / np.cbrt(np.linalg.det(to_asset[:3, :3]))
     return [
         {"advice": each.advice, "toward": (turn @ each.toward).round(3).tolist(), "share": round(each.share, 3)}
@@ -158,7 +158,7 @@ def _unseen(points: Points, to_asset: Floats) -> list[dict[str, Any]]:
 
 
 def _anchors(points: Points, to_asset: Floats) -> dict[str, list[float] | list[int]]:
-    """Points that stand for the thing until a mesh is loaded: flat lists, metres in the asset frame, and sRGB bytes."""
-    xyz, rgb = hints(points.xyz, points.rgb)
-    placed = xyz @ to_asset[:3, :3].T + to_asset[:3, 3]
-    return {"xyz_m": placed.round(4).ravel().tolist(), "rgb": rgb.ravel().tolist()}
+    """A few points that a viewer shows until the mesh is loaded: flat lists of metres (asset frame) and sRGB bytes."""
+    xyz, rgb = cluster_anchors(points.xyz, points.rgb)
+    xyz_m = xyz @ to_asset[:3, :3].T + to_asset[:3, 3]
+    return {"xyz_m": xyz_m.round(4).ravel().tolist(), "rgb": rgb.ravel().tolist()}

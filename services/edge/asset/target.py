@@ -1,8 +1,8 @@
-"""Device classes and what one asset may cost on them. `target=quest3` of a job names one; a bundle proves that it keeps
-within it, or the job fails.
+"""Targets: device classes with a budget for one asset. A job names one, as in `target=quest3`; a bundle that exceeds
+its budget makes the job fail.
 
 A Quest 3 draws 1 to 2 million triangles and 200 to 300 draw calls in the 11.1 ms of a frame at 90 Hz, the whole scene
-together; a Quest 2 half of that. The smallest level is to be on screen within a second at 20 Mbit/s.
+together; a Quest 2 half of that. The smallest level must be on screen within a second at 20 Mbit/s.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from io import BytesIO
 from typing import Any
 
 from services.edge.errors import EdgeError
-from services.edge.mesh.glb import KTX2, Packing
-from services.edge.mesh.ktx2 import Encode, Ktx2Header, unavailable
+from services.edge.export.glb import KTX2, Packing
+from services.edge.export.ktx2 import Ktx2Header, ktx2_unavailable
 
 _MIB = 1 << 20
 _UNLIT, _KTX2 = "-unlit", "-ktx2"
@@ -25,15 +25,15 @@ _ALL = 100_000_000  # triangles: more than any extraction makes
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What may be spent on one asset; a limit of 0 is none.
+    """Device class with the budget of one asset; a limit of 0 means no limit.
 
-    lod_faces        most triangles of each level, finest first; () leaves them to the preset
+    lod_faces        most triangles of each level, finest first; (): as in the preset
     last_bytes       most bytes of the coarsest level's file
     unpacked_bytes   most bytes of a level on the device: vertices, indices and textures with their mips
     texture_px       longest side of a texture; 0: colours stay at the vertices
-    packing          of the files; None: the smallest that can be written
+    packing          of the files
     unlit            whether colours are shown as they were captured, rather than in the light of the scene
-    ktx2             packs textures as KTX2; None: they are JPEG
+    ktx2             whether textures are KTX2, by an encoder that is passed beside the target; otherwise JPEG
     """
 
     name: str
@@ -42,18 +42,18 @@ class Target:
     last_bytes: int = 0
     unpacked_bytes: int = 0
     texture_px: int = 2048
-    packing: Packing | None = None
+    packing: Packing = "meshopt"
     unlit: bool = False
-    ktx2: Encode | None = None
+    ktx2: bool = False
 
 
-NO_TARGET = Target("", "the preset's levels, nothing proved")
+NO_TARGET = Target("", "the preset's levels of detail, without limits")
 TARGETS = {
     target.name: target
     for target in (
-        Target("quest3", "Meta Quest 3 and its like", (100_000, 25_000, 5_000), 300_000, 40 * _MIB),
-        Target("quest2", "Meta Quest 2 and its like", (50_000, 12_500, 2_500), 300_000, 20 * _MIB, 1024),
-        Target("web", "phones and laptops, in a page", (100_000, 25_000, 5_000), 150_000, 40 * _MIB, 1024),
+        Target("quest3", "Meta Quest 3 and similar headsets", (100_000, 25_000, 5_000), 300_000, 40 * _MIB),
+        Target("quest2", "Meta Quest 2 and similar headsets", (50_000, 12_500, 2_500), 300_000, 20 * _MIB, 1024),
+        Target("web", "phones and laptops, in a web page", (100_000, 25_000, 5_000), 150_000, 40 * _MIB, 1024),
         Target(
             "archive",
             "other programs: every triangle, as floats",
@@ -67,7 +67,7 @@ TARGETS = {
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What one level costs, read from its file. Bytes of textures are those on the device, with mips."""
+    """Figures of one level of detail, read from its file; texture_bytes: on the device, with mips."""
 
     triangles: int
     vertices: int
@@ -77,32 +77,32 @@ class Cost:
     texture_bytes: int
 
 
-def wants_ktx2(name: str) -> bool:
-    """Whether a target's name asks for textures as KTX2."""
-    return name.endswith(_KTX2)
+def target_of(name: str) -> Target:
+    """Find a target by its name.
 
-
-def target_of(name: str, ktx2: Encode | None = None) -> Target:
-    """By name; "quest3-unlit" is quest3 with its colours as captured, rather than in the light of the scene, and
-    "quest3-ktx2" or "quest3-unlit-ktx2" has its textures packed by `ktx2`.
-
-    Raises EdgeError TARGET_UNKNOWN, naming all, and KTX2_UNAVAILABLE where that is wanted and nothing packs it.
+    "quest3-unlit" is quest3 with colours as captured, rather than in the light of the scene; "quest3-ktx2" and
+    "quest3-unlit-ktx2" have KTX2 textures. Raises EdgeError TARGET_UNKNOWN, naming all targets.
     """
     if not name:
         return NO_TARGET
     plain = name.removesuffix(_KTX2)
     base = plain.removesuffix(_UNLIT)
-    if base not in TARGETS or (wants_ktx2(name) and not TARGETS[base].texture_px):
+    ktx2 = plain != name
+    if base not in TARGETS or (ktx2 and not TARGETS[base].texture_px):
         known = ", ".join(TARGETS)
-        hints = (f"use one of: {known}", f"or one of them with {_UNLIT} behind it, or {_KTX2} if it has textures")
+        hints = (f"use one of: {known}", f"or one of them followed by {_UNLIT}, or by {_KTX2} if it has textures")
         raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=hints)
-    if wants_ktx2(name) and ktx2 is None:
-        raise unavailable("EDGE_KTX2 is not set")
-    return replace(TARGETS[base], name=name, unlit=plain != base, ktx2=ktx2 if wants_ktx2(name) else None)
+    return replace(TARGETS[base], name=name, unlit=plain != base, ktx2=ktx2)
 
 
-def cost_of(glb: bytes) -> Cost:
-    """The figures of a .glb that `to_glb` wrote."""
+def require_encoder(target: Target, *, has_encoder: bool) -> None:
+    """Raise EdgeError KTX2_UNAVAILABLE where a target wants KTX2 textures and there is no encoder."""
+    if target.ktx2 and not has_encoder:
+        raise ktx2_unavailable("EDGE_KTX2 is not set")
+
+
+def measure_cost(glb: bytes) -> Cost:
+    """Read the figures of a .glb that `to_glb` wrote."""
     (length,) = struct.unpack_from("<I", glb, 12)
     document = json.loads(glb[20 : 20 + length])
     primitives = [primitive for mesh in document["meshes"] for primitive in mesh["primitives"]]
@@ -120,7 +120,7 @@ def cost_of(glb: bytes) -> Cost:
 
 
 def _texture_bytes(document: dict[str, Any], image: dict[str, Any], binary: bytes) -> int:
-    """Of a JPEG four bytes a texel, of KTX2 a quarter of that; and a third more for the mips."""
+    """Bytes of a texture on the device: four per texel of a JPEG, one per texel of KTX2, and a third more for mips."""
     from PIL import Image
 
     view = document["bufferViews"][image["bufferView"]]
@@ -137,21 +137,23 @@ def _texture_bytes(document: dict[str, Any], image: dict[str, Any], binary: byte
     return 4 * texels
 
 
-def require_within(target: Target, levels: Sequence[Cost]) -> None:
-    """Raises EdgeError BUDGET_UNREACHABLE that names every level and figure beyond the target's."""
-    over = [
-        f"LOD {level} has {having:,} {what} of {limit:,}"
+def require_budget(target: Target, levels: Sequence[Cost]) -> None:
+    """Raise EdgeError BUDGET_UNREACHABLE, naming every level and figure that exceeds the target's budget."""
+    exceeded = [
+        f"LOD {level} has {value:,} {unit}, the most is {limit:,}"
         for level, cost in enumerate(levels)
-        for what, having, limit in _limits(target, level, cost, last=level == len(levels) - 1)
-        if limit and having > limit
+        for unit, value, limit in _limits(target, level, cost, last=level == len(levels) - 1)
+        if limit and value > limit
     ]
-    if over:
-        wider = ", ".join(name for name in TARGETS if name != target.name)
-        hints = ("capture less around the thing, or use a coarser preset", f"other targets: {wider}")
-        raise EdgeError("BUDGET_UNREACHABLE", f"target {target.name} cannot be met: {'; '.join(over)}", hints=hints)
+    if exceeded:
+        others = ", ".join(name for name in TARGETS if name != target.name)
+        hints = ("capture less around the object, or use a coarser preset", f"other targets: {others}")
+        message = f"the budget of target {target.name} is exceeded: {'; '.join(exceeded)}"
+        raise EdgeError("BUDGET_UNREACHABLE", message, hints=hints)
 
 
 def _limits(target: Target, level: int, cost: Cost, *, last: bool) -> list[tuple[str, int, int]]:
+    """(unit, value, limit) of every figure of a level that has a budget."""
     faces = target.lod_faces[level] if level < len(target.lod_faces) else 0
     unpacked = cost.unpacked_bytes + cost.texture_bytes
     return [

@@ -1,7 +1,7 @@
-"""COLMAP's sparse models: photos with their cameras, as text or binary.
+"""Read COLMAP sparse models, text or binary: photos with their intrinsics and poses.
 
-Poses are world-to-camera in OpenCV axes, quaternions in the order w, x, y, z. Its first pixel has its centre at 0.5,
-ours at 0: cx and cy lose half a pixel. The scale is the model's own.
+Poses are world-to-camera in OpenCV axes, quaternions in the order w, x, y, z. COLMAP's first pixel has its centre at
+0.5, ours at 0, so half a pixel is subtracted from cx and cy. The scale of the model is arbitrary.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ import numpy as np
 
 from services.edge.arrays import Floats
 from services.edge.capture.files import Folder, number_order, numbers, read_text, unreadable
+from services.edge.capture.frame_records import checked_intrinsics, missing_warning
 from services.edge.capture.images import read_bytes
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
-from services.edge.capture.posed import GivenCamera, posed, posed_capture
+from services.edge.capture.posed_photos import GivenCamera, posed_capture, with_camera
 from services.edge.capture.poses import pose_from_quaternion
-from services.edge.capture.shots import checked_intrinsics, missing_warning
 from services.edge.capture.tables import truncated
 from services.edge.errors import CaptureError
 
-MAX_BYTES = 2**30  # of a file of the model; a thousand photos with ten thousand observations each are 240 MB
-_NAME_BYTES = 1024  # in which a photo's name must end
-# Of the smallest entries in binary files: a camera of three parameters, an image of no name, an observation.
+MAX_BYTES = 2**30  # of one file of the model; a thousand photos with ten thousand observations each are 240 MB
+_NAME_BYTES = 1024  # most bytes of a photo's name in binary files
+# Least sizes of entries in binary files: a camera with three parameters, an image with an empty name, an observation.
 _CAMERA_BYTES, _IMAGE_BYTES, _OBSERVATION_BYTES = 48, 73, 24
-# By number, as the binary files have them; all but the first five bend rays in ways that are not read.
+# Camera models by their number in binary files; only the first five are supported.
 _MODELS = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
 )  # fmt: skip
-# Where fx, fy, cx, cy and then k1, k2, p1, p2 stand among the parameters; -1 for a coefficient that is 0.
-_PLACES = {
+# Indices of fx, fy, cx, cy, k1, k2, p1, p2 among a model's parameters; -1: the model lacks it, so it is 0.
+_PARAMETER_INDICES = {
     "SIMPLE_PINHOLE": (0, 0, 1, 2, -1, -1, -1, -1),
     "PINHOLE": (0, 1, 2, 3, -1, -1, -1, -1),
     "SIMPLE_RADIAL": (0, 0, 1, 2, 3, -1, -1, -1),
@@ -54,7 +54,8 @@ class _Camera:
 
 @dataclass(frozen=True, slots=True)
 class _Image:
-    """name: below the folder of the photos; pose (7,) quaternion w, x, y, z and translation, world to camera."""
+    """A photo of the model. name: relative to the folder of photos; camera: its number; pose (7,): quaternion in the
+    order w, x, y, z, and translation, world to camera."""
 
     name: str
     camera: int
@@ -62,30 +63,32 @@ class _Image:
 
 
 def matches(folder: Folder) -> bool:
-    return _model(folder) is not None
+    """Return whether the folder has a COLMAP model."""
+    return _find_model(folder) is not None
 
 
 def read(folder: Folder) -> Capture:
-    """The photos of the model that are there, posed. Raises CaptureError, naming the file."""
-    model = _model(folder)
-    assert model is not None, "asked for without a match"
+    """Read the model's photos that exist, with their cameras. Raises CaptureError, naming the file."""
+    model = _find_model(folder)
+    assert model is not None, "read() was called although matches() is False"
     cameras_file, images_file = model
     cameras = _cameras(folder, cameras_file)
     images = sorted(_images(folder, images_file), key=lambda image: number_order(image.name))
     if not images:
-        raise CaptureError("CAPTURE_EMPTY", "lists no photos", file=images_file)
-    places = _places(folder, images, images_file)
+        raise CaptureError("CAPTURE_EMPTY", "is a COLMAP model that lists no photos", file=images_file)
+    places = _photo_files(folder, images, images_file)
     missing = [image.name for image in images if image.name not in places]
     if not places:
-        reason = f"none of its {len(missing)} photos is there; the first is {missing[0]}"
-        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=images_file, hints=("send the photos too",))
-    there = [image for image in images if image.name in places]
-    tries = [partial(_photo, folder, places[image.name], image, cameras, images_file) for image in there]
+        reason = f"lists {len(missing)} photos, but the capture has none of them; the first is {missing[0]}"
+        hint = "send the photos together with the model"
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=images_file, hints=(hint,))
+    present = [image for image in images if image.name in places]
+    tries = [partial(_photo, folder, places[image.name], image, cameras, images_file) for image in present]
     return posed_capture("colmap", tries, warnings=missing_warning(missing, "photos"))
 
 
-def _model(folder: Folder) -> tuple[str, str] | None:
-    """The names of the files of cameras and of images; of several models, those of the one with the most in it."""
+def _find_model(folder: Folder) -> tuple[str, str] | None:
+    """Find the model's files of cameras and of images; of several models the binary one, then the largest."""
     found = []
     for name in folder.names:
         path, end = posixpath.splitext(name)
@@ -95,10 +98,11 @@ def _model(folder: Folder) -> tuple[str, str] | None:
     return max(found)[2:] if found else None
 
 
-def _places(folder: Folder, images: Sequence[_Image], file: str) -> dict[str, str]:
-    """Photo's name in the model -> its file: below whichever folder has most of them, the shortest of equals, since
-    smaller copies lie in folders like `images_4`."""
-    names = [folder.inside(image.name, by=file) for image in images]
+def _photo_files(folder: Folder, images: Sequence[_Image], file: str) -> dict[str, str]:
+    """Map each photo's name in the model to its file, relative to the folder that has most of the photos.
+
+    Of equal folders the shortest path is taken, since downscaled copies are in folders like `images_4`."""
+    names = [folder.resolve(image.name, by=file) for image in images]
     known = set(names)
     counts: dict[str, int] = {}
     for name in folder.names:
@@ -115,59 +119,64 @@ def _places(folder: Folder, images: Sequence[_Image], file: str) -> dict[str, st
 
 
 def _photo(folder: Folder, place: str, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
+    """Read the photo at `place` and attach its intrinsics and camera-to-world pose."""
     camera = cameras.get(image.camera)
     if camera is None:
-        raise unreadable(file, f"gives {place} camera {image.camera}, which is not there")
+        raise unreadable(file, f"refers to camera {image.camera} for {place}, but the model has no such camera")
     world_to_camera = pose_from_quaternion(image.pose[4:], image.pose[[1, 2, 3, 0]])
     pose = np.eye(4)
     pose[:3, :3] = world_to_camera[:3, :3].T
     pose[:3, 3] = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
     given = GivenCamera(f"{file} {image.camera}", camera.intrinsics, camera.distortion, pose, "opencv")
-    return posed(read_photo(folder, place), given)
+    return with_camera(read_photo(folder, place), given)
 
 
 def _camera(model: str, width: int, height: int, parameters: Floats, file: str) -> _Camera:
-    if model not in _PLACES:
-        what = f"has the camera model {model[:40]!r}; {', '.join(_PLACES)} are read"
+    """Make a camera from COLMAP's model and parameters. Raises CAPTURE_BAD_INTRINSICS and CAPTURE_UNREADABLE."""
+    if model not in _PARAMETER_INDICES:
+        what = f"has the unsupported camera model {model[:40]!r}; supported are {', '.join(_PARAMETER_INDICES)}"
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file, hints=("undistort the images with COLMAP first",))
-    places = _PLACES[model]
+    places = _PARAMETER_INDICES[model]
     if len(parameters) != max(places) + 1:
-        raise unreadable(file, f"has a {model} camera of {len(parameters)} parameters")
+        raise unreadable(file, f"has a {model} camera with {len(parameters)} parameters instead of {max(places) + 1}")
     fx, fy, cx, cy, *lens = (float(parameters[at]) if at >= 0 else 0.0 for at in places)
     if not all(math.isfinite(value) for value in lens):
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has a lens distortion that is not finite", file=file)
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has lens distortion coefficients that are not finite", file=file)
     return _Camera(checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, width, height), file), (*lens, 0.0))
 
 
 def _cameras(folder: Folder, file: str) -> dict[int, _Camera]:
+    """Read all cameras of the model: number -> camera."""
     if file.endswith(".txt"):
         return dict(_camera_line(line, file) for line in _lines(folder, file) if line)
-    reader = _Reader(_bytes(folder, file), file)
+    reader = _BinaryReader(_read_model_file(folder, file), file)
     return dict(_camera_record(reader, file) for _ in range(reader.count(_CAMERA_BYTES)))
 
 
 def _camera_line(line: str, file: str) -> tuple[int, _Camera]:
-    """CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"""
-    number, model, width, height, *parameters = _words(line, 4, None, file)
-    sizes = (_whole(width, file), _whole(height, file))
-    return _whole(number, file), _camera(
+    """Parse a line of cameras.txt: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]."""
+    number, model, width, height, *parameters = _split_fields(line, 4, None, file)
+    sizes = (_whole_number(width, file), _whole_number(height, file))
+    return _whole_number(number, file), _camera(
         model, *sizes, numbers(parameters, len(parameters), file=file, what=line), file
     )
 
 
-def _camera_record(reader: _Reader, file: str) -> tuple[int, _Camera]:
+def _camera_record(reader: _BinaryReader, file: str) -> tuple[int, _Camera]:
+    """Read one camera of cameras.bin: its number and the camera."""
     number, kind, width, height = reader.take("<IiQQ")
     model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"
-    count = max(_PLACES.get(model, (-1,))) + 1
+    count = max(_PARAMETER_INDICES.get(model, (-1,))) + 1
     return number, _camera(model, width, height, np.array(reader.take(f"<{count}d")), file)
 
 
 def _images(folder: Folder, file: str) -> Iterator[_Image]:
+    """Read all images of the model, text or binary."""
     if file.endswith(".txt"):
-        # Every second line lists the observations, and is empty where there are none.
+        # Every second line lists an image's observations, and is empty if it has none.
         yield from (_image_line(line, file) for line in _lines(folder, file)[::2] if line)
         return
-    reader = _Reader(_bytes(folder, file), file)
+    reader = _BinaryReader(_read_model_file(folder, file), file)
     for _ in range(reader.count(_IMAGE_BYTES)):
         _, *pose, camera = reader.take("<I7dI")
         name = reader.name()
@@ -176,38 +185,40 @@ def _images(folder: Folder, file: str) -> Iterator[_Image]:
 
 
 def _image_line(line: str, file: str) -> _Image:
-    """IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"""
-    words = _words(line, 10, 9, file)
-    return _Image(words[9], _whole(words[8], file), numbers(words[1:8], 7, file=file, what="a pose"))
+    """Parse a line of images.txt: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME."""
+    words = _split_fields(line, 10, 9, file)
+    return _Image(words[9], _whole_number(words[8], file), numbers(words[1:8], 7, file=file, what="a pose"))
 
 
-def _words(line: str, least: int, splits: int | None, file: str) -> list[str]:
+def _split_fields(line: str, least: int, splits: int | None, file: str) -> list[str]:
     words = line.split(None, -1 if splits is None else splits)
     if len(words) < least:
-        raise unreadable(file, f"has a line of {len(words)} words where at least {least} belong: {line[:60]!r}")
+        raise unreadable(file, f"has a line of {len(words)} fields where at least {least} are expected: {line[:60]!r}")
     return words
 
 
-def _whole(word: str, file: str) -> int:
+def _whole_number(word: str, file: str) -> int:
     if not (word.isascii() and word.isdigit() and len(word) < 10):
-        raise unreadable(file, f"has {word[:40]!r} where a whole number belongs")
+        raise unreadable(file, f"has {word[:40]!r} where a whole number is expected")
     return int(word)
 
 
 def _lines(folder: Folder, file: str) -> list[str]:
+    """Read the lines of a text file without comments; empty lines stay."""
     lines = (line.strip() for line in read_text(folder.path(file), file).splitlines())
     return [line for line in lines if not line.startswith("#")]
 
 
-def _bytes(folder: Folder, file: str) -> bytes:
+def _read_model_file(folder: Folder, file: str) -> bytes:
     if folder.path(file).stat().st_size > MAX_BYTES:
-        raise CaptureError("CAPTURE_TOO_LARGE", f"is over {MAX_BYTES // 2**20} MiB", file=file)
+        reason = f"is larger than {MAX_BYTES // 2**20} MiB, the most that is read of a COLMAP file"
+        raise CaptureError("CAPTURE_TOO_LARGE", reason, file=file)
     return read_bytes(folder.path(file), file)
 
 
 @dataclass(slots=True)
-class _Reader:
-    """Little-endian values one after the other. Raises CAPTURE_TRUNCATED where the file ends before what it says."""
+class _BinaryReader:
+    """Reads little-endian values one after the other. Raises CAPTURE_TRUNCATED when the file ends too early."""
 
     data: bytes
     file: str
@@ -220,19 +231,19 @@ class _Reader:
 
     def skip(self, count: int) -> None:
         if count > len(self.data) - self.at:
-            raise truncated(self.file, "ends in the middle of an entry")
+            raise truncated(self.file, "is cut off in the middle of an entry")
         self.at += count
 
     def count(self, smallest: int) -> int:
-        """How many entries of at least `smallest` bytes follow; more than the file can hold are not believed."""
+        """Read the number of entries that follow, of at least `smallest` bytes each; raise if the file is too short."""
         (count,) = self.take("<Q")
         if count * smallest > len(self.data) - self.at:
-            raise truncated(self.file, f"says that {count:,} entries follow, which it is too short for")
+            raise truncated(self.file, f"is cut off: it announces {count:,} entries, but is too short for them")
         return int(count)
 
     def name(self) -> str:
         end = self.data.find(b"\0", self.at, self.at + _NAME_BYTES)
         if end < 0:
-            raise unreadable(self.file, "has a photo's name without an end")
+            raise unreadable(self.file, f"has a photo's name that does not end within {_NAME_BYTES} bytes")
         start, self.at = self.at, end + 1
         return self.data[start:end].decode("utf-8", errors="replace")

@@ -1,4 +1,4 @@
-"""Colours of every file format become (N,3) uint8 sRGB."""
+"""Convert the colours of every file format to (N,3) uint8 sRGB."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from services.edge.arrays import Bytes, Ints
 
 
 def rgb8(values: NDArray[Any]) -> Bytes:
-    """(N,3) uint8 from bytes, 16-bit integers, or floats in [0,1] or [0,255]; what is not finite becomes black.
+    """Convert bytes, 16-bit integers, or floats in [0,1] or [0,255] to (N,3) uint8; non-finite values become 0.
 
-    The range is told by the largest value, because writers disagree: LAS is 16 bit by the book and 8 bit in the wild.
+    The largest value decides the range, because writers disagree: LAS should have 16 bits and often has 8.
     """
     if values.dtype == np.uint8:
         return np.ascontiguousarray(values, dtype=np.uint8)
@@ -25,6 +25,6 @@ def rgb8(values: NDArray[Any]) -> Bytes:
 
 
 def unpack_rgb(packed: Ints) -> Bytes:
-    """(N,3) uint8 from PCL's 0x00RRGGBB words."""
+    """Unpack PCL's 0x00RRGGBB words (N,) to (N,3) uint8."""
     words = packed.astype(np.uint32)
     return np.stack([(words >> shift) & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)

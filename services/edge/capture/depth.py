@@ -1,4 +1,4 @@
-"""Where a frame's depth and colour come from: image and array files, each checked cheaply before it is read."""
+"""Sources of a frame's depth and colours: image and array files whose size is read from the header before decoding."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from services.edge.capture.files import unreadable
 from services.edge.capture.images import decode_depth, decode_grey, decode_rgb, image_size, read_bytes
 from services.edge.capture.tables import npy_array
 
-MAX_DEPTH_M = 1_000.0  # metres; no phone measures further, so more is a value for "unknown"
+MAX_DEPTH_M = 1_000.0  # metres; no phone measures further, so a larger value is a marker for "unknown"
 
 
 class DepthSource(Protocol):
-    """`file` names it in errors; `size()` is (width, height) from the header; `load()` is (H,W)
-    float32 metres, 0 unknown."""
+    """Depth image that loads lazily. `file` is its name for errors; `size()` returns (width, height) from the header;
+    `load()` returns (H,W) float32 metres, 0 where unknown."""
 
     @property
     def file(self) -> str: ...
@@ -29,7 +29,7 @@ class DepthSource(Protocol):
 
 
 class ColourSource(Protocol):
-    """As `DepthSource`; `load()` is (h,w,3) uint8 sRGB with the depth image's field of view."""
+    """Colour image of a frame, as `DepthSource`; `load()` returns (h,w,3) uint8 sRGB with the depth's field of view."""
 
     @property
     def file(self) -> str: ...
@@ -41,7 +41,7 @@ class ColourSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ImageColour:
-    """A picture in a file."""
+    """Colour image in a PNG, JPEG or TIFF file."""
 
     path: Path
     file: str
@@ -55,7 +55,7 @@ class ImageColour:
 
 @dataclass(frozen=True, slots=True)
 class ImageDepth:
-    """A one-channel PNG or TIFF; metres = value * metres_per_step."""
+    """Depth image in a one-channel PNG or TIFF; metres = value * metres_per_step."""
 
     path: Path
     file: str
@@ -66,12 +66,12 @@ class ImageDepth:
 
     def load(self) -> Floats:
         values = decode_depth(read_bytes(self.path, self.file), self.file)
-        return known_depth(values * np.float32(self.metres_per_step))
+        return zero_invalid_depth(values * np.float32(self.metres_per_step))
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayDepth:
-    """A .npy of shape (H,W); metres = value * metres_per_step."""
+    """Depth image in a .npy of shape (H,W); metres = value * metres_per_step."""
 
     path: Path
     file: str
@@ -82,29 +82,29 @@ class ArrayDepth:
         return shape[1], shape[0]
 
     def load(self) -> Floats:
-        return known_depth(self._array().astype(np.float32) * np.float32(self.metres_per_step))
+        return zero_invalid_depth(self._array().astype(np.float32) * np.float32(self.metres_per_step))
 
     def _array(self) -> Floats:
         array = np.squeeze(npy_array(self.path, self.file))
         if array.ndim != 2:
-            raise unreadable(self.file, f"has shape {array.shape}; depth has height and width")
+            raise unreadable(self.file, f"has an array of shape {array.shape}; a depth image has two dimensions")
         return array
 
 
 def depth_file(path: Path, file: str, metres_per_step: float) -> DepthSource:
-    """Of a .npy or an image; whether it is one shows when its header is read."""
+    """Return the depth source for a .npy or an image, chosen by the suffix; `size()` raises if the content differs."""
     kind = ArrayDepth if file.lower().endswith(".npy") else ImageDepth
     return kind(path, file, metres_per_step)
 
 
-def known_depth(depth_m: Floats) -> Floats:
-    """(H,W) float32 with 0 for what is NaN, infinite, negative or beyond MAX_DEPTH_M."""
+def zero_invalid_depth(depth_m: Floats) -> Floats:
+    """Return depth as float32 with 0 (unknown) where it is NaN, infinite, negative or beyond MAX_DEPTH_M."""
     known = (depth_m > 0) & (depth_m < MAX_DEPTH_M)
     return np.where(known, depth_m, np.float32(0)).astype(np.float32, copy=False)
 
 
 def confidence_image(path: Path, file: str) -> Floats:
-    """(H,W) float32 in [0,1] from a one-channel image of ARKit's levels, stored as 0, 1, 2 or as 0, 127, 255."""
+    """Read a one-channel image of ARKit's confidence levels, stored as 0, 1, 2 or 0, 127, 255, to (H,W) in [0,1]."""
     values = decode_grey(read_bytes(path, file), file)
     highest = np.float32(2 if values.max(initial=0) <= 2 else 255)
     confidence: Floats = np.clip(values / highest, 0, 1)

@@ -1,12 +1,12 @@
-"""Android DEPTH16, as the app recorder-3d writes it (Huawei AR Engine): `N_depth16.bin`, `N_image.jpg`, `poses.csv`.
+"""Read Android DEPTH16 recordings, by the app recorder-3d (Huawei AR): `N_depth16.bin`, `N_image.jpg`, `poses.csv`.
 
 DEPTH16: little-endian words, 13 low bits millimetres (0 unknown), 3 high bits confidence, where 0 means "not given,
-take it as 1" and 1 ... 7 run from 0 to 1 (android.graphics.ImageFormat.DEPTH16). Rows run as in the sensor, landscape.
+take it as 1" and 1 ... 7 run from 0 to 1 (android.graphics.ImageFormat.DEPTH16). Rows are the sensor's, landscape.
 
 poses.csv: frame,tx,ty,tz,qx,qy,qz,qw,yaw,pitch,roll[,projection]; camera-to-world in OpenGL axes, Y against gravity.
-`projection` is OpenGL's 4x4, column by column, of the screen. The screen crops one side of the sensor's 4:3 image, and
-which one depends on how the phone was held, so the smaller of the two focal entries is the sensor's width:
-f = width * min(P00, P11) / 2. For the Honor View 20 that is 178.8 px of 240. (The app's .ply files use a fixed 170.)
+`projection` is OpenGL's 4x4 projection of the screen, column by column. The screen crops one side of the sensor's 4:3
+image, and which one depends on how the phone was held, so the smaller of the two focal entries belongs to the sensor's
+width: f = width * min(P00, P11) / 2. For the Honor View 20 that is 178.8 px of 240. (The app's .ply files use 170.)
 """
 
 from __future__ import annotations
@@ -21,52 +21,56 @@ import numpy as np
 
 from services.edge.arrays import Floats
 from services.edge.capture.depth import ImageColour
-from services.edge.capture.files import Folder, numbers, read_text, reading
+from services.edge.capture.files import Folder, numbers, read_text, translate_errors
+from services.edge.capture.frame_records import FrameRecord, missing_warning, no_poses, rgbd_capture
 from services.edge.capture.images import image_size, read_bytes
 from services.edge.capture.nouns import Capture, Intrinsics
 from services.edge.capture.poses import pose_from_quaternion
-from services.edge.capture.shots import Shot, missing_warning, no_poses, rgbd_capture
 from services.edge.capture.tables import truncated
 
 POSES = "poses.csv"
-DEFAULT_FOCAL = 170 / 240  # of the width: what the app itself assumes, for recordings without a projection
+DEFAULT_FOCAL = 170 / 240  # of the width: the app's own value, for recordings without a projection
 _UP_Y = np.array([0.0, 1.0, 0.0])
 _SUFFIX = "_depth16.bin"
-_SHAPES = ((4, 3), (16, 9), (1, 1), (3, 2))  # sensors' width : height, tried in this order
+_SHAPES = ((4, 3), (16, 9), (1, 1), (3, 2))  # aspect ratios of sensors, width : height, tried in this order
 
 
 def matches(folder: Folder) -> bool:
+    """Return whether the folder is a DEPTH16 recording."""
     return any(name.endswith(_SUFFIX) for name in folder.names)
 
 
 def read(folder: Folder) -> Capture:
+    """Read the frames of a recording. Raises CaptureError, naming the file."""
     depths = [name for name in folder.names if name.endswith(_SUFFIX)]
     if not folder.has(POSES):
         raise no_poses(depths[0], POSES)
     rows = _rows(folder)
-    posed = [(name, rows[_frame(name)]) for name in depths if _frame(name) in rows]
+    posed = [(name, rows[_frame_number(name)]) for name in depths if _frame_number(name) in rows]
     if not posed:
         raise no_poses(POSES, f"a row for {depths[0]}")
-    tracked = [(name, row) for name, row in posed if not _untracked(row)] or posed
+    tracked = [(name, row) for name, row in posed if not _is_untracked(row)] or posed
     lost = len(posed) - len(tracked)
-    warnings = [*missing_warning([name for name in depths if _frame(name) not in rows], "poses of depth images")]
-    warnings += [f"{lost} frames from before tracking began were skipped"] if lost else []
-    aligned = not _untracked(tracked[0][1])
+    warnings = [*missing_warning([name for name in depths if _frame_number(name) not in rows], "poses of depth images")]
+    warnings += [f"{lost} frames recorded before tracking began were skipped"] if lost else []
+    aligned = not _is_untracked(tracked[0][1])
     if not aligned:
-        tracked = tracked[:1]  # poses from before tracking are all the same and place only one frame
-        warnings.append("tracking had not begun; one frame is used, and its up is the camera's")
-    shots = [_shot(folder, name, row) for name, row in tracked]
+        tracked = tracked[:1]  # before tracking all poses are the same, so only one frame can be used
+        warnings.append("tracking never began; only one frame is used, and its up direction is the camera's")
+    records = [_record(folder, name, row) for name, row in tracked]
     up = _UP_Y if aligned else None
-    return rgbd_capture("depth16", shots, axes="opengl", up=up, file=POSES, warnings=warnings)
+    return rgbd_capture("depth16", records, axes="opengl", up=up, file=POSES, warnings=warnings)
 
 
-def _frame(name: str) -> str:
+def _frame_number(name: str) -> str:
+    """Return the frame's number from the name of its depth file."""
     return name.rsplit("/", 1)[-1].removesuffix(_SUFFIX)
 
 
 def _rows(folder: Folder) -> dict[str, Mapping[str, str]]:
+    """Read poses.csv: frame's number -> its row."""
     text = read_text(folder.path(POSES), POSES)
-    with reading(POSES, "CSV of poses"):
+    with translate_errors(POSES, "CSV of poses"):
         table = csv.DictReader(text.splitlines())
         rows: dict[str, Mapping[str, str]] = {(row.get("frame") or "").strip(): row for row in table}
     if not rows:
@@ -78,19 +82,19 @@ def _vector(row: Mapping[str, str], *keys: str) -> Floats:
     return numbers([row.get(key) for key in keys], len(keys), file=POSES, what=", ".join(keys))
 
 
-def _untracked(row: Mapping[str, str]) -> bool:
-    """The engine reports the exact origin until it has found itself."""
+def _is_untracked(row: Mapping[str, str]) -> bool:
+    """Return whether a row is from before tracking began: the AR engine reports exactly the origin until then."""
     return not _vector(row, "tx", "ty", "tz").any()
 
 
-def _shot(folder: Folder, name: str, row: Mapping[str, str]) -> Shot:
+def _record(folder: Folder, name: str, row: Mapping[str, str]) -> FrameRecord:
     colour = _colour(folder, name)
     size = image_size(folder.path(colour), colour) if colour is not None else None
     depth = Depth16(folder.path(name), name, size)
     pose = pose_from_quaternion(_vector(row, "tx", "ty", "tz"), _vector(row, "qx", "qy", "qz", "qw"))
     width, height = depth.size()
     rgb = None if colour is None else ImageColour(folder.path(colour), colour)
-    return Shot(name, _camera(row, width, height), pose, depth, depth.load_confidence, rgb)
+    return FrameRecord(name, _camera(row, width, height), pose, depth, depth.load_confidence, rgb)
 
 
 def _colour(folder: Folder, name: str) -> str | None:
@@ -100,17 +104,20 @@ def _colour(folder: Folder, name: str) -> str | None:
 
 
 def _camera(row: Mapping[str, str], width: int, height: int) -> Intrinsics:
-    """Square pixels; the projection's third column moves the principal point, by a fraction of each half."""
+    """Compute intrinsics with square pixels from the row's projection.
+
+    The projection's third column shifts the principal point, by a fraction of half of each side.
+    """
     words = (row.get("projection") or "").split()
     if not words:
         focal = DEFAULT_FOCAL * width
         return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
     projection = numbers(words, 16, file=POSES, what="projection").reshape(4, 4).T
     across = (projection[0, 2], projection[1, 2])
-    if projection[0, 0] > projection[1, 1]:  # held upright: the screen's -y is the sensor's x
+    if projection[0, 0] > projection[1, 1]:  # phone held upright: the screen's -y is the sensor's x
         across = (-across[1], across[0])
     focal = width / 2 * float(min(projection[0, 0], projection[1, 1]))
-    # The cropped side's offset is a fraction of what the screen shows of it, not of the whole.
+    # On the cropped side the shift is a fraction of the part that the screen shows, not of the whole side.
     shown = width / 2 * float(min(projection[0, 0], projection[1, 1]) / max(projection[0, 0], projection[1, 1], 1e-9))
     cx = width / 2 * (1 - float(across[0])) - 0.5
     cy = height / 2 + shown * float(across[1]) - 0.5
@@ -119,7 +126,8 @@ def _camera(row: Mapping[str, str], width: int, height: int) -> Intrinsics:
 
 @dataclass(frozen=True, slots=True)
 class Depth16:
-    """Words of DEPTH16; the file states no size, so it is the one with the colour image's shape, or a sensor's."""
+    """Depth image in a DEPTH16 file. The file has no width and height: they follow from the number of words and the
+    aspect ratio of the colour image, or of common sensors."""
 
     path: Path
     file: str
@@ -128,18 +136,19 @@ class Depth16:
     def size(self) -> tuple[int, int]:
         words = self.path.stat().st_size // 2
         if words == 0:
-            raise truncated(self.file, "holds no depth")
+            raise truncated(self.file, "has no depth values")
         for across, down in (*((self.colour_size,) if self.colour_size else ()), *_SHAPES):
             width = round(math.sqrt(words * across / down))
             if words % width == 0 and abs(width * down - words // width * across) <= max(across, down):
                 return width, words // width
-        raise truncated(self.file, f"holds {words:,} words, which make no image of a sensor's shape")
+        what = f"has {words:,} depth values, which fit no image of a known aspect ratio (4:3, 16:9, 1:1, 3:2)"
+        raise truncated(self.file, what)
 
     def load(self) -> Floats:
         return (self._words() & 0x1FFF).astype(np.float32) * np.float32(1e-3)
 
     def load_confidence(self) -> Floats:
-        """(H,W) float32: 0 stands for 1, else (value - 1) / 7, as Android defines it."""
+        """Decode the confidence (H,W) float32: 0 means 1, else (value - 1) / 7, as Android defines it."""
         level = (self._words() >> 13).astype(np.float32)
         return np.where(level == 0, np.float32(1), (level - 1) / np.float32(7))
 

@@ -1,4 +1,4 @@
-"""What a capture is, told from its content; the one entry to reading it."""
+"""Detect the format of a capture from its content, and read it: `read_capture` is the only entry point."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from services.edge.arrays import Tick, no_tick
 from services.edge.capture import colmap, depth16, film, nerfstudio, photos, polycam, record3d, scanner3d, stray, tum
 from services.edge.capture.cloud import cloud_format, read_cloud
-from services.edge.capture.files import Folder, open_folder, reading, unreadable
+from services.edge.capture.files import Folder, open_folder, translate_errors, unreadable
 from services.edge.capture.nouns import MIN_PHOTOS, Capture
 from services.edge.errors import CaptureError
 
@@ -23,33 +23,35 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (nerfstudio.matches, nerfstudio.read),
     (colmap.matches, colmap.read),
     (depth16.matches, depth16.read),
-    (tum.matches, tum.read),  # last: any folder called "depth" is enough for it
+    (tum.matches, tum.read),  # last: it accepts any capture with a folder called "depth"
 )
 _CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf")
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
-# Tables of numbers that belong to a recording and are no clouds.
+# Text tables of numbers that belong to a recording; they look like point clouds, and are none.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
-_HINT = "send photos, a video, a point cloud, a mesh, or the export of a scanning app; see the list of formats"
+_FORMATS_HINT = (
+    "send photos, a video, a point cloud, a mesh, or a scanning app's export; see the list of supported formats"
+)
 
 
 def read_capture(folder: Path, *, tick: Tick = no_tick) -> Capture:
-    """Read and check what a phone sent: an unpacked folder or a single file.
+    """Read and check an uploaded capture: an unpacked folder or a single file.
 
     Poses, intrinsics, counts, image headers and the first and last depth image are checked here; images load lazily.
-    `tick` is called while a film is looked through. Raises CaptureError, naming the file, the reason and what to do,
-    and Cancelled when `tick` does.
+    `tick` is called while a video is scanned and while a LAZ is decoded. Raises CaptureError, naming the file,
+    the reason and what to do, and Cancelled when `tick` does.
     """
-    # Values that overflow or are no numbers are judged once they are read; on the way they are no event.
-    with np.errstate(all="ignore"), reading(folder.name, "capture"):
+    # No floating-point warnings for overflow and NaN: the values are checked after reading.
+    with np.errstate(all="ignore"), translate_errors(folder.name, "capture"):
         if not folder.exists():
             raise CaptureError("CAPTURE_EMPTY", "there is no such file or folder", file=folder.name)
         if folder.is_dir():
-            return _read_folder(_top(replace(open_folder(folder), tick=tick)))
+            return _read_folder(_skip_wrapper_folders(replace(open_folder(folder), tick=tick)))
         return _read_files(Folder(folder.parent, (folder.name,), tick))
 
 
-def _top(folder: Folder) -> Folder:
-    """Step into the one folder that everything lies in, as archives often have it."""
+def _skip_wrapper_folders(folder: Folder) -> Folder:
+    """Return the innermost folder that contains all files: archives often wrap everything in a single top folder."""
     tops = {name.split("/", 1)[0] for name in folder.names}
     if len(tops) != 1 or any("/" not in name for name in folder.names):
         return folder
@@ -57,12 +59,12 @@ def _top(folder: Folder) -> Folder:
     if top in ("depth", "keyframes", "rgbd"):
         return folder
     inner = tuple(name.split("/", 1)[1] for name in folder.names)
-    return _top(replace(folder, root=folder.root / top, names=inner))
+    return _skip_wrapper_folders(replace(folder, root=folder.root / top, names=inner))
 
 
 def _read_folder(folder: Folder) -> Capture:
     if not folder.names:
-        raise CaptureError("CAPTURE_EMPTY", "the capture holds no files", hints=(_HINT,))
+        raise CaptureError("CAPTURE_EMPTY", "the capture has no files", hints=(_FORMATS_HINT,))
     for matches, read in _FORMATS:
         if matches(folder):
             return read(folder)
@@ -70,7 +72,7 @@ def _read_folder(folder: Folder) -> Capture:
 
 
 def _read_files(folder: Folder) -> Capture:
-    """The largest cloud or mesh among the files; everything else beside it is ignored."""
+    """Read the largest point cloud or mesh among the files; without one, photos or a video."""
     archive = next((name for name in folder.names if record3d.is_archive(folder.path(name))), None)
     if archive is not None:
         return record3d.read_archive(folder.path(archive), archive)
@@ -82,44 +84,49 @@ def _read_files(folder: Folder) -> Capture:
     capture = read_cloud(folder, name, kind)
     if not others:
         return capture
-    more = f"{name} was read; {len(others)} other clouds or meshes were not ({', '.join(others[:3])})"
+    more = f"only {name} was used; {len(others)} other point clouds or meshes were not ({', '.join(others[:3])})"
     return replace(capture, warnings=(*capture.warnings, more))
 
 
 def _read_pictures(folder: Folder) -> Capture:
-    """Photos, or a video where there are too few of them. Not before clouds: a mesh's textures are pictures too."""
-    videos = film.videos(folder)
+    """Read the photos, or a video when there are too few photos. Called after clouds: meshes have texture images."""
+    videos = film.find_videos(folder)
     if videos and len(photos.pictures(folder)) < MIN_PHOTOS:
         return film.read(folder)
     if not photos.matches(folder):
-        raise _not_found(folder)
+        raise _nothing_readable(folder)
     capture = photos.read(folder)
-    return replace(capture, warnings=(*capture.warnings, *film.unused(videos)))
+    return replace(capture, warnings=(*capture.warnings, *film.unused_warning(videos)))
 
 
 def _candidate(folder: Folder, name: str) -> str | None:
+    """Return the point cloud or mesh format of a file, or None when it is neither."""
     if name.rsplit("/", 1)[-1].lower() in _SIDE_TABLES:
         return None
     return cloud_format(folder, name)
 
 
-def _not_found(folder: Folder) -> CaptureError:
-    """The most helpful name for a capture without anything in it that can be read."""
+def _nothing_readable(folder: Folder) -> CaptureError:
+    """Return the most specific error for a capture without a readable file: empty, mislabelled, archive, unknown."""
     sizes = {name: folder.path(name).stat().st_size for name in folder.names}
     if not any(sizes.values()):
         only = folder.names[0] if len(folder.names) == 1 else None
         return CaptureError("CAPTURE_EMPTY", "the file is empty" if only else "all files are empty", file=only)
     for name in folder.names:
         if name.lower().endswith(_CLOUD_SUFFIXES):
-            what = "is empty" if not sizes[name] else f"is called {Path(name).suffix} and holds something else"
+            what = (
+                f"has the suffix {Path(name).suffix}, but its content is another format" if sizes[name] else "is empty"
+            )
             return unreadable(name, what) if sizes[name] else CaptureError("CAPTURE_EMPTY", what, file=name)
     heads = [_head(folder.path(name)) for name in folder.names]
     only = folder.names[0] if len(folder.names) == 1 else None
     archive = next((name for name, head in zip(folder.names, heads, strict=True) if head.startswith(_ARCHIVES)), None)
     if archive is not None:
         hint = "unpack it and send the files"
-        return CaptureError("CAPTURE_UNKNOWN_FORMAT", "is an archive, which is not opened", file=archive, hints=(hint,))
-    return CaptureError("CAPTURE_UNKNOWN_FORMAT", "holds no format that is known here", file=only, hints=(_HINT,))
+        what = "is an archive; archives are not unpacked here"
+        return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=archive, hints=(hint,))
+    what = "is not in a known format" if only else "no file of the capture is in a known format"
+    return CaptureError("CAPTURE_UNKNOWN_FORMAT", what, file=only, hints=(_FORMATS_HINT,))
 
 
 def _head(path: Path) -> bytes:

@@ -1,4 +1,7 @@
-"""Images: the header is read before anything is decoded, so a picture of 60,000 x 60,000 pixels costs nothing."""
+"""Read the size of PNG, JPEG and TIFF images from their headers, and decode them.
+
+The size is checked before anything is decoded, so that a picture of 60,000 x 60,000 pixels allocates nothing.
+"""
 
 from __future__ import annotations
 
@@ -11,34 +14,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.capture.files import reading
+from services.edge.capture.files import translate_errors
 from services.edge.errors import CaptureError
 
 MAX_PIXELS = 100_000_000  # the largest phone sensors give 200 MP raw and 50 MP pictures; 100 MP is 300 MB decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
-_HEADER_BYTES = 2**18  # EXIF with a thumbnail and a colour profile lie before a JPEG's size
+_HEADER_BYTES = 2**18  # read of a file; a JPEG's size comes after its EXIF thumbnail and its colour profile
 
 
 def broken_image(file: str, reason: str) -> CaptureError:
+    """Return an IMAGE_UNREADABLE error."""
     return CaptureError("IMAGE_UNREADABLE", reason, file=file, hints=("export the capture again",))
 
 
 def image_size(path: Path, file: str) -> tuple[int, int]:
-    """(width, height) from the header, checked against MAX_PIXELS.
+    """Read (width, height) from an image file's header.
 
-    Raises IMAGE_TOO_LARGE, and IMAGE_UNREADABLE for what is no image or for a PNG cut off before its end.
+    Raises IMAGE_TOO_LARGE above MAX_PIXELS, and IMAGE_UNREADABLE for other formats or for a PNG that is cut off.
     """
-    head, tail = _ends(path, file)
+    head, tail = _head_and_tail(path, file)
     size = header_size(head)
     if size is None:
         raise broken_image(file, "is not a PNG, JPEG or TIFF image" if head else "is empty")
     if head.startswith(_PNG) and b"IEND" not in tail:
-        raise broken_image(file, "is cut off: the PNG has no end")
+        raise broken_image(file, "is cut off: the end of the PNG is missing")
     return check_pixels(size, file)
 
 
-def _ends(path: Path, file: str) -> tuple[bytes, bytes]:
+def _head_and_tail(path: Path, file: str) -> tuple[bytes, bytes]:
+    """Read the first bytes of a file, enough for its image header, and its last 64."""
     try:
         with path.open("rb") as stream:
             head = stream.read(64)
@@ -51,18 +56,18 @@ def _ends(path: Path, file: str) -> tuple[bytes, bytes]:
 
 
 def check_pixels(size: tuple[int, int], file: str, most: int = MAX_PIXELS) -> tuple[int, int]:
-    """The `size`. Raises IMAGE_TOO_LARGE above `most` pixels, and IMAGE_UNREADABLE without any."""
+    """Return the `size`. Raises IMAGE_TOO_LARGE above `most` pixels, and IMAGE_UNREADABLE for a size of 0."""
     width, height = size
     if width * height > most:
         reason = f"is {width} x {height} pixels; at most {most // 10**6} megapixels are read"
         raise CaptureError("IMAGE_TOO_LARGE", reason, file=file, hints=("send a smaller picture",))
     if width < 1 or height < 1:
-        raise broken_image(file, "has no pixels")
+        raise broken_image(file, f"is {width} x {height} pixels: it has no pixels")
     return size
 
 
 def header_size(head: bytes) -> tuple[int, int] | None:
-    """(width, height) that a PNG, JPEG or TIFF header states, None for anything else."""
+    """Return (width, height) from the first bytes of a PNG, JPEG or TIFF, None for any other format."""
     if head.startswith(_PNG) and len(head) >= 24 and head[12:16] == b"IHDR":
         width, height = struct.unpack(">II", head[16:24])
         return width, height
@@ -72,7 +77,7 @@ def header_size(head: bytes) -> tuple[int, int] | None:
 
 
 def _jpeg_size(head: bytes) -> tuple[int, int] | None:
-    """Walk the segments up to the start of frame, which holds the size."""
+    """Return (width, height) from the start-of-frame segment of a JPEG, or None when it is not in `head`."""
     at = 2
     while at + 9 <= len(head) and head[at] == 0xFF:
         marker = head[at + 1]
@@ -87,7 +92,7 @@ _TIFF_ORDER = {b"II*\0": "<", b"MM\0*": ">"}
 
 
 def _tiff_size(head: bytes) -> tuple[int, int] | None:
-    """Width (tag 256) and height (tag 257) of the first directory, when it lies within the header bytes."""
+    """Return width (tag 256) and height (tag 257) of a TIFF's first directory, or None when it is not in `head`."""
     order = _TIFF_ORDER[head[:4]]
     sides = {256: 0, 257: 0}
     try:
@@ -103,35 +108,36 @@ def _tiff_size(head: bytes) -> tuple[int, int] | None:
 
 
 def read_bytes(path: Path, file: str) -> bytes:
-    with reading(file, "file"):
+    """Read a whole file; errors of the operating system become CAPTURE_UNREADABLE."""
+    with translate_errors(file, "file"):
         return path.read_bytes()
 
 
 def decode_grey(data: bytes, file: str) -> Floats:
-    """One channel of any depth, values as stored: (H,W) float32. Raises IMAGE_UNREADABLE."""
+    """Decode a one-channel image of any bit depth to (H,W) float32, values as stored. Raises IMAGE_UNREADABLE."""
     import cv2
 
     return _one_channel(_decode(data, file, cv2.IMREAD_UNCHANGED), file)
 
 
 def decode_depth(data: bytes, file: str) -> Floats:
-    """As `decode_grey`, refusing 8 bits a pixel: apps write pictures of depth so, and they have no unit."""
+    """Decode as `decode_grey`, but refuse 8 bits per pixel: these are previews of depth, whose values have no unit."""
     import cv2
 
     pixels = _decode(data, file, cv2.IMREAD_UNCHANGED)
     if pixels.dtype == np.uint8:
-        raise broken_image(file, "has 8 bits per pixel: a picture of depth, not depth")
+        raise broken_image(file, "has 8 bits per pixel: it is a preview of the depth; measured depth has 16 or 32 bits")
     return _one_channel(pixels, file)
 
 
 def _one_channel(pixels: NDArray[Any], file: str) -> Floats:
     if pixels.ndim != 2:
-        raise broken_image(file, f"has {pixels.shape[2]} channels; depth and confidence have one")
+        raise broken_image(file, f"has {pixels.shape[2]} channels; a depth or confidence image has one")
     return pixels.astype(np.float32)
 
 
 def decode_rgb(data: bytes, file: str) -> Bytes:
-    """(H,W,3) uint8 sRGB in the sensor's orientation, the one that the intrinsics describe."""
+    """Decode to (H,W,3) uint8 sRGB without applying the orientation tag: the intrinsics are for pixels as stored."""
     import cv2
 
     pixels = _decode(data, file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -139,6 +145,7 @@ def decode_rgb(data: bytes, file: str) -> Bytes:
 
 
 def _decode(data: bytes, file: str, flags: int) -> NDArray[Any]:
+    """Decode with OpenCV, after checking format and size. Raises IMAGE_UNREADABLE and IMAGE_TOO_LARGE."""
     import cv2
 
     size = header_size(data[:_HEADER_BYTES])
@@ -150,5 +157,5 @@ def _decode(data: bytes, file: str, flags: int) -> NDArray[Any]:
     except cv2.error:
         pixels = None
     if pixels is None:
-        raise broken_image(file, "cannot be decoded")
+        raise broken_image(file, "cannot be decoded: its image data are damaged")
     return np.asarray(pixels)

@@ -1,7 +1,7 @@
-"""Which frames of a film become photos: evenly spread along the way that the camera went, the sharpest of each stretch.
+"""Select key frames of a video: evenly spaced along the camera's path, each the sharpest of its stretch.
 
-The way is measured in the picture: points are followed from frame to frame, and how far they have moved since they
-were first seen, as a share of the picture's longer side, adds up. A camera that waits or trembles gets no further.
+The path length is measured in the image: feature points are tracked from frame to frame (optical flow), and their
+movement since they were detected, over the image's longer side, adds up. Standing still or shaking adds nothing.
 """
 
 from __future__ import annotations
@@ -13,146 +13,159 @@ import numpy as np
 
 from services.edge.arrays import Bools, Bytes, Floats
 
-LONGEST = 640  # pixels of the pictures that are judged: what is blurred by less is sharp enough to be aligned
-STILL = 0.15  # of the longer side: a way below it shows the thing from one side
-MOST = 60  # photos; more cost seconds each and, with 50 round a thing, made cameras no more exact
-_FEWEST = 16  # photos of a way that is short and shows something new all the same
-_STEP = 0.05  # of the longer side, between two photos
-_MIDDLE = 0.6  # of a stretch, in which its photo is looked for: neighbours from ends that meet are too alike
-_FOLLOWED_PX = 320  # longer side of the pictures in which points are followed
-_POINTS = 200
-_APART_PX = 8
+SCAN_LONGEST_PX = 640  # longer side of the scanned images: a blur that disappears at this size does not harm alignment
+MIN_PATH = 0.15  # longer sides; a shorter path shows the object from one side only
+MAX_KEY_FRAMES = 60  # more cost seconds each and, with 50 around an object, made the cameras no more exact
+_MIN_KEY_FRAMES = 16  # for a path that is short but shows new views
+_STEP = 0.05  # longer sides between two key frames
+_MIDDLE = 0.6  # share of a stretch that is searched, its middle: frames from two ends that meet are too similar
+_TRACKED_PX = 320  # longer side of the images in which points are tracked
+_POINTS = 200  # most points to track
+_SPACING_PX = 8  # least distance between two points
 _STRENGTH = 4e-4  # smaller eigenvalue of a corner's gradients for intensities of 0 to 1; a wall's noise has a tenth
-_RENEWED = 0.05  # of the longer side: new points are looked for before perspective makes the old ones unlike
-_LOST = 0.5  # of the points: with fewer left, new ones are looked for
-_TOO_FEW = 12  # points that tell nothing of the camera
-_THUMB = (32, 24)
-# Mean difference of luma over its standard deviation, between pictures of which no point was found again: photos from
-# 2 degrees apart have 0.25, noise and a codec's pulse on a wall below 0.1.
+_RESEED_PATH = 0.05  # longer sides: new points are detected before perspective changes the look of the old ones
+_RESEED_SHARE = 0.5  # of the detected points: with fewer left, new ones are detected
+_MIN_TRACKED = 12  # points; fewer say nothing about the camera's movement
+_THUMB = (32, 24)  # pixels, width and height of the images compared when tracking failed
+# Mean difference of luma over its standard deviation, between images without a tracked point: photos from 2 degrees
+# apart have 0.25, noise and the pulse of a codec's key frames on a wall below 0.1.
 _OTHER_VIEW = 0.25
-_UPPER = 75  # percentile of the points' ways: those of a far background are short
-_STANDS = 0.004  # of the longer side: a pixel and a bit of what is followed
-_CHANGED = 12.0  # grey levels after smoothing, of a turned texture; noise and a codec's pulse have 4
+_UPPER = 75  # percentile of the points' movements: points of a far background move less
+_STANDS = 0.004  # longer sides of movement: about 1.3 pixels of the tracked image; below it the camera stands still
+_CHANGED = 12.0  # grey levels after smoothing: a rotated texture changes by more; noise and a codec's pulse by 4
 _SMOOTH_PX = 1.5  # 1 sigma
-_SPECK_PX = 5  # narrower changes are edges that trembled
-_CHANGED_SHARES = (0.004, 0.5)  # of the picture, that turn before a camera that stands still
-_CHANGED_BORDER = 0.03  # share of the picture's border: more, and the camera moved, or somebody walked past
-_SAME_PLACE = 0.5  # share of what changed, or of what changed before, that both have: what turns stays where it is
-_BORDER_PX = 20
-_NARROWEST = 0.2  # of the longer side: what turns may seem smaller at first
+_SPECK_PX = 5  # narrower changes are edges that shook
+_CHANGED_SHARES = (0.004, 0.5)  # share of the image that an object turning in front of a still camera changes
+_CHANGED_BORDER = 0.03  # share of the image's border: above it the camera moved, or somebody walked past
+_SAME_PLACE = 0.5  # overlap of two changed regions, of the smaller: a turning object stays in its place
+_BORDER_PX = 20  # width of that border
+_NARROWEST = 0.2  # longer sides: least size assumed for a turning object, which may seem smaller at first
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What is kept of a frame. way: of the camera until then, in longer sides of the picture; sharpness: for frames of
-    about the same view."""
+class ScannedFrame:
+    """Measurements of one scanned frame of a video.
+
+    stamp      presentation time in units of the stream's time base
+    sharpness  comparable between frames of about the same view
+    path       length of the camera's path until this frame, in longer sides of the image
+    """
 
     stamp: int
     sharpness: float
-    way: float
+    path: float
 
 
-def key_frames(looks: Sequence[Look]) -> list[Look]:
-    """Up to MOST of them, in their order; none where the way is shorter than STILL."""
-    if not looks or looks[-1].way < STILL:
+def key_frames(frames: Sequence[ScannedFrame]) -> list[ScannedFrame]:
+    """Select up to MAX_KEY_FRAMES frames, in their order; none when the path is shorter than MIN_PATH."""
+    if not frames or frames[-1].path < MIN_PATH:
         return []
-    count = min(MOST, max(_FEWEST, round(looks[-1].way / _STEP)))
-    ways = np.array([look.way for look in looks])
-    centres = (np.arange(count) + 0.5) * ways[-1] / count
-    reach = _MIDDLE / 2 * ways[-1] / count
-    chosen = {_sharpest(looks, ways, centre, reach) for centre in centres}
-    return [looks[index] for index in sorted(chosen)]
+    count = min(MAX_KEY_FRAMES, max(_MIN_KEY_FRAMES, round(frames[-1].path / _STEP)))
+    paths = np.array([frame.path for frame in frames])
+    centres = (np.arange(count) + 0.5) * paths[-1] / count
+    reach = _MIDDLE / 2 * paths[-1] / count
+    chosen = {_sharpest(frames, paths, centre, reach) for centre in centres}
+    return [frames[index] for index in sorted(chosen)]
 
 
-def _sharpest(looks: Sequence[Look], ways: Floats, centre: float, reach: float) -> int:
-    near = np.flatnonzero(np.abs(ways - centre) <= reach)
+def _sharpest(frames: Sequence[ScannedFrame], paths: Floats, centre: float, reach: float) -> int:
+    """Return the index of the sharpest frame within `reach` of `centre` on the path, or else of the nearest frame."""
+    near = np.flatnonzero(np.abs(paths - centre) <= reach)
     if not len(near):
-        return int(np.abs(ways - centre).argmin())
-    return max(near.tolist(), key=lambda index: looks[index].sharpness)
+        return int(np.abs(paths - centre).argmin())
+    return max(near.tolist(), key=lambda index: frames[index].sharpness)
 
 
 def sharpness(luma: Bytes) -> float:
-    """Mean squared difference of neighbours along rows or columns, whichever is less: smears go one way."""
+    """Return the mean squared difference of neighbours along rows or columns, whichever is less.
+
+    Motion blur smears along one direction only."""
     values = luma.astype(np.float32)
     return float(min(np.square(np.diff(values, axis=axis)).mean() for axis in (0, 1)))
 
 
 @dataclass(slots=True)
-class Follower:
-    """The way of a camera, told from its pictures one after the other.
+class PathTracker:
+    """Measures the length of a camera's path from the images of a video, one after the other, by optical flow.
 
-    Points by Jianbo Shi, Carlo Tomasi, "Good Features to Track", CVPR 1994, followed by pyramids of Bruce Lucas' and
-    Takeo Kanade's method.
+    Points by Jianbo Shi, Carlo Tomasi, "Good Features to Track", CVPR 1994, tracked by the pyramidal method of Bruce
+    Lucas and Takeo Kanade.
 
-    A camera that stands still before a turning thing gets somewhere too: only what changes is followed then, and the
-    way is told in sizes of it instead of the picture's.
+    An object that turns in front of a still camera counts as a path too: only points in the region that changes are
+    tracked then, and the path is measured in sizes of this region instead of the image's.
     """
 
     _grey: Bytes | None = None
     _from: Floats = field(default_factory=lambda: np.empty((0, 1, 2), np.float32))
     _to: Floats = field(default_factory=lambda: np.empty((0, 1, 2), np.float32))
-    _seeded: int = 0
-    _seen: Bytes | None = None
+    _seed_count: int = 0
+    _seed_image: Bytes | None = None
     _turning: Bools | None = None
-    _before: float = 0.0
-    _way: float = 0.0
+    _path_at_seed: float = 0.0
+    _path: float = 0.0
 
-    def follow(self, luma: Bytes) -> float:
-        """The way until this picture, at least that until the last one. luma (H,W) uint8, of always the same shape."""
-        grey = _shrunk(luma)
+    def track(self, luma: Bytes) -> float:
+        """Add the next image; return the path length until it, which never decreases.
+
+        luma (H,W) uint8, of the same shape in every call.
+        """
+        grey = _shrink(luma)
         if self._grey is None:
             self._seed(grey)
         else:
             self._move(self._grey, grey)
         self._grey = grey
-        return self._way
+        return self._path
 
     def _move(self, last: Bytes, grey: Bytes) -> None:
-        found = self._found(last, grey) if len(self._to) else 0
-        if found < _TOO_FEW and self._turning is None:
-            self._before = self._way + (_RENEWED if _differ(last, grey) else 0.0)
-            self._way = self._before
+        """Update the path from one image to the next, and detect new points when needed."""
+        found = self._track_points(last, grey) if len(self._to) else 0
+        if found < _MIN_TRACKED and self._turning is None:
+            self._path_at_seed = self._path + (_RESEED_PATH if _views_differ(last, grey) else 0.0)
+            self._path = self._path_at_seed
             self._seed(grey)
             return
         moved = np.linalg.norm((self._to - self._from)[:, 0], axis=1) / max(grey.shape)
         far = float(np.percentile(moved, _UPPER)) if found else 0.0
-        self._way = max(self._way, self._before + far / self._size())
-        if self._way - self._before > _RENEWED or found < _LOST * self._seeded:
-            self._turning = self._turns_now(grey, self._turning) if self._turning is not None else None
-            self._before = self._way
+        self._path = max(self._path, self._path_at_seed + far / self._size())
+        if self._path - self._path_at_seed > _RESEED_PATH or found < _RESEED_SHARE * self._seed_count:
+            self._turning = self._turning_region(grey, self._turning) if self._turning is not None else None
+            self._path_at_seed = self._path
             self._seed(grey)
         elif self._turning is None and far < _STANDS:
-            self._turning = self._turns_now(grey, None)
+            self._turning = self._turning_region(grey, None)
             if self._turning is not None:
-                self._before = self._way
+                self._path_at_seed = self._path
                 self._seed(grey)
 
     def _size(self) -> float:
-        """Of what is followed, in longer sides of the picture."""
+        """Return the size of the tracked region, in longer sides of the image: 1 unless an object turns."""
         if self._turning is None:
             return 1.0
         rows, columns = (np.flatnonzero(self._turning.any(axis=axis)) for axis in (1, 0))
         longer = max(int(np.ptp(rows)), int(np.ptp(columns)))
         return max(_NARROWEST, longer / float(max(self._turning.shape)))
 
-    def _turns_now(self, grey: Bytes, until_now: Bools | None) -> Bools | None:
-        """(H,W) what has changed since the points were seeded, within a border that has not; `until_now` where that is
-        too little; None where it was not something that turns."""
-        assert self._seen is not None
-        changed = _changed(self._seen, grey)
+    def _turning_region(self, grey: Bytes, previous: Bools | None) -> Bools | None:
+        """Return the mask (H,W) of the object that turns in front of a still camera, or None if there is none.
+
+        It is what changed since the points were detected, while the border did not; `previous` when too little changed.
+        """
+        assert self._seed_image is not None
+        changed = _changed(self._seed_image, grey)
         inner = np.zeros(changed.shape, bool)
         inner[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = True
         least, most = _CHANGED_SHARES
         if changed.mean() > most or changed[~inner].mean() > _CHANGED_BORDER:
             return None
         if changed.mean() < least:
-            return until_now
-        if until_now is not None and (changed & until_now).sum() < _SAME_PLACE * min(changed.sum(), until_now.sum()):
+            return previous
+        if previous is not None and (changed & previous).sum() < _SAME_PLACE * min(changed.sum(), previous.sum()):
             return None
         return changed
 
-    def _found(self, last: Bytes, grey: Bytes) -> int:
-        """Follow the points there and back; those that come back elsewhere were lost."""
+    def _track_points(self, last: Bytes, grey: Bytes) -> int:
+        """Track the points forward and back; drop those that do not return to their start; return the number left."""
         import cv2
 
         there, found, _ = cv2.calcOpticalFlowPyrLK(last, grey, self._to, None)  # type: ignore[call-overload]
@@ -162,44 +175,46 @@ class Follower:
         return int(same.sum())
 
     def _seed(self, grey: Bytes) -> None:
+        """Detect new points to track, in the turning region if there is one."""
         import cv2
 
         strength = cv2.cornerMinEigenVal(grey.astype(np.float32) / 255, 3)
         wanted = strength > _STRENGTH if self._turning is None else (strength > _STRENGTH) & self._turning
-        points = cv2.goodFeaturesToTrack(grey, _POINTS, 0.01, _APART_PX, mask=wanted.astype(np.uint8))
+        points = cv2.goodFeaturesToTrack(grey, _POINTS, 0.01, _SPACING_PX, mask=wanted.astype(np.uint8))
         self._from = np.empty((0, 1, 2), np.float32) if points is None else np.asarray(points, np.float32)
-        self._to, self._seeded, self._seen = self._from, len(self._from), grey
+        self._to, self._seed_count, self._seed_image = self._from, len(self._from), grey
 
 
-def _shrunk(luma: Bytes) -> Bytes:
+def _shrink(luma: Bytes) -> Bytes:
+    """Downscale an image to at most _TRACKED_PX along its longer side."""
     import cv2
 
     height, width = luma.shape
-    shrink = max(1.0, max(luma.shape) / _FOLLOWED_PX)
+    shrink = max(1.0, max(luma.shape) / _TRACKED_PX)
     size = max(1, round(width / shrink)), max(1, round(height / shrink))
     return np.asarray(cv2.resize(luma, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _differ(last: Bytes, grey: Bytes) -> bool:
-    """Whether two pictures are of different views, by their coarse tones; exposure may have changed between them."""
+def _views_differ(last: Bytes, grey: Bytes) -> bool:
+    """Return whether two images show different views, by their thumbnails; a change of exposure does not count."""
     one, other = (_thumb(picture) for picture in (last, grey))
     return float(np.abs(one - other).mean()) > _OTHER_VIEW * max(float(one.std()), 1.0)
 
 
 def _changed(before: Bytes, now: Bytes) -> Bools:
-    """(H,W) where two pictures differ, but for their exposure and for noise."""
+    """Return the mask (H,W) where two images differ by more than exposure and noise."""
     import cv2
 
     one, other = (cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTH_PX) for grey in (before, now))
     apart = one - other
     changed = (np.abs(apart - np.median(apart)) > _CHANGED).astype(np.uint8)
     changed = cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((_SPECK_PX, _SPECK_PX), np.uint8))
-    kernel = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _APART_PX + 1,) * 2))
+    kernel = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _SPACING_PX + 1,) * 2))
     return np.asarray(cv2.morphologyEx(changed, cv2.MORPH_CLOSE, kernel), np.bool_)
 
 
 def _thumb(grey: Bytes) -> Floats:
-    """(24,32) float32, around 0."""
+    """Return a thumbnail (24,32) float32 with mean 0."""
     import cv2
 
     small = np.asarray(cv2.resize(grey, _THUMB, interpolation=cv2.INTER_AREA), np.float32)

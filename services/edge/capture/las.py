@@ -1,94 +1,109 @@
-"""LAS and LAZ through laspy. Georeferenced coordinates are moved near the origin, which keeps their millimetres."""
+"""Read LAS and LAZ point clouds with laspy. Georeferenced coordinates are moved near the origin to keep precision."""
 
 from __future__ import annotations
 
 import struct
-import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.arrays import Floats
+from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.capture.colours import rgb8
-from services.edge.capture.files import reading, unreadable
+from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
-from services.edge.capture.tables import MAX_POINTS, too_many, truncated
+from services.edge.capture.tables import MAX_POINTS, too_many_points, truncated
+from services.edge.child_process import ChildError, run_child
 from services.edge.errors import CaptureError
 
-_CHUNK_BYTES = 64 * 2**20  # of records decoded at a time; a file cut short fails before the whole is allocated
-_FAR = 10_000.0  # metres from the origin above which a cloud is georeferenced, not scanned in a room
+POSITIONS, COLOURS = "xyz.npy", "rgb.npy"
+"""Files that the child process `laz_child` writes: (N,3) float64, and (N,3) uint16 if the LAZ has colours."""
+
+_CHUNK_BYTES = 64 * 2**20  # of records decoded at a time: a truncated file fails before all points are allocated
+_FAR = 10_000.0  # metres from the origin above which coordinates are georeferenced: no scan of a room is that large
 _HEADER_BYTES = 227  # of LAS 1.2
 _VLR_HEADER_BYTES = 54
 _MAX_RECORD_BYTES = 1024  # the largest standard point has 67 bytes; the rest is room for extra dimensions
 _COMPRESSED = 0x80  # bit of the point format that marks LAZ
-_CHILD_BYTES = 6 * 2**30  # of address space; 20 million points take under 2 GiB
-_CHILD_SECONDS = 120.0  # 20 million points take about 40 s
+_CHILD_BYTES = 6 * 2**30  # limit of the child's address space; 20 million points take under 2 GiB
+_CHILD_SECONDS = 120.0  # time limit of the child; 20 million points take about 40 s
 
 
-def read_las(path: Path, file: str) -> tuple[Cloud, tuple[str, ...]]:
-    """The cloud in metres (Z up) and warnings."""
+def read_las(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[str, ...]]:
+    """Read a LAS or LAZ: the cloud in metres (Z up) and warnings. `tick` is called while a LAZ is decoded.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED, CAPTURE_TOO_LARGE and CAPTURE_EMPTY.
+    """
     compressed = _check_header(path, file)
-    with reading(file, "LAS"):
-        xyz, rgb = _read_in_child(path, file) if compressed else points(path)
+    with translate_errors(file, "LAS"):
+        xyz, rgb = _read_in_child(path, file, tick) if compressed else decode_points(path)
     finite = xyz[np.isfinite(xyz).all(axis=1)]
     colours = None if rgb is None else rgb8(rgb)
     if not len(finite) or np.abs(finite).max() < _FAR:
         return Cloud(xyz, colours), ()
     origin = np.floor(finite.min(axis=0))
     moved = ", ".join(f"{value:.0f}" for value in origin)
-    return Cloud(xyz - origin, colours), (f"{file}: georeferenced; ({moved}) was subtracted from every point",)
+    warning = f"{file}: coordinates are georeferenced; ({moved}) was subtracted from every point"
+    return Cloud(xyz - origin, colours), (warning,)
 
 
 def _check_header(path: Path, file: str) -> bool:
-    """Whether the points are compressed, after holding every count against the file's size."""
+    """Check every count in the header against the file's size; return whether the points are compressed (LAZ)."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(375).ljust(375, b"\0")
     if size < _HEADER_BYTES:
-        raise truncated(file, "ends before the LAS header does")
+        raise truncated(file, "is cut off inside the LAS header")
     offset, vlrs, form, record, count = struct.unpack_from("<IIBHI", head, 96)
     if head[24:26] >= b"\x01\x04":
         count = max(count, struct.unpack_from("<Q", head, 247)[0])
         vlrs += struct.unpack_from("<I", head, 243)[0]
     compressed = bool(form & _COMPRESSED)
     if vlrs * _VLR_HEADER_BYTES > size or offset > size:
-        raise truncated(file, f"promises {vlrs:,} records before its points and has {size:,} bytes")
+        what = f"{vlrs:,} variable length records, then points from byte {offset:,} on, but it has only {size:,} bytes"
+        raise truncated(file, f"is cut off: its header announces {what}")
     if not compressed and offset + count * record > size:
-        raise truncated(file, f"promises {count:,} points of {record} bytes and has {size - offset:,} bytes of them")
+        what = f"{count:,} points of {record} bytes, but only {size - offset:,} bytes of points are there"
+        raise truncated(file, f"is cut off: its header announces {what}")
     if compressed:
         _check_chunk_table(path, offset, size, file)
     if count > MAX_POINTS:
-        raise too_many(count, file)
+        raise too_many_points(count, file)
     if not 20 <= record <= _MAX_RECORD_BYTES:
-        raise unreadable(file, f"has points of {record} bytes")
+        raise unreadable(file, f"has point records of {record} bytes; 20 to {_MAX_RECORD_BYTES} are possible")
     if count == 0:
-        raise CaptureError("CAPTURE_EMPTY", "holds no points", file=file, hints=("export the capture again",))
+        raise CaptureError("CAPTURE_EMPTY", "has no points", file=file, hints=("export the capture again",))
     return compressed
 
 
 def _check_chunk_table(path: Path, offset: int, size: int, file: str) -> None:
-    """A LAZ states before its points where its chunk table lies, after them; -1 means in its last eight bytes."""
+    """Raise CAPTURE_TRUNCATED when a LAZ ends before its chunk table.
+
+    The 8 bytes before the points are the offset of the table, which comes after them; -1: it is in the last 8 bytes.
+    """
     with path.open("rb") as stream:
         stream.seek(offset)
         (table,) = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))
     if table != -1 and not offset < table <= size - 8:
-        raise truncated(file, f"promises a chunk table at byte {table:,} and has {size:,} bytes")
+        raise truncated(
+            file, f"is cut off: its chunk table should be at byte {table:,}, but it has only {size:,} bytes"
+        )
 
 
-def points(path: Path) -> tuple[Floats, NDArray[Any] | None]:
-    """xyz (N,3) float64 and colours (N,3) as stored, or None. Raises what laspy raises."""
+def decode_points(path: Path) -> tuple[Floats, NDArray[Any] | None]:
+    """Decode xyz (N,3) float64 and the colours (N,3) as stored, or None. Raises what laspy raises."""
     import laspy
 
     with laspy.open(path) as reader:
-        promised = reader.header.point_count
+        announced = reader.header.point_count
         step = max(1, _CHUNK_BYTES // reader.header.point_format.size)
         chunks = [_columns(chunk) for chunk in reader.chunk_iterator(step)]
     xyz = np.concatenate([chunk[0] for chunk in chunks])
-    if len(xyz) != promised:
-        raise ValueError(f"{promised:,} points are promised, {len(xyz):,} are there")
+    if len(xyz) != announced:
+        raise ValueError(f"its header announces {announced:,} points, but {len(xyz):,} are there")
     colours = [chunk[1] for chunk in chunks if chunk[1] is not None]
     return xyz, np.concatenate(colours) if colours else None
 
@@ -100,17 +115,18 @@ def _columns(chunk: Any) -> tuple[Floats, NDArray[Any] | None]:
     return xyz, np.stack([np.asarray(chunk.red), np.asarray(chunk.green), np.asarray(chunk.blue)], axis=1)
 
 
-def _read_in_child(path: Path, file: str) -> tuple[Floats, NDArray[Any] | None]:
-    """Decode a LAZ in a process of its own: the decoder, in Rust, ends the process on a count it cannot allocate."""
-    command = [sys.executable, "-m", "services.edge.capture.laz_child", str(path.resolve()), str(_CHILD_BYTES)]
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=_CHILD_SECONDS, check=False)  # noqa: S603 - our own module
-    except subprocess.TimeoutExpired:
-        raise CaptureError("CAPTURE_TOO_LARGE", f"takes over {_CHILD_SECONDS:.0f} s to decode", file=file) from None
-    if done.returncode != 0 or len(done.stdout) < 9:
-        raise unreadable(file, "is not a readable LAZ (its compressed points are broken)")
-    count, coloured = struct.unpack_from("<Q?", done.stdout)
-    xyz = np.frombuffer(done.stdout, np.float64, 3 * count, 9).reshape(count, 3)
-    if not coloured:
-        return xyz, None
-    return xyz, np.frombuffer(done.stdout, np.uint16, 3 * count, 9 + xyz.nbytes).reshape(count, 3)
+def _read_in_child(path: Path, file: str, tick: Tick) -> tuple[Floats, NDArray[Any] | None]:
+    """Decode a LAZ in a child process: its decoder, in Rust, aborts the process on a count it cannot allocate."""
+    with tempfile.TemporaryDirectory(prefix="laz-") as name:
+        folder = Path(name)
+        module, limit = "services.edge.capture.laz_child", str(_CHILD_BYTES)
+        command = [sys.executable, "-m", module, str(path.resolve()), name, limit]
+        try:
+            run_child(command, "the LAZ decoder", folder / "log", tick, most_seconds=_CHILD_SECONDS)
+        except ChildError as error:
+            if error.too_slow:
+                what = f"takes too long to decode: more than {_CHILD_SECONDS:.0f} s"
+                raise CaptureError("CAPTURE_TOO_LARGE", what, file=file) from None
+            raise unreadable(file, "is not a readable LAZ (its compressed points are damaged)") from None
+        colours = folder / COLOURS
+        return np.load(folder / POSITIONS), np.load(colours) if colours.exists() else None

@@ -1,31 +1,28 @@
-"""The process that decodes one LAZ: `python -m services.edge.capture.laz_child FILE BYTES`.
+"""Child process that decodes one LAZ: `python -m services.edge.capture.laz_child FILE FOLDER BYTES`.
 
-Writes the point count (u64), whether there are colours (one byte), xyz (float64) and colours (u16) to its output.
+It writes the points, and their colours if there are any, to FOLDER, with at most BYTES of address space.
 """
 
 from __future__ import annotations
 
 import resource
-import struct
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from services.edge.capture.las import points
+from services.edge.capture.las import COLOURS, POSITIONS, decode_points
 
 
-def main(file: str, limit_bytes: int) -> None:
-    """Decode within `limit_bytes` of address space; every failure is a non-zero exit."""
+def main(file: Path, folder: Path, limit_bytes: int) -> None:
+    """Decode `file` into `folder` with at most `limit_bytes` of address space; every failure is a non-zero exit."""
     resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, limit_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    xyz, rgb = points(Path(file))
-    out = sys.stdout.buffer
-    out.write(struct.pack("<Q?", len(xyz), rgb is not None))
-    out.write(np.ascontiguousarray(xyz, np.float64).data)
+    xyz, rgb = decode_points(file)
+    np.save(folder / POSITIONS, xyz)
     if rgb is not None:
-        out.write(np.ascontiguousarray(rgb, np.uint16).data)
+        np.save(folder / COLOURS, rgb.astype(np.uint16))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]))

@@ -1,4 +1,4 @@
-"""Mesh files through trimesh: .obj, .off, .stl, .glb and .gltf with what lies beside them."""
+"""Read mesh files with trimesh: .obj, .off, .stl, .glb and .gltf, with their textures, materials and buffers."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.capture.colours import rgb8
-from services.edge.capture.files import Folder, parse_json, reading, unreadable
+from services.edge.capture.files import Folder, parse_json, translate_errors, unreadable
 from services.edge.capture.images import check_pixels, header_size, read_bytes
-from services.edge.capture.surface import ColourAt, Surface
-from services.edge.capture.tables import MAX_POINTS, too_many, truncated
+from services.edge.capture.sample_surface import ColourAt, SampledSurface
+from services.edge.capture.tables import MAX_POINTS, too_many_points, truncated
 from services.edge.errors import CaptureError
 
-MAX_FACES = 5_000_000  # over all nodes, as a scene may show one mesh a million times; 200 bytes each while sampled
-MAX_NODES = 5_000  # of a scene; trimesh takes about a millisecond for each
+MAX_FACES = (
+    5_000_000  # summed over all nodes, as a scene can repeat one mesh a million times; sampling takes 200 bytes each
+)
+MAX_NODES = 5_000  # of a scene; trimesh takes about a millisecond per node
 _GLB_HEADER = 12
 _UNREAD_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
-class _Beside(Mapping[str, bytes]):
-    """What trimesh asks for the files that a mesh names; a file outside the capture is never opened."""
+class _SiblingFiles(Mapping[str, bytes]):
+    """trimesh resolver: reads the files that a mesh refers to; a file outside the capture is never opened."""
 
     def __init__(self, folder: Folder, file: str) -> None:
         self._folder, self._file = folder, file
-        self.refused: CaptureError | None = None  # trimesh swallows what is raised here and goes on without colours
+        self.refused: CaptureError | None = None  # trimesh swallows errors raised here and continues without colours
 
     def __getitem__(self, name: str) -> bytes:
         try:
@@ -39,11 +41,11 @@ class _Beside(Mapping[str, bytes]):
             raise
 
     def _read(self, name: str) -> bytes:
-        beside = self._folder.inside(name.strip(), by=self._file, base=posixpath.dirname(self._file))
-        if beside.endswith(".mtl") and not self._folder.finds(beside):
-            beside = posixpath.splitext(self._file)[0] + ".mtl"  # the mesh was renamed, and its materials with it
-        if not self._folder.finds(beside):
-            raise KeyError(beside)  # trimesh goes on without a texture, and fails without a buffer
+        beside = self._folder.resolve(name.strip(), by=self._file, base=posixpath.dirname(self._file))
+        if beside.endswith(".mtl") and not self._folder.exists(beside):
+            beside = posixpath.splitext(self._file)[0] + ".mtl"  # the mesh was renamed together with its materials
+        if not self._folder.exists(beside):
+            raise KeyError(beside)  # trimesh continues without a texture, and fails without a buffer
         data = read_bytes(self._folder.path(beside), beside)
         size = header_size(data[: 2**18])
         if size is not None:
@@ -57,30 +59,31 @@ class _Beside(Mapping[str, bytes]):
         return len(self._folder.names)
 
 
-def read_mesh(folder: Folder, file: str, kind: str) -> list[Surface]:
-    """The triangles of a file of `kind` "obj", "off", "stl", "glb" or "gltf", in the scene's frame.
+def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
+    """Read the triangles of a file of `kind` "obj", "off", "stl", "glb" or "gltf", in the scene's frame.
 
-    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED, CAPTURE_TOO_LARGE; an empty list when there are no triangles.
+    An empty list when there are no triangles. Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
     """
     import trimesh
 
     data = read_bytes(folder.path(file), file)
-    _check(data, folder, file, kind)
-    beside = _Beside(folder, file)
-    with reading(file, kind.upper()):
+    _check_before_parsing(data, folder, file, kind)
+    beside = _SiblingFiles(folder, file)
+    with translate_errors(file, kind.upper()):
         loaded = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=beside, process=False, maintain_order=True)
         if beside.refused is not None:
             raise beside.refused
         nodes = list(loaded.graph.nodes_geometry)
         faces = sum(len(getattr(loaded.geometry[loaded.graph[node][1]], "faces", ())) for node in nodes)
         if faces > MAX_FACES:
-            what = f"shows {faces:,} triangles; at most {MAX_FACES:,} are read"
+            what = f"has {faces:,} triangles; at most {MAX_FACES:,} are read"
             raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("simplify the mesh",))
         pictures: _Pictures = {}
         return [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
 
 
-def _check(data: bytes, folder: Folder, file: str, kind: str) -> None:
+def _check_before_parsing(data: bytes, folder: Folder, file: str, kind: str) -> None:
+    """Check the counts and file names in a mesh file before trimesh reads it."""
     if kind == "off":
         _check_off(data, file)
     elif kind == "glb":
@@ -90,54 +93,64 @@ def _check(data: bytes, folder: Folder, file: str, kind: str) -> None:
 
 
 def _check_off(data: bytes, file: str) -> None:
-    """OFF states its counts first; three digits and separators are the least that a vertex takes."""
+    """Check the vertex and face counts at the start of an OFF: a vertex takes at least 6 bytes, a face 8."""
     lines = data[:4096].decode("latin-1").splitlines()
     rows = [line.split() for line in lines if line.strip() and not line.strip().startswith("#")]
-    with reading(file, "OFF"):
+    with translate_errors(file, "OFF"):
         counts = rows[0][1:] or rows[1]
         vertices, faces = int(counts[0]), int(counts[1])
     if (vertices * 6 + faces * 8) > len(data) + 8:
-        raise truncated(file, f"promises {vertices:,} vertices and {faces:,} faces in {len(data):,} bytes")
+        what = f"{vertices:,} vertices and {faces:,} faces, which do not fit into its {len(data):,} bytes"
+        raise truncated(file, f"is cut off: its header announces {what}")
 
 
 def _glb_json(data: bytes, file: str) -> dict[str, Any]:
+    """Parse the JSON chunk of a GLB."""
     if len(data) < _GLB_HEADER + 8:
-        raise truncated(file, "ends before the GLB header does")
+        raise truncated(file, "is cut off inside the GLB header")
     total, length = struct.unpack_from("<I", data, 8)[0], struct.unpack_from("<I", data, _GLB_HEADER)[0]
     if max(total, length) > len(data):
-        raise truncated(file, f"promises {max(total, length):,} bytes and has {len(data):,}")
+        what = f"{max(total, length):,} bytes, but it has only {len(data):,}"
+        raise truncated(file, f"is cut off: its header announces {what}")
     return parse_json(data[_GLB_HEADER + 8 : _GLB_HEADER + 8 + length].decode("utf-8", "replace"), file)
 
 
 def _check_gltf(tree: dict[str, Any], folder: Folder, file: str) -> None:
-    """Refuse what trimesh would allocate or open before it notices: counts, compression, files outside or missing."""
-    with reading(file, "glTF"):
+    """Refuse a glTF with too large counts, unsupported compression, or buffer files that are missing or outside.
+
+    trimesh would allocate memory or open the files before it notices.
+    """
+    with translate_errors(file, "glTF"):
         used = [name for name in _UNREAD_EXTENSIONS if name in tree.get("extensionsRequired", [])]
         if used:
-            raise unreadable(file, f"needs {used[0]}, which is not read", "export the glTF without compression")
+            raise unreadable(file, f"needs {used[0]}, which is not supported", "export the glTF without compression")
         if len(tree.get("nodes", [])) > MAX_NODES:
-            raise CaptureError("CAPTURE_TOO_LARGE", f"has over {MAX_NODES:,} nodes", file=file)
+            what = f"has more than {MAX_NODES:,} nodes"
+            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("join the meshes of the scene into one",))
         for accessor in tree.get("accessors", []):
             if int(accessor["count"]) > 3 * MAX_POINTS:
-                raise too_many(int(accessor["count"]), file)
-        held = sum(int(accessor["count"]) for accessor in tree.get("accessors", []) if "bufferView" not in accessor)
-        if held > MAX_POINTS:
-            raise too_many(held, file)
+                raise too_many_points(int(accessor["count"]), file)
+        unbacked = sum(int(accessor["count"]) for accessor in tree.get("accessors", []) if "bufferView" not in accessor)
+        if unbacked > MAX_POINTS:  # zeros that need no bytes in the file
+            raise too_many_points(unbacked, file)
         for buffer in tree.get("buffers", []):
             uri = buffer.get("uri", "data:")
-            if not uri.startswith("data:") and not folder.finds(_beside(folder, file, uri)):
-                raise unreadable(file, f"names {uri[:120]!r}, which is missing", "send the .bin beside the .gltf")
+            if not uri.startswith("data:") and not folder.exists(_sibling_name(folder, file, uri)):
+                hint = "send the .bin file together with the .gltf"
+                raise unreadable(file, f"refers to {uri[:120]!r}, which is missing", hint)
 
 
-def _beside(folder: Folder, file: str, uri: str) -> str:
-    return folder.inside(uri, by=file, base=posixpath.dirname(file))
+def _sibling_name(folder: Folder, file: str, uri: str) -> str:
+    """Return the name of the file that a URI refers to, relative to the mesh file."""
+    return folder.resolve(uri, by=file, base=posixpath.dirname(file))
 
 
 _Pictures = dict[int, Bytes]
-"""Decoded textures by the identity of their image: a scene's many parts share a few."""
+"""Cache of decoded textures by the `id` of their image: many parts of a scene share a few textures."""
 
 
-def _surface(scene: Any, node: str, pictures: _Pictures) -> Surface | None:
+def _surface(scene: Any, node: str, pictures: _Pictures) -> SampledSurface | None:
+    """Return the triangles of one scene node, transformed to the scene's frame, or None if it has none."""
     import trimesh
 
     transform, name = scene.graph[node]
@@ -147,12 +160,12 @@ def _surface(scene: Any, node: str, pictures: _Pictures) -> Surface | None:
     vertices = np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
     faces = np.asarray(geometry.faces, np.int64)
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("a face of vertices that do not exist")
-    return Surface(vertices, faces, _colours(geometry, faces, pictures))
+        raise ValueError("a face has indices of vertices that do not exist")
+    return SampledSurface(vertices, faces, _colours(geometry, faces, pictures))
 
 
 def _colours(geometry: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
-    """From the texture or the material's colour, else from the vertices."""
+    """Return the function that looks up colours: from texture, material, vertices or faces; None without colours."""
     visual = geometry.visual
     if visual.kind == "texture":
         return _material_colours(visual, faces, pictures)
@@ -165,7 +178,7 @@ def _colours(geometry: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None
 
 
 def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
-    """Interpolate (V,3) uint8 over the triangles."""
+    """Return a function that interpolates vertex colours (V,3) uint8 over the triangles."""
 
     def colour_at(triangle: Ints, weights: Floats) -> Bytes:
         return rgb8(np.rint(np.einsum("nc,ncd->nd", weights, rgb[faces[triangle]])).astype(np.int16))
@@ -174,6 +187,7 @@ def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
 
 
 def _material_colours(visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    """Return a function that samples the texture, times its factor, or else one colour for the whole material."""
     image, factor = _material(visual.material)
     uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
     if image is not None and uv is not None and factor is not None:
@@ -194,24 +208,24 @@ def _material_colours(visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt
 
 
 def _material(material: Any) -> tuple[Any, Floats | None]:
-    """The picture, if any, and the sRGB colour (3,) in [0,1] that multiplies it; no colour for an .obj without one."""
+    """Return the texture, if any, and the sRGB factor (3,) in [0,1] for it; no factor for an .obj without colours."""
     if hasattr(material, "baseColorTexture"):  # glTF: linear light
         factor = material.baseColorFactor
         linear = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3]
         return material.baseColorTexture, _srgb(linear / 255 if linear.max() > 1 else linear)
-    # For a picture that is missing trimesh puts one of its own, which has no path.
+    # For a missing texture trimesh substitutes an image of its own, which has no path.
     image = material.image if "file_path" in getattr(material.image, "info", {}) else None
     diffuse = np.clip(np.asarray(material.kwargs["kd"], np.float64)[:3], 0, 1) if "kd" in material.kwargs else None
     return image, diffuse if image is None else np.ones(3)
 
 
 def _srgb(linear: Floats) -> Floats:
-    """IEC 61966-2-1: linear light to sRGB."""
+    """Convert linear light to sRGB (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
 
 
 def _nearest(pixels: Bytes, uv: Floats) -> Bytes:
-    """The texel at uv, repeating; trimesh turns v so that 0 is the picture's lower edge."""
+    """Look up the nearest texel at uv, with repeat wrapping; trimesh flips v, so 0 is the picture's lower edge."""
     height, width = pixels.shape[:2]
     u, v = np.nan_to_num(uv[:, 0]) % 1.0, 1.0 - np.nan_to_num(uv[:, 1]) % 1.0
     columns = np.minimum((u * width).astype(np.int64), width - 1)

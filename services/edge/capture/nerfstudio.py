@@ -1,6 +1,7 @@
-"""nerfstudio and instant-ngp: `transforms.json` and images, depth or not. Poses camera-to-world, OpenGL axes, depth mm.
+"""Read captures of nerfstudio and instant-ngp: `transforms.json`, images and, optionally, depth images in mm.
 
-Its pixels have their corners at integers (COLMAP's convention), ours their centres: cx and cy lose half a pixel.
+Poses are camera-to-world in OpenGL axes. Pixel corners are at integers (COLMAP's convention), ours are pixel centres,
+so half a pixel is subtracted from cx and cy.
 """
 
 from __future__ import annotations
@@ -16,58 +17,62 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, depth_file
 from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
+from services.edge.capture.frame_records import FrameRecord, checked_intrinsics, missing_warning, rgbd_capture
 from services.edge.capture.images import image_size
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
-from services.edge.capture.posed import GivenCamera, posed, posed_capture
-from services.edge.capture.shots import Shot, checked_intrinsics, missing_warning, rgbd_capture
+from services.edge.capture.posed_photos import GivenCamera, posed_capture, with_camera
 from services.edge.errors import CaptureError
 
 FILE = "transforms.json"
 METRES_PER_STEP = 1e-3  # nerfstudio's depth_unit_scale_factor: millimetres
-_STRAIGHT = 1e-6  # distortion below it moves no pixel by a hundredth
+_NEGLIGIBLE_DISTORTION = (
+    1e-6  # largest coefficient that is ignored: less distortion moves no pixel by a hundredth of a pixel
+)
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # in OpenCV's order
 _MODELS = ("", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 
 def matches(folder: Folder) -> bool:
+    """Return whether the folder has a transforms.json."""
     return folder.has(FILE)
 
 
 def read(folder: Folder) -> Capture:
+    """Read the capture: RGB-D frames, or posed photos without depth. Raises CaptureError, naming the file."""
     tree = read_json(folder.path(FILE), FILE)
     frames = tree.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise unreadable(FILE, "has no list of frames")
+        raise unreadable(FILE, "has no list of objects under the key 'frames'")
     if not frames:
-        raise CaptureError("CAPTURE_EMPTY", "lists no frames", file=FILE)
+        raise CaptureError("CAPTURE_EMPTY", "has an empty list of frames", file=FILE)
     named = [(frame, _depth_name(folder, frame)) for frame in frames]
     if all(name is None for _, name in named):
         return _photos(folder, tree, frames)
     missing = [name for _, name in named if name is not None and not folder.has(name)]
-    shots = [_shot(folder, tree | frame, name) for frame, name in named if name is not None and folder.has(name)]
-    if not shots:
-        reason = f"none of its {len(missing)} depth images is there; the first is {missing[0]}"
-        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the depth folder too",))
+    records = [_record(folder, tree | frame, name) for frame, name in named if name is not None and folder.has(name)]
+    if not records:
+        reason = f"lists {len(missing)} depth images, but the capture has none of them; the first is {missing[0]}"
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the folder of depth images too",))
     warnings = missing_warning(missing, "depth images")
-    return rgbd_capture("nerfstudio", shots, axes="opengl", up=None, file=FILE, warnings=warnings)
+    return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
 
 
 def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]]) -> Capture:
-    """Images without depth: posed photos. The file's scale is whatever made it."""
+    """Read the images as posed photos. The scale is unknown: it depends on the program that computed the poses."""
     named = [(tree | frame, _image_name(folder, frame)) for frame in frames]
     missing = [name for _, name in named if not folder.has(name)]
-    there = [(frame, name) for frame, name in named if folder.has(name)]
-    if not there:
-        reason = f"none of its {len(missing)} images is there; the first is {missing[0]}"
+    present = [(frame, name) for frame, name in named if folder.has(name)]
+    if not present:
+        reason = f"lists {len(missing)} images, but the capture has none of them; the first is {missing[0]}"
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the images too",))
-    tries = [partial(_photo, folder, frame, name) for frame, name in there]
+    tries = [partial(_photo, folder, frame, name) for frame, name in present]
     return posed_capture("nerfstudio", tries, warnings=missing_warning(missing, "images"))
 
 
 def _image_name(folder: Folder, frame: Mapping[str, Any]) -> str:
-    """instant-ngp's synthetic sets leave the ending away."""
-    name = folder.inside(frame.get("file_path"), by=FILE)
+    """Return the name of a frame's image, adding the suffix where it is missing, as in instant-ngp's synthetic sets."""
+    name = folder.resolve(frame.get("file_path"), by=FILE)
     return name if folder.has(name) else next((name + end for end in (".png", ".jpg") if folder.has(name + end)), name)
 
 
@@ -77,17 +82,17 @@ def _photo(folder: Folder, frame: Mapping[str, Any], name: str) -> Photo:
     lens = _lens(frame, camera)
     pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {name}").reshape(4, 4)
     key = f"{camera.fx:.2f} {camera.cx:.2f} {camera.cy:.2f}"
-    return posed(photo, GivenCamera(key, camera, lens.coefficients if lens else (0.0,) * 5, pose, "opengl"))
+    return with_camera(photo, GivenCamera(key, camera, lens.coefficients if lens else (0.0,) * 5, pose, "opengl"))
 
 
 def _depth_name(folder: Folder, frame: Mapping[str, Any]) -> str | None:
     written = frame.get("depth_file_path") or frame.get("depth_path")
-    return None if written is None else folder.inside(written, by=FILE)
+    return None if written is None else folder.resolve(written, by=FILE)
 
 
-def _shot(folder: Folder, frame: Mapping[str, Any], depth: str) -> Shot:
-    """`frame` is the file's own keys overlaid with those of one frame: any intrinsic may stand in either."""
-    colour = folder.inside(frame["file_path"], by=FILE) if "file_path" in frame else None
+def _record(folder: Folder, frame: Mapping[str, Any], depth: str) -> FrameRecord:
+    """Read one frame. `frame` has the file's keys, overridden by the frame's: intrinsics may be in either place."""
+    colour = folder.resolve(frame["file_path"], by=FILE) if "file_path" in frame else None
     colour = colour if colour is not None and folder.has(colour) else None
     pose = numbers(frame.get("transform_matrix"), 16, file=FILE, what=f"transform_matrix of {depth}").reshape(4, 4)
     source = depth_file(folder.path(depth), depth, _metres_per_step(frame))
@@ -95,26 +100,26 @@ def _shot(folder: Folder, frame: Mapping[str, Any], depth: str) -> Shot:
     lens = _lens(frame, camera)
     rgb: ColourSource | None = None if colour is None else ImageColour(folder.path(colour), colour)
     if lens is not None:
-        source, rgb = StraightDepth(source, lens), None if rgb is None else StraightColour(rgb, lens)
-    return Shot(depth, camera, pose, source, None, rgb)
+        source, rgb = UndistortedDepth(source, lens), None if rgb is None else UndistortedColour(rgb, lens)
+    return FrameRecord(depth, camera, pose, source, None, rgb)
 
 
 def _metres_per_step(frame: Mapping[str, Any]) -> float:
     key = "depth_unit_scale_factor"
     scale = number(frame, key, file=FILE) if key in frame else METRES_PER_STEP
     if not 0 < scale < math.inf:
-        raise unreadable(FILE, f"has {key} {scale}")
+        raise unreadable(FILE, f"has {key} = {scale}, which is not a positive, finite number")
     return scale
 
 
 def _camera(frame: Mapping[str, Any], measured: Callable[[], tuple[int, int]]) -> Intrinsics:
-    """For images of the size that the file gives, or else of the `measured` one."""
+    """Return the intrinsics, for the image size in the file or else for the `measured` one."""
     if "w" in frame and "h" in frame:
         width, height = number(frame, "w", file=FILE), number(frame, "h", file=FILE)
     else:
         width, height = measured()
     if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
-        raise unreadable(FILE, f"has images of {width} x {height} pixels")
+        raise unreadable(FILE, f"has the impossible image size {width} x {height}")
     fx = _focal(frame, "x", width)
     fy = _focal(frame, "y", height) if "fl_y" in frame or "camera_angle_y" in frame else fx
     cx = number(frame, "cx", file=FILE) if "cx" in frame else width / 2
@@ -123,26 +128,27 @@ def _camera(frame: Mapping[str, Any], measured: Callable[[], tuple[int, int]]) -
 
 
 def _focal(frame: Mapping[str, Any], axis: str, side: float) -> float:
-    """In pixels: given as such, or as the angle of view, side = 2 f tan(angle / 2)."""
+    """Return the focal length in pixels, given as such or as the field of view: side = 2 f tan(angle / 2)."""
     if f"fl_{axis}" in frame:
         return number(frame, f"fl_{axis}", file=FILE)
     if f"camera_angle_{axis}" not in frame:
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has neither fl_x nor camera_angle_x", file=FILE)
+        what = f"has neither fl_{axis} nor camera_angle_{axis}, so the focal length is unknown"
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE)
     half = number(frame, f"camera_angle_{axis}", file=FILE) / 2
     return side / (2 * math.tan(half)) if 0 < half < math.pi / 2 else math.nan
 
 
 @dataclass(frozen=True, slots=True)
-class Lens:
-    """A camera and OpenCV's distortion (k1, k2, p1, p2, k3)."""
+class DistortedCamera:
+    """A camera with lens distortion: OpenCV's coefficients (k1, k2, p1, p2, k3)."""
 
     camera: Intrinsics
     coefficients: tuple[float, ...]
 
-    def straighten(self, image: Any, *, smooth: bool) -> Any:
-        """The image that a lens without distortion would have taken with the same camera; 0 where it saw nothing.
+    def undistort(self, image: Any, *, smooth: bool) -> Any:
+        """Undistort an image, keeping the camera matrix; 0 where the original has no pixel.
 
-        Depth must not be smoothed: a mean of front and back lies in the air between them.
+        smooth: bilinear interpolation, else nearest. Depth needs nearest: a mean of front and back is a false point.
         """
         import cv2
 
@@ -155,22 +161,23 @@ class Lens:
         return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
 
 
-def _lens(frame: Mapping[str, Any], camera: Intrinsics) -> Lens | None:
+def _lens(frame: Mapping[str, Any], camera: Intrinsics) -> DistortedCamera | None:
+    """Return the camera with its distortion, or None without any. Raises CAPTURE_BAD_INTRINSICS."""
     if str(frame.get("camera_model", "")).upper() not in _MODELS or frame.get("is_fisheye"):
-        what = f"has the camera model {frame.get('camera_model', 'fisheye')!r}, which is not read"
+        what = f"has the camera model {frame.get('camera_model', 'fisheye')!r}, which is not supported"
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=FILE, hints=("undistort the images first",))
     coefficients = tuple(number(frame, key, file=FILE) if key in frame else 0.0 for key in _DISTORTION)
     if not all(math.isfinite(value) for value in coefficients):
-        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has a lens distortion that is not finite", file=FILE)
-    return Lens(camera, coefficients) if max(map(abs, coefficients)) > _STRAIGHT else None
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", "has lens distortion coefficients that are not finite", file=FILE)
+    return DistortedCamera(camera, coefficients) if max(map(abs, coefficients)) > _NEGLIGIBLE_DISTORTION else None
 
 
 @dataclass(frozen=True, slots=True)
-class StraightDepth:
-    """The depth of `source` with the lens's distortion taken out."""
+class UndistortedDepth:
+    """The depth image of `source`, undistorted."""
 
     source: DepthSource
-    lens: Lens
+    lens: DistortedCamera
 
     @property
     def file(self) -> str:
@@ -180,16 +187,16 @@ class StraightDepth:
         return self.source.size()
 
     def load(self) -> Floats:
-        depth_m: Floats = self.lens.straighten(self.source.load(), smooth=False)
+        depth_m: Floats = self.lens.undistort(self.source.load(), smooth=False)
         return depth_m
 
 
 @dataclass(frozen=True, slots=True)
-class StraightColour:
-    """The picture of `source` with the lens's distortion taken out."""
+class UndistortedColour:
+    """The colour image of `source`, undistorted."""
 
     source: ColourSource
-    lens: Lens
+    lens: DistortedCamera
 
     @property
     def file(self) -> str:
@@ -199,5 +206,5 @@ class StraightColour:
         return self.source.size()
 
     def load(self) -> Bytes:
-        rgb: Bytes = self.lens.straighten(self.source.load(), smooth=True)
+        rgb: Bytes = self.lens.undistort(self.source.load(), smooth=True)
         return rgb

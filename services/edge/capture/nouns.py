@@ -1,4 +1,4 @@
-"""What a phone sent, normalised: a `Capture` is a cloud, posed RGB-D `Frame`s, `Photo`s, or one photo, an "image"."""
+"""Data types of a capture after reading: a point `Cloud`, RGB-D `Frame`s, `Photo`s, or one photo ("image")."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from services.edge.arrays import Bools, Bytes, Floats
+from services.edge.arrays import Bools, Bytes, Floats, pick
 
 CaptureKind = Literal["points", "rgbd", "photos", "image"]
 ScaleConfidence = Literal["metric", "estimated", "unknown"]
 
-MIN_PHOTOS = 3  # two views give no depth that a third confirms
-AROUND = "take 15 to 30 photos around the thing, each overlapping the last by two thirds"
+MIN_PHOTOS = 3  # depth from two views needs a third view that confirms it
+WALK_AROUND_ADVICE = "take 15 to 30 photos around the thing, each overlapping the last by two thirds"
 
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """Pinhole camera in pixels of an image `width` x `height`; pixel centres at integers."""
+    """Pinhole camera parameters in pixels of an image of `width` x `height`; pixel centres are at integers."""
 
     fx: float
     fy: float
@@ -27,7 +27,7 @@ class Intrinsics:
     height: int
 
     def scaled_to(self, width: int, height: int) -> Intrinsics:
-        """The same camera for the same field of view at another resolution."""
+        """Return the intrinsics of the same camera and field of view for images of another resolution."""
         sx, sy = width / self.width, height / self.height
         cx, cy = (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5
         return Intrinsics(self.fx * sx, self.fy * sy, cx, cy, width, height)
@@ -35,14 +35,14 @@ class Intrinsics:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One depth image. Images load lazily, so a capture of hundreds of frames costs no memory.
+    """A depth image with its camera and, where known, pose and colours. Images load lazily: hundreds cost no memory.
 
     intrinsics       of the depth image
     camera_to_world  (4,4) float64, OpenCV axes (x right, y down, z forward), translation in metres; None: to be tracked
     load_depth_m     -> (H,W) float32 metres, 0 where unknown
     load_confidence  -> (H,W) float32 in [0,1], or None where the format has none
     load_rgb         -> (h,w,3) uint8 sRGB with the field of view of the depth image, any resolution, or None
-    window_px        side of the window that a pixel's depth was found with: within it errors are alike. 1 for sensors
+    window_px        side of the window that stereo matched per pixel: depth errors within it correlate; 1 for sensors
     """
 
     name: str
@@ -55,26 +55,27 @@ class Frame:
 
 
 class LoadPhoto(Protocol):
-    """The pixels of a photo, (h,w,3) uint8 sRGB as stored: not turned by the orientation tag, so that photos held
-    upright and sideways share one camera. `longest` scales the longer side down to at most that many pixels."""
+    """Function that decodes a photo: (h,w,3) uint8 sRGB as stored, its longer side at most `longest` pixels.
+
+    The EXIF orientation is not applied, so that portrait and landscape photos share one camera."""
 
     def __call__(self, longest: int | None = None) -> Bytes: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Photo:
-    """One picture, read when asked for: 300 of them cost no memory.
+    """A photo with what is known of its camera. Pixels load lazily: 300 photos cost no memory.
 
     name             file inside the capture
     size             (width, height) in pixels as stored
-    camera           what photos have in common that one camera took at one focal length and size
-    focal_px         focal length in pixels at `size` as the file tells it, or None
-    turns            quarter turns clockwise that bring the stored picture upright: 0 to 3
-    intrinsics       of the picture at `size`, or None where it is to be solved
+    camera           key that is equal for photos of one camera at one focal length and image size
+    focal_px         focal length in pixels at `size` from the file's metadata, or None
+    turns            clockwise quarter turns from the stored picture to the upright one: 0 to 3
+    intrinsics       of the picture at `size`, or None where structure from motion has to compute them
     distortion       OpenCV's (k1, k2, p1, p2, k3), for photos with intrinsics
-    camera_to_world  (4,4) float64, OpenCV axes, or None where it is to be solved
-    load_alpha       -> (h,w) uint8 as stored, or None where the file turns out to have no alpha channel
-    mask             (h,w) of any size, as stored: what of the picture may be used, or None for all of it
+    camera_to_world  (4,4) float64, OpenCV axes, or None where structure from motion has to compute it
+    load_alpha       -> (h,w) uint8 as stored, or None when decoding shows that the file has no alpha channel
+    mask             (h,w) bool of any size, as stored: True where the picture may be used; None: everywhere
     """
 
     name: str
@@ -95,7 +96,7 @@ PhotoFault = Literal["ok", "blur", "dark", "duplicate", "no_overlap", "unreadabl
 
 @dataclass(frozen=True, slots=True)
 class PhotoVerdict:
-    """What became of one photo; `advice` is a sentence for the person who took it, "" where it was used."""
+    """Whether a photo was used or why not. `advice` is a sentence for the photographer, "" where it was used."""
 
     name: str
     verdict: PhotoFault
@@ -104,7 +105,7 @@ class PhotoVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Points as read from files: capture frame and units.
+    """Point cloud as read from a file, in the capture's own frame and units.
 
     xyz (N,3) float64, finite; rgb (N,3) uint8 sRGB or None; normals (N,3) float32 unit length or None.
     """
@@ -113,18 +114,24 @@ class Cloud:
     rgb: Bytes | None = None
     normals: Floats | None = None
 
+    def subset(self, which: Bools) -> Cloud:
+        """Return the points where the mask `which` (N,) is True."""
+        return Cloud(self.xyz[which], pick(self.rgb, which), pick(self.normals, which))
+
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A validated capture.
+    """A capture that was read and validated.
 
-    kind              "points" (cloud is set), "rgbd" (frames is not empty) or "photos" (photos is not empty)
+    kind              "points" (cloud is set), "rgbd" (frames is not empty), "photos" (photos is not empty) or
+                      "image" (photos has one photo)
     format            the detected format's name: "ply", "pcd", "record3d", "tum", ...
-    verdicts          of the photos that reading alone refused, of kind "photos"
+    verdicts          on the photos that could not be read
     metres_per_unit   metres per unit of the capture frame, as far as known
     scale_confidence  "metric" where format or sensor guarantee it, "unknown" for a bare cloud
-    up                (3,) unit vector against gravity in the capture frame, or None when nothing tells
-    turntable         whether the thing turned and the cameras stand for how: nothing but it and its plate is there
+    up                (3,) unit vector against gravity in the capture frame, or None where it is unknown
+    turntable         whether the object turned in front of a fixed camera: the poses are relative to it, and only it
+                      and its plate are in the masks
     warnings          sentences for the report: frames skipped, points dropped, ...
     """
 

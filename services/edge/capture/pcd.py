@@ -1,4 +1,4 @@
-"""PCL's .pcd: ASCII, binary, and binary_compressed (LZF, one column after the other)."""
+"""Read point clouds in PCL's .pcd format: ASCII, binary, and binary_compressed (LZF, column by column)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.capture.colours import unpack_rgb
-from services.edge.capture.files import reading, unreadable
+from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
-from services.edge.capture.tables import MAX_POINTS, named_columns, too_many, truncated
+from services.edge.capture.tables import MAX_POINTS, named_columns, too_many_points, truncated
 
 _HEADER_BYTES = 2**16
-_LZF_MAX_RATIO = 100  # three bytes of LZF make at most 264
+_LZF_MAX_RATIO = 100  # decompressed over compressed size: three bytes of LZF make at most 264
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class _Header:
     start: int
 
     def record(self) -> np.dtype[Any]:
-        """One point; a field of several values, or an unnamed one, gets a name of its own."""
+        """Return the NumPy record type of one point. Padding fields, all called "_", get unique names."""
         columns = zip(self.fields, self.kinds, self.counts, strict=True)
         return np.dtype([(_name(i, name), kind, (count,)) for i, (name, kind, count) in enumerate(columns)])
 
@@ -40,31 +40,29 @@ def _name(index: int, name: str) -> str:
 
 
 def read_pcd(path: Path, file: str) -> Cloud:
-    """The cloud; the empty pixels of an organised cloud, NaN by the format's rules, are left out."""
-    with reading(file, "PCD"):
+    """Read the cloud. Empty pixels of an organised cloud, which the format marks by NaN, are left out.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+    """
+    with translate_errors(file, "PCD"):
         data = path.read_bytes()
         header = _header(data[:_HEADER_BYTES], file)
         if header.points > MAX_POINTS and len(data) > MAX_POINTS:
-            raise too_many(header.points, file)
+            raise too_many_points(header.points, file)
         columns = _READERS[header.storage](data[header.start :], header, file)
     cloud = _with_colours(columns, file)
     if not header.organised:
         return cloud
-    there = np.isfinite(cloud.xyz).all(axis=1)
-    rgb, normals = cloud.rgb, cloud.normals
-    return Cloud(
-        cloud.xyz[there],
-        None if rgb is None else rgb[there],
-        None if normals is None else normals[there],
-    )
+    return cloud.subset(np.asarray(np.isfinite(cloud.xyz).all(axis=1)))
 
 
 def _header(head: bytes, file: str) -> _Header:
+    """Parse the header, up to the line DATA."""
     at, entries = 0, dict[str, list[str]]()
     while "DATA" not in entries:
         stop = head.find(b"\n", at)
         if stop < 0:
-            raise truncated(file, "ends before the PCD header does")
+            raise truncated(file, "is cut off inside the PCD header")
         words = head[at:stop].decode("latin-1").split()
         if words and not words[0].startswith("#"):
             entries[words[0].upper()] = words[1:]
@@ -78,16 +76,19 @@ def _header(head: bytes, file: str) -> _Header:
     storage = entries["DATA"][0].lower()
     sound = 0 < len(fields) == len(kinds) == len(counts) <= 256 and all(0 < count <= 4096 for count in counts)
     if not sound or points < 0 or storage not in _READERS:
-        raise unreadable(file, "has a PCD header that contradicts itself")
+        raise unreadable(
+            file, "has an invalid PCD header: FIELDS, SIZE, TYPE, COUNT, POINTS or DATA do not fit together"
+        )
     return _Header(tuple(fields), kinds, counts, points, height > 1, storage, at)
 
 
 def _read_ascii(body: bytes, header: _Header, file: str) -> dict[str, NDArray[Any]]:
     if header.points * 2 * sum(header.counts) > len(body) + 1:
-        raise truncated(file, f"promises {header.points:,} points and has {len(body):,} bytes of text")
+        what = f"{header.points:,} points, but only {len(body):,} bytes of text follow"
+        raise truncated(file, f"is cut off: its header announces {what}")
     lines = [line for line in body.decode("latin-1").splitlines() if line.strip()][: header.points]
     if len(lines) < header.points:
-        raise truncated(file, f"promises {header.points:,} points and has {len(lines):,}")
+        raise truncated(file, _announced(header, len(lines)))
     table = np.loadtxt(lines, np.float64, comments=None, ndmin=2) if lines else np.zeros((0, sum(header.counts)))
     starts = np.cumsum((0, *header.counts))[:-1]
     columns: dict[str, NDArray[Any]] = {}
@@ -101,7 +102,7 @@ def _read_ascii(body: bytes, header: _Header, file: str) -> dict[str, NDArray[An
 def _read_binary(body: bytes, header: _Header, file: str) -> dict[str, NDArray[Any]]:
     dtype = header.record()
     if header.points * dtype.itemsize > len(body):
-        raise truncated(file, f"promises {header.points:,} points and has {len(body) // dtype.itemsize:,}")
+        raise truncated(file, _announced(header, len(body) // dtype.itemsize))
     records = np.frombuffer(body, dtype, header.points)
     return {name: records[name][:, 0] for name in dtype.names or ()}
 
@@ -110,9 +111,10 @@ def _read_compressed(body: bytes, header: _Header, file: str) -> dict[str, NDArr
     dtype = header.record()
     packed, size = struct.unpack_from("<II", body) if len(body) >= 8 else (len(body), 0)
     if packed > len(body) - 8:
-        raise truncated(file, f"promises {packed:,} bytes of compressed points and has {max(0, len(body) - 8):,}")
+        what = f"{packed:,} bytes of compressed points are announced, but only {max(0, len(body) - 8):,} are there"
+        raise truncated(file, f"is cut off: {what}")
     if size != header.points * dtype.itemsize or size > _LZF_MAX_RATIO * packed:
-        raise unreadable(file, "has compressed points of another size than its header says")
+        raise unreadable(file, "has compressed points whose size does not fit the number of points in its header")
     plain = lzf_decompress(body[8 : 8 + packed], size)
     columns: dict[str, NDArray[Any]] = {}
     at = 0
@@ -123,13 +125,17 @@ def _read_compressed(body: bytes, header: _Header, file: str) -> dict[str, NDArr
     return columns
 
 
+def _announced(header: _Header, count: int) -> str:
+    return f"is cut off: its header announces {header.points:,} points, but only {count:,} are there"
+
+
 _READERS = {"ascii": _read_ascii, "binary": _read_binary, "binary_compressed": _read_compressed}
 
 
 def lzf_decompress(data: bytes, size: int) -> bytes:
-    """LibLZF (Marc Lehmann): a control byte below 32 starts a run of literals, others copy from what is already out.
+    """Decompress LZF (LibLZF, Marc Lehmann) to exactly `size` bytes; raise ValueError if the data make another number.
 
-    Raises ValueError when the data do not make exactly `size` bytes.
+    A control byte below 32 starts a run of literals; the others copy bytes from the output so far.
     """
     out = bytearray()
     at, end = 0, len(data)
@@ -147,10 +153,10 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
         start = len(out) - high - data[at] - 1
         at += 1
         if start < 0:
-            raise ValueError("LZF refers to before its start")
+            raise ValueError("an LZF back-reference points before the start")
         _copy(out, start, length)
     if len(out) != size:
-        raise ValueError(f"LZF makes {len(out)} bytes, expected {size}")
+        raise ValueError(f"LZF data decompress to {len(out)} bytes instead of {size}")
     return bytes(out)
 
 
@@ -164,7 +170,7 @@ def _copy(out: bytearray, start: int, length: int) -> None:
 
 
 def _with_colours(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
-    """PCL packs colours into the bits of one float or integer, field "rgb" or "rgba"."""
+    """Make the cloud, unpacking colours from the field "rgb" or "rgba": PCL stores them as the bits of one number."""
     packed = next((columns.pop(name) for name in ("rgb", "rgba") if name in columns), None)
     cloud = named_columns(columns, file)
     if packed is None or packed.dtype.itemsize != 4:

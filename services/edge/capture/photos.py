@@ -1,4 +1,4 @@
-"""Photos alone: JPEG, PNG, HEIC, WebP and TIFF in a folder. Headers are read here, pixels when they are asked for."""
+"""Read a folder of photos without poses: JPEG, PNG, HEIC, WebP and TIFF. Only headers are read here, pixels lazily."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from services.edge.capture.files import Folder
 from services.edge.capture.images import read_bytes
-from services.edge.capture.nouns import AROUND, MIN_PHOTOS, Capture, Photo, PhotoVerdict
+from services.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
 from services.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
 from services.edge.errors import CaptureError
 
-MAX_PHOTOS = 300  # a walk-around has 20 to 100; beyond, each photo costs seconds and adds next to nothing
+MAX_PHOTOS = 300  # a walk-around has 20 to 100; each further photo costs seconds and improves almost nothing
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif")
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif")
 _SEND_AGAIN = "send it again as a JPEG or HEIC"
@@ -23,49 +23,50 @@ _T = TypeVar("_T")
 
 
 def matches(folder: Folder) -> bool:
-    """Whether any file is a picture by its bytes. Recordings have pictures too: ask for their formats first."""
+    """Return whether any file has an image's magic number. Recordings have images too: try their formats first."""
     return any(_is_picture(folder, name) for name in folder.names)
 
 
 def pictures(folder: Folder) -> list[str]:
-    """The files that are pictures by their bytes, or call themselves so."""
+    """Return the files that are images by their magic number or by their suffix."""
     return [name for name in folder.names if name.lower().endswith(_SUFFIXES) or _is_picture(folder, name)]
 
 
 def read(folder: Folder) -> Capture:
-    """Every picture in the folder, those that cannot be read as verdicts.
+    """Read the photos in the folder; for those that cannot be read the capture has verdicts.
 
-    A single picture is a capture of its own kind, "image". Raises CAPTURE_UNREADABLE or IMAGE_TOO_LARGE, naming the
-    first such file, when fewer than MIN_PHOTOS are left, and CAPTURE_LOW_OVERLAP when there never were more.
+    A single photo is a capture of kind "image". With fewer than MIN_PHOTOS readable photos, raises CAPTURE_UNREADABLE
+    or IMAGE_TOO_LARGE, naming the first unreadable one, or CAPTURE_LOW_OVERLAP when all of them can be read.
     """
     names = pictures(folder)
     if len(names) == 1:
-        return _alone(read_photo(folder, names[0]))
+        return _single_photo(read_photo(folder, names[0]))
     photos: list[Photo] = []
     errors: list[CaptureError] = []
-    for name in spread(names):
+    for name in evenly_spaced(names):
         try:
             photos.append(read_photo(folder, name))
         except CaptureError as error:
             errors.append(error)
     if len(photos) < MIN_PHOTOS:
-        raise _too_few(errors[0], len(photos)) if errors else _too_few_taken(photos)
+        raise _too_few_readable(errors[0], len(photos)) if errors else _too_few_photos(photos)
     return Capture(
         "photos",
         "photos",
         photos=tuple(photos),
-        verdicts=tuple(map(refused, errors)),
-        warnings=spread_warning(len(names)),
+        verdicts=tuple(map(unreadable_verdict, errors)),
+        warnings=left_out_warning(len(names)),
     )
 
 
-def _alone(photo: Photo) -> Capture:
-    told = f"One photo shows one side: the rest is a guess. For its true shape, {AROUND}."
-    return Capture("image", "photo", photos=(photo,), verdicts=(PhotoVerdict(photo.name, "ok"),), warnings=(told,))
+def _single_photo(photo: Photo) -> Capture:
+    """Make a capture of kind "image" from one photo."""
+    warning = f"One photo shows only one side; the other sides are a guess. For the true shape, {WALK_AROUND_ADVICE}."
+    return Capture("image", "photo", photos=(photo,), verdicts=(PhotoVerdict(photo.name, "ok"),), warnings=(warning,))
 
 
 def read_photo(folder: Folder, name: str) -> Photo:
-    """One picture by its header. Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE."""
+    """Make a `Photo` from a file's header. Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE."""
     path = folder.path(name)
     header = read_header(path, name)
     focal = focal_px(header.tags, header.size)
@@ -75,39 +76,43 @@ def read_photo(folder: Folder, name: str) -> Photo:
     return Photo(name, header.size, camera, pixels, focal, header.turns, load_alpha=alpha)
 
 
-def spread(photos: Sequence[_T]) -> list[_T]:
-    """At most MAX_PHOTOS of them, evenly: photos are numbered along the way round the thing."""
+def evenly_spaced(photos: Sequence[_T]) -> list[_T]:
+    """Select at most MAX_PHOTOS items, evenly spaced: photos are numbered in their order around the object."""
     if len(photos) <= MAX_PHOTOS:
         return list(photos)
     return [photos[round(at)] for at in np.linspace(0, len(photos) - 1, MAX_PHOTOS)]
 
 
-def spread_warning(count: int) -> tuple[str, ...]:
-    """A sentence about what `spread` left out."""
-    return (f"{MAX_PHOTOS} of {count:,} photos are used, spread evenly",) if count > MAX_PHOTOS else ()
+def left_out_warning(count: int) -> tuple[str, ...]:
+    """Return a warning when `evenly_spaced` leaves out some of `count` photos."""
+    return (f"only {MAX_PHOTOS} of {count:,} photos are used, evenly spaced",) if count > MAX_PHOTOS else ()
 
 
-def refused(error: CaptureError) -> PhotoVerdict:
-    """On a photo that raised `error` when it was read."""
+def unreadable_verdict(error: CaptureError) -> PhotoVerdict:
+    """Return the verdict on a photo whose reading raised `error`."""
     hint = "send a smaller picture" if error.code == "IMAGE_TOO_LARGE" else _SEND_AGAIN
     return PhotoVerdict(error.file or "", "unreadable", f"It {error.message}; {hint}.")
 
 
-def _too_few(error: CaptureError, left: int) -> CaptureError:
+def _too_few_readable(error: CaptureError, left: int) -> CaptureError:
+    """Return the error for a folder where only `left` photos can be read; `error` is that of the first other one."""
     code = error.code if error.code == "IMAGE_TOO_LARGE" else "CAPTURE_UNREADABLE"
-    reason = f"{error.message}, and only {left} other photos can be read"
+    reason = f"{error.message}; only {left} of the photos can be read, and at least {MIN_PHOTOS} are needed"
     return CaptureError(code, reason, file=error.file, hints=(_SEND_AGAIN,))
 
 
-def _too_few_taken(photos: Sequence[Photo]) -> CaptureError:
-    reason = f"holds {len(photos)} photo{'s' if len(photos) > 1 else ''}; at least {MIN_PHOTOS} are needed"
-    return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=photos[0].name, hints=(AROUND,))
+def _too_few_photos(photos: Sequence[Photo]) -> CaptureError:
+    """Return CAPTURE_LOW_OVERLAP for a folder of fewer than MIN_PHOTOS photos, all readable."""
+    count = f"{len(photos)} photo{'s' if len(photos) > 1 else ''}"
+    reason = f"the capture has only {count}; at least {MIN_PHOTOS} are needed"
+    return CaptureError("CAPTURE_LOW_OVERLAP", reason, file=photos[0].name, hints=(WALK_AROUND_ADVICE,))
 
 
 def _is_picture(folder: Folder, name: str) -> bool:
+    """Return whether a file starts with the magic number of a supported image format."""
     head = first_bytes(folder.path(name), name)
     if head[4:8] == b"ftyp":
-        return head[8:12] in _HEIF_BRANDS  # films begin so too
+        return head[8:12] in _HEIF_BRANDS  # MP4 videos start with "ftyp" too
     return head.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\0", b"MM\0*")) or (
         head[:4] == b"RIFF" and head[8:12] == b"WEBP"
     )

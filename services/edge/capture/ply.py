@@ -1,6 +1,6 @@
-"""Stanford PLY, ASCII and binary of both byte orders: vertices, and faces where it has them.
+"""Read Stanford PLY files, ASCII and binary of both byte orders: vertices, and faces if there are any.
 
-Every count in the header is held against the bytes that are there before anything is allocated.
+Every count in the header is checked against the file's size before anything is allocated.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Ints
-from services.edge.capture.files import reading, unreadable
+from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
-from services.edge.capture.tables import MAX_POINTS, named_columns, too_many, truncated
+from services.edge.capture.tables import MAX_POINTS, named_columns, too_many_points, truncated
 
-_HEADER_BYTES = 2**20  # comments included; real headers have a few hundred bytes
+_HEADER_BYTES = 2**20  # limit of a header with its comments; real ones have a few hundred bytes
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -32,11 +32,11 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 class _Property:
     name: str
     kind: str
-    count_kind: str = ""  # set for lists
+    count_kind: str = ""  # type of a list's length; "" for a scalar
 
 
 @dataclass(frozen=True, slots=True)
-class _Element:
+class _PlyElement:
     name: str
     count: int
     properties: tuple[_Property, ...]
@@ -45,16 +45,19 @@ class _Element:
     def has_list(self) -> bool:
         return any(item.count_kind for item in self.properties)
 
-    def smallest(self, order: str) -> int:
-        """Bytes that one record takes at least: an ASCII value a digit and a separator, a list its count."""
+    def least_bytes(self, order: str) -> int:
+        """Return the least bytes of one record: two per ASCII value (digit, separator), only the count of a list."""
         if not order:
             return 2 * len(self.properties)
         return sum(np.dtype(item.count_kind or item.kind).itemsize for item in self.properties)
 
 
 def read_ply(path: Path, file: str) -> tuple[Cloud, Ints]:
-    """The vertices and the faces (F,3), polygons cut into fans; a point cloud has F = 0."""
-    with reading(file, "PLY"):
+    """Read the vertices and the faces (F,3) of a PLY; polygons become triangle fans. F = 0 for a point cloud.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+    """
+    with translate_errors(file, "PLY"):
         data = path.read_bytes()
         elements, order, start = _header(data[:_HEADER_BYTES], file)
         if order:
@@ -62,25 +65,25 @@ def read_ply(path: Path, file: str) -> tuple[Cloud, Ints]:
         return _read_ascii(data[start:], elements, file)
 
 
-def _header(head: bytes, file: str) -> tuple[list[_Element], str, int]:
-    """The elements, the byte order ("" is ASCII), and where the data starts."""
+def _header(head: bytes, file: str) -> tuple[list[_PlyElement], str, int]:
+    """Parse the header: the elements, the byte order ("" is ASCII), and the offset of the data."""
     end = head.find(b"end_header")
     stop = head.find(b"\n", end) if end >= 0 else -1
     if stop < 0:
-        raise truncated(file, "ends before the PLY header does")
+        raise truncated(file, "is cut off inside the PLY header")
     order: str | None = None
-    elements: list[_Element] = []
+    elements: list[_PlyElement] = []
     for line in head[:end].decode("latin-1").splitlines()[1:]:
         words = line.split()
         if words[:1] == ["format"] and len(words) > 1:
             order = _ORDERS.get(words[1])
         elif words[:1] == ["element"]:
-            elements.append(_Element(words[1], int(words[2]), ()))
+            elements.append(_PlyElement(words[1], int(words[2]), ()))
         elif words[:1] == ["property"]:
             last = elements[-1]
-            elements[-1] = _Element(last.name, last.count, (*last.properties, _property(words[1:])))
+            elements[-1] = _PlyElement(last.name, last.count, (*last.properties, _property(words[1:])))
     if order is None or any(element.count < 0 for element in elements):
-        raise unreadable(file, "has a PLY header without a known format")
+        raise unreadable(file, "has a PLY header without a known format, or with a negative count")
     return elements, order, stop + 1
 
 
@@ -90,37 +93,38 @@ def _property(words: list[str]) -> _Property:
     return _Property(words[1], _TYPES[words[0]])
 
 
-def _check_counts(element: _Element, left: int, order: str, file: str) -> None:
-    need = element.count * element.smallest(order)
+def _check_counts(element: _PlyElement, left: int, order: str, file: str) -> None:
+    """Raise CAPTURE_TRUNCATED when an element needs more bytes than are `left`; CAPTURE_TOO_LARGE above MAX_POINTS."""
+    need = element.count * element.least_bytes(order)
     if need > left + 1:  # the last ASCII line may lack its newline
-        what = f"promises {element.count:,} x {element.name!r}, at least {need:,} bytes, and has {left:,}"
-        raise truncated(file, what)
+        what = f"{element.count:,} {element.name!r} records, at least {need:,} bytes, but only {left:,} bytes are left"
+        raise truncated(file, f"is cut off: its header announces {what}")
     if element.count > MAX_POINTS:
-        raise too_many(element.count, file)
+        raise too_many_points(element.count, file)
 
 
-def _read_binary(data: bytes, at: int, elements: list[_Element], order: str, file: str) -> tuple[Cloud, Ints]:
+def _read_binary(data: bytes, at: int, elements: list[_PlyElement], order: str, file: str) -> tuple[Cloud, Ints]:
+    """Read the elements that start at offset `at`, up to the last of vertices and faces; skip others in between."""
     cloud: Cloud | None = None
     faces: Ints = np.zeros((0, 3), np.int64)
-    for element in elements:
+    last = max((place for place, each in enumerate(elements) if each.name in ("vertex", "face")), default=-1)
+    for element in elements[: last + 1]:
         _check_counts(element, len(data) - at, order, file)
         if not element.has_list:
             dtype = _record(element, order, {})
             if element.name == "vertex":
                 cloud = _cloud(np.frombuffer(data, dtype, element.count, at), file)
             at += dtype.itemsize * element.count
-        elif element.name == "face" or cloud is None:
+        else:
             polygons, at = _binary_lists(data, at, element, order, file)
-            faces = _fans(polygons, cloud, file) if element.name == "face" else faces
-        if cloud is not None and element.name == "face":
-            break
+            faces = _triangle_fans(polygons, cloud, file) if element.name == "face" else faces
     if cloud is None:
-        raise unreadable(file, "is a PLY without vertices")
+        raise unreadable(file, "is a PLY file without vertices")
     return cloud, faces
 
 
-def _record(element: _Element, order: str, lengths: dict[str, int]) -> np.dtype[Any]:
-    """The structured type of a record whose lists have the given lengths; list counts become fields '#name'."""
+def _record(element: _PlyElement, order: str, lengths: dict[str, int]) -> np.dtype[Any]:
+    """Return the NumPy record type of an element whose lists have the given lengths; list counts are fields '#name'."""
     fields: list[Any] = []
     for item in element.properties:
         if item.count_kind:
@@ -136,8 +140,8 @@ def _cloud(records: NDArray[Any], file: str) -> Cloud:
     return named_columns(columns, file)
 
 
-def _binary_lists(data: bytes, at: int, element: _Element, order: str, file: str) -> tuple[list[Ints], int]:
-    """Polygons grouped by their number of corners, each (F,k), and where the next element starts."""
+def _binary_lists(data: bytes, at: int, element: _PlyElement, order: str, file: str) -> tuple[list[Ints], int]:
+    """Read an element of lists: polygons grouped by their number of corners, each (F,k), and the offset behind it."""
     if element.count == 0:
         return [], at
     first = _one_record(data, at, element, order, file)[1]
@@ -149,7 +153,8 @@ def _binary_lists(data: bytes, at: int, element: _Element, order: str, file: str
     return _mixed_lists(data, at, element, order, file)
 
 
-def _mixed_lists(data: bytes, at: int, element: _Element, order: str, file: str) -> tuple[list[Ints], int]:
+def _mixed_lists(data: bytes, at: int, element: _PlyElement, order: str, file: str) -> tuple[list[Ints], int]:
+    """Read lists of different lengths, one record after the other; returns as `_binary_lists` does."""
     groups: dict[int, list[NDArray[Any]]] = {}
     corners = _corners(element, file)
     for _ in range(element.count):
@@ -158,44 +163,46 @@ def _mixed_lists(data: bytes, at: int, element: _Element, order: str, file: str)
     return [np.stack(group).astype(np.int64) for group in groups.values()], at
 
 
-def _one_record(data: bytes, at: int, element: _Element, order: str, file: str) -> tuple[int, dict[str, NDArray[Any]]]:
-    """Where the record ends, and its lists."""
+def _one_record(
+    data: bytes, at: int, element: _PlyElement, order: str, file: str
+) -> tuple[int, dict[str, NDArray[Any]]]:
+    """Read one record: the offset behind it, and its lists by name. Raises CAPTURE_TRUNCATED."""
     lists: dict[str, NDArray[Any]] = {}
     for item in element.properties:
         kind, count = np.dtype(order + item.kind), 1
         if item.count_kind:
             count_kind = np.dtype(order + item.count_kind)
             if at + count_kind.itemsize > len(data):
-                raise truncated(file, f"ends inside its {element.name!r} list")
+                raise truncated(file, f"is cut off inside its {element.name!r} records")
             count = int(np.frombuffer(data, count_kind, 1, at)[0])
             at += count_kind.itemsize
         if count < 0 or at + count * kind.itemsize > len(data):
-            raise truncated(file, f"ends inside its {element.name!r} list")
+            raise truncated(file, f"is cut off inside its {element.name!r} records")
         if item.count_kind:
             lists[item.name] = np.frombuffer(data, kind, count, at)
         at += count * kind.itemsize
     return at, lists
 
 
-def _corners(element: _Element, file: str) -> str:
-    """The name of the list that holds a face's corners."""
+def _corners(element: _PlyElement, file: str) -> str:
+    """Return the name of the list property with a face's vertex indices."""
     lists = [item.name for item in element.properties if item.count_kind]
     known = [name for name in lists if name in ("vertex_indices", "vertex_index")]
     return (known or lists)[0]
 
 
-def _fans(polygons: list[Ints], cloud: Cloud | None, file: str) -> Ints:
-    """(F,3): every polygon (a, b, c, d, ...) becomes the triangles (a, b, c), (a, c, d), ..."""
+def _triangle_fans(polygons: list[Ints], cloud: Cloud | None, file: str) -> Ints:
+    """Triangulate polygons as fans (F,3): (a, b, c, d, ...) becomes (a, b, c), (a, c, d), ..."""
     triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
     for group in polygons:
         triangles += [group[:, [0, corner, corner + 1]] for corner in range(1, group.shape[1] - 1)]
     faces = np.concatenate(triangles)
     if cloud is None or (len(faces) and (faces.min() < 0 or faces.max() >= len(cloud.xyz))):
-        raise unreadable(file, "has faces of vertices that do not exist")
+        raise unreadable(file, "has faces with indices of vertices that do not exist")
     return faces
 
 
-def _read_ascii(body: bytes, elements: list[_Element], file: str) -> tuple[Cloud, Ints]:
+def _read_ascii(body: bytes, elements: list[_PlyElement], file: str) -> tuple[Cloud, Ints]:
     cloud: Cloud | None = None
     faces: Ints = np.zeros((0, 3), np.int64)
     for element in elements:
@@ -205,23 +212,25 @@ def _read_ascii(body: bytes, elements: list[_Element], file: str) -> tuple[Cloud
     for element in elements:
         rows, at = lines[at : at + element.count], at + element.count
         if len(rows) < element.count:
-            raise truncated(file, f"promises {element.count:,} x {element.name!r} and has {len(rows):,} lines of them")
+            what = f"{element.count:,} {element.name!r} lines, but only {len(rows):,} are there"
+            raise truncated(file, f"is cut off: its header announces {what}")
         if element.name == "vertex":
             cloud = _ascii_cloud(rows, element, file)
         elif element.name == "face":
-            faces = _fans(_ascii_lists(rows), cloud, file)
+            faces = _triangle_fans(_ascii_lists(rows), cloud, file)
     if cloud is None:
-        raise unreadable(file, "is a PLY without vertices")
+        raise unreadable(file, "is a PLY file without vertices")
     return cloud, faces
 
 
-def _ascii_cloud(rows: list[str], element: _Element, file: str) -> Cloud:
-    """Parsed as float64, which holds every PLY type exactly, then cast, so that colours keep their range."""
+def _ascii_cloud(rows: list[str], element: _PlyElement, file: str) -> Cloud:
+    """Parse the vertex lines as float64, exact for all PLY types, then cast them, so that colours keep their range."""
     if element.has_list:
-        raise unreadable(file, "has vertices with lists, which are not read")
+        raise unreadable(file, "has vertices with list properties, which are not supported")
     table = np.loadtxt(rows, np.float64, comments=None, ndmin=2) if rows else np.zeros((0, len(element.properties)))
     if table.shape[1] != len(element.properties):
-        raise unreadable(file, f"has {table.shape[1]} numbers per vertex, not {len(element.properties)}")
+        what = f"has {table.shape[1]} numbers per vertex; its header announces {len(element.properties)}"
+        raise unreadable(file, what)
     columns = {
         _ALIASES.get(item.name, item.name): table[:, at] if item.kind[0] == "f" else table[:, at].astype(item.kind)
         for at, item in enumerate(element.properties)
@@ -230,13 +239,13 @@ def _ascii_cloud(rows: list[str], element: _Element, file: str) -> Cloud:
 
 
 def _ascii_lists(rows: list[str]) -> list[Ints]:
-    """Polygons grouped by their number of corners; the corners are the row's first list."""
+    """Parse the lines of faces: polygons grouped by their number of corners, which are the first list of a line."""
     groups: dict[int, list[list[int]]] = {}
     for row in rows:
         fields = row.split()
         count = int(fields[0])
         corners = [int(field) for field in fields[1 : 1 + count]]
         if len(corners) != count:
-            raise ValueError("a face has fewer corners than it says")
+            raise ValueError("a face has fewer corners than its count")
         groups.setdefault(count, []).append(corners)
     return [np.array(group, np.int64).reshape(len(group), -1) for group in groups.values()]

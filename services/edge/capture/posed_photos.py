@@ -1,4 +1,4 @@
-"""Photos that come with their cameras: the checks that are the same for every format that tells poses."""
+"""Check photos that come with camera intrinsics and poses, and build their capture; common to all such formats."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from services.edge.arrays import Floats
+from services.edge.capture.frame_records import MAX_BAD_SHARE, checked_intrinsics
 from services.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdict, ScaleConfidence
-from services.edge.capture.photos import refused, spread, spread_warning
+from services.edge.capture.photos import evenly_spaced, left_out_warning, unreadable_verdict
 from services.edge.capture.poses import Axes, checked_pose
-from services.edge.capture.shots import MAX_BAD_SHARE, checked_intrinsics
 from services.edge.errors import CaptureError
 
-_SAME_SHAPE = 0.02  # by which the sides' ratio may differ: copies at another scale have rounded sides
+_SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio: scaled copies have rounded sides
 
 
 @dataclass(frozen=True, slots=True)
 class GivenCamera:
-    """What a format says of the camera of a photo, unchecked.
+    """Camera of a photo as read from a format, before it is checked.
 
-    name             the same for all photos that share the lens
-    intrinsics       at any resolution of the photo's shape
+    name             equal for all photos that share the lens
+    intrinsics       for any resolution with the photo's aspect ratio
     distortion       OpenCV's (k1, k2, p1, p2, k3)
-    camera_to_world  (4,4), in the axes named
+    camera_to_world  (4,4), in `axes`
     """
 
     name: str
@@ -32,13 +32,18 @@ class GivenCamera:
     axes: Axes
 
 
-def posed(photo: Photo, given: GivenCamera) -> Photo:
-    """The photo with its camera. Raises CAPTURE_BAD_INTRINSICS for another shape, and CAPTURE_BAD_POSE."""
+def with_camera(photo: Photo, given: GivenCamera) -> Photo:
+    """Attach intrinsics and pose to a photo.
+
+    Raises CAPTURE_BAD_POSE, and CAPTURE_BAD_INTRINSICS for intrinsics of another aspect ratio.
+    """
     width, height = photo.size
     camera = given.intrinsics
     if abs(camera.width * height - width * camera.height) > _SAME_SHAPE * camera.width * height:
-        what = f"is {width} x {height}, and its camera {camera.width} x {camera.height}: another shape"
-        hint = ("send the photos that the poses were made from",)
+        what = (
+            f"is {width} x {height}, but its intrinsics are for {camera.width} x {camera.height}: aspect ratios differ"
+        )
+        hint = ("send the photos from which the poses were computed, not cropped or rotated",)
         raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=photo.name, hints=hint)
     return replace(
         photo,
@@ -50,14 +55,15 @@ def posed(photo: Photo, given: GivenCamera) -> Photo:
     )
 
 
-def app_camera(photo: Photo, intrinsics: Intrinsics, camera_to_world: Floats, axes: Axes) -> Photo:
-    """The photo with its camera as a scanning app tells it: without distortion, and the lens refocused on the way.
+def with_app_camera(photo: Photo, intrinsics: Intrinsics, camera_to_world: Floats, axes: Axes) -> Photo:
+    """Attach a scanning app's intrinsics and pose to a photo.
 
-    Raises what `posed` raises.
+    The app gives no distortion. Its focus changes during the scan, so only photos of equal intrinsics share a camera.
+    Raises what `with_camera` raises.
     """
     at = checked_intrinsics(intrinsics, photo.name)
     name = f"{at.fx:.2f} {at.cx:.2f} {at.cy:.2f}"
-    return posed(photo, GivenCamera(name, at, (0.0,) * 5, camera_to_world, axes))
+    return with_camera(photo, GivenCamera(name, at, (0.0,) * 5, camera_to_world, axes))
 
 
 def posed_capture(
@@ -68,19 +74,20 @@ def posed_capture(
     up: Floats | None = None,
     warnings: Sequence[str] = (),
 ) -> Capture:
-    """Of a format's photos, each read by its call: at most MAX_PHOTOS of them, spread evenly.
+    """Build a capture from the photos that `tries` read, one per call: at most MAX_PHOTOS of them, evenly spaced.
 
-    kind, scale, up: as `Capture` has them. Of more errors than one and than MAX_BAD_SHARE, the first is raised.
+    kind: the format's name; scale, up: as in `Capture`. Raises the first error when more than MAX_BAD_SHARE of the
+    photos (and more than one) are broken.
     """
-    photos, verdicts, dropped = _sound_photos(spread(tries))
-    told = (*warnings, *spread_warning(len(tries)), *dropped)
-    return Capture("photos", kind, photos=photos, verdicts=verdicts, scale_confidence=scale, up=up, warnings=told)
+    photos, verdicts, dropped = _valid_photos(evenly_spaced(tries))
+    everything = (*warnings, *left_out_warning(len(tries)), *dropped)
+    return Capture("photos", kind, photos=photos, verdicts=verdicts, scale_confidence=scale, up=up, warnings=everything)
 
 
-def _sound_photos(
+def _valid_photos(
     tries: Sequence[Callable[[], Photo]],
 ) -> tuple[tuple[Photo, ...], tuple[PhotoVerdict, ...], list[str]]:
-    """The photos, verdicts on those that cannot be read, and warnings of broken poses."""
+    """Return the valid photos, verdicts on the unreadable ones, and warnings about broken poses."""
     photos: list[Photo] = []
     errors: list[CaptureError] = []
     for each in tries:
@@ -90,7 +97,7 @@ def _sound_photos(
             errors.append(error)
     if len(errors) > max(1, MAX_BAD_SHARE * len(tries)) or not photos:
         raise errors[0]
-    verdicts = tuple(refused(error) for error in errors if error.code.startswith("IMAGE"))
+    verdicts = tuple(unreadable_verdict(error) for error in errors if error.code.startswith("IMAGE"))
     return (
         tuple(photos),
         verdicts,

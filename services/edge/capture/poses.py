@@ -1,7 +1,7 @@
-"""Poses: quaternions and matrices of every app become camera-to-world in OpenCV axes.
+"""Convert the camera poses of every app, quaternions or matrices, to camera-to-world matrices in OpenCV axes.
 
 ARKit and OpenGL cameras look along -Z with Y up; OpenCV cameras look along +Z with Y down. Both have X right, so one
-becomes the other by turning the camera half round its X axis: T_opencv = T_opengl diag(1, -1, -1, 1).
+becomes the other by a half turn of the camera about its X axis: T_opencv = T_opengl diag(1, -1, -1, 1).
 """
 
 from __future__ import annotations
@@ -16,19 +16,21 @@ from services.edge.errors import CaptureError
 Axes = Literal["opencv", "opengl"]
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-ORTHONORMAL_TOLERANCE = 1e-2  # apps print five digits; a scaled or sheared rotation is off by far more
-_EXACT = 1e-13  # rounding of float64; rotations from quaternions are as exact as a decomposition would make them
-MAX_DISTANCE = 1e6  # metres; the bound that points have
+ORTHONORMAL_TOLERANCE = 1e-2  # of an entry; apps print five digits, a scaled or sheared rotation is off by far more
+_EXACT = 1e-13  # float64 rounding: a rotation this close, as from a quaternion, would not get better by an SVD
+MAX_DISTANCE = 1e6  # metres from the origin; the same limit as for points
 
 
 def bad_pose(file: str, reason: str, hint: str = "record again: tracking was lost") -> CaptureError:
+    """Return a CAPTURE_BAD_POSE error."""
     return CaptureError("CAPTURE_BAD_POSE", reason, file=file, hints=(hint,))
 
 
 def pose_from_quaternion(xyz: Floats, xyzw: Floats) -> Floats:
-    """(4,4) camera-to-world from a position (3,) and a quaternion (4,) in the order x, y, z, w, normalised here.
+    """Make a (4,4) pose from a position (3,) and a quaternion (4,) in the order x, y, z, w, which is normalised.
 
-    A quaternion that is none gives NaN, for `checked_pose` to name: one lost frame must not lose the recording.
+    An invalid quaternion gives a matrix of NaN, which `checked_pose` refuses later: one bad frame must not make the
+    whole recording fail here.
     """
     norm = float(np.linalg.norm(xyzw))
     if not 0.5 < norm < 2.0:  # apps write unit quaternions; NaN fails here too
@@ -45,27 +47,31 @@ def pose_from_quaternion(xyz: Floats, xyzw: Floats) -> Floats:
 
 
 def checked_pose(matrix: Floats, *, axes: Axes, file: str) -> Floats:
-    """(4,4) float64 camera-to-world in OpenCV axes with an exactly orthonormal rotation, from (3,4) or (4,4).
+    """Validate a camera-to-world matrix (3,4) or (4,4), and convert it to (4,4) float64 in OpenCV axes.
 
-    Raises CAPTURE_BAD_POSE when it is not finite, not orthonormal within 1e-2, mirrored, or beyond 1,000 km.
+    The rotation is made exactly orthonormal. Raises CAPTURE_BAD_POSE when the matrix is not finite, not orthonormal
+    within 1e-2, mirrored, or beyond 1,000 km.
     """
     pose = np.eye(4)
     pose[: len(matrix)] = matrix
     if not np.isfinite(pose).all():
-        raise bad_pose(file, "has a pose that is not finite, or whose quaternion has no length")
+        raise bad_pose(file, "has a camera pose that is not finite, or whose quaternion is far from unit length")
     if np.abs(pose[:3]).max() > MAX_DISTANCE or np.abs(pose[3] - [0, 0, 0, 1]).max() > ORTHONORMAL_TOLERANCE:
-        raise bad_pose(file, "has a pose that is no camera-to-world matrix")
+        what = f"is more than {MAX_DISTANCE / 1000:,.0f} km away, or whose last row is not 0 0 0 1"
+        raise bad_pose(file, f"has a camera pose that {what}")
     pose[:3, :3] = _nearest_rotation(pose[:3, :3], file)
     pose[3] = [0, 0, 0, 1]
     return pose @ OPENGL_TO_OPENCV if axes == "opengl" else pose
 
 
 def _nearest_rotation(rotation: Floats, file: str) -> Floats:
+    """Return the rotation nearest to a nearly orthonormal matrix (3,3), by SVD. Raises CAPTURE_BAD_POSE."""
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > 2 * ORTHONORMAL_TOLERANCE:  # an error e in the entries shows as 2e in the product
-        raise bad_pose(file, f"has a pose whose rotation is not orthonormal (off by {off:.3g})")
+        raise bad_pose(file, f"has a camera pose whose rotation matrix is not orthonormal (error {off:.3g})")
     if np.linalg.det(rotation) < 0:
-        raise bad_pose(file, "has a pose that mirrors", "export with right-handed axes: flip one axis of every pose")
+        hint = "export with right-handed axes: flip one axis of every pose"
+        raise bad_pose(file, "has a camera pose that is mirrored (its axes are left-handed)", hint)
     if off < _EXACT:
         return rotation
     u, _, vt = np.linalg.svd(rotation)

@@ -1,4 +1,4 @@
-"""Points on the surface of triangles, as dense where the triangles are large as where they are small."""
+"""Sample points uniformly by area on the surface of triangle meshes."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
 
-SAMPLES = 100_000  # points on a mesh: 3 mm apart on a square metre
-SEED = 0  # the same mesh gives the same points
+SAMPLES = 100_000  # points per mesh file: 3 mm apart on a square metre
+SEED = 0  # of the random generator: the same mesh always gives the same points
 
 ColourAt = Callable[[Ints, Floats], Bytes]
 """Triangle indices (N,) and barycentric weights (N,3) -> (N,3) uint8 sRGB."""
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
-    """vertices (V,3) in the capture frame, faces (F,3), and how it is coloured, if at all."""
+class SampledSurface:
+    """Triangles to sample: vertices (V,3) in the capture frame, faces (F,3), and a function for colours, if any."""
 
     vertices: Floats
     faces: Ints
     colour_at: ColourAt | None = None
 
 
-def sample(surfaces: Sequence[Surface], file: str) -> Cloud:
-    """SAMPLES points on all surfaces together, uniform by area, with face normals; colours when any surface has them.
+def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:
+    """Sample SAMPLES points on all surfaces together, uniform by area, with face normals and, if any has them, colours.
 
-    A triangle with a coordinate that is not finite has no area and gets no points.
+    A triangle with a coordinate that is not finite counts as area 0. Raises CAPTURE_DEGENERATE for a total area of 0.
     """
     corners = [surface.vertices[surface.faces].astype(np.float64) for surface in surfaces]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -38,7 +38,7 @@ def sample(surfaces: Sequence[Surface], file: str) -> Cloud:
         areas = [np.nan_to_num(np.linalg.norm(cross, axis=1), nan=0, posinf=0) for cross in crosses]
     total = sum(float(area.sum()) for area in areas)
     if not 0 < total < np.inf:
-        raise CaptureError("CAPTURE_DEGENERATE", "has no triangle with an area", file=file)
+        raise CaptureError("CAPTURE_DEGENERATE", "is a mesh whose triangles all have zero area", file=file)
     rng = np.random.default_rng(SEED)
     clouds = []
     coloured = any(surface.colour_at for surface in surfaces)
@@ -50,23 +50,25 @@ def sample(surfaces: Sequence[Surface], file: str) -> Cloud:
             clouds.append(
                 _points(surface, c[triangle], cross[triangle] / area[triangle, None], triangle, coloured, rng)
             )
-    return _together(clouds)
+    return _concatenate(clouds)
 
 
 def _shares(areas: list[Floats], total: float, rng: np.random.Generator) -> list[int]:
+    """Distribute SAMPLES over the surfaces at random, in proportion to their areas."""
     parts = np.array([float(area.sum()) for area in areas]) / total
     return [int(count) for count in rng.multinomial(SAMPLES, parts / parts.sum())]
 
 
 def _pick(area: Floats, count: int, rng: np.random.Generator) -> Ints:
-    """Stratified along the cumulative area: every triangle gets its share to within one point."""
+    """Choose a triangle for each of `count` points, stratified by cumulative area: exact shares to within one point."""
     heights = (np.arange(count) + rng.random(count)) * (float(area.sum()) / count)
     return np.minimum(np.searchsorted(np.cumsum(area), heights), len(area) - 1)
 
 
 def _points(
-    surface: Surface, corners: Floats, normals: Floats, triangle: Ints, coloured: bool, rng: np.random.Generator
+    surface: SampledSurface, corners: Floats, normals: Floats, triangle: Ints, coloured: bool, rng: np.random.Generator
 ) -> Cloud:
+    """Sample one point in each triangle of `corners` (N,3,3); white where the surface has no colours."""
     weights = _barycentric(len(triangle), rng)
     xyz = np.einsum("nc,ncd->nd", weights, corners)
     rgb = None
@@ -77,12 +79,15 @@ def _points(
 
 
 def _barycentric(count: int, rng: np.random.Generator) -> Floats:
-    """Uniform on a triangle: (1 - sqrt r, sqrt r (1 - s), sqrt r s); Osada et al. 2002, eq. 1."""
+    """Draw barycentric weights (N,3), uniform on a triangle: (1 - sqrt r, sqrt r (1 - s), sqrt r s).
+
+    Osada et al. 2002, eq. 1.
+    """
     root, s = np.sqrt(rng.random(count)), rng.random(count)
     return np.stack([1 - root, root * (1 - s), root * s], axis=1)
 
 
-def _together(clouds: list[Cloud]) -> Cloud:
+def _concatenate(clouds: list[Cloud]) -> Cloud:
     rgbs = [cloud.rgb for cloud in clouds if cloud.rgb is not None]
     normals = [cloud.normals for cloud in clouds if cloud.normals is not None]
     return Cloud(

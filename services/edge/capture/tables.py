@@ -1,4 +1,4 @@
-"""Point clouds as tables: .xyz, .txt, .pts and .csv of numbers, and NumPy arrays."""
+"""Read point clouds from tables of numbers: .xyz, .txt, .pts, .csv, and NumPy's .npy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from services.edge.arrays import Floats
 from services.edge.capture.colours import rgb8
-from services.edge.capture.files import reading, unreadable
+from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
 
@@ -21,54 +21,62 @@ _RGB = (("red", "green", "blue"), ("r", "g", "b"))
 _NORMAL = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 
 
-def too_many(count: int, file: str) -> CaptureError:
-    hint = "thin the cloud out, for example to 1 mm spacing"
+def too_many_points(count: int, file: str) -> CaptureError:
+    """Return a CAPTURE_TOO_LARGE error for a file of `count` points."""
+    hint = "downsample the point cloud, for example to a spacing of 1 mm"
     return CaptureError(
         "CAPTURE_TOO_LARGE",
-        f"holds {count:,} points; at most {MAX_POINTS:,} are read",
+        f"has {count:,} points; at most {MAX_POINTS:,} points are read",
         file=file,
         hints=(hint,),
     )
 
 
 def truncated(file: str, reason: str) -> CaptureError:
+    """Return a CAPTURE_TRUNCATED error: the file is shorter than its own header says."""
     return CaptureError("CAPTURE_TRUNCATED", reason, file=file, hints=("copy or export the file again",))
 
 
 def npy_array(path: Path, file: str) -> NDArray[Any]:
-    """The numeric array of a .npy, mapped, never unpickled. CAPTURE_TRUNCATED when its header promises more."""
-    with reading(file, "NumPy array"), path.open("rb") as stream:
+    """Memory-map the numeric array of a .npy; pickled objects are refused.
+
+    Raises CAPTURE_TRUNCATED when the file is shorter than its header says, CAPTURE_EMPTY for an array of size 0, and
+    CAPTURE_UNREADABLE.
+    """
+    with translate_errors(file, "NumPy array"), path.open("rb") as stream:
         version = np.lib.format.read_magic(stream)
         header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = header(stream)
         start = stream.tell()
     if dtype.hasobject or (dtype.fields is None and dtype.kind not in "fiu"):
-        raise unreadable(file, f"holds {dtype} objects; only plain numbers are read, nothing is unpickled")
+        raise unreadable(
+            file, f"has values of type {dtype}; only integers and floats are read, and nothing is unpickled"
+        )
     count = 1
     for side in shape:
         count *= int(side)
     if count < 0 or count * dtype.itemsize > path.stat().st_size - start:
-        raise truncated(file, f"is shorter than the {shape} numbers in its header")
+        raise truncated(file, f"is cut off: it is too short for the array of shape {shape} that its header announces")
     if count == 0:
-        raise CaptureError("CAPTURE_EMPTY", "holds no numbers", file=file, hints=("export the capture again",))
-    with reading(file, "NumPy array"):
+        raise CaptureError("CAPTURE_EMPTY", "has no numbers", file=file, hints=("export the capture again",))
+    with translate_errors(file, "NumPy array"):
         return np.asarray(np.memmap(path, dtype, "r", start, shape, "F" if fortran else "C"))
 
 
 def read_npy(path: Path, file: str) -> Cloud:
-    """(N,3) and more columns, or a structured array with fields x, y, z."""
+    """Read a point cloud from a .npy: an array of shape (N, 3) or more columns, or of records with fields x, y, z."""
     array = npy_array(path, file)
     if array.dtype.fields is not None:
         return named_columns({name.lower(): array[name].reshape(-1) for name in array.dtype.names or ()}, file)
     if array.ndim != 2 or array.shape[1] < 3:
-        raise unreadable(file, f"has shape {array.shape}; points have the shape (N, 3) or more columns")
+        raise unreadable(file, f"has an array of shape {array.shape}; points need the shape (N, 3) or more columns")
     if len(array) > MAX_POINTS:
-        raise too_many(len(array), file)
+        raise too_many_points(len(array), file)
     return _unnamed_columns(array.astype(np.float64))
 
 
 def looks_numeric(head: str) -> bool:
-    """Whether the first lines of a text are rows of at least three numbers, after comments and one header line."""
+    """Return whether a text starts with rows of at least three numbers, after comments and one header line."""
     lines = [line for line in head.splitlines()[:40] if line.strip() and not line.lstrip().startswith(("#", "//"))]
     rows = [_is_row(line) for line in lines[1:20]]
     return all(rows) if rows else bool(lines) and _is_row(lines[0])
@@ -94,22 +102,22 @@ def _is_number(text: str) -> bool:
 
 
 def read_table(path: Path, file: str) -> Cloud:
-    """Rows of numbers; a header line names the columns, else columns 1 to 3 are x, y, z."""
+    """Read a point cloud from rows of numbers. A header line names the columns; without one the first 3 are x, y, z."""
     lines = _rows(path.read_bytes())
     if len(lines) > MAX_POINTS:
-        raise too_many(len(lines), file)
+        raise too_many_points(len(lines), file)
     names = _column_names(lines, file)
-    with reading(file, "table of numbers"):
+    with translate_errors(file, "table of numbers"):
         table = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
     if table.shape[1] < 3:
-        raise unreadable(file, f"has {table.shape[1]} columns; points need x, y and z")
+        raise unreadable(file, f"has {table.shape[1]} columns; points need at least three: x, y and z")
     if names is None:
         return _unnamed_columns(table)
     return named_columns({name: table[:, column] for column, name in enumerate(names[: table.shape[1]])}, file)
 
 
 def _rows(data: bytes) -> list[str]:
-    """Data lines with fields separated by blanks; a decimal comma needs semicolons between the fields."""
+    """Return the data lines with blanks as separators. Decimal commas work when semicolons separate the fields."""
     text = data.decode("latin-1").removeprefix("\xef\xbb\xbf")
     first = next((line for line in text.splitlines() if line.strip()), "")
     if ";" in first:
@@ -119,10 +127,10 @@ def _rows(data: bytes) -> list[str]:
 
 
 def _column_names(lines: list[str], file: str) -> list[str] | None:
-    """Take a header line (names, or the point count of a .pts) off the rows."""
+    """Remove the header line (column names, or the point count of a .pts) from `lines`; return the names, if any."""
     first = lines[0].split() if lines else []
     if not first:
-        raise CaptureError("CAPTURE_EMPTY", "holds no rows", file=file, hints=("export the capture again",))
+        raise CaptureError("CAPTURE_EMPTY", "has no rows of numbers", file=file, hints=("export the capture again",))
     if len(first) == 1 and first[0].isdigit() and len(lines) > 1:
         del lines[0]
         return None
@@ -130,14 +138,14 @@ def _column_names(lines: list[str], file: str) -> list[str] | None:
         return None
     del lines[0]
     if not lines:
-        raise CaptureError("CAPTURE_EMPTY", "holds a header and no rows", file=file)
+        raise CaptureError("CAPTURE_EMPTY", "has a header line, but no rows of numbers", file=file)
     return [name.strip('"').lower() for name in first]
 
 
 def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
-    """A cloud from columns of equal length; which names mean what is shared by PLY, PCD and tables."""
+    """Make a cloud from named columns of equal length; PLY, PCD, .npy and tables share these names."""
     if not all(name in columns for name in _XYZ):
-        raise unreadable(file, f"has no x, y and z among its columns ({', '.join(list(columns)[:12])})")
+        raise unreadable(file, f"has no columns x, y and z; its columns are {', '.join(list(columns)[:12])}")
     xyz = np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1)
     colours = _first_present(columns, _RGB)
     normals = _first_present(columns, _NORMAL)
@@ -149,6 +157,7 @@ def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
 
 
 def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, ...], ...]) -> NDArray[Any] | None:
+    """Return the columns (N,k) of the first choice whose names all exist, or None."""
     for names in choices:
         if all(name in columns for name in names):
             return np.stack([columns[name] for name in names], axis=1)
@@ -156,7 +165,10 @@ def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, .
 
 
 def _unnamed_columns(table: Floats) -> Cloud:
-    """x y z, then colours and normals as their values tell: unit vectors are normals, 0..255 or 0..1 are colours."""
+    """Make a cloud from columns without names: x y z, then colours and normals, told apart by their values.
+
+    Three columns of unit vectors are normals, three of 0..255 or 0..1 are colours.
+    """
     rgb = normals = None
     extra = table[:, 3:] if table.shape[1] in (6, 9) else table[:, 4:] if table.shape[1] in (7, 10) else table[:, :0]
     for start in range(0, extra.shape[1] - 2, 3):
@@ -169,13 +181,13 @@ def _unnamed_columns(table: Floats) -> Cloud:
 
 
 def _unit_length(vectors: Floats) -> bool:
-    """Whether nine in ten rows have length 1 within 1 %: colours do not."""
+    """Return whether over 90 % of the rows have length 1 within 1 %, which colours do not have."""
     sample = vectors[:: max(1, len(vectors) // 10_000)]
     return bool(np.mean(np.abs(np.linalg.norm(sample, axis=1) - 1.0) < 0.01) > 0.9)
 
 
 def unit_normals(vectors: NDArray[Any]) -> Floats:
-    """(N,3) float32 of length 1, 0 where the file has none."""
+    """Normalise vectors (N,3) to float32 of length 1; zero and non-finite vectors become 0."""
     floats = np.nan_to_num(vectors.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     length = np.linalg.norm(floats, axis=1, keepdims=True)
     unit: Floats = np.divide(floats, length, out=np.zeros_like(floats), where=length > 1e-12)

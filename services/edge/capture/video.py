@@ -1,4 +1,4 @@
-"""Single frames out of a video, decoded when asked for and not before."""
+"""Decode single frames of a video on demand, with a cache of small copies."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from services.edge.arrays import Bytes
-from services.edge.capture.files import reading
+from services.edge.capture.files import translate_errors
 from services.edge.capture.images import broken_image
-from services.edge.capture.streams import Skip, Stream, Table, decoded, open_video, read_table
+from services.edge.capture.video_streams import FrameIndex, Skip, VideoStream, decode_packet, open_video, read_index
 
-_SMALL = 1600  # pixels of the longer side of frames held in memory: more than alignment and stereo ever ask for
+_CACHED_PX = 1600  # longer side of the frames in the cache: more than alignment and stereo ever need
 
 
 @dataclass(frozen=True, slots=True)
 class VideoColour:
-    """Frame `index` of a video whose pictures have `shape` = (width, height)."""
+    """Frame number `index` of a video, as a lazy colour image of `shape` = (width, height)."""
 
     video: VideoFrames
     index: int
@@ -40,7 +40,7 @@ class VideoColour:
 
 @dataclass(frozen=True, slots=True)
 class VideoPixels:
-    """The frame at `stamp` of a video whose pictures have `size` = (width, height): a `LoadPhoto`."""
+    """Decodes the frame at `stamp` of a video with frames of `size` = (width, height): a `LoadPhoto`."""
 
     video: VideoFrames
     stamp: int
@@ -53,78 +53,78 @@ class VideoPixels:
 
 
 class VideoFrames:
-    """Frames of a video by their number in display order, or by their stamp.
+    """Random access to the frames of a video, by their number in display order or by their stamp. Thread-safe.
 
-    Cheapest in rising order; going back, and far ahead, starts at the codec's key frame before the one asked for.
-    `kept` are stamps that are asked for again and again: they stay in memory, at most _SMALL pixels wide, 2 MB each.
-    `skip` as in `open_video`: only with stamps. Safe to use from several threads. Raises IMAGE_UNREADABLE for a frame
-    that cannot be had. Pixels are as stored, not turned by the container's rotation: the intrinsics mean the sensor.
+    Access is cheapest in ascending order; going back, or far ahead, seeks to the codec's key frame before the frame.
+    `cached` are stamps of frames that will be read repeatedly: copies of at most _CACHED_PX pixels, 2 MB each, are
+    cached. `skip` as in `open_video`; use it only with stamps. Reading a frame that cannot be decoded raises
+    IMAGE_UNREADABLE. Pixels are as stored, without the container's rotation: the intrinsics are the sensor's.
     """
 
-    def __init__(self, path: Path, file: str, *, kept: Collection[int] = (), skip: Skip = "DEFAULT") -> None:
+    def __init__(self, path: Path, file: str, *, cached: Collection[int] = (), skip: Skip = "DEFAULT") -> None:
         self._path, self.file, self._skip = path, file, skip
         self._lock = threading.Lock()
-        self._kept, self._small = frozenset(kept), dict[int, Any]()
-        self._table: Table | None = None
-        self._stream: Stream | None = None
+        self._cached_stamps, self._cache = frozenset(cached), dict[int, Any]()
+        self._index: FrameIndex | None = None
+        self._stream: VideoStream | None = None
         self._frames: Iterator[Any] = iter(())
         self._last: Any = None
-        self._gone: set[int] = set()
+        self._undecodable: set[int] = set()
 
     def size(self) -> tuple[int, int]:
-        """(width, height) from the header, checked against the limit of pixels."""
+        """Return (width, height) from the header. Raises IMAGE_TOO_LARGE."""
         return open_video(self._path, self.file).size
 
     def rgb(self, index: int) -> Bytes:
-        """(H,W,3) uint8 sRGB of frame `index`."""
-        with self._lock, reading(self.file, "video"):
-            stamps = self._read_table().stamps
+        """Decode frame number `index` to (H,W,3) uint8 sRGB."""
+        with self._lock, translate_errors(self.file, "video"):
+            stamps = self._read_index().stamps
             frame = self._frame(stamps[index]) if index < len(stamps) else None
             if frame is None:
                 raise broken_image(self.file, f"ends before frame {index}")
             return np.ascontiguousarray(frame.to_ndarray(format="rgb24"))
 
     def at(self, stamp: int, size: tuple[int, int]) -> Bytes:
-        """(H,W,3) uint8 sRGB of the frame with this stamp, scaled to `size` = (width, height)."""
-        with self._lock, reading(self.file, "video"):
-            frame = self._small.get(stamp)
+        """Decode the frame with this stamp to (H,W,3) uint8 sRGB, scaled to `size` = (width, height)."""
+        with self._lock, translate_errors(self.file, "video"):
+            frame = self._cache.get(stamp)
             if frame is None or frame.width < size[0]:
                 frame = self._frame(stamp)
             if frame is None:
-                raise broken_image(self.file, "cannot be decoded there")
+                raise broken_image(self.file, "has a frame that cannot be decoded")
             scaled = frame.reformat(*size, format="rgb24", interpolation="AREA")
             return np.ascontiguousarray(scaled.to_ndarray())
 
-    def _read_table(self) -> Table:
-        if self._table is None:
-            self._table = read_table(open_video(self._path, self.file), self.file)
-        return self._table
+    def _read_index(self) -> FrameIndex:
+        if self._index is None:
+            self._index = read_index(open_video(self._path, self.file), self.file)
+        return self._index
 
     def _frame(self, stamp: int) -> Any:
-        """None where it does not decode, or the file ends before it."""
-        if stamp in self._gone:
+        """Return the decoded frame with this stamp; None if it cannot be decoded or the file ends before it."""
+        if stamp in self._undecodable:
             return None
         if self._last is not None and self._last.pts == stamp:
             return self._last
-        key = self._read_table().key_before(stamp)
+        key = self._read_index().key_before(stamp)
         if self._last is None or not key <= self._last.pts < stamp:
-            self._start(key)
-        frame = self._ahead(stamp)
-        if frame is None:  # containers without an index lead elsewhere
-            self._start(None)
-            frame = self._ahead(stamp)
+            self._seek(key)
+        frame = self._decode_until(stamp)
+        if frame is None:  # in containers without an index, a seek may end elsewhere
+            self._seek(None)
+            frame = self._decode_until(stamp)
         if frame is None:
-            self._note_gone(stamp)
+            self._note_undecodable(stamp)
         return frame
 
-    def _note_gone(self, stamp: int) -> None:
-        """What lies between a frame that did not come and the one that came instead: asking again would be as long."""
-        stamps = self._read_table().stamps
+    def _note_undecodable(self, stamp: int) -> None:
+        """Mark the frames from `stamp` to the one that came instead as undecodable: they are not searched again."""
+        stamps = self._read_index().stamps
         end = bisect_left(stamps, self._last.pts) if self._last is not None else len(stamps)
-        self._gone.update(stamps[bisect_left(stamps, stamp) : end])
+        self._undecodable.update(stamps[bisect_left(stamps, stamp) : end])
 
-    def _start(self, key: int | None) -> None:
-        """Decode from the key frame with this stamp, or from the beginning."""
+    def _seek(self, key: int | None) -> None:
+        """Seek to the key frame with this stamp, or to the beginning for None."""
         import av
 
         self._last = None
@@ -136,14 +136,14 @@ class VideoFrames:
             except av.FFmpegError:
                 self._stream = open_video(self._path, self.file, self._skip)
         packets = self._stream.packets()
-        self._frames = (frame for packet in packets for frame in decoded(packet) or () if frame.pts is not None)
+        self._frames = (frame for packet in packets for frame in decode_packet(packet) or () if frame.pts is not None)
 
-    def _ahead(self, stamp: int) -> Any:
-        """Decode on to a frame."""
+    def _decode_until(self, stamp: int) -> Any:
+        """Decode frames until the one with this stamp; None if it does not come."""
         for frame in self._frames:
             self._last = frame
-            if frame.pts in self._kept and frame.pts not in self._small:
-                self._small[frame.pts] = _small(frame)
+            if frame.pts in self._cached_stamps and frame.pts not in self._cache:
+                self._cache[frame.pts] = _small(frame)
             if frame.pts >= stamp:
                 return frame if frame.pts == stamp else None
         self._last = None
@@ -151,7 +151,7 @@ class VideoFrames:
 
 
 def _small(frame: Any) -> Any:
-    """The frame at no more than _SMALL pixels along its longer side, at 12 bits a pixel."""
-    shrink = max(1.0, max(frame.width, frame.height) / _SMALL)
+    """Return a copy of a frame for the cache: at most _CACHED_PX along the longer side, 12 bits per pixel."""
+    shrink = max(1.0, max(frame.width, frame.height) / _CACHED_PX)
     width, height = (max(1, round(side / shrink)) for side in (frame.width, frame.height))
     return frame.reformat(width, height, format="yuv420p", interpolation="AREA")

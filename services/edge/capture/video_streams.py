@@ -1,7 +1,7 @@
-"""Video files: which they are, opened and taken apart, with FFmpeg's errors told as ours.
+"""Detect and open video files, and index their frames with PyAV; FFmpeg's errors become CaptureError.
 
-A frame's stamp is its presentation time in units of the stream's time base: the one name that a frame has under
-variable frame rates, frames that refer forward, and edit lists.
+A frame's stamp is its presentation time in units of the stream's time base. It identifies a frame even with variable
+frame rates, B-frames and edit lists, where a frame's number does not.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
-from services.edge.capture.files import reading, unreadable
+from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.images import check_pixels
 from services.edge.errors import CaptureError
 
-MAX_PIXELS = 8192 * 4320  # of a frame: the largest that phones film; a decoder holds up to 16 of them
-MAX_FRAMES = 60_000  # half an hour of 30 frames a second; a walk around a thing takes one minute
-_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")  # that ISO media and QuickTime files begin with
+MAX_PIXELS = 8192 * 4320  # of a frame: the largest that phones record; a decoder keeps up to 16 in memory
+MAX_FRAMES = 60_000  # of a video: half an hour at 30 frames per second; a walk around an object takes one minute
+_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")  # types of the first box of ISO media and QuickTime
 _MATROSKA = b"\x1aE\xdf\xa3"
 _SEND_AGAIN = "copy it from the phone again, or export it as mp4"
 
 
 def container_of(head: bytes) -> str | None:
-    """FFmpeg's name for the container that a file of these first bytes is, None for what is read as no video.
+    """Return FFmpeg's name for a file's container by its first bytes, or None if it is not a supported video.
 
-    Named, since FFmpeg's own guess takes a text file for a playlist and opens what that names.
+    FFmpeg gets this name, since its own detection can take a text file for a playlist and open the files in it.
     """
     if head[4:8] in _BOXES:
         return "mov"
@@ -35,58 +35,64 @@ def container_of(head: bytes) -> str | None:
 
 
 Skip = Literal["DEFAULT", "NONREF"]
-"""Frames that the decoder leaves out, in FFmpeg's words: none, or those that no other frame refers to."""
+"""FFmpeg's setting for frames that the decoder skips: DEFAULT none, NONREF those that no other frame refers to."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
-    """An open container and the stream in it that is the film, of `size` = (width, height)."""
+class VideoStream:
+    """An open container and its video stream `film`, of `size` = (width, height)."""
 
     container: Any
     film: Any
     size: tuple[int, int]
 
     @property
-    def told_s(self) -> float:
-        """The film's length by its header, in seconds; 0 where that says nothing."""
+    def duration_s(self) -> float:
+        """Duration in seconds from the header; 0 where it is missing."""
         if self.film.duration:
             return float(self.film.duration * self.film.time_base)
         return float(self.container.duration or 0) * 1e-6
 
     def packets(self) -> Iterator[Any]:
-        """In the order of decoding, as far as the file goes. Those that an edit list leaves out are fed, not shown."""
+        """Iterate over the packets in decoding order, as far as the file is readable.
+
+        Packets that an edit list hides are included, since others may refer to them; the decoder does not output them.
+        """
         import av
 
         try:
             yield from self.container.demux(self.film)
         except av.FFmpegError:
-            return  # what was cut off is told by the times of what came
+            return  # the stamps of the packets until here show that the file is cut off
 
 
-def open_video(path: Path, file: str, skip: Skip = "DEFAULT") -> Stream:
-    """Raises CAPTURE_UNREADABLE and IMAGE_TOO_LARGE. What is larger further on than in its header is not decoded."""
+def open_video(path: Path, file: str, skip: Skip = "DEFAULT") -> VideoStream:
+    """Open a video file. Raises CAPTURE_UNREADABLE, and IMAGE_TOO_LARGE above MAX_PIXELS.
+
+    Later frames that are larger than the header says, and than MAX_PIXELS, are not decoded.
+    """
     import av
 
-    with reading(file, "video"):
+    with translate_errors(file, "video"):
         with path.open("rb") as stream:
             kind = container_of(stream.read(8))
         if kind is None:
-            raise unreadable(file, "is no mp4, mov or webm video", _SEND_AGAIN)
+            raise unreadable(file, "is not an mp4, mov or webm video", _SEND_AGAIN)
         try:
             container = av.open(str(path), format=kind)
-        except av.FFmpegError:  # would tell our own path
+        except av.FFmpegError:  # its text has the server's own path
             raise unreadable(file, "is a video that was cut off or never finished", _SEND_AGAIN) from None
         films = [film for film in container.streams.video if not film.disposition & av.stream.Disposition.attached_pic]
         if not films or films[0].codec_context is None:
-            raise unreadable(file, "holds no film that can be read", _SEND_AGAIN)
+            raise unreadable(file, "has no video track that can be read", _SEND_AGAIN)
         codec = films[0].codec_context
         codec.options = {"max_pixels": str(MAX_PIXELS)}
         codec.thread_type, codec.skip_frame = "AUTO", skip
-        return Stream(container, films[0], check_pixels((codec.width, codec.height), file, MAX_PIXELS))
+        return VideoStream(container, films[0], check_pixels((codec.width, codec.height), file, MAX_PIXELS))
 
 
-def decoded(packet: Any) -> list[Any] | None:
-    """The frames that a packet completes, None where it is damaged."""
+def decode_packet(packet: Any) -> list[Any] | None:
+    """Decode a packet; return the frames that it completes, or None if it is damaged."""
     import av
 
     try:
@@ -97,24 +103,24 @@ def decoded(packet: Any) -> list[Any] | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """Stamps of all frames and of the codec's key frames among them, rising."""
+class FrameIndex:
+    """Sorted stamps of all frames of a video, and of the codec's key frames among them."""
 
     stamps: tuple[int, ...]
     keys: tuple[int, ...]
 
     def key_before(self, stamp: int) -> int:
-        """The last key frame from which the frame at `stamp` can be decoded; the first frame where there is none."""
+        """Return the last key frame at or before `stamp`, where decoding has to start; else the first frame."""
         at = bisect_right(self.keys, stamp)
         return self.keys[at - 1] if at else min(self.stamps[:1], default=stamp)
 
 
-def read_table(stream: Stream, file: str) -> Table:
-    """Raises CAPTURE_TOO_LARGE."""
+def read_index(stream: VideoStream, file: str) -> FrameIndex:
+    """Read the stamps of all frames without decoding them. Raises CAPTURE_TOO_LARGE above MAX_FRAMES."""
     packets = (packet for packet in stream.packets() if packet.size and packet.pts is not None)
     found = [(packet.pts, packet.is_keyframe, packet.is_discard) for packet in islice(packets, MAX_FRAMES + 1)]
     if len(found) > MAX_FRAMES:
         hint = ("film for a minute at most",)
-        raise CaptureError("CAPTURE_TOO_LARGE", f"holds more than {MAX_FRAMES:,} frames", file=file, hints=hint)
+        raise CaptureError("CAPTURE_TOO_LARGE", f"has more than {MAX_FRAMES:,} frames", file=file, hints=hint)
     shown = sorted((stamp, key) for stamp, key, left_out in found if not left_out)
-    return Table(tuple(stamp for stamp, _ in shown), tuple(stamp for stamp, key in shown if key))
+    return FrameIndex(tuple(stamp for stamp, _ in shown), tuple(stamp for stamp, key in shown if key))

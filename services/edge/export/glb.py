@@ -1,13 +1,13 @@
-"""A mesh as binary glTF 2.0: one mesh, one primitive, one double-sided material, hence one draw call.
+"""Write a mesh as binary glTF 2.0: one mesh, one primitive, one double-sided material, hence one draw call.
 
 Written here rather than by trimesh, whose exporter leaves vertex colours in sRGB, which glTF reads as linear light (the
 asset then looks washed out), and stores them in 8 bits, which bands in the shadows once they are linear.
 
-Three ways to pack the same mesh:
-    float      positions and normals as 32-bit floats: for programs that know no extension
-    quantised  KHR_mesh_quantization: whole numbers on a grid of at most 0.1 mm, normals of 8 bits
-    meshopt    the same, ordered and compressed (EXT_meshopt_compression): a quarter of the bytes
-A picture is in it as JPEG, or as KTX2 where there is one (KHR_texture_basisu).
+Two packings of the same mesh:
+    float    positions and normals as 32-bit floats: for programs that support no extension
+    meshopt  a quarter of the bytes or less: whole numbers on a grid of at most 0.1 mm and normals of 8 bits
+             (KHR_mesh_quantization), ordered and compressed (EXT_meshopt_compression)
+A texture is embedded as JPEG, or as KTX2 where there is one (KHR_texture_basisu).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from numpy.typing import NDArray
 
 import services
 from services.edge.arrays import Bools, Floats, Ints
-from services.edge.mesh import meshopt
-from services.edge.mesh.glb_buffer import Buffer, CompressedBuffer
-from services.edge.mesh.glb_light import SHORT, TRUE, rgba16
+from services.edge.export import meshopt
+from services.edge.export.glb_buffer import Buffer, CompressedBuffer
+from services.edge.export.glb_colour import SHORT, TRUE, rgba16
+from services.edge.export.shading import Shaded, shaded
 from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh, Textured
-from services.edge.mesh.shaded import shaded
+from services.edge.mesh.nouns import Mesh, TexturedMesh
 
-Packing = Literal["float", "quantised", "meshopt"]
+Packing = Literal["float", "meshopt"]
 
 KTX2 = "image/ktx2"
-"""Media type of an image that is no JPEG."""
+"""Media type of a KTX2 image; all others are JPEG."""
 
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125  # component types, by OpenGL's numbers
 _LINEAR, _TRILINEAR, _CLAMP = 9729, 9987, 33071  # a sampler's filters, the second with mips, and its edge
@@ -44,82 +44,75 @@ _STEP_M = 1e-4  # of the grid of positions: less than a scan can tell
 _BITS = (12, 16)  # fewest and most of a position
 
 
-def best_packing() -> Packing:
-    """The smallest that can be written here."""
-    return "meshopt" if meshopt.available() else "quantised"
+def to_glb(asset: Mesh | TexturedMesh, packing: Packing = "float", *, unlit: bool = False) -> bytes:
+    """Encode a mesh in the asset frame (metres, Y up) as .glb, with vertex colours or with its texture.
 
-
-def to_glb(asset: Mesh | Textured, packing: Packing = "float", *, unlit: bool = False) -> bytes:
-    """A mesh in the asset frame (metres, Y up) as one .glb file, with colours at its vertices or with its picture.
-
-    unlit  shows the colours as they were captured, whatever the light of the scene (KHR_materials_unlit)
+    unlit  whether colours are shown as they were captured, whatever the light of the scene (KHR_materials_unlit)
 
     Degenerate triangles and unused vertices are left out. Raises ValueError where no triangle with area is left.
     """
     drawn = _kept(_Drawn.of(asset, unlit))
-    return _floats(drawn) if packing == "float" else _quantised(drawn, compressed=packing == "meshopt")
+    return _floats(drawn) if packing == "float" else _compressed(drawn)
 
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """What goes into the file: normals (V,3) of unit length; uv (V,2) with the picture, or None of both.
+    """What goes into the file: a surface, and its texture where it has one.
 
-    ktx2  whether the picture is one, rather than a JPEG
+    ktx2  whether the texture is KTX2 rather than JPEG
     """
 
-    mesh: Mesh
-    normals: Floats
-    uv: Floats | None
+    surface: Shaded
     picture: bytes | None
     ktx2: bool
     unlit: bool
 
     @classmethod
-    def of(cls, asset: Mesh | Textured, unlit: bool) -> _Drawn:
-        made = shaded(asset)
-        ktx2, jpeg = (asset.ktx2, asset.jpeg) if isinstance(asset, Textured) else (None, None)
-        return cls(made.mesh, made.normals, made.uv, ktx2 or jpeg, ktx2 is not None, unlit)
+    def of(cls, asset: Mesh | TexturedMesh, unlit: bool) -> _Drawn:
+        ktx2, jpeg = (asset.ktx2, asset.jpeg) if isinstance(asset, TexturedMesh) else (None, None)
+        return cls(shaded(asset), ktx2 or jpeg, ktx2 is not None, unlit)
 
-    def picked(self, which: Bools | Ints, faces: Ints) -> _Drawn:
-        """These vertices, in this order, and faces over them."""
-        rgb = None if self.mesh.rgb is None else self.mesh.rgb[which]
-        uv = None if self.uv is None else self.uv[which]
-        return replace(self, mesh=Mesh(self.mesh.vertices[which], faces, rgb), normals=self.normals[which], uv=uv)
+    @property
+    def mesh(self) -> Mesh:
+        return self.surface.mesh
 
-    def placed(self, vertices: NDArray[Any]) -> _Drawn:
-        """With other positions."""
-        return replace(self, mesh=replace(self.mesh, vertices=vertices))
+    def with_vertices(self, which: Bools | Ints, faces: Ints) -> _Drawn:
+        """Select vertices, in this order, with faces over them."""
+        return replace(self, surface=self.surface.with_vertices(which, faces))
+
+    def with_positions(self, vertices: NDArray[Any]) -> _Drawn:
+        """The same surface with other vertex positions."""
+        return replace(self, surface=replace(self.surface, mesh=replace(self.mesh, vertices=vertices)))
 
 
 def _kept(drawn: _Drawn) -> _Drawn:
-    """Only faces that have an area once positions are float32."""
-    return _drawable(drawn.placed(drawn.mesh.vertices.astype("<f4")))
+    """Round positions to float32, and drop faces that then have no area."""
+    return _drawable(drawn.with_positions(drawn.mesh.vertices.astype("<f4")))
 
 
 def _floats(drawn: _Drawn) -> bytes:
     buffer = Buffer()
     attributes = {
         "POSITION": buffer.add(drawn.mesh.vertices, "VEC3", _FLOAT, bounds=True),
-        "NORMAL": buffer.add(drawn.normals.astype("<f4"), "VEC3", _FLOAT),
+        "NORMAL": buffer.add(drawn.surface.normals.astype("<f4"), "VEC3", _FLOAT),
     }
-    if drawn.uv is not None:
-        attributes["TEXCOORD_0"] = buffer.add(drawn.uv.astype("<f4"), "VEC2", _FLOAT)
+    if drawn.surface.uv is not None:
+        attributes["TEXCOORD_0"] = buffer.add(drawn.surface.uv.astype("<f4"), "VEC2", _FLOAT)
     return _file(drawn, TRUE, buffer, attributes, {"mesh": 0})
 
 
-def _quantised(drawn: _Drawn, *, compressed: bool) -> bytes:
+def _compressed(drawn: _Drawn) -> bytes:
     grid = _Grid.of(drawn.mesh.vertices.astype(np.float64))
-    drawn = _drawable(drawn.placed(grid.whole(drawn.mesh.vertices)))
-    if compressed:
-        faces, was = meshopt.sent_order(drawn.mesh.faces, len(drawn.mesh.vertices))
-        drawn = drawn.picked(was, faces)
-    buffer = CompressedBuffer() if compressed else Buffer()
+    drawn = _drawable(drawn.with_positions(grid.whole(drawn.mesh.vertices)))
+    faces, was = meshopt.sent_order(drawn.mesh.faces)
+    drawn = drawn.with_vertices(was, faces)
+    buffer = CompressedBuffer()
     attributes = {
         "POSITION": buffer.add(_padded(drawn.mesh.vertices, np.uint16), "VEC3", _USHORT, bounds=True),
-        "NORMAL": buffer.add_normals(drawn.normals),
+        "NORMAL": buffer.add_normals(drawn.surface.normals),
     }
-    if drawn.uv is not None:
-        whole = np.rint(drawn.uv * 65535).astype("<u2")
+    if drawn.surface.uv is not None:
+        whole = np.rint(drawn.surface.uv * 65535).astype("<u2")
         attributes["TEXCOORD_0"] = buffer.add(whole, "VEC2", _USHORT, normalized=True)
     return _file(drawn, SHORT, buffer, attributes, {"mesh": 0, **grid.node()})
 
@@ -127,13 +120,13 @@ def _quantised(drawn: _Drawn, *, compressed: bool) -> bytes:
 def _file(
     drawn: _Drawn, light: NDArray[np.uint16], buffer: Buffer, attributes: dict[str, int], node: dict[str, Any]
 ) -> bytes:
-    """light (256,): the linear light of every sRGB code."""
+    """Write the file from its buffer. light (256,): the linear light of every sRGB byte."""
     mesh = drawn.mesh
     if mesh.rgb is not None:
         attributes["COLOR_0"] = buffer.add(rgba16(mesh.rgb, light), "VEC4", _USHORT, normalized=True)
     # 65535 itself is the primitive restart value and may not be an index.
     kind, component = (np.uint16, _USHORT) if len(mesh.vertices) <= 65535 else (np.uint32, _UINT)
-    indices = buffer.add_indices(mesh.faces.astype(kind).ravel(), component, len(mesh.vertices))
+    indices = buffer.add_indices(mesh.faces.astype(kind).ravel(), component)
     pictured = {} if drawn.picture is None else _picture(buffer.add_file(drawn.picture), ktx2=drawn.ktx2)
     document = _document(attributes, indices, node, _material(drawn)) | pictured | buffer.tables()
     needed = ["KHR_mesh_quantization"] * ("scale" in node) + buffer.extensions + [_BASISU] * drawn.ktx2
@@ -153,7 +146,7 @@ def _material(drawn: _Drawn) -> dict[str, Any]:
 
 
 def _picture(view: int, *, ktx2: bool) -> dict[str, Any]:
-    """The base colour in a buffer view: with mips, and not repeated, since charts touch its edges."""
+    """The base colour's texture in a buffer view: with mips, and not repeated, since charts touch its edges."""
     sampler = {"magFilter": _LINEAR, "minFilter": _TRILINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP}
     source: dict[str, Any] = {"extensions": {_BASISU: {"source": 0}}} if ktx2 else {"source": 0}
     return {
@@ -178,14 +171,14 @@ def _document(
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """Whole numbers for positions: xyz = corner + step · whole, the same step along all axes, so that normals stay."""
+    """Quantisation grid of positions: xyz = corner + step · whole, with one step for all axes, so that normals stay."""
 
     corner: Floats
     step: float
 
     @classmethod
     def of(cls, vertices: Floats) -> _Grid:
-        """The coarsest grid that is fine enough, of 2^12 to 2^16 places along the longest side."""
+        """The coarsest grid whose step is at most 0.1 mm, with 2^12 to 2^16 places along the longest side."""
         corner, side = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
         fewest, most = _BITS
         bits = next((bits for bits in range(fewest, most) if side / (2**bits - 1) <= _STEP_M), most)
@@ -206,7 +199,7 @@ def _container(document: dict[str, Any], binary: bytes) -> bytes:
 
 
 def _drawable(drawn: _Drawn) -> _Drawn:
-    """Only faces that still have an area after rounding, and the vertices that they use."""
+    """Drop faces that have no area after rounding, and unused vertices. Raises ValueError where no face is left."""
     mesh = drawn.mesh
     area = np.linalg.norm(face_normals(mesh.vertices.astype(np.float64), mesh.faces), axis=1)
     faces = mesh.faces[area > 0]
@@ -214,11 +207,11 @@ def _drawable(drawn: _Drawn) -> _Drawn:
         raise ValueError(f"none of the {len(mesh.faces)} triangles has an area: there is nothing to show")
     used = np.zeros(len(mesh.vertices), bool)
     used[faces] = True
-    return drawn.picked(used, (np.cumsum(used) - 1)[faces])
+    return drawn.with_vertices(used, (np.cumsum(used) - 1)[faces])
 
 
 def _padded(rows: NDArray[Any], kind: type[np.generic]) -> NDArray[Any]:
-    """(n,3) -> (n,4): rows of whole words, the last number unread."""
+    """Pad rows (n,3) to (n,4), so that they fill whole 32-bit words; readers ignore the last number."""
     padded = np.zeros((len(rows), 4), kind)
     padded[:, :3] = rows
     return padded

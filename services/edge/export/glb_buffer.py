@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Floats
-from services.edge.mesh import meshopt
+from services.edge.export import meshopt
 
 _BYTE = 5120  # component type
 _VERTICES, _INDICES = 34962, 34963  # buffer view targets
@@ -17,7 +16,7 @@ _MESHOPT = "EXT_meshopt_compression"
 
 
 class Buffer:
-    """Arrays behind each other, each from a whole word on."""
+    """Binary chunk of a .glb: arrays one after the other, each aligned to a 32-bit word, with their tables."""
 
     extensions: list[str] = []  # noqa: RUF012 - nobody changes it
 
@@ -29,7 +28,10 @@ class Buffer:
     def add(
         self, rows: NDArray[Any], shape: str, component: int, *, bounds: bool = False, normalized: bool = False
     ) -> int:
-        """Append vertices (n,k), rows of whole words of which `shape` tells how many numbers count; the accessor."""
+        """Append a vertex attribute (n,k), rows of whole 32-bit words; return the number of its accessor.
+
+        shape  "VEC3" for example: how many numbers of a row are read
+        """
         accessor: dict[str, Any] = {"componentType": component, "count": len(rows), "type": shape}
         if bounds:
             told = rows[:, : _WIDTHS[shape]]
@@ -41,24 +43,18 @@ class Buffer:
             view["byteStride"] = rows.strides[0]
         return self._append(accessor, view | self._stored_rows(rows))
 
-    def add_normals(self, normals: Floats) -> int:
-        """Append unit normals (n,3), 8 bits a number."""
-        rows = np.zeros((len(normals), 4), np.int8)
-        rows[:, :3] = np.rint(127 * normals)
-        return self.add(rows, "VEC3", _BYTE, normalized=True)
-
-    def add_indices(self, indices: NDArray[Any], component: int, vertices: int) -> int:
-        """Append the corners of triangles (3F,) over so many vertices."""
+    def add_indices(self, indices: NDArray[Any], component: int) -> int:
+        """Append the vertex indices of triangles (3F,); return the number of their accessor."""
         accessor = {"componentType": component, "count": len(indices), "type": "SCALAR"}
-        return self._append(accessor, {"target": _INDICES} | self._stored_indices(indices, vertices))
+        return self._append(accessor, {"target": _INDICES} | self._stored_indices(indices))
 
     def add_file(self, content: bytes) -> int:
-        """Append a whole file, as it is; the buffer view."""
+        """Append a whole file, as it is; return the number of its buffer view."""
         self._views.append({"buffer": 0, **self._written(content)})
         return len(self._views) - 1
 
     def tables(self) -> dict[str, Any]:
-        """What the document holds of it."""
+        """The glTF document's tables: buffers, buffer views and accessors."""
         return {"buffers": self._buffers(), "bufferViews": self._views, "accessors": self._accessors}
 
     def _append(self, accessor: dict[str, Any], view: dict[str, Any]) -> int:
@@ -69,7 +65,7 @@ class Buffer:
     def _stored_rows(self, rows: NDArray[Any]) -> dict[str, Any]:
         return {"buffer": 0, **self._written(rows.tobytes())}
 
-    def _stored_indices(self, indices: NDArray[Any], vertices: int) -> dict[str, Any]:
+    def _stored_indices(self, indices: NDArray[Any]) -> dict[str, Any]:
         return self._stored_rows(indices)
 
     def _buffers(self) -> list[dict[str, Any]]:
@@ -83,7 +79,8 @@ class Buffer:
 
 
 class CompressedBuffer(Buffer):
-    """The same arrays, each compressed. Views point into a second buffer that no file holds: what a decoder makes."""
+    """Buffer whose arrays are compressed by meshoptimizer. Views point into a second buffer, which is not in the file:
+    the decoder fills it."""
 
     extensions = [_MESHOPT]  # noqa: RUF012 - nobody changes it
 
@@ -92,6 +89,7 @@ class CompressedBuffer(Buffer):
         self._unpacked = 0
 
     def add_normals(self, normals: Floats) -> int:
+        """Append unit normals (n,3), 8 bits a number."""
         number = self.add(meshopt.octahedral(normals), "VEC3", _BYTE, normalized=True)
         self._views[-1]["extensions"][_MESHOPT]["filter"] = "OCTAHEDRAL"
         return number
@@ -99,8 +97,8 @@ class CompressedBuffer(Buffer):
     def _stored_rows(self, rows: NDArray[Any]) -> dict[str, Any]:
         return self._compressed(rows, meshopt.encoded_rows(rows), "ATTRIBUTES")
 
-    def _stored_indices(self, indices: NDArray[Any], vertices: int) -> dict[str, Any]:
-        return self._compressed(indices, meshopt.encoded_indices(indices, vertices), "TRIANGLES")
+    def _stored_indices(self, indices: NDArray[Any]) -> dict[str, Any]:
+        return self._compressed(indices, meshopt.encoded_indices(indices), "TRIANGLES")
 
     def _compressed(self, rows: NDArray[Any], content: bytes, mode: str) -> dict[str, Any]:
         row = {"byteStride": rows.strides[0], "count": len(rows), "mode": mode}

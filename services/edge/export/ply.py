@@ -1,4 +1,4 @@
-"""A mesh as binary PLY, for desktop tools: vertices, triangles and, where known, colours in sRGB."""
+"""Write a mesh as binary PLY, for desktop tools: vertices, triangles and, where known, colours in sRGB."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _TYPES = {"<f4": "float", "u1": "uchar"}
 
 
 def ply_bytes(mesh: Mesh) -> bytes:
-    """The mesh as a little-endian binary PLY; positions become float32, the frame stays."""
+    """Encode a mesh as little-endian binary PLY; positions become float32, in the mesh's frame."""
     fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     if mesh.rgb is not None:
         fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]

@@ -1,12 +1,12 @@
-"""Points in, a field of trained anchors out: the product's own parametrisation of the unsigned distance.
+"""Train the product's unsigned distance field: one curved patch (anchor) at every point.
 
-1. the local field's patch at every point; where there is noise, at the denoised point     (patches.py, denoise.py)
-2. noise only: short fits decide how far to trust the points                                   (trust.py)
-3. train the patches until they agree with their neighbours                                    (agreement.py)
-4. see anew who is a neighbour in the same layer, and train on
+1. fit the local field's patch at every point; where there is noise, at the denoised point  (patches.py, denoise.py)
+2. noise only: short trial fits decide how far to trust the points                              (noise_trust.py)
+3. train the patches until they agree with their neighbours                                    (anchor_losses.py)
+4. find the neighbours in the same layer again, now by the trained patches, and train on
 
-Every step sees all neighbours, so nothing is drawn at random but which points the short fits hold out. A step is a
-gather and some sums over 8 to 10 edges a point: 30 ms for 10,000 points on one core, 0.36 s for 100,000.
+Every step uses all pairs of neighbours, so the only random choice is which points the trial fits hold out. A step is
+a gather and some sums over 8 to 10 edges per point: 30 ms for 10,000 points on one core, 0.36 s for 100,000.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from torch import Tensor
 
 from services.edge.arrays import DistanceFn, Floats, Ints
 from services.edge.field import checkpoint as checkpoints
-from services.edge.field import trust as trusts
-from services.edge.field.agreement import (
+from services.edge.field import noise_trust
+from services.edge.field.anchor_losses import (
     DISTANCE,
     FLATNESS,
     GRADIENT,
     LOOSE,
     NEIGHBOURS,
     TIGHT,
-    Edges,
+    AnchorEdges,
     Tolerance,
     agreement_losses,
     edges_between,
@@ -39,31 +39,35 @@ from services.edge.field.agreement import (
     surface_loss,
 )
 from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors
-from services.edge.field.compute import captured, memory_errors_named, open_device, side_by_side
-from services.edge.field.config import FitConfig
+from services.edge.field.compute import capture_step, map_blocks, open_device, translate_memory_errors
+from services.edge.field.config import AnchorConfig
 from services.edge.field.denoise import denoise
 from services.edge.field.folds import noise_of
 from services.edge.field.local import LocalField, local_field
 from services.edge.field.noise import Noise
-from services.edge.field.run import PER_YIELD, UNCAPTURED, Step, checked_points, refuse_divergence
-from services.edge.field.schedule import rise_and_fall
-from services.edge.field.trust import CANDIDATES, Scan
+from services.edge.field.noise_trust import CANDIDATES, Scan
+from services.edge.field.schedule import warm_up_cosine
+from services.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, check_points, refuse_divergence
 
-LEAST_POINTS = 2 * NEIGHBOURS  # fewer than twice a patch's neighbours leave nothing that could agree
-FIRST_SHARE = 0.5  # of the config's steps: the trials and the first round need the normals, not the last digit
-MOMENTS = (0.9, 0.99)  # of Adam: the usual 0.999 remembers longer than a round lasts
-BLOCK = {"cpu": 1 << 17, "cuda": 1 << 21}  # edges at once: the activations of one take some 300 bytes
-LEAST_FREEDOM = 1e-3  # of an offset that was not free at all and is 0: keeps it from dividing by 0
-EXPLODED = 1e3  # a loss above this: robust terms of anchors in their own spacings stay below 1
-LOSSES = ("total", "agreement", "gradient", "surface", "flatness")
+LEAST_POINTS = 2 * NEIGHBOURS  # in a smaller cloud all patches share their neighbours, and none could agree
+FIRST_SHARE = 0.5  # of the config's steps, for each trial and the first round: they need no more than good normals
+MOMENTS = (0.9, 0.99)  # Adam's betas: the usual 0.999 averages over more steps than a round has
+BLOCK = {"cpu": 1 << 17, "cuda": 1 << 21}  # most edges per block: the activations of an edge take some 300 bytes
+LEAST_FREEDOM = 1e-3  # in place of a freedom of 0, where the offset is 0 too: avoids a division by 0
+EXPLODED = 1e3  # total loss above which a fit has diverged: robust terms, in spacings, stay below 1
+LOSSES = ("total", "agreement", "gradient", "surface", "flatness")  # in the order of `_losses_and_gradient`
 
 
 @dataclass(frozen=True, slots=True)
-class Round:
-    """One training: from which anchors, over which edges, towards what. Tensors are on the fit's device."""
+class TrainingRound:
+    """Input of one training round. Tensors are on the fit's device.
+
+    height, trust  (N,) the surface term: where each point was scanned above its base, in spacings, and μ/σ²
+    free           (N,6) share of its trained value that each number of a shape may use
+    """
 
     anchors: Anchors
-    edges: Sequence[Edges]
+    edges: Sequence[AnchorEdges]
     tolerance: Tolerance
     height: Tensor
     trust: Tensor
@@ -73,44 +77,46 @@ class Round:
 
 def fit_anchors(
     xyz_unit: Floats,
-    config: FitConfig,
+    config: AnchorConfig,
     *,
     device: str = "cpu",
     base: DistanceFn | None = None,
     noise: Noise | None = None,
     checkpoint: Path | None = None,
 ) -> Generator[Step, None, None]:
-    """Train a field of anchors for points (N,3) in the unit frame, as they were scanned but without strays.
+    """Train a field of anchors for points (N,3) in the unit frame, as they were scanned, without outliers.
 
     base        the local field of the same points denoised, where the caller has it already
-    noise       that of the points, likewise
-    checkpoint  the file that keeps the fit's state: written every few seconds, and read if the fit was killed
+    noise       the noise of the points, where the caller has it already
+    checkpoint  file of the fit's state: written every few seconds, and read when a killed fit is started again
 
-    Of the config it takes `steps` and `learning_rate`. Whoever stops iterating ends the fit. The same points, config
-    and device give the same field. The first steps, with the number 0 and no losses, are the set-up's.
+    Stop iterating to end the fit. The same points, config and device give the same field. The set-up yields the first
+    steps, which have the number 0 and no losses.
     Raises EdgeError FIT_TOO_FEW_POINTS, FIT_DIVERGED, GPU_OOM, DEVICE_ABSENT, and ValueError for points that are not
     finite.
     """
-    xyz = checked_points(xyz_unit, LEAST_POINTS)
+    xyz = check_points(xyz_unit, LEAST_POINTS)
     noise = noise or noise_of(xyz)
     start = base if isinstance(base, LocalField) else local_field(denoise(xyz, noise))
     if len(start.patches.xyz) != len(xyz):
-        raise ValueError(f"a local field of {len(start.patches.xyz)} points is no base for {len(xyz)}")
-    with memory_errors_named(f"the fit of {len(xyz):,} anchors"):
+        raise ValueError(f"the base is a local field of {len(start.patches.xyz)} points, the fit has {len(xyz)} points")
+    with translate_memory_errors(f"the fit of {len(xyz):,} anchors"):
         fit = _AnchorFit(xyz, noise, config, open_device(device), start, checkpoint)
         yield from fit.prepare()
         yield from fit.rounds()
 
 
 class _AnchorFit:
-    """A fit between two steps: `finished` holds the shapes (N,6) that each round ended with, and the points, the config
-    and those say what the next round is. A checkpoint therefore keeps them and the round at hand, nothing else."""
+    """The state of a fit: `finished` holds the shapes (N,6) at the end of each round.
+
+    They, the points and the config determine the next round, so a checkpoint holds only them and the current round.
+    """
 
     def __init__(
         self,
         xyz: Floats,
         noise: Noise,
-        config: FitConfig,
+        config: AnchorConfig,
         device: torch.device,
         local: LocalField,
         checkpoint: Path | None,
@@ -118,76 +124,77 @@ class _AnchorFit:
         self._xyz, self._noise, self._config, self._device, self._checkpoint = xyz, noise, config, device, checkpoint
         self._local = local
         self._start = curved_anchors(local.patches)
-        self._first = max(1, round(FIRST_SHARE * config.steps))
-        self._mark = checkpoints.fingerprint(config, device, xyz, local.patches.xyz)
+        self._first_steps = max(1, round(FIRST_SHARE * config.steps))
+        self._fingerprint = checkpoints.fingerprint(config, device, xyz, local.patches.xyz)
         self._written = time.monotonic()
         self._finished: list[Tensor] = []
         self._state: checkpoints.State | None = None
-        if checkpoint and (state := checkpoints.load(checkpoint, self._mark, device)):
+        if checkpoint and (state := checkpoints.load(checkpoint, self._fingerprint, device)):
             self._finished, self._state = state["finished"], state["round"]
 
     def prepare(self) -> Iterator[Step]:
-        """What the rounds need to know of the points; a step after each second or two of it, for who wants to stop."""
-        waiting = Step(0, self._first + self._config.steps, {}, self._local)
-        yield waiting
+        """Compute what the rounds need, yielding a step every second or two so that the caller can stop."""
+        setup = Step(0, self._first_steps + self._config.steps, {}, self._local)
+        yield setup
         self._noisy = bool(self._noise.share.any())
-        self._judges = trusts.judges(self._xyz) if self._noisy else np.empty(0, np.int64)
+        self._trial_points = noise_trust.trial_points(self._xyz) if self._noisy else np.empty(0, np.int64)
         self._trials = len(CANDIDATES) if self._noisy else 0
-        self._of = (self._trials + 1) * self._first + self._config.steps
+        self._total_steps = (self._trials + 1) * self._first_steps + self._config.steps
         self._neighbours: Ints = self._local.tree.query(self._local.patches.xyz, k=NEIGHBOURS + 1, workers=-1)[1]
-        yield waiting
+        yield setup
 
     def rounds(self) -> Iterator[Step]:
-        """All steps."""
+        """Run all rounds, yielding their steps."""
         while len(self._finished) < self._trials + 2:
             current = self._next_round()
             shape = yield from self._train(current)
             self._finished.append(shape)
 
-    def _next_round(self) -> Round:
+    def _next_round(self) -> TrainingRound:
+        """Build the round after the finished ones: the trials, then the first and the last round of all anchors."""
         number = len(self._finished)
         if number < self._trials:
             return self._trial(CANDIDATES[number])
-        weight = self._chosen() if self._noisy else None
-        scan = trusts.scan_of(self._xyz, self._noise, self._start)
-        scan = scan if weight else scan.ignored()
-        anchors, steps = self._start, self._first
+        weight = self._choose_weight() if self._noisy else None
+        scan = noise_trust.scan_of(self._xyz, self._noise, self._start)
+        scan = scan if weight else scan.without_trust()
+        anchors, steps = self._start, self._first_steps
         if number > self._trials:
             anchors, steps = replace(anchors, shape=self._finished[-1].cpu().numpy()), self._config.steps
-        return self._round(anchors, self._neighbours, scan, scan.trust(weight or 0.0), TIGHT, steps)
+        return self._build_round(anchors, self._neighbours, scan, scan.trust(weight or 0.0), TIGHT, steps)
 
-    def _trial(self, weight: float) -> Round:
-        """The short fit of a candidate, which does not see the held-out points."""
-        part = self._judges
-        # Flat, for the curvatures that the denoised points gave know of the held-out ones.
+    def _trial(self, weight: float) -> TrainingRound:
+        """Build the trial fit of a candidate weight μ, which does not see the held-out points."""
+        part = self._trial_points
+        # Flat patches: curvatures from the denoised points would let the held-out points in.
         start = self._start
         flat = np.zeros_like(start.terms[part]), np.zeros_like(start.shape[part])
         anchors = Anchors(start.xyz[part], start.frame[part], start.spacing[part], *flat)
-        scan = trusts.scan_of(self._xyz, self._noise, self._start).of(part)
-        trust = np.where(trusts.held_out(len(part)), 0, scan.trust(weight))
+        scan = noise_trust.scan_of(self._xyz, self._noise, self._start).subset(part)
+        trust = np.where(noise_trust.held_out_mask(len(part)), 0, scan.trust(weight))
         _, neighbours = cKDTree(anchors.xyz).query(anchors.xyz, k=NEIGHBOURS + 1)
-        return self._round(anchors, neighbours, scan, trust, LOOSE, self._first)
+        return self._build_round(anchors, neighbours, scan, trust, LOOSE, self._first_steps)
 
-    def _chosen(self) -> float | None:
-        """μ by the errors of the trials, None for the denoised points as they are."""
-        part = self._judges
-        scan = trusts.scan_of(self._xyz, self._noise, self._start).of(part)
-        judged = np.flatnonzero(trusts.held_out(len(part)) & scan.told)
-        found = [trusts.errors(shape[:, 0].cpu().numpy(), scan)[judged] for shape in self._finished[: self._trials]]
-        return trusts.chosen(found)
+    def _choose_weight(self) -> float | None:
+        """Choose μ by the trials' errors at the held-out points; None keeps the denoised points as they are."""
+        part = self._trial_points
+        scan = noise_trust.scan_of(self._xyz, self._noise, self._start).subset(part)
+        tested = np.flatnonzero(noise_trust.held_out_mask(len(part)) & scan.usable)
+        offsets = [shape[:, 0].cpu().numpy() for shape in self._finished[: self._trials]]
+        return noise_trust.choose_trust([noise_trust.squared_errors(offset, scan)[tested] for offset in offsets])
 
-    def _round(
+    def _build_round(
         self, anchors: Anchors, neighbours: Ints, scan: Scan, trust: Floats, tolerance: Tolerance, steps: int
-    ) -> Round:
+    ) -> TrainingRound:
         def tensor(array: Floats) -> Tensor:
             return torch.as_tensor(array, dtype=torch.float32, device=self._device)
 
         free = np.ones((len(anchors.xyz), SHAPE))
         free[:, 0] = scan.freedom
         edges = edges_between(anchors, neighbours, tolerance, self._device)
-        return Round(
+        return TrainingRound(
             anchors,
-            edges.parts(_block(edges, self._device)),
+            edges.parts(_block_size(edges, self._device)),
             tolerance,
             tensor(scan.height - anchors.terms[:, 0]),  # the height of the base at its own point
             tensor(trust),
@@ -195,57 +202,58 @@ class _AnchorFit:
             steps,
         )
 
-    def _train(self, current: Round) -> Generator[Step, None, Tensor]:
-        """The steps of one round; returns the shapes it ends with."""
-        # What is trained is the shape before its offset's share of freedom.
+    def _train(self, current: TrainingRound) -> Generator[Step, None, Tensor]:
+        """Run the steps of one round, from the checkpoint where there is one; returns the shapes at its end."""
+        # What is trained is the shape divided by `free`, so that `free` scales how far each offset can move.
         shape = torch.as_tensor(current.anchors.shape, device=self._device) / current.free.clamp_min(LEAST_FREEDOM)
         shape.requires_grad_()
-        # A tensor, for a captured step reads it from where it was.
+        # A tensor, because a captured CUDA graph reads it from a fixed address.
         rate = torch.tensor(self._config.learning_rate, device=self._device)
         cuda = self._device.type == "cuda"
         optimiser = torch.optim.Adam([shape], lr=rate, betas=MOMENTS, fused=True, capturable=cuda)
-        done = self._resume(shape, optimiser, rate)
-        if done == current.steps:  # killed behind its last step: whoever looks at the last one must see this field
+        done = self._restore(shape, optimiser, rate)
+        if done == current.steps:  # killed after its last step: yield it again, so that the caller gets this field
             yield self._step(done, {}, current, shape)
         values = torch.zeros(len(LOSSES), device=self._device)
 
         def descent() -> None:
             optimiser.zero_grad(set_to_none=True)
-            values.copy_(_descend(shape, current))
+            values.copy_(_losses_and_gradient(shape, current))
             optimiser.step()
 
         run, start = descent, done
         while done < current.steps:
-            rate.fill_(self._config.learning_rate * rise_and_fall(done, current.steps, current.steps))
+            rate.fill_(self._config.learning_rate * warm_up_cosine(done, current.steps, current.steps))
             run()
             done += 1
-            if done - start == UNCAPTURED:
-                run = captured(descent, self._device)
+            if done - start == STEPS_BEFORE_CAPTURE:
+                run = capture_step(descent, self._device)
             if done % PER_YIELD[self._device.type] == 0 or done == current.steps:
                 losses = dict(zip(LOSSES, values.tolist(), strict=True))
-                refuse_divergence(losses, EXPLODED, self._config, done)
+                refuse_divergence(losses, EXPLODED, self._config.learning_rate, done)
                 self._write(shape, optimiser, done)
                 yield self._step(done, losses, current, shape)
         return (shape * current.free).detach()
 
-    def _step(self, done: int, losses: Mapping[str, float], current: Round, shape: Tensor) -> Step:
-        """What the caller sees. A trial's anchors may be a part of all: its field is that which the fit starts from."""
+    def _step(self, done: int, losses: Mapping[str, float], current: TrainingRound, shape: Tensor) -> Step:
+        """Build the step for the caller. In a trial its field is the initial one: a trial may use only some anchors."""
         number = len(self._finished)
-        before = min(number, self._trials + 1) * self._first
+        before = min(number, self._trials + 1) * self._first_steps
         anchors = self._start
         if number >= self._trials:
             anchors = replace(current.anchors, shape=(shape * current.free).detach().cpu().numpy().copy())
-        return Step(before + done, self._of, losses, AnchorField(anchors))
+        return Step(before + done, self._total_steps, losses, AnchorField(anchors))
 
     def _write(self, shape: Tensor, optimiser: torch.optim.Adam, done: int) -> None:
+        """Write the checkpoint, if the last one is old enough."""
         if self._checkpoint is None or time.monotonic() - self._written < checkpoints.SECONDS:
             return
-        at_hand = {"shape": shape.detach(), "optimiser": optimiser.state_dict(), "done": done}
-        checkpoints.save(self._checkpoint, {"finished": self._finished, "round": at_hand}, self._mark)
+        current = {"shape": shape.detach(), "optimiser": optimiser.state_dict(), "done": done}
+        checkpoints.save(self._checkpoint, {"finished": self._finished, "round": current}, self._fingerprint)
         self._written = time.monotonic()
 
-    def _resume(self, shape: Tensor, optimiser: torch.optim.Adam, rate: Tensor) -> int:
-        """Take up the round that a checkpoint was written in, if one was read; the steps of it that are done."""
+    def _restore(self, shape: Tensor, optimiser: torch.optim.Adam, rate: Tensor) -> int:
+        """Restore the round from the checkpoint, if one was read. Returns how many of its steps are done."""
         if self._state is None:
             return 0
         state, self._state = self._state, None
@@ -253,23 +261,23 @@ class _AnchorFit:
             shape.copy_(state["shape"])
         optimiser.load_state_dict(state["optimiser"])
         for group in optimiser.param_groups:
-            group["lr"] = rate  # loading has put a copy in its place
+            group["lr"] = rate  # load_state_dict has replaced it by a copy
         return int(state["done"])
 
 
-def _descend(shape: Tensor, current: Round) -> Tensor:
-    """Add the gradients of all losses to the shape's, block by block; the losses, as `LOSSES` names them."""
+def _losses_and_gradient(shape: Tensor, current: TrainingRound) -> Tensor:
+    """Return the losses in the order of `LOSSES`, and set `shape.grad` to their gradient, block by block."""
 
-    def descend(block: Edges) -> tuple[Tensor, Tensor, Tensor]:
-        own = shape.detach().requires_grad_()
-        of_distance, of_gradient = agreement_losses(own * current.free, block, current.tolerance)
-        slope = torch.autograd.grad(DISTANCE * of_distance + GRADIENT * of_gradient, own)[0]
+    def of_block(block: AnchorEdges) -> tuple[Tensor, Tensor, Tensor]:
+        leaf = shape.detach().requires_grad_()
+        of_distance, of_gradient = agreement_losses(leaf * current.free, block, current.tolerance)
+        slope = torch.autograd.grad(DISTANCE * of_distance + GRADIENT * of_gradient, leaf)[0]
         return of_distance.detach(), of_gradient.detach(), slope
 
     agreement, gradient = shape.new_zeros(()), shape.new_zeros(())
     shape.grad = torch.zeros_like(shape)
-    # Summed in the order of the blocks, whichever thread is done first: fits must repeat.
-    for of_distance, of_gradient, slope in side_by_side(descend, current.edges, shape.device):
+    # Summed in the order of the blocks, whichever thread ends first: the same fit must give the same result.
+    for of_distance, of_gradient, slope in map_blocks(of_block, current.edges, shape.device):
         agreement, gradient = agreement + of_distance, gradient + of_gradient
         shape.grad += slope
     surface = surface_loss(shape[:, 0] * current.free[:, 0], current.height, current.trust)
@@ -279,7 +287,7 @@ def _descend(shape: Tensor, current: Round) -> Tensor:
     return torch.stack([total, agreement, gradient, surface.detach(), flatness.detach()])
 
 
-def _block(edges: Edges, device: torch.device) -> int:
-    """Edges a block: on a CPU at least four blocks, which threads can share."""
+def _block_size(edges: AnchorEdges, device: torch.device) -> int:
+    """Edges per block: on a CPU few enough for at least four blocks, which threads can share."""
     count = len(edges.first)
     return min(BLOCK[device.type], -(-count // 4) if device.type == "cpu" else count) or 1

@@ -1,4 +1,4 @@
-"""What a CPU and a GPU do differently: the nearest of many points, the capture of a step, an empty memory."""
+"""What a CPU and a GPU do differently: nearest neighbours, threads or a CUDA graph for a step, out of memory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
-from services.edge.threads import in_threads
+from services.edge.parallel import in_threads
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ BLOCK_BYTES = 1 << 28  # of distances at once on a GPU: 5,000 queries × 13,000 
 
 
 def open_device(name: str) -> torch.device:
-    """The device of that name. Raises EdgeError DEVICE_ABSENT where this machine has none such."""
+    """Return the torch device of that name. Raises EdgeError DEVICE_ABSENT where this machine does not have it."""
     try:
         device = torch.device(name)
         if device.type not in ("cpu", "cuda"):
@@ -48,14 +48,14 @@ def open_device(name: str) -> torch.device:
 
 
 def nearest_in(points: Tensor) -> Nearest:
-    """A search among fixed points (N,3): a KD-tree on a CPU, all distances by blocks on a GPU."""
+    """Nearest-neighbour search among fixed points (N,3): a KD-tree on a CPU, all distances by blocks on a GPU."""
     if points.device.type == "cpu":
         return _KdTree(points)
     return lambda queries: nearest_by_blocks(queries, points)
 
 
 def nearest(queries: Tensor, points: Tensor) -> Tensor:
-    """Index (M,) of the nearest of points that change every step."""
+    """Index (M,) of the nearest point to each query, for points that change every step."""
     return nearest_in(points)(queries)
 
 
@@ -69,12 +69,14 @@ class _KdTree:
 
 
 def _finite(xyz: Tensor) -> Floats:
-    """A tree refuses NaN; a fit that diverges is to be named by its loss, which stays NaN."""
+    """Replace NaN, which a KD-tree refuses. A fit that diverges is found by its loss, which stays NaN."""
     return torch.nan_to_num(xyz.detach()).numpy()
 
 
 def nearest_by_blocks(queries: Tensor, points: Tensor, block_bytes: int = BLOCK_BYTES) -> Tensor:
-    """All distances, in blocks of points whose shapes depend only on the sizes, as a capture wants it.
+    """Index (M,) of the nearest point to each query, from all distances in blocks of points.
+
+    The blocks' shapes depend only on the sizes of the input, as a captured CUDA graph needs it.
 
     |q−p|² − |q|² = |p|² − 2 q·p is one matrix product; `cdist` without it starts a block of threads for every pair. Its
     rounding is 2e-7, so the point found may be another whose squared distance is as small to within that.
@@ -93,22 +95,22 @@ def nearest_by_blocks(queries: Tensor, points: Tensor, block_bytes: int = BLOCK_
 
 
 def rows(table: Tensor, index: Tensor) -> Tensor:
-    """table[index], whose backward adds up in a fixed order; that of indexing may not, and fits must repeat."""
+    """Return table[index]. Its backward sums in a fixed order, unlike indexing, so that fits are reproducible."""
     return torch.nn.functional.embedding(index, table)
 
 
-def side_by_side(work: Callable[[In], Out], blocks: Sequence[In], device: torch.device) -> list[Out]:
-    """The work's results in the order of the blocks; on threads of one core each, where torch may use several.
+def map_blocks(work: Callable[[In], Out], blocks: Sequence[In], device: torch.device) -> list[Out]:
+    """Apply `work` to every block; on a CPU in threads of one core each. The results are in the order of the blocks.
 
-    torch's own threads split every small operation and spin between two of them: beside other work on the cores a step
-    then takes four times as long as on one. Graph capture belongs to one thread, so a GPU's blocks go one by one.
+    torch's own threads split every small operation and busy-wait between two of them: when other work uses the cores, a
+    step then takes four times as long as on one core. A GPU's blocks run one by one: graph capture is for one thread.
     """
     threads = torch.get_num_threads()
     if threads == 1 or len(blocks) == 1 or device.type != "cpu":
         return [work(block) for block in blocks]
 
     def alone(block: In) -> Out:
-        torch.set_num_threads(1)  # this thread's; and the default of threads to come, which is set back below
+        torch.set_num_threads(1)  # for this thread, and as the default of later threads, which is reset below
         return work(block)
 
     try:
@@ -117,45 +119,45 @@ def side_by_side(work: Callable[[In], Out], blocks: Sequence[In], device: torch.
         torch.set_num_threads(threads)
 
 
-def captured(step: Callable[[], None], device: torch.device) -> Callable[[], None]:
-    """On a GPU the step as one CUDA graph, for small kernels are bound by their launches; elsewhere the step itself.
+def capture_step(step: Callable[[], None], device: torch.device) -> Callable[[], None]:
+    """Capture a step as one CUDA graph, because small kernels are limited by their launches; on a CPU return it as is.
 
-    The step must read and write only tensors that stay where they are, and must have run a few times before, for
-    allocators, cuBLAS and Adam's state to settle. The capture itself computes nothing. What cannot be captured runs
-    as it is. May be called from the threads of several jobs.
+    The step must read and write only tensors that keep their address, and must have run a few times before, so that
+    allocators, cuBLAS and Adam's state have settled. The capture itself computes nothing. A step that cannot be
+    captured is returned as it is. May be called from the threads of several jobs.
     """
     if device.type != "cuda":
         return step
     try:
         graph = torch.cuda.CUDAGraph()
-        # One at a time, for a capture begins by waiting for the device, which ends another's. On a stream of its own:
-        # the usual one is shared by all threads, and is of the first GPU. The outer context leaves it even where the
-        # capture cannot begin.
+        # One capture at a time: its start waits for the device, which would abort another capture. On a stream of its
+        # own: the default one is shared by all threads, and is of the first GPU. The outer context resets the stream
+        # even where the capture cannot begin.
         stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
-        # Other jobs of this worker use the GPU from their threads meanwhile; only this thread must keep to the rules.
+        # thread_local: other jobs of this worker go on using the GPU from their threads during the capture.
         capture = partial(torch.cuda.graph, graph, stream=stream, capture_error_mode="thread_local")
         with _capturing, torch.cuda.stream(stream), capture():
             step()
     except torch.cuda.OutOfMemoryError:
         raise
     except RuntimeError:
-        _log.warning("this fit's step cannot be captured as a CUDA graph and runs uncaptured", exc_info=True)
+        _log.warning("cannot capture this fit's step as a CUDA graph; it runs without one, more slowly", exc_info=True)
         return step
     return graph.replay
 
 
 @contextmanager
-def memory_errors_named(what: str) -> Iterator[None]:
-    """A full GPU is an EdgeError GPU_OOM; so is a full CPU allocation that torch refuses."""
+def translate_memory_errors(what: str) -> Iterator[None]:
+    """Translate torch's out-of-memory errors, of a GPU and of the CPU allocator, into EdgeError GPU_OOM."""
     try:
         yield
     except torch.OutOfMemoryError as error:
-        message = f"{what} does not fit the memory that is free: {str(error).splitlines()[0]}"
+        message = f"{what} does not fit into the free memory: {str(error).splitlines()[0]}"
         raise _out_of_memory(message) from None
     except RuntimeError as error:
-        if "DefaultCPUAllocator" not in str(error):  # which has no class of its own
+        if "DefaultCPUAllocator" not in str(error):  # its error has no class of its own
             raise
-        raise _out_of_memory(f"{what} does not fit the machine's memory") from None
+        raise _out_of_memory(f"{what} does not fit into this machine's memory") from None
 
 
 def _out_of_memory(message: str) -> EdgeError:

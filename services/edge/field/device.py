@@ -1,4 +1,4 @@
-"""Where fields are trained. A worker that trains on the CPU does not need torch to say so."""
+"""Find the device that fields are trained on. Torch is imported only to look for a GPU."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from services.edge.errors import EdgeError
 _NAME = re.compile(r"auto|cuda(:\d+)?", re.ASCII)
 
 _GPU_SHARE = 0.9
-"""Of the memory that is free on a GPU when the worker starts: kernels, the context and fragments take the rest."""
+"""Share of a GPU's free memory, at the worker's start, for fits: kernels, context and fragments take the rest."""
 
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """name: torch's, "cpu" or "cuda:0"; description: for people; memory_bytes: for fits, 0 for the machine's."""
+    """A device. name: torch's, "cpu" or "cuda:0"; description: for people; memory_bytes: for fits, 0: main memory."""
 
     name: str
     description: str
@@ -25,7 +25,7 @@ class Device:
 
 
 def find_device(wanted: str) -> Device:
-    """The device that "cpu", "cuda", "cuda:N" or "auto" means on this machine; auto takes a GPU where there is one.
+    """Find the device that "cpu", "cuda", "cuda:N" or "auto" means on this machine; auto takes a GPU if there is one.
 
     Raises EdgeError DEVICE_ABSENT.
     """
@@ -62,7 +62,7 @@ def _gpu(torch: Any, number: int) -> Device:
 def _why(torch: Any, count: int) -> str:
     if torch.version.cuda is None:
         return f"the installed PyTorch {torch.__version__} is built without CUDA"
-    return f"PyTorch sees {count} CUDA devices; is there a driver, and is the GPU passed to the container?"
+    return f"PyTorch sees {count} CUDA devices; check the driver, and that the GPU is passed to the container"
 
 
 def _absent(wanted: str, why: str) -> EdgeError:

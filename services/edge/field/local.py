@@ -1,18 +1,18 @@
-"""The field without training: the blended patches of the points.
+"""The local field: the unsigned distance as a blend of the patches at the nearest points, without training.
 
 x_i, h_i        a point and the local spacing;  F_i(q), n_i(q)   distance and normal that its patch gives (`patches.py`)
 q               a query; 0 is the index of its nearest point, i runs over its nearest few
 
-    s_i = sign(n_i·n_0)                                               no global sign exists: all agree with the nearest
-    w_i = exp(−(|q−x_i|² − |q−x_0|²)/h_0²)                            near counts most
-          · exp(−((s_i F_i − F_0)/0.35h_0)²) · |n_i·n_0|⁴             another layer does not count (a bilateral weight)
+    s_i = sign(n_i·n_0)                                               no global sign exists: signs follow the nearest
+    w_i = exp(−(|q−x_i|² − |q−x_0|²)/h_0²)                            nearer patches count more
+          · exp(−((s_i F_i − F_0)/0.35h_0)²) · |n_i·n_0|⁴             excludes another layer (a bilateral weight)
     n   = Σ w_i s_i n_i, normalised                                   with Σ w_i = 1
     d   = Σ w_i s_i F_i
     t   = max(0, |q−x_0 along the plane| − h_0)                       beyond an open edge
     f   = √(d² + t²),   gradient = sign(d)·n
 
-To follow not the nearest patch but a better supported one improves the normals and loses layers: the car's normals on
-its own surface .917 → .924, but its area .75 → .69 of the truth.
+With a better supported patch instead of the nearest as number 0 normals improve but layers are lost: the car's normals
+on its own surface .917 → .924, but its area .75 → .69 of the truth.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from services.edge.arrays import DistanceFn, Floats, Tick, no_tick
 from services.edge.field.patches import Patches, fit_patches, predict
 from services.edge.field.planes import fit_planes
 from services.edge.field.quadrics import TINY
-from services.edge.threads import in_threads, slices
+from services.edge.parallel import in_threads, slices
 
 BLEND = 8  # patches per query: 6 lose 1 % where points are sparse, 12 gain 2 % for half as much time again
-LAYER = 0.35  # in spacings: how far two patches may part at the query before they are of two layers
+LAYER = 0.35  # in spacings: how far two patches may differ at the query before they count as two layers
 ALIGNMENT_POWER = 4  # a patch at 45° to the nearest counts a quarter
-PLANES_SHARE = 0.2  # of the time to make the field
+PLANES_SHARE = 0.2  # of the time to fit the field, for the progress
 CHUNK = 4_096  # queries at once: 8 patches × 15 terms × 4 B are 2 MB, so the arrays in use stay in the cache
 
 
 @dataclass(frozen=True, slots=True)
 class LocalField:
-    """A `DistanceFn`. Distances (M,) and gradients (M,3) are float32, unit frame.
+    """The local field as a `DistanceFn`: distances (M,) and gradients (M,3), float32, unit frame.
 
     The gradient is the direction across the surface, also beyond an open edge, where the distance grows sideways: the
     extraction asks on which side a query lies, not which way the distance falls.
@@ -50,7 +50,7 @@ class LocalField:
         return by_chunks(self._blend, queries)
 
     def _blend(self, q: Floats) -> tuple[Floats, Floats]:
-        """The formulas at the head of this file, for one chunk of queries (M,3)."""
+        """Blend the patches by the formulas at the head of this file, for one chunk of queries (M,3)."""
         away, index = self.tree.query(q, k=min(BLEND, len(self.patches.xyz)))
         squared = np.square(away.astype(np.float32))
         spacing = self.patches.spacing[index[:, :1]]
@@ -74,7 +74,7 @@ class LocalField:
 
 
 def by_chunks(blend: DistanceFn, queries: Floats) -> tuple[Floats, Floats]:
-    """A field at queries (M,3), on threads, by chunks that stay in the cache: distances (M,), gradients (M,3)."""
+    """Evaluate a field at queries (M,3) in threads, by chunks that fit the cache: distances (M,), gradients (M,3)."""
     q = np.asarray(queries, np.float32)
     f, gradient = np.empty(len(q), np.float32), np.empty((len(q), 3), np.float32)
 
@@ -86,10 +86,10 @@ def by_chunks(blend: DistanceFn, queries: Floats) -> tuple[Floats, Floats]:
 
 
 def local_field(xyz_unit: Floats, *, normals: Floats | None = None, tick: Tick = no_tick) -> LocalField:
-    """Points (N,3) in the unit frame, N ≥ 2, and where known their normals (N,3), of any sign and length -> the field.
+    """Fit the local field to points (N,3) in the unit frame, N ≥ 2.
 
-    `tick` is called between chunks. Raises what it raises, and ValueError for other shapes, for too few points and for
-    NaN or infinity.
+    normals (N,3), where they are known, may have any sign and length. `tick` is called between chunks; its errors pass
+    through. Raises ValueError for other shapes, for too few points and for NaN or infinity.
     """
     xyz = np.ascontiguousarray(xyz_unit, np.float32)
     if xyz.ndim != 2 or xyz.shape[1] != 3 or len(xyz) < 2:
@@ -97,7 +97,7 @@ def local_field(xyz_unit: Floats, *, normals: Floats | None = None, tick: Tick =
     if not np.isfinite(xyz).all():
         raise ValueError(f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points are not finite")
     if normals is not None and np.shape(normals) != xyz.shape:
-        raise ValueError(f"{np.shape(normals)} normals do not fit {xyz.shape} points")
+        raise ValueError(f"the normals' shape {np.shape(normals)} differs from the points' {xyz.shape}")
     tree = cKDTree(xyz)
     planes = fit_planes(xyz, tree, normals, tick=lambda part: tick(PLANES_SHARE * part))
     later = PLANES_SHARE, 1 - PLANES_SHARE

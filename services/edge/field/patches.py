@@ -5,21 +5,22 @@ a, b, z         a place seen from x_i: along the plane and across it, in spacing
 s, t = a/ℓ, b/ℓ;  ρ² = s² + t²
 
 The height z(a,b) of a patch has the prior covariance exp(−½ |p−p'|²/ℓ²) (C. E. Rasmussen, C. K. I. Williams, "Gaussian
-Processes for Machine Learning", 2006). In the features that this kernel is the sum of, and cut at degree 4,
+Processes for Machine Learning", 2006). Expanded in the features whose sum this kernel is, up to degree 4,
 
     z = Σ β_mn φ_mn,   φ_mn = exp(−½ρ²)·sᵐtⁿ/√(m!n!),   β_mn ~ N(0,1) independent,   m+n ≤ 4: 15 coefficients
 
-What is cut off, 1 − exp(−ρ²)·Σ_{k≤4} ρ²ᵏ/k!, is added to a neighbour's noise: nothing at one spacing, a seventh of the
-prior's variance at the farthest. A neighbour j counts by how well it lies on the patch, in place and in direction:
+The variance that is cut off, 1 − exp(−ρ²)·Σ_{k≤4} ρ²ᵏ/k!, is added to a neighbour's noise: nothing at one spacing, a
+seventh of the prior's variance at the farthest. A neighbour j is weighted by how well it lies on the patch, in place
+and in direction:
 
     w_j = exp(−½(r_j/c)²)·|n_j·n(a_j,b_j)|⁴     r_j its distance to the patch, n(a,b) the patch's normal beneath it
 
-So another layer stays out although the surface bends, and pleats of three points a side are followed, where a plane's
-weights would cut the bend itself off.
+So points of another layer are left out even where the surface bends, and pleats of three points a side are followed;
+weights by the distance to a plane would leave out the bend itself.
 
-**Vote.** A point whose plane is wrong has a poor patch, but those of its neighbours pass through it. Its new normal is
-theirs: that of the largest group of patches that agree at its place, each with a say by how many of its own neighbours
-it explains. Mean |cos| of the points' normals, planes → two votes: dress .959 → .981, folded T-shirt .924 → .941, car
+**Vote.** A point whose plane is wrong has a poor patch, but the patches of its neighbours pass through it. Its new
+normal is that of the largest group of patches that agree there, each weighted by how many of its own neighbours it
+explains. Mean |cos| of the points' normals, planes → two votes: dress .959 → .981, folded T-shirt .924 → .941, car
 .907 → .925, pleated skirt of 1,000 points .987 → .999.
 """
 
@@ -34,7 +35,7 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.field.planes import Planes
 from services.edge.field.quadrics import TINY, tangents
-from services.edge.threads import in_threads, slices
+from services.edge.parallel import in_threads, slices
 
 NEIGHBOURS = 24  # 2.8 spacings around; 20 to 32 differ by 2 %
 LENGTH = np.float32(2.0)  # ℓ in spacings: 1.5 and 3 lose 10 % and 50 % on sparse pleats
@@ -48,8 +49,8 @@ ALIGNED = 4  # power of |cos|; 2 to 8 differ by less than a seed
 
 
 @dataclass(frozen=True, slots=True)
-class Round:
-    """c in spacings, and how often the weights are found and the patch solved."""
+class PatchRound:
+    """One round of fitting: c in spacings, and how often weights and patches are solved in turn."""
 
     reach: float
     solves: int
@@ -57,11 +58,11 @@ class Round:
 
 # Votes between the rounds. Wide at first, while the normals are rough; a single vote loses .002 of the normals, a third
 # gains nothing. The last round's patches are the field's, so they are weighed once more.
-ROUNDS = (Round(0.10, 1), Round(0.07, 1), Round(0.07, 2))
+ROUNDS = (PatchRound(0.10, 1), PatchRound(0.07, 1), PatchRound(0.07, 2))
 
 VOTERS = 12  # nearest points, itself among them; 20 gain nothing
 VOTE_OFF = 0.2  # in spacings: a patch this far from the point hardly passes through it
-VOTE_NEAR = 2.0  # in spacings: how fast the say of a patch falls with its distance
+VOTE_NEAR = 2.0  # in spacings: how fast the vote of a patch falls with its distance
 VOTE_ALIGNED = 8  # power of |cos|: patches more than 35° apart are of different groups
 CHUNK = 1_024  # points at once: 24 neighbours × 15 features × 4 B are 1.5 MB
 
@@ -88,7 +89,7 @@ class Patches:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _Neighbours:
     """Neighbours (N,K) seen from their points: s, t, z, and their normals along u, v and n."""
 
     s: Floats
@@ -100,7 +101,7 @@ class _Seen:
 
 
 def fit_patches(planes: Planes, tree: cKDTree, *, trusted: bool = False, tick: Tick = no_tick) -> Patches:
-    """The patches of all points. `tree` is the KD-tree of their xyz; trusted normals are not voted on."""
+    """Fit the patches of all points. `tree` is the KD-tree of their xyz; trusted: keep the normals, without votes."""
     xyz, normals, spacing = planes.xyz, planes.normals, planes.spacing
     index = np.empty((len(xyz), min(NEIGHBOURS, len(xyz))), np.int32)
 
@@ -112,14 +113,14 @@ def fit_patches(planes: Planes, tree: cKDTree, *, trusted: bool = False, tick: T
     def at(done: float) -> Tick:
         return lambda _: tick(done / len(ROUNDS))
 
-    for number, turn in enumerate(() if trusted else ROUNDS[:-1]):
-        rough = _fitted(Planes(xyz, normals, spacing), index, turn, at(number))
-        normals = _voted(rough, index[:, :VOTERS], at(number + 0.5))
-    return _fitted(Planes(xyz, normals, spacing), index, ROUNDS[-1], at(len(ROUNDS) - 1))
+    for number, stage in enumerate(() if trusted else ROUNDS[:-1]):
+        rough = _fit_round(Planes(xyz, normals, spacing), index, stage, at(number))
+        normals = _vote_normals(rough, index[:, :VOTERS], at(number + 0.5))
+    return _fit_round(Planes(xyz, normals, spacing), index, ROUNDS[-1], at(len(ROUNDS) - 1))
 
 
 def predict(patches: Patches, index: Ints, q: Floats) -> tuple[Floats, Floats]:
-    """What the patches index (M,K) say at q (M,3): signed distances (M,K), to first order, and unit normals (M,K,3).
+    """Evaluate the patches index (M,K) at q (M,3): signed distances (M,K), to first order, and unit normals (M,K,3).
 
     Both have the sign of their patch's normal, which is arbitrary. Far from its point a patch is its plane.
     """
@@ -133,8 +134,8 @@ def predict(patches: Patches, index: Ints, q: Floats) -> tuple[Floats, Floats]:
     return (np.einsum("mkx,mkx->mk", relative, n) - height) * steep * spacing, normal
 
 
-def _fitted(planes: Planes, index: Ints, turn: Round, tick: Tick) -> Patches:
-    """Patches over the planes, from their neighbours index (N,K)."""
+def _fit_round(planes: Planes, index: Ints, stage: PatchRound, tick: Tick) -> Patches:
+    """Fit patches over the planes to the neighbours index (N,K)."""
     count = len(planes.xyz)
     u, v = (np.empty((count, 3), np.float32) for _ in range(2))
     terms, support = np.empty((count, len(TERMS)), np.float32), np.empty(count, np.float32)
@@ -145,46 +146,46 @@ def _fitted(planes: Planes, index: Ints, turn: Round, tick: Tick) -> Patches:
         near = index[part]
         relative = np.matmul(planes.xyz[near] - planes.xyz[part, None], axes) / planes.spacing[part, None, None]
         relative[..., :2] /= LENGTH
-        seen = _Seen(*np.moveaxis(relative, 2, 0), *np.moveaxis(np.matmul(planes.normals[near], axes), 2, 0))
-        terms[part], weights = _regress(seen, turn)
-        close = np.exp(-np.square(seen.s) - np.square(seen.t))
+        around = _Neighbours(*np.moveaxis(relative, 2, 0), *np.moveaxis(np.matmul(planes.normals[near], axes), 2, 0))
+        terms[part], weights = _regress(around, stage)
+        close = np.exp(-np.square(around.s) - np.square(around.t))
         support[part] = (weights * close).sum(axis=1) / close.sum(axis=1)
 
     in_threads(fit, slices(count, CHUNK), tick)
     return Patches(planes.xyz, planes.normals, u, v, planes.spacing, terms, support)
 
 
-def _regress(seen: _Seen, turn: Round) -> tuple[Floats, Floats]:
-    """-> terms (N,15), and the neighbours' weights (N,K) under the patch that they are of."""
-    squared = np.square(seen.s) + np.square(seen.t)
-    features = _features(seen.s, seen.t) * np.exp(-squared * _HALF)[..., None]
-    cut_off = _cut_off(squared)
-    weights = _start(seen, turn.reach)
-    for _ in range(turn.solves):
+def _regress(around: _Neighbours, stage: PatchRound) -> tuple[Floats, Floats]:
+    """Solve the regression of each patch -> terms (N,15), and the weights (N,K) of the neighbours on their patch."""
+    squared = np.square(around.s) + np.square(around.t)
+    features = _features(around.s, around.t) * np.exp(-squared * _HALF)[..., None]
+    cut_off = _cut_off_variance(squared)
+    weights = _initial_weights(around, stage.reach)
+    for _ in range(stage.solves):
         precision = 1 / (np.float32(NOISE * NOISE) / (weights + np.float32(FLOOR)) + cut_off)
         weighted = features * precision[..., None]
         gram = np.matmul(weighted.transpose(0, 2, 1), features) + np.eye(len(TERMS), dtype=np.float32)
-        right = np.matmul(seen.z[:, None], weighted)
+        right = np.matmul(around.z[:, None], weighted)
         terms = np.linalg.solve(gram, right.transpose(0, 2, 1))[..., 0] * _SCALE
-        height, slope_u, slope_v, steep = patch_surface(terms[:, None], seen.s, seen.t)
-        cos = np.abs(seen.normal_n - slope_u * seen.normal_u - slope_v * seen.normal_v) * steep
-        weights = np.exp(-np.square((seen.z - height) * steep / turn.reach) * _HALF) * cos**ALIGNED
+        height, slope_u, slope_v, steep = patch_surface(terms[:, None], around.s, around.t)
+        cos = np.abs(around.normal_n - slope_u * around.normal_u - slope_v * around.normal_v) * steep
+        weights = np.exp(-np.square((around.z - height) * steep / stage.reach) * _HALF) * cos**ALIGNED
     return terms, weights
 
 
-def _start(seen: _Seen, reach: float) -> Floats:
-    """Weights before there is a patch: how far a neighbour is from an arc through both points across both normals.
+def _initial_weights(around: _Neighbours, reach: float) -> Floats:
+    """Initial weights, before there is a patch: by the distance of two points from an arc across both normals.
 
-    The mean of the two normals stands square to the chord of any arc, so a bend costs nothing here.
+    The mean of the two normals is perpendicular to the chord of any arc, so a bend does not lower the weight.
     """
-    along = (seen.s * seen.normal_u + seen.t * seen.normal_v) * LENGTH + seen.z * seen.normal_n
-    off = _HALF * (seen.z + np.where(seen.normal_n < 0, -along, along))
-    weights: Floats = np.exp(-np.square(off / (2 * reach)) * _HALF) * np.square(seen.normal_n)
+    along = (around.s * around.normal_u + around.t * around.normal_v) * LENGTH + around.z * around.normal_n
+    off = _HALF * (around.z + np.where(around.normal_n < 0, -along, along))
+    weights: Floats = np.exp(-np.square(off / (2 * reach)) * _HALF) * np.square(around.normal_n)
     return weights
 
 
 def _features(s: Floats, t: Floats) -> Floats:
-    """φ without its bell at places (N,K) -> (N,K,15)."""
+    """Features φ without their factor exp(−½ρ²), at places (N,K) -> (N,K,15)."""
     s_to, t_to = [np.ones_like(s)], [np.ones_like(t)]
     for _ in range(DEGREE):
         s_to.append(s_to[-1] * s)
@@ -192,7 +193,7 @@ def _features(s: Floats, t: Floats) -> Floats:
     return np.stack([s_to[m] * t_to[n] * scale for (m, n), scale in zip(TERMS, _SCALE, strict=True)], axis=-1)
 
 
-def _cut_off(squared: Floats) -> Floats:
+def _cut_off_variance(squared: Floats) -> Floats:
     """The prior's variance that the 15 features lack at ρ² = `squared`."""
     term = total = np.ones_like(squared)
     for k in range(1, DEGREE + 1):
@@ -202,9 +203,9 @@ def _cut_off(squared: Floats) -> Floats:
 
 
 def patch_surface(terms: Floats, s: Floats, t: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """terms (...,15) at s, t (...) -> height in spacings, its slopes along u and v, and 1/√(1 + slope²).
+    """Evaluate terms (...,15) at s, t (...) -> height in spacings, its slopes along u and v, and 1/√(1 + slope²).
 
-    Horner's scheme in t, each of whose coefficients is a Horner scheme in s; the derivatives run along.
+    Horner's scheme in t, whose coefficients are Horner schemes in s; both carry their derivatives along.
     """
     at = dict(zip(TERMS, np.moveaxis(terms, -1, 0), strict=True))
     value = by_s = by_t = np.zeros_like(s)
@@ -222,21 +223,21 @@ def patch_surface(terms: Floats, s: Floats, t: Floats) -> tuple[Floats, Floats, 
     return height, slope_u, slope_v, 1 / np.sqrt(1 + np.square(slope_u) + np.square(slope_v))
 
 
-def _voted(patches: Patches, index: Ints, tick: Tick) -> Floats:
-    """Normals (N,3) from the patches of the points index (N,V) next to each."""
+def _vote_normals(patches: Patches, index: Ints, tick: Tick) -> Floats:
+    """New normals (N,3) by a vote of the patches index (N,V) around each point."""
     normals = np.empty_like(patches.normals)
 
     def vote(part: slice) -> None:
         q, near, spacing = patches.xyz[part], index[part], patches.spacing[part, None]
         distance, normal = predict(patches, near, q)
         away = np.linalg.norm(patches.xyz[near] - q[:, None], axis=2)
-        say = np.exp(-np.square(distance / (VOTE_OFF * spacing)) - np.square(away / (VOTE_NEAR * spacing)))
-        say = say * np.square(patches.support[near]) + np.float32(TINY)
+        votes = np.exp(-np.square(distance / (VOTE_OFF * spacing)) - np.square(away / (VOTE_NEAR * spacing)))
+        votes = votes * np.square(patches.support[near]) + np.float32(TINY)
         cos = np.matmul(normal, normal.transpose(0, 2, 1))
         agree = np.abs(cos) ** VOTE_ALIGNED
-        best = np.arange(len(q)), (say * np.matmul(agree, say[..., None])[..., 0]).argmax(axis=1)
+        best = np.arange(len(q)), (votes * np.matmul(agree, votes[..., None])[..., 0]).argmax(axis=1)
         summed = np.einsum(
-            "nk,nkx->nx", say * agree[best] * np.where(cos[best] < 0, np.float32(-1), np.float32(1)), normal
+            "nk,nkx->nx", votes * agree[best] * np.where(cos[best] < 0, np.float32(-1), np.float32(1)), normal
         )
         normals[part] = summed / (np.linalg.norm(summed, axis=1, keepdims=True) + TINY)
 

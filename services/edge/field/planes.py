@@ -1,4 +1,4 @@
-"""A tangent plane and the local spacing for every point of a cloud.
+"""Fit a tangent plane to every point of a cloud, and measure the local spacing.
 
 x_j  neighbours of the point x_i;  h_i  local spacing;  d_j = |x_j − x_i|
 o_j = n·(x_j − x_i): offset of a neighbour from the plane through the point
@@ -7,7 +7,7 @@ o_j = n·(x_j − x_i): offset of a neighbour from the plane through the point
    Σ exp(−(0.63 d_j/h)²)·exp(−(o_j / 0.15h)²) wins, so a plane across two layers loses to the plane of either.
 2. The normal is then the weighted PCA's, three times, with the weights exp(−(0.88 d_j/h)²)·exp(−(o_j / 0.6h)²).
 
-Started from a PCA instead, the re-weighting cannot leave a wrong plane. Normals more than 30° wrong, PCA → hypotheses:
+A PCA as the start can be a wrong plane, which re-weighting cannot leave. Normals more than 30° wrong, PCA → hypotheses:
 folded T-shirt 24 → 13 %, car with interior 21 → 17 %, two sheets 1.5 spacings apart 30 → 1 %.
 """
 
@@ -21,14 +21,14 @@ from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.field.quadrics import TINY, weighted_pca
-from services.edge.threads import in_threads, slices
+from services.edge.parallel import in_threads, slices
 
 NEIGHBOURS = 16  # enough for a stable plane at random spacing, few enough to stay inside a fold
 SPACING_RANK = 8  # the 8th neighbour: its distance varies by a fifth at random spacing, the first one's by half
 PAIRS = np.array(list(combinations(range(1, 7), 2))).T  # of the 6 nearest: 15 planes, one of them in the right layer
 ON_PLANE = 0.15  # in spacings: a neighbour as far off a plane as this is hardly on it
-JUDGE, REFINE = 0.63, 0.88  # per spacing: how fast a neighbour's say falls with its distance
-ROUNDS = 3
+JUDGE, REFINE = 0.63, 0.88  # per spacing: how fast a neighbour's weight falls, for hypotheses and PCA
+ROUNDS = 3  # of the weighted PCA
 LAYER = 0.6  # in spacings: how far off a plane a neighbour may lie before it counts as another layer's
 CHUNK = 2_048  # points at once: 17 neighbours × 15 hypotheses × 4 B keep the arrays at 2 MB, in the cache
 
@@ -43,7 +43,7 @@ class Planes:
 
 
 def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None, tick: Tick = no_tick) -> Planes:
-    """Planes of all points, or only the spacing where `normals` are given. `tree` is the KD-tree of `xyz`."""
+    """Fit planes to all points; with `normals`, measure only the spacing. `tree` is the KD-tree of `xyz`."""
     fitted = np.empty((len(xyz), 3), np.float32) if normals is None else _unit(normals)
     spacing = np.empty(len(xyz), np.float32)
 
@@ -59,14 +59,14 @@ def fit_planes(xyz: Floats, tree: cKDTree, normals: Floats | None = None, tick: 
 
 
 def rank_spacing(distance: Floats) -> Floats:
-    """Neighbour distances (N,K), self first -> the mean spacing that a random sheet would have to show them (N,)."""
+    """Local spacing (N,) from neighbour distances (N,K), self first: that of a random sheet with these distances."""
     rank = min(SPACING_RANK, distance.shape[1] - 1)
     spacing: Floats = distance[:, rank] * np.sqrt(np.pi / rank) + np.sqrt(TINY)
     return spacing
 
 
 def _normals(relative: Floats, distance: Floats, spacing: Floats) -> Floats:
-    """Neighbours seen from their points (N,K,3), self first, sorted by distance (N,K) -> normals (N,3)."""
+    """Normals (N,3) of points from their neighbours, relative (N,K,3) and sorted by distance (N,K), self first."""
     in_spacings = distance / spacing[:, None]
     normals = _best_hypothesis(relative, np.exp(-np.square(JUDGE * in_spacings)), spacing)
     near = np.exp(-np.square(REFINE * in_spacings))
@@ -78,7 +78,7 @@ def _normals(relative: Floats, distance: Floats, spacing: Floats) -> Floats:
 
 
 def _best_hypothesis(relative: Floats, near: Floats, spacing: Floats) -> Floats:
-    """Of the planes through the point and two of its nearest: the normal of that with most neighbours on it (N,3)."""
+    """Normals (N,3) of the best planes through a point and two of its nearest: those with most neighbours on them."""
     first, second = PAIRS[:, PAIRS[1] < relative.shape[1]]
     if len(first) == 0:
         return weighted_pca(relative, near)[0]

@@ -1,4 +1,4 @@
-"""Planes and quadrics through many small weighted point sets at once.
+"""Fit planes and quadrics to many small weighted point sets at once.
 
 relative (N,K,3)  neighbours seen from their point;  weights (N,K)
 height function   z(x,y) = c₀ + c₁x + c₂y + c₃x² + c₄xy + c₅y² over the tangent plane
@@ -13,11 +13,11 @@ from services.edge.field.eigen import smallest_eigenvectors
 
 QUADRIC = 6  # coefficients of a quadric height function
 TINY = 1e-12  # squared unit-frame lengths below float32's resolution: keeps duplicates from dividing by 0
-_RIDGE = 1e-6  # of the weights' sum: a set on a line, or of fewer than 6 points, still has one answer
+_RIDGE = 1e-6  # of the weights' sum (ridge regression): a set on a line, or of fewer than 6 points, has one answer too
 
 
 def weighted_pca(relative: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """-> normals (N,3) of either sign, weighted means (N,3)."""
+    """Fit planes by weighted PCA -> normals (N,3) of either sign, weighted means (N,3)."""
     total = weights.sum(axis=1) + TINY
     mean = np.einsum("nk,nkx->nx", weights, relative) / total[:, None]
     centred = relative - mean[:, None]
@@ -26,7 +26,7 @@ def weighted_pca(relative: Floats, weights: Floats) -> tuple[Floats, Floats]:
 
 
 def tangents(normal: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (N,3) -> two unit vectors across each, square to each other (N,3)."""
+    """Two unit vectors (N,3) perpendicular to each unit normal (N,3) and to each other."""
     axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
     u = np.cross(normal, axis)
     u /= np.linalg.norm(u, axis=1, keepdims=True) + TINY

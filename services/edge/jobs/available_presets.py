@@ -1,4 +1,4 @@
-"""The presets that a worker has: the product's, an operator's own, and which of them its memory lets it offer."""
+"""The presets that a worker offers: the product's and the operator's own, without those that its memory cannot fit."""
 
 from __future__ import annotations
 
@@ -6,22 +6,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import get_args
 
-from services.edge import choose
+from services.edge import preset_choice
 from services.edge.api import edge_pb2 as pb
 from services.edge.errors import EdgeError
 from services.edge.field.device import Device
-from services.edge.offer import Offer
-from services.edge.prepared import VERSION
+from services.edge.jobs.points_archive import VERSION
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
+from services.edge.worker.capabilities import Capabilities
 
-CHOICES: tuple[str, ...] = get_args(choose.Preset)
-"""What the automatic choice may choose."""
+CHOICES: tuple[str, ...] = get_args(preset_choice.Preset)
+"""Names of the presets that the automatic choice may choose."""
 
 
 def known_presets(folder: Path | None) -> Mapping[str, Preset]:
-    """The automatic choice, which is the default, the product's presets, and those of an operator's folder of TOML.
+    """Load all presets by name: the automatic choice (the default), the product's, and those of an operator's folder.
 
-    Raises EdgeError PRESET_INVALID for a folder that is none and a file that cannot be read as a preset.
+    folder  TOML files, one per preset, or None
+    Raises EdgeError PRESET_INVALID where there is no such folder, and for a file that cannot be read as a preset.
     """
     known = {name: load_preset(name) for name in (AUTOMATIC, *preset_names())}
     if folder is None:
@@ -31,29 +32,30 @@ def known_presets(folder: Path | None) -> Mapping[str, Preset]:
     for path in sorted(folder.glob("*.toml")):
         if path.stem in known:
             raise EdgeError(
-                "PRESET_INVALID", f"'{path.stem}' is the product's own preset; give {path.name} another name"
+                "PRESET_INVALID", f"the product has a preset '{path.stem}' already; give {path.name} another name"
             )
         try:
             known[path.stem] = parse_preset(path.stem, path.read_text(encoding="utf-8"))
-        except ValueError as error:  # no TOML, or no text at all
+        except ValueError as error:  # not TOML, or not UTF-8
             raise EdgeError("PRESET_INVALID", f"preset '{path.stem}' cannot be read: {error}") from None
     return known
 
 
-def offer_of(presets: Mapping[str, Preset], device: Device, total_bytes: int) -> Offer:
-    """What can be offered of these presets on that device with that much memory."""
-    told = [_told(preset, presets, device) for preset in presets.values()]
-    withheld = [each for each in told if least_bytes(presets[each.name], device) > total_bytes]
-    offered = tuple(each for each in told if each not in withheld)
-    return Offer(device.description, offered, total_bytes, tuple(withheld), points_version=VERSION)
+def capabilities_of(presets: Mapping[str, Preset], device: Device, total_bytes: int) -> Capabilities:
+    """Split presets into those that can be offered on a device with that much memory, and those withheld."""
+    messages = [_to_message(preset, presets, device) for preset in presets.values()]
+    withheld = [each for each in messages if least_bytes(presets[each.name], device) > total_bytes]
+    offered = tuple(each for each in messages if each not in withheld)
+    return Capabilities(device.description, offered, total_bytes, tuple(withheld), points_version=VERSION)
 
 
 def least_bytes(preset: Preset, device: Device) -> int:
-    """What even the smallest capture takes; nothing that matters where nothing is trained."""
+    """Memory that a preset's fit takes even for the smallest capture; 0 for a preset that trains nothing."""
     return memory_bytes(preset, 0, device.name) if preset.fit else 0
 
 
-def _told(preset: Preset, known: Mapping[str, Preset], device: Device) -> pb.Preset:
+def _to_message(preset: Preset, known: Mapping[str, Preset], device: Device) -> pb.Preset:
+    """The wire's message for a preset; for the automatic choice, with the most that any of its choices takes."""
     choices = [known[name] for name in CHOICES] if preset.name == AUTOMATIC else [preset]
     return pb.Preset(
         name=preset.name,

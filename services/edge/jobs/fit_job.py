@@ -1,4 +1,4 @@
-"""The second half of a job: points → bundles → store, told in the wire's words."""
+"""Second half of a job: fit a field to the points, publish its bundles to the store, report as wire messages."""
 
 from __future__ import annotations
 
@@ -9,30 +9,29 @@ from contextlib import AbstractContextManager, ExitStack, closing
 from pathlib import Path
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.asset.target import target_of
+from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, preview_share
 from services.edge.errors import EdgeError
+from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.field.device import Device
-from services.edge.memory import Memory
-from services.edge.mesh.ktx2 import Encode
 from services.edge.pipeline import PreviewKept, bundles
-from services.edge.prepare import PREVIEW_SHARE, preview_share
-from services.edge.prepared import Prepared
 from services.edge.preset import AUTOMATIC, Preset, memory_bytes
 from services.edge.progress import Bar, Progress
-from services.edge.requests import JobRequest
-from services.edge.run import Say
-from services.edge.target import target_of
+from services.edge.worker.job_request import ReconstructionRequest
+from services.edge.worker.job_run import Report
+from services.edge.worker.memory_budget import MemoryBudget
 from services.storage.bundle import Bundle, Json
-from services.storage.publish import Asset, KeyElsewhere, Publish, StaleFence, publish
+from services.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, StaleFence, publish
 from services.storage.store import Store
 
 _log = logging.getLogger(__name__)
 
 
-class Fitter:
-    """Fits fields to points on `device`, within `memory`, and publishes to `store`.
+class FieldFitter:
+    """Fits fields to points on `device`, within the memory budget, and publishes to `store`.
 
     presets  by name
-    ktx2     packs textures as KTX2 for targets that ask for it
+    encode   encoder of KTX2 textures, for targets that want them
     """
 
     def __init__(
@@ -40,19 +39,25 @@ class Fitter:
         store: Store,
         presets: Mapping[str, Preset],
         device: Device,
-        memory: Memory,
+        memory: MemoryBudget,
         publish: Publish = publish,
-        ktx2: Encode | None = None,
+        encode: EncodeKtx2 | None = None,
     ) -> None:
         self._store = store
-        self._ktx2 = ktx2
+        self._encode = encode
         self._publish = publish
         self._presets = presets
         self._device = device
         self._memory = memory
 
-    def fit(self, prepared: Prepared, bar: Bar, request: JobRequest, checkpoint: Path, say: Say) -> pb.Finished:
-        """From points to the job's end, on what `bar` has left. Raises EdgeError, and Cancelled when `say` does."""
+    def fit(
+        self, prepared: PreparedPoints, bar: Bar, request: ReconstructionRequest, checkpoint: Path, report: Report
+    ) -> pb.Finished:
+        """Do the rest of a job from its points, on the rest of `bar`. Raises EdgeError, and Cancelled as `report` does.
+
+        Raises MEMORY_EXCEEDED after the preview where the fit needs more than this worker's whole budget; with the
+        automatic preset the preview is the result then.
+        """
         steps = bundles(
             prepared,
             self._presets[request.preset],
@@ -61,24 +66,25 @@ class Fitter:
             device=self._device.name,
             checkpoint=checkpoint,
             label=request.label,
-            target=target_of(request.target, self._ktx2),
+            target=target_of(request.target),
+            encode=self._encode,
         )
         publishing = 0.0
         warnings: Sequence[str] = ()
         computing: Mapping[str, float] = {}
         has_room = False
-        # In this order: a training that is given up lets go of its memory before another job hears that it is free.
-        with ExitStack() as held, closing(steps):
+        # In this order: a training that is stopped frees its memory before the budget gives it to another job.
+        with ExitStack() as reserved, closing(steps):
             for step in steps:
                 match step:
                     case Progress():
-                        say(told(step))
+                        report(to_wire(step))
                     case Bundle():
                         began = time.perf_counter()
-                        say(_published(self._published(step, request), request.collection))
+                        report(_published_message(self._publish_bundle(step, request), request.collection))
                         publishing += time.perf_counter() - began
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
-                        # What the fit behind a preview takes is known only now; behind the fit it comes once more.
+                        # Only the preview tells how much memory the fit takes. A preview may come again after the fit.
                         if step.state == "preview" and not has_room:
                             too_large = self._too_large(step.manifest)
                             if too_large and request.preset == AUTOMATIC:
@@ -86,14 +92,14 @@ class Fitter:
                                 break
                             if too_large:
                                 raise too_large
-                            held.enter_context(self._room_for(step.manifest, say))
+                            reserved.enter_context(self._reserve_memory(step.manifest, report))
                             has_room = True
                     case PreviewKept():
                         warnings, computing = (*warnings, step.warning), step.seconds
         return pb.Finished(warnings=warnings, seconds={"PUBLISHING": publishing, **computing})
 
-    def _published(self, bundle: Bundle, request: JobRequest) -> Asset:
-        """Raises EdgeError FENCE_STALE, KEY_ELSEWHERE, STORE_UNAVAILABLE."""
+    def _publish_bundle(self, bundle: Bundle, request: ReconstructionRequest) -> PublishedAsset:
+        """Write a bundle to the store. Raises EdgeError FENCE_STALE, KEY_ELSEWHERE, STORE_UNAVAILABLE."""
         try:
             return self._publish(
                 bundle,
@@ -104,19 +110,19 @@ class Fitter:
                 collection=request.collection,
             )
         except StaleFence:
-            message = "another worker has taken the job over; what this one made is void"
+            message = "another worker has taken over the job; the result of this one is discarded"
             raise EdgeError("FENCE_STALE", message) from None
         except KeyElsewhere as elsewhere:
             raise EdgeError("KEY_ELSEWHERE", str(elsewhere), hints=("choose another key",)) from None
         except OSError as error:
-            _log.warning("job %s: %s", request.job, error)
+            _log.warning("job %s: the bundle could not be written to the store: %s", request.job, error)
             message = "the result could not be written to the store"
             raise EdgeError("STORE_UNAVAILABLE", message, hints=("try again later",), retryable=True) from error
 
     def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
-        """MEMORY_EXCEEDED, where the fit behind a preview never finds the memory that it takes."""
-        wanted, total = self._wanted(manifest), self._memory.total_bytes
-        if wanted <= total:
+        """The error MEMORY_EXCEEDED, where the fit after a preview needs more than the whole budget; else None."""
+        needed, total = self._fit_bytes(manifest), self._memory.total_bytes
+        if needed <= total:
             return None
         points = int(manifest["points"])
         small = [
@@ -124,31 +130,32 @@ class Fitter:
         ]
         return EdgeError(
             "MEMORY_EXCEEDED",
-            f"preset {manifest['preset']} takes {wanted:,} bytes for {points:,} points; this worker has {total:,}",
+            f"preset {manifest['preset']} needs {needed:,} bytes for {points:,} points; this worker has {total:,}",
             hints=(f"use one of: {', '.join(small)}", "or a worker with a larger EDGE_MEMORY"),
         )
 
-    def _room_for(self, manifest: Mapping[str, Json], say: Say) -> AbstractContextManager[None]:
-        """The memory of the fit behind a preview, waited for."""
-        waiting = pb.Progress(stage=pb.FITTING, message="waiting for memory that other jobs hold")
-        return self._memory.held(self._wanted(manifest), lambda: say(waiting))
+    def _reserve_memory(self, manifest: Mapping[str, Json], report: Report) -> AbstractContextManager[None]:
+        """Reserve the memory of the fit after a preview, and wait until it is free."""
+        waiting = pb.Progress(stage=pb.FITTING, message="waiting for memory that other jobs use")
+        return self._memory.reserve(self._fit_bytes(manifest), lambda: report(waiting))
 
-    def _wanted(self, manifest: Mapping[str, Json]) -> int:
+    def _fit_bytes(self, manifest: Mapping[str, Json]) -> int:
+        """Memory that the fit after a preview takes, by the preview's manifest."""
         return self._bytes(self._presets[manifest["preset"]], int(manifest["points"]))
 
     def _bytes(self, preset: Preset, points: int) -> int:
-        """0 where nothing is trained: the preview stands before it is counted."""
+        """Memory that a preset's fit takes; 0 where nothing is trained, because the preview is finished by then."""
         return memory_bytes(preset, points, self._device.name) if preset.fit else 0
 
 
-def told(progress: Progress) -> pb.Progress:
-    """A pipeline's progress as the wire has it."""
+def to_wire(progress: Progress) -> pb.Progress:
+    """Convert the pipeline's progress to the wire's message."""
     return pb.Progress(
         stage=progress.stage, fraction=progress.fraction, message=progress.message, losses=progress.losses
     )
 
 
-def _published(asset: Asset, collection: str) -> pb.Published:
+def _published_message(asset: PublishedAsset, collection: str) -> pb.Published:
     return pb.Published(
         asset_key=asset.key,
         version=asset.version,

@@ -1,28 +1,25 @@
-"""A job that another worker goes on with: the points go up, its events come back and are said in this worker's name."""
+"""Forward a job to the central worker: send it the points, and pass its events on as this worker's own."""
 
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Iterator
+import threading
+from collections.abc import AsyncGenerator, Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 import grpc
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.central import Central, CentralAway
 from services.edge.errors import Cancelled, EdgeError
-from services.edge.requests import JobRequest
-from services.edge.run import HandedBack, Say
-from services.edge.streams import Broken, Stream, Upload
+from services.edge.jobs.central_client import Central, CentralUnavailable
+from services.edge.worker.job_request import ReconstructionRequest
+from services.edge.worker.job_run import JobReturned, Report
+from services.grpc_client import RUN_UNKNOWN, GrpcClient, StreamEnded, file_chunks
 
 _log = logging.getLogger(__name__)
 
-_FIRST_LOOK_S = 0.1  # before looking for a lost run: a worker that restarts needs a second or two
-_LAST_LOOK_S = 2.0
-
+# Statuses with which central has refused the job for certain, even where the whole archive was sent.
 _REFUSALS = {
     grpc.StatusCode.RESOURCE_EXHAUSTED,
     grpc.StatusCode.INVALID_ARGUMENT,
@@ -30,166 +27,155 @@ _REFUSALS = {
     grpc.StatusCode.DEADLINE_EXCEEDED,
     grpc.StatusCode.ABORTED,
 }
-_UNKNOWN = {grpc.StatusCode.NOT_FOUND, grpc.StatusCode.OUT_OF_RANGE}
 
 
-def hand_over(central: Central, archive: Path, request: JobRequest, begin: float, say: Say) -> pb.Finished:
-    """Send prepared points, and say what `central` says from there on: its fractions on the bar's part from `begin`.
+def forward(
+    central: Central, archive: Path, request: ReconstructionRequest, begin: float, report: Report
+) -> pb.Finished:
+    """Send prepared points to `central`, and report its events until the job ends.
 
-    Where it knows the job already, under an older lease say, that run is followed. Raises CentralAway as long as it has
-    not taken the job, EdgeError for the failure that it reports and CENTRAL_LOST (retryable) where the connection does
-    not come back, and Cancelled when `say` does.
+    begin  fraction of this worker's progress at which central's begins
+
+    Where central knows the job already, for example from an older lease, that run is followed. Raises
+    CentralUnavailable as long as it has not taken the job, EdgeError for the failure that it reports and CENTRAL_LOST
+    (retryable) where the connection does not come back, and Cancelled when `report` does.
     """
     central.require(request.preset)
-    _log.info("job %s: its points go to central at %s", request.job, central.address)
-    relay = _Relay(central, request, begin, say)
-    with relay.cancelled_together():
-        return relay.send(archive)
+    _log.info("job %s: sending its points to central at %s", request.job, central.address)
+    forwarding = _Forwarding(central, request, begin, report)
+    with forwarding.cancelling_central():
+        return forwarding.send(archive)
 
 
-def take_up(central: Central, request: JobRequest, say: Say) -> pb.Finished | None:
-    """Follow the job if an earlier lease of it still runs on `central`, else None. Raises as `hand_over`."""
-    relay = _Relay(central, request, 0.0, say)
+def resume(central: Central, request: ReconstructionRequest, report: Report) -> pb.Finished | None:
+    """Follow the job's run on `central` to its end if an earlier lease started one there; else None.
+
+    Raises as `forward`.
+    """
+    forwarding = _Forwarding(central, request, 0.0, report)
     try:
-        if not central.runs(request.job):
+        if not central.has_run(request.job):
             return None
-        with relay.cancelled_together():
-            return relay.find()
-    except CentralAway:
+        with forwarding.cancelling_central():
+            return forwarding.follow_run()
+    except CentralUnavailable:
         return None
 
 
-class _Relay:
-    """One job on its way through this worker, as far as it has been heard of."""
+class _Forwarding:
+    """One forwarded job: the number of the last event received, and the last progress."""
 
-    def __init__(self, central: Central, request: JobRequest, begin: float, say: Say) -> None:
+    def __init__(self, central: Central, request: ReconstructionRequest, begin: float, report: Report) -> None:
         self._central = central
-        self._patience = central.patience
+        self._timeouts = central.timeouts
+        self._reconnecting = threading.Event()  # set while the connection is lost
         self._request = request
         self._begin = begin
-        self._say = say
+        self._report = report
         self._seq = 0
         self._last = pb.Progress(stage=pb.POINT_CLOUD, fraction=begin)
 
     def send(self, archive: Path) -> pb.Finished:
-        """The job from its upload to its end."""
+        """Upload the points, and follow the job to its end."""
         size = archive.stat().st_size
-        upload = Upload(_header(self._request, size), archive)
-        self._tell(f"sending {size:,} bytes of points to central at {self._central.address}")
-        stream = Stream(self._central.stub.Reconstruct(iter(upload)), upload)
+        header = _header(self._request, size)
+        self._report_message(f"sending {size:,} bytes of points to central at {self._central.address}")
+        admit_s = self._timeouts.admit_s
         try:
-            return self._follow(stream)
-        except Broken as broken:
-            known = broken.status == grpc.StatusCode.ALREADY_EXISTS
-            if not known and (broken.status in _REFUSALS or not upload.through):
-                raise CentralAway(f"central at {self._central.address} did not take the points ({broken})") from None
-        return self.find()
+            return self._follow(lambda client: client.reconstruct(header, file_chunks(archive), admit_s=admit_s))
+        except StreamEnded as ended:
+            known = ended.status == grpc.StatusCode.ALREADY_EXISTS
+            if not known and (ended.status in _REFUSALS or not ended.delivered):
+                fault = f"did not take the points ({ended})"
+                raise CentralUnavailable(f"central at {self._central.address} {fault}") from None
+        return self.follow_run()
 
-    def find(self) -> pb.Finished:
-        """The run from what was last heard of it to its end; where the stream breaks off, it is looked for again."""
-        since, pause_s = time.monotonic(), _FIRST_LOOK_S
-        while True:
-            seq = self._seq
-            try:
-                return self._follow(Stream(self._attached()))
-            except Broken as broken:
-                if broken.status in _UNKNOWN:
-                    raise self._forgotten() from None
-                if self._seq > seq:
-                    since, pause_s = time.monotonic(), _FIRST_LOOK_S
-                elif time.monotonic() - since > self._patience.lost_s:
-                    raise self._lost(f"was out of reach for {self._patience.lost_s:.0f} s") from None
-                _log.warning("job %s: central at %s: %s", self._request.job, self._central.address, broken)
-            self._wait(pause_s)
-            pause_s = min(_LAST_LOOK_S, 1.5 * pause_s)
+    def follow_run(self) -> pb.Finished:
+        """Follow the run from the last event received to its end; reconnect where the stream breaks."""
+        job, seq, give_up_s = self._request.job, self._seq, self._timeouts.lost_s
+        lost = self._reconnecting.set
+        try:
+            return self._follow(lambda client: client.follow(job, seq, give_up_s=give_up_s, lost=lost))
+        except StreamEnded as ended:
+            if ended.status in RUN_UNKNOWN:
+                raise self._run_unknown() from None
+            raise self._lost(f"could not be reached for {give_up_s:.0f} s") from None
 
-    def _attached(self) -> Any:
-        return self._central.stub.Attach(pb.AttachRequest(job=self._request.job, after_seq=self._seq))
-
-    def _follow(self, stream: Stream) -> pb.Finished:
-        """Say what a stream says, to the end. Raises Broken where it ends before the run."""
-        with closing(stream):
+    def _follow(self, call: Callable[[GrpcClient], AsyncGenerator[pb.Event, None]]) -> pb.Finished:
+        """Report the events of a call, to the run's end. Raises StreamEnded where the call ends before the run."""
+        with closing(self._central.stream(call)) as stream:
             while True:
-                event = stream.next(self._patience.look_s)
+                event = stream.next(self._timeouts.look_s)
                 if event is None:
-                    self._require_alive(stream)
-                elif (finished := self._heard(event)) is not None:
+                    self._check_cancelled()
+                elif (finished := self._handle(event)) is not None:
                     return finished
 
-    def _require_alive(self, stream: Stream) -> None:
-        limit_s = self._patience.silence_s if stream.admitted else self._patience.admit_s
-        if stream.silent_s() > limit_s:
-            raise Broken(None, f"not a word for {limit_s:g} s")
-        self._say(self._last)  # which tells whether the job is still wanted
+    def _check_cancelled(self) -> None:
+        """Repeat the last report: it raises Cancelled if the job was cancelled."""
+        if self._reconnecting.is_set():
+            self._report_message(f"reconnecting to central at {self._central.address}")
+        else:
+            self._report(self._last)
 
-    def _heard(self, event: pb.Event) -> pb.Finished | None:
+    def _handle(self, event: pb.Event) -> pb.Finished | None:
+        """Report one of central's events; return the last. Raises EdgeError for a failure."""
         self._seq = event.seq
+        self._reconnecting.clear()
         match event.WhichOneof("what"):
             case "progress":
-                self._last = self._placed(event.progress)
-                self._say(self._last)
+                self._last = self._to_own_progress(event.progress)
+                self._report(self._last)
             case "published":
-                self._say(event.published)
+                self._report(event.published)
             case "failure":
-                raise _failure(event.failure)
+                raise _to_error(event.failure)
             case "finished":
                 return event.finished
-            case _:  # a heartbeat, or something that a newer worker says
-                self._say(self._last)
+            case _:  # a heartbeat, or an event that only a newer version knows
+                self._report(self._last)
         return None
 
-    def _placed(self, told: pb.Progress) -> pb.Progress:
-        """Central's progress on this worker's bar. Until it fits, its reading and its queue are part of the points."""
+    def _to_own_progress(self, progress: pb.Progress) -> pb.Progress:
+        """Map central's progress to this worker's. Its reading and queueing are reported as the stage POINT_CLOUD."""
         return pb.Progress(
-            stage=max(told.stage, pb.POINT_CLOUD),
-            fraction=self._begin + (1.0 - self._begin) * told.fraction,
-            losses=told.losses,
-            eta_s=told.eta_s,
-            message=told.message,
+            stage=max(progress.stage, pb.POINT_CLOUD),
+            fraction=self._begin + (1.0 - self._begin) * progress.fraction,
+            losses=progress.losses,
+            eta_s=progress.eta_s,
+            message=progress.message,
         )
 
-    def _tell(self, message: str) -> None:
-        self._say(pb.Progress(stage=self._last.stage, fraction=self._last.fraction, message=message))
-
-    def _wait(self, seconds: float) -> None:
-        """Before the next look for a lost run, as long as the job is wanted."""
-        until = time.monotonic() + seconds
-        while (left_s := until - time.monotonic()) > 0:
-            self._tell(f"looking for the connection to central at {self._central.address}")
-            time.sleep(min(left_s, self._patience.look_s))
+    def _report_message(self, message: str) -> None:
+        self._report(pb.Progress(stage=self._last.stage, fraction=self._last.fraction, message=message))
 
     @contextmanager
-    def cancelled_together(self) -> Iterator[None]:
-        """A cancellation goes on to central. One that only hands the job back leaves it there for its next lease."""
+    def cancelling_central(self) -> Iterator[None]:
+        """Cancel the run at central too when the job is cancelled in the block.
+
+        Where this worker only returns the job (JobReturned), the run goes on there for the job's next lease.
+        """
         try:
             yield
-        except HandedBack:
+        except JobReturned:
             raise
         except Cancelled:
-            self._cancel()
+            self._central.cancel(self._request.job)
             raise
 
-    def _cancel(self) -> None:
-        """Nobody waits for this, and a central that is away hears of it once it is back."""
-        job = self._request.job
-        call = self._central.stub.Cancel.future(
-            pb.CancelRequest(job=job), timeout=self._patience.cancel_s, wait_for_ready=True
-        )
-        # The callback also keeps the call, which would end with its last reference.
-        call.add_done_callback(lambda done: _log.info("job %s: cancelled at central: %s", job, done.code()))
-
-    def _forgotten(self) -> Exception:
+    def _run_unknown(self) -> Exception:
+        """The error for a central that does not know the run: it never had the job, or lost it after an event."""
         if self._seq == 0:
-            return CentralAway(f"central at {self._central.address} does not have the points that it was sent")
-        return self._lost("no longer knows it; it was restarted, perhaps")
+            return CentralUnavailable(f"central at {self._central.address} does not have the points that were sent")
+        return self._lost("no longer knows the job; it may have been restarted")
 
     def _lost(self, why: str) -> EdgeError:
         message = f"central at {self._central.address}, which had taken the job, {why}"
         return EdgeError("CENTRAL_LOST", message, hints=("send the job again: its points are kept",), retryable=True)
 
 
-def _header(request: JobRequest, size: int) -> pb.Header:
-    """The job as it was asked for; what was done to the points is done, and said by `prepared`."""
+def _header(request: ReconstructionRequest, size: int) -> pb.Header:
+    """Header for central: the request, without `isolate` and `longest_m`, which the prepared points have applied."""
     return pb.Header(
         job=request.job,
         fence=request.fence,
@@ -203,5 +189,12 @@ def _header(request: JobRequest, size: int) -> pb.Header:
     )
 
 
-def _failure(told: pb.Failure) -> EdgeError:
-    return EdgeError(told.code, told.message, file=told.file or None, hints=tuple(told.hints), retryable=told.retryable)
+def _to_error(failure: pb.Failure) -> EdgeError:
+    """Convert the failure that central reports to the error of this worker's job."""
+    return EdgeError(
+        failure.code,
+        failure.message,
+        file=failure.file or None,
+        hints=tuple(failure.hints),
+        retryable=failure.retryable,
+    )

@@ -1,45 +1,44 @@
-"""Points on their way from the worker that made them to the one that fits the field: a zip that is fully checked.
+"""Zip archive of prepared points, which one worker makes and another fits a field to. All of it is checked when read.
 
-points.json     what is no array, with the version of all this
+points.json     format version, and everything that is not an array
 xyz.npy         (N,3) float64 capture frame
 rgb.npy         (N,3) uint8 sRGB, absent where the capture has no colours
 confidence.npy  (N,) float32
 
-Nothing is compressed: coordinates hardly deflate, and the link between two workers is the fast one.
+Nothing is compressed: coordinates hardly deflate, and the link between two workers is fast.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from services.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict, ScaleConfidence
+from services.atomic_write import atomic_write
+from services.edge.capture.nouns import ScaleConfidence
+from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
-from services.edge.points import Points
-from services.edge.points.cloud import MIN_POINTS
-from services.edge.points.nouns import Unseen
-from services.storage.archives import ArchiveError, Limits, unpack
+from services.edge.points.clean_cloud import MIN_POINTS
+from services.edge.points.nouns import Points, UnseenSide
+from services.storage.archives import ArchiveError, ArchiveLimits, unpack
 
 VERSION = 1
-"""Of this format. Workers tell each other theirs before any points are sent."""
+"""Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
-"""More than twice what fusing and cleaning ever leave, 124 MB of arrays."""
+"""Most points that are read: more than twice what fusing and cleaning ever leave; 124 MB of arrays."""
 
 _HEAD, _XYZ, _RGB, _CONFIDENCE = "points.json", "xyz.npy", "rgb.npy", "confidence.npy"
 _HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB
-_POINT_BYTES = 24 + 3 + 4
-_LIMITS = Limits(entries=4, total_bytes=_HEAD_BYTES + MOST_POINTS * _POINT_BYTES + 3 * 1024)
-_FARTHEST = 1e12  # units from the origin: a squared distance stays far from overflowing
-_UNIT = 0.01  # by which a length or a share may miss 1: some are told to three digits
+_POINT_BYTES = 24 + 3 + 4  # xyz, rgb, confidence
+_LIMITS = ArchiveLimits(entries=4, total_bytes=_HEAD_BYTES + MOST_POINTS * _POINT_BYTES + 3 * 1024)
+_FARTHEST = 1e12  # capture units from the origin: a squared distance stays far from overflowing
+_UNIT = 0.01  # tolerance of a length or a share of 1: some are rounded to three digits
 _NPY_HEADER_BYTES = 1024
 
 Stage = Literal["ALIGNING", "POINT_CLOUD"]
@@ -47,32 +46,8 @@ _Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """What a manifest tells of the capture: kind, format, how many frames or photos, and what became of those."""
-
-    kind: CaptureKind
-    format: str
-    frames: Annotated[int, Field(ge=0)]
-    verdicts: tuple[PhotoVerdict, ...] = ()
-
-    @classmethod
-    def of(cls, capture: Capture) -> Source:
-        """The same of a capture at hand."""
-        return cls(capture.kind, capture.format, len(capture.frames) or len(capture.photos), capture.verdicts)
-
-
-@dataclass(frozen=True, slots=True)
-class Prepared:
-    """Points that a field can be fitted to, and what is told of how they were come by; seconds by stage."""
-
-    points: Points
-    source: Source
-    seconds: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
 class _Head:
-    """points.json"""
+    """Content of points.json."""
 
     version: int
     points: Annotated[int, Field(ge=MIN_POINTS, le=MOST_POINTS)]
@@ -81,8 +56,8 @@ class _Head:
     scale_confidence: ScaleConfidence
     up: _Vector | None
     warnings: tuple[str, ...]
-    unseen: tuple[Unseen, ...]
-    source: Source
+    unseen: tuple[UnseenSide, ...]
+    source: CaptureSummary
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -91,27 +66,23 @@ class _Head:
 _HEADS = TypeAdapter(_Head)
 
 
-def write_prepared(prepared: Prepared, archive: Path) -> None:
-    """Write the zip, whole or not at all. Raises OSError where the disk will not."""
+def write_prepared(prepared: PreparedPoints, archive: Path) -> None:
+    """Write the zip atomically. Raises OSError where it cannot be written."""
     archive.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    torn = archive.with_name(archive.name + ".part")
     points = prepared.points
     arrays = {_XYZ: points.xyz, _CONFIDENCE: points.confidence} | ({} if points.rgb is None else {_RGB: points.rgb})
-    with zipfile.ZipFile(torn, "w", zipfile.ZIP_STORED) as packed:
+    with atomic_write(archive) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as packed:
         packed.writestr(_HEAD, _HEADS.dump_json(_head_of(prepared)))
         for name, array in arrays.items():
             with packed.open(name, "w") as file:
-                contiguous = np.ascontiguousarray(array, _kind(name, len(points))[0])
+                contiguous = np.ascontiguousarray(array, _array_type(name, len(points))[0])
                 np.lib.format.write_array(file, contiguous, version=(1, 0), allow_pickle=False)
-    with torn.open("rb") as file:
-        os.fsync(file.fileno())
-    torn.replace(archive)
 
 
-def read_prepared(archive: Path, scratch: Path) -> Prepared:
-    """The points in a zip, which is unpacked into the folder `scratch`.
+def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
+    """Read the points of a zip, which is unpacked into the folder `scratch`.
 
-    Raises EdgeError POINTS_INVALID for whatever `write_prepared` would not have written, naming the file at fault.
+    Raises EdgeError POINTS_INVALID, naming the file at fault, for anything that `write_prepared` would not write.
     """
     try:
         unpack(archive, scratch, _LIMITS)
@@ -122,8 +93,8 @@ def read_prepared(archive: Path, scratch: Path) -> Prepared:
     xyz, confidence = (_read_array(scratch / name, head.points) for name in (_XYZ, _CONFIDENCE))
     rgb = _read_array(scratch / _RGB, head.points) if head.coloured else None
     _require_cloud(xyz)
-    if not ((confidence >= 0) & (confidence <= 1)).all():  # no number is neither
-        raise _invalid("has values that are no confidence in [0, 1]", _CONFIDENCE)
+    if not ((confidence >= 0) & (confidence <= 1)).all():  # false for NaN
+        raise _invalid("has confidences outside [0, 1]", _CONFIDENCE)
     points = Points(
         xyz=xyz,
         rgb=rgb,
@@ -134,10 +105,10 @@ def read_prepared(archive: Path, scratch: Path) -> Prepared:
         warnings=head.warnings,
         unseen=head.unseen,
     )
-    return Prepared(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
+    return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
 
 
-def _head_of(prepared: Prepared) -> _Head:
+def _head_of(prepared: PreparedPoints) -> _Head:
     points = prepared.points
     seconds: Any = dict(prepared.seconds)
     return _Head(
@@ -160,6 +131,7 @@ def _vector(direction: Any) -> _Vector:
 
 
 def _read_head(path: Path) -> _Head:
+    """Read and check points.json. Raises EdgeError POINTS_INVALID."""
     if not path.is_file():
         raise _invalid("is missing", _HEAD)
     if path.stat().st_size > _HEAD_BYTES:
@@ -180,11 +152,11 @@ def _read_head(path: Path) -> _Head:
 
 
 def _require_version(text: bytes) -> None:
-    """Before all else: another version may mean anything by its fields."""
+    """Check the version before the other fields: another version may give them another meaning."""
     try:
         head = json.loads(text)
     except (ValueError, RecursionError):
-        raise _invalid("is no JSON", _HEAD) from None
+        raise _invalid("is not JSON", _HEAD) from None
     version = head.get("version") if isinstance(head, dict) else None
     if version != VERSION:
         raise _invalid(f"is of version {version!r}; this worker reads {VERSION}", _HEAD)
@@ -193,38 +165,38 @@ def _require_version(text: bytes) -> None:
 def _require_files(folder: Path, wanted: set[str]) -> None:
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
     if found != wanted:
-        raise _invalid(f"the archive holds {', '.join(sorted(found))} where {', '.join(sorted(wanted))} are due")
+        raise _invalid(f"the archive holds {', '.join(sorted(found))} instead of {', '.join(sorted(wanted))}")
 
 
-def _kind(name: str, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
-    """What an array must be."""
+def _array_type(name: str, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """The dtype and shape that an array of `count` points must have."""
     kinds = {_XYZ: ("<f8", (count, 3)), _RGB: ("|u1", (count, 3)), _CONFIDENCE: ("<f4", (count,))}
     kind, shape = kinds[name]
     return np.dtype(kind), shape
 
 
 def _read_array(path: Path, count: int) -> Any:
-    """An array of exactly the due kind: its header is compared before a byte is reserved for it."""
-    kind, shape = _kind(path.name, count)
+    """Read a .npy file of the expected dtype and shape: the header is checked before memory is allocated for it."""
+    kind, shape = _array_type(path.name, count)
     with path.open("rb") as file:
         try:
             version = np.lib.format.read_magic(file)
             found = np.lib.format.read_array_header_1_0(file, max_header_size=_NPY_HEADER_BYTES)
-        except Exception:  # noqa: BLE001 - what a torn header makes its parser raise is nobody's promise
-            raise _invalid("is no array", path.name) from None
-        left = path.stat().st_size - file.tell()
-        if version != (1, 0) or found != (shape, False, kind) or left != int(np.prod(shape)) * kind.itemsize:
+        except Exception:  # noqa: BLE001 - NumPy does not document what a broken header makes its parser raise
+            raise _invalid("is not a .npy array", path.name) from None
+        data_bytes = path.stat().st_size - file.tell()
+        if version != (1, 0) or found != (shape, False, kind) or data_bytes != int(np.prod(shape)) * kind.itemsize:
             raise _invalid(f"is not an array of {kind} of the shape {shape}", path.name)
         return np.fromfile(file, kind).reshape(shape)
 
 
 def _require_cloud(xyz: Any) -> None:
-    if not (np.abs(xyz) <= _FARTHEST).all():  # no number is not
-        raise _invalid("has coordinates that are none", _XYZ)
+    if not (np.abs(xyz) <= _FARTHEST).all():  # false for NaN
+        raise _invalid(f"has coordinates that are not finite, or beyond {_FARTHEST:g}", _XYZ)
     if not np.ptp(xyz, axis=0).any():
         raise _invalid("has all its points in one place", _XYZ)
 
 
 def _invalid(message: str, file: str | None = None) -> EdgeError:
-    hints = ("give both workers the same version of capture2vr",)
+    hints = ("install the same version of capture2vr on both workers",)
     return EdgeError("POINTS_INVALID", f"prepared points: {message}", file=file, hints=hints)

@@ -1,4 +1,4 @@
-"""The worker's real work: archive → capture → points, and on to the store: here, or at the central worker."""
+"""Reconstruct a job's capture: unpack the archive, make the points, fit the field here or at the central worker."""
 
 from __future__ import annotations
 
@@ -12,27 +12,28 @@ from typing import TypeVar
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.arrays import Tick, no_tick
-from services.edge.capture import Capture, read_capture
-from services.edge.central import Central, CentralAway
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture
+from services.edge.capture_to_points import PreparedPoints, prepare
 from services.edge.errors import CaptureError, EdgeError
+from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.field.device import Device
-from services.edge.fitter import Fitter, told
-from services.edge.guess.cutout import cut_out
-from services.edge.kept_points import keep, kept
-from services.edge.memory import Memory
-from services.edge.mesh.ktx2 import Encode
-from services.edge.offer import Offer
-from services.edge.prepare import prepare
-from services.edge.prepared import Prepared, read_prepared
+from services.edge.jobs.available_presets import capabilities_of
+from services.edge.jobs.central_client import Central, CentralUnavailable
+from services.edge.jobs.fit_job import FieldFitter, to_wire
+from services.edge.jobs.forward_job import forward, resume
+from services.edge.jobs.points_archive import read_prepared
+from services.edge.jobs.points_cache import load_points, save_points
 from services.edge.preset import Preset
 from services.edge.progress import Bar, Progress
-from services.edge.relay import hand_over, take_up
-from services.edge.requests import JobRequest
-from services.edge.run import Say
-from services.edge.stock import offer_of
+from services.edge.single_photo.cutout import cut_out
+from services.edge.worker.capabilities import Capabilities
+from services.edge.worker.job_request import ReconstructionRequest
+from services.edge.worker.job_run import Report
+from services.edge.worker.memory_budget import MemoryBudget
 from services.storage.archives import ArchiveError, unpack
-from services.storage.catalogue import DEFAULT_COLLECTION
-from services.storage.publish import Publish, publish
+from services.storage.catalogue.entry import DEFAULT_COLLECTION
+from services.storage.catalogue.publish import Publish, publish
 from services.storage.store import Store
 
 T = TypeVar("T")
@@ -40,12 +41,13 @@ T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 
-class RealWork:
-    """Reconstructs with the pipeline and publishes to `store`. presets: by name, the default first.
+class Reconstructor:
+    """The worker's `Work`: runs the pipeline and publishes to `store`.
 
-    With a `central` it makes the points and has that one fit the field, or fits it by itself where it must.
-    What nobody named a collection for enters `collection`, wherever it is fitted. Targets that ask for KTX2 are refused
-    without `ktx2`.
+    presets     by name, the default first
+    central     fits the field to the points that this worker makes; where it is unavailable, the field is fitted here
+    collection  lists the assets whose job names none, wherever they are fitted
+    encode      encoder of KTX2 textures; without it, targets that want KTX2 are refused
     """
 
     def __init__(
@@ -53,39 +55,41 @@ class RealWork:
         store: Store,
         presets: Mapping[str, Preset],
         device: Device,
-        memory: Memory,
+        memory: MemoryBudget,
         central: Central | None = None,
         publish: Publish = publish,
         collection: str = DEFAULT_COLLECTION,
-        ktx2: Encode | None = None,
+        encode: EncodeKtx2 | None = None,
     ) -> None:
-        self._fitter = Fitter(store, presets, device, memory, publish, ktx2)
+        self._fitter = FieldFitter(store, presets, device, memory, publish, encode)
         self._device = device
-        self._own_offer = replace(offer_of(presets, device, memory.total_bytes), ktx2=ktx2)
+        self._own_offer = replace(capabilities_of(presets, device, memory.total_bytes), ktx2=encode is not None)
         self._central = central
         self._collection = collection
 
     @property
-    def offer(self) -> Offer:
-        """Its own presets, and those of its central."""
+    def offer(self) -> Capabilities:
+        """This worker's own presets, with those of its central."""
         if (central := self._central) is None:
             return self._own_offer
-        return self._own_offer.joined(central.address, central.presets, takes_jobs=central.takes_jobs)
+        return self._own_offer.with_central(central.address, central.presets, takes_jobs=central.takes_jobs)
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
-        """The whole job. Raises EdgeError, and Cancelled when `say` does."""
+    def reconstruct(
+        self, archive: Path, request: ReconstructionRequest, scratch: Path, checkpoint: Path, report: Report
+    ) -> pb.Finished:
+        """Run the whole job. Raises EdgeError, and Cancelled when `report` does."""
         request = replace(request, collection=request.collection or self._collection)
-        if self._central and not request.prepared:  # those are fitted where they arrive: no job is handed on twice
-            return self._shared(self._central, archive, request, scratch, checkpoint, say)
-        bar = Bar(lambda progress: say(told(progress)))
-        prepared, seconds = self._prepared(archive, request, scratch, bar, say)
-        return _with_validating(self._fitter.fit(prepared, bar, request, checkpoint, say), seconds)
+        if self._central and not request.prepared:  # prepared points are fitted here: no job is forwarded twice
+            return self._reconstruct_with(self._central, archive, request, scratch, checkpoint, report)
+        bar = Bar(lambda progress: report(to_wire(progress)))
+        prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
+        return _with_validating(self._fitter.fit(prepared, bar, request, checkpoint, report), seconds)
 
     def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
-        """What kind of capture it is. Raises EdgeError when it cannot be used."""
-        capture = _capture_of(archive, scratch)
+        """Read a capture and return its kind, format and size. Raises EdgeError when it cannot be used."""
+        capture = _unpack_capture(archive, scratch)
         if capture.kind == "image":
-            cut_out(capture.photos[0])  # a photo of nothing is told from its pixels alone
+            cut_out(capture.photos[0])  # raises for a photo that shows no object
         return pb.Inspection(
             kind=capture.kind,
             format=capture.format,
@@ -94,35 +98,45 @@ class RealWork:
             warnings=capture.warnings,
         )
 
-    def _shared(
-        self, central: Central, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say
+    def _reconstruct_with(
+        self,
+        central: Central,
+        archive: Path,
+        request: ReconstructionRequest,
+        scratch: Path,
+        checkpoint: Path,
+        report: Report,
     ) -> pb.Finished:
-        """The points here, unless they are there already, and the rest at central; all of it here where it must."""
-        if (finished := take_up(central, request, say)) is not None:
+        """Make the points here, unless they were saved, and fit the field at central; here where that is unavailable.
+
+        A run of the job that central still has from an earlier lease is followed instead.
+        """
+        if (finished := resume(central, request, report)) is not None:
             return finished
-        bar = Bar(lambda progress: say(told(progress)))
+        bar = Bar(lambda progress: report(to_wire(progress)))
         seconds = 0.0
-        if (prepared := kept(checkpoint, scratch / "kept")) is None:
-            prepared, seconds = self._prepared(archive, request, scratch, bar, say)
+        if (prepared := load_points(checkpoint, scratch / "kept")) is None:
+            prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
         try:
-            finished = hand_over(central, keep(prepared, checkpoint), request, bar.reached, say)
-        except CentralAway as away:
-            _log.warning("job %s: %s", request.job, away)
+            finished = forward(central, save_points(prepared, checkpoint), request, bar.reached, report)
+        except CentralUnavailable as unavailable:
+            _log.warning("job %s: %s", request.job, unavailable)
             if not self._own_offer.has(request.preset):
-                raise _unavailable(away, request.preset) from None
-            finished = self._fitter.fit(_warned(prepared, f"{away}: fitted here"), bar, request, checkpoint, say)
+                raise _unavailable(unavailable, request.preset) from None
+            prepared = _with_warning(prepared, f"{unavailable}: the field was fitted on this worker")
+            finished = self._fitter.fit(prepared, bar, request, checkpoint, report)
         return _with_validating(finished, seconds)
 
-    def _prepared(
-        self, archive: Path, request: JobRequest, scratch: Path, bar: Bar, say: Say
-    ) -> tuple[Prepared, float]:
-        """The points of an archive, and the seconds that reading it took."""
+    def _prepare_points(
+        self, archive: Path, request: ReconstructionRequest, scratch: Path, bar: Bar, report: Report
+    ) -> tuple[PreparedPoints, float]:
+        """Make or read the points of an archive; also return the seconds that reading the archive took."""
         reading = pb.Progress(stage=pb.VALIDATING, message=f"reading the {'points' if request.prepared else 'capture'}")
-        say(reading)
+        report(reading)
         began = time.perf_counter()
         if request.prepared:
             return read_prepared(archive, scratch / "prepared"), time.perf_counter() - began
-        capture = _capture_of(archive, scratch, lambda fraction: say(reading))
+        capture = _unpack_capture(archive, scratch, lambda fraction: report(reading))
         seconds = time.perf_counter() - began
         refines = self.offer.trains(request.preset)
         steps = prepare(
@@ -133,21 +147,22 @@ class RealWork:
             isolate=request.isolate,
             longest_m=request.longest_m,
         )
-        return _to_the_end(steps, say), seconds
+        return _run_to_end(steps, report), seconds
 
 
-def _to_the_end(steps: Generator[Progress, None, T], say: Say) -> T:
-    """Say what is yielded; what is returned in the end."""
+def _run_to_end(steps: Generator[Progress, None, T], report: Report) -> T:
+    """Run a generator to its end: report the progress that it yields, return what it returns."""
     with closing(steps):
         while True:
             try:
-                say(told(next(steps)))
+                report(to_wire(next(steps)))
             except StopIteration as ended:
                 result: T = ended.value
                 return result
 
 
-def _capture_of(archive: Path, scratch: Path, tick: Tick = no_tick) -> Capture:
+def _unpack_capture(archive: Path, scratch: Path, tick: Tick = no_tick) -> Capture:
+    """Unpack an archive into `scratch` and read the capture. Raises CaptureError."""
     folder = scratch / "capture"
     try:
         unpack(archive, folder)
@@ -156,16 +171,17 @@ def _capture_of(archive: Path, scratch: Path, tick: Tick = no_tick) -> Capture:
     return read_capture(folder, tick=tick)
 
 
-def _warned(prepared: Prepared, warning: str) -> Prepared:
+def _with_warning(prepared: PreparedPoints, warning: str) -> PreparedPoints:
     points = prepared.points
     return replace(prepared, points=replace(points, warnings=(*points.warnings, warning)))
 
 
 def _with_validating(finished: pb.Finished, seconds: float) -> pb.Finished:
+    """Add the seconds that reading the archive took to the stage VALIDATING."""
     finished.seconds["VALIDATING"] += seconds
     return finished
 
 
-def _unavailable(away: CentralAway, preset: str) -> EdgeError:
-    message = f"{away}, and this worker does not offer preset {preset}"
+def _unavailable(unavailable: CentralUnavailable, preset: str) -> EdgeError:
+    message = f"{unavailable}, and this worker does not offer preset {preset}"
     return EdgeError("CENTRAL_UNAVAILABLE", message, hints=("try again later",), retryable=True)

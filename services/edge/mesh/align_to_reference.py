@@ -1,7 +1,8 @@
-"""A surface laid over a known one by the similarity that brings it nearest: size and place are then not judged.
+"""Align a surface to a reference by the best similarity transform, and measure the distance that remains.
 
-Where nothing tells how the two lie (photos have no frame), many turns are tried on few points, the best on more, and
-the best of those is brought home by distances along the normals. Parts that only one of the two has do not pull.
+Size and place are thus not judged. How the two lie is unknown at first (photos have no frame): many rotations are tried
+on few points, the best on more points, and the best of those is refined by distances along the normals. Parts that
+only one of the two has do not count.
 """
 
 from __future__ import annotations
@@ -14,19 +15,20 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
-from services.edge.mesh.metrics import sample
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import sample
+from services.edge.procrustes import procrustes
 
-_STEPS = 20
+_STEPS = 20  # of the refinement along the normals
 _NEAR = 0.03  # of the surface's size: points farther from it belong to something else
-_SOME = 20_000  # points enough for seven numbers
-_TURNS = 200  # tried besides those that bring the axes of inertia together: 30 degrees from one to the next
-_FEW, _MORE = 300, 3_000  # points a turn is tried with, at first and of the best
-_BEST = 12  # turns that are tried with more
-_KEPT = 0.8  # share of the points that pull: the nearest ones
-_SAMPLES = 100_000
-_ON_THE_THING = 0.05  # of its size: what is farther from it are its surroundings, which a reference does not have
-_COMPLETE = 0.01  # of its size
+_SOME = 20_000  # points: enough for seven unknowns
+_TURNS = 200  # random rotations, besides those that align the axes of inertia: 30 degrees from one to the next
+_FEW, _MORE = 300, 3_000  # points that a rotation is tried with, at first, and if it is among the best
+_BEST = 12  # rotations that are tried with more points
+_NEAREST = 0.8  # share of the points that count in a trial: the nearest ones
+_SAMPLES = 100_000  # points of each surface
+_ON_THE_THING = 0.05  # of its size: points farther from it are surroundings, which a reference does not have
+_COMPLETE = 0.01  # of its size: how near the surface must be to a part of the reference to cover it
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,20 +47,20 @@ class Overlay:
 
 
 def overlay(mesh: Mesh, reference: Mesh) -> Overlay:
-    """Lay the mesh over the reference, whatever their sizes and frames are, and measure. Deterministic.
+    """Align the mesh to the reference, whatever their sizes and frames are, and measure the distance. Deterministic.
 
-    A thing that looks the same from several sides may be laid over turned. Two meshes of different things give large
-    figures, no error.
+    A symmetric thing may be aligned in any of its equal poses. Two meshes of different things give large figures, no
+    error.
     """
     rng = np.random.default_rng(0)
     truth, made = sample(reference, _SAMPLES, rng), sample(mesh, _SAMPLES, rng)
-    start = _coarsely_laid(made.xyz, truth.xyz, rng)
-    laid = laid_over(made.xyz, truth.xyz, truth.normals, start)
-    return measured(laid, truth.xyz, truth.normals)
+    start = _initial_alignment(made.xyz, truth.xyz, rng)
+    laid = align_to_surface(made.xyz, truth.xyz, truth.normals, start)
+    return measure_overlay(laid, truth.xyz, truth.normals)
 
 
-def measured(xyz: Floats, surface: Floats, normals: Floats) -> Overlay:
-    """Points (N,3) that were laid over samples (M,3) of a reference with normals (M,3)."""
+def measure_overlay(xyz: Floats, surface: Floats, normals: Floats) -> Overlay:
+    """Measure points (N,3), already aligned to samples (M,3) of a reference with normals (M,3)."""
     size = float(np.ptp(surface, axis=0).max())
     gap, nearest = cKDTree(surface).query(xyz)
     on = gap < _ON_THE_THING * size
@@ -70,11 +72,11 @@ def measured(xyz: Floats, surface: Floats, normals: Floats) -> Overlay:
     return Overlay(float(np.median(off)), float(np.percentile(off, 90)), complete, beside)
 
 
-def laid_over(xyz: Floats, surface: Floats, normals: Floats, start: Floats) -> Floats:
-    """(N,3) moved by `start` (4,4) and then by the similarity of least distances along the normals.
+def align_to_surface(xyz: Floats, surface: Floats, normals: Floats, start: Floats) -> Floats:
+    """Align points (N,3) to a surface: move them by `start` (4,4), then by the similarity of least distances to planes.
 
-    Point to plane (Y. Chen, G. Medioni, 1992) with the scale as a seventh number: matching points to points instead
-    shrinks whatever lacks a part of the surface.
+    ICP, point to plane (Y. Chen, G. Medioni, 1992), with the scale as a seventh unknown: matching points to points
+    instead shrinks whatever lacks a part of the surface.
     """
     tree = cKDTree(surface)
     near = _NEAR * float(np.ptp(surface, axis=0).max())
@@ -89,7 +91,7 @@ def laid_over(xyz: Floats, surface: Floats, normals: Floats, start: Floats) -> F
             break
         points, normal = points[on], normals[nearest[on]]
         off = np.einsum("ni,ni->n", points + centre - surface[nearest[on]], normal)
-        weight = 1 / np.maximum(np.abs(off), np.median(np.abs(off)) + 1e-9 * near)  # Huber's: the far pull no harder
+        weight = 1 / np.maximum(np.abs(off), np.median(np.abs(off)) + 1e-9 * near)  # Huber: limits a point's pull
         rows = np.concatenate(
             [np.cross(points, normal), normal, np.einsum("ni,ni->n", points, normal)[:, None]], axis=1
         )
@@ -99,17 +101,18 @@ def laid_over(xyz: Floats, surface: Floats, normals: Floats, start: Floats) -> F
     return moved
 
 
-def _coarsely_laid(xyz: Floats, surface: Floats, rng: np.random.Generator) -> Floats:
-    """(4,4) similarity that brings most of the points near the surface, the best of many turns."""
+def _initial_alignment(xyz: Floats, surface: Floats, rng: np.random.Generator) -> Floats:
+    """Similarity (4,4) that brings most of the points near the surface: the best of many rotations."""
     few, more = rng.permutation(xyz)[:_FEW], rng.permutation(xyz)[:_MORE]
     target = cKDTree(rng.permutation(surface)[: 4 * _MORE])
-    tried = sorted((_closer(few, target, turn, 8) for turn in _turns(xyz, surface)), key=lambda each: each[0])
-    best = [_closer(more, target, start, 25) for _, start in tried[:_BEST]]
+    trials = [_refine_by_points(few, target, start, 8) for start in _starts(xyz, surface)]
+    tried = sorted(trials, key=lambda each: each[0])
+    best = [_refine_by_points(more, target, start, 25) for _, start in tried[:_BEST]]
     return min(best, key=lambda each: each[0])[1]
 
 
-def _turns(xyz: Floats, surface: Floats) -> list[Floats]:
-    """Similarities (4,4) that bring the middles and the sizes together, in many turns."""
+def _starts(xyz: Floats, surface: Floats) -> list[Floats]:
+    """Similarities (4,4) that bring the middles and the sizes together, with many rotations."""
     a, b = xyz.mean(axis=0), surface.mean(axis=0)
     scale = float(np.sqrt(np.square(surface - b).sum() / len(surface) / (np.square(xyz - a).sum() / len(xyz))))
     ours, theirs = np.linalg.svd(xyz - a, full_matrices=False)[2], np.linalg.svd(surface - b, full_matrices=False)[2]
@@ -125,30 +128,16 @@ def _turns(xyz: Floats, surface: Floats) -> list[Floats]:
     return starts
 
 
-def _closer(points: Floats, target: cKDTree, start: Floats, steps: int) -> tuple[float, Floats]:
-    """Point-to-point steps from `start`; the mean distance of the nearest `_KEPT`, over the scale, and where they end.
+def _refine_by_points(points: Floats, target: cKDTree, start: Floats, steps: int) -> tuple[float, Floats]:
+    """Refine `start` by point-to-point steps -> mean distance of the `_NEAREST` share over the scale, similarity (4,4).
 
-    Over the scale: else the smallest copy would be nearest to everything.
+    Divided by the scale, because the smallest copy would else be nearest to everything.
     """
     for _ in range(steps):
         moved = points @ start[:3, :3].T + start[:3, 3]
         gap, nearest = target.query(moved)
-        kept = np.argsort(gap)[: int(_KEPT * len(gap))]
-        start = _similarity(points[kept], target.data[nearest[kept]])
-    gap = np.sort(target.query(points @ start[:3, :3].T + start[:3, 3])[0])[: int(_KEPT * len(points))]
+        near = np.argsort(gap)[: int(_NEAREST * len(gap))]
+        similarity = procrustes(points[near], target.data[nearest[near]], scale=True)
+        start = start if similarity is None else similarity
+    gap = np.sort(target.query(points @ start[:3, :3].T + start[:3, 3])[0])[: int(_NEAREST * len(points))]
     return float(gap.mean() / np.cbrt(max(np.linalg.det(start[:3, :3]), 1e-30))), start
-
-
-def _similarity(xyz: Floats, other: Floats) -> Floats:
-    """(4,4) of least squares from points to their partners.
-
-    Shinji Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991.
-    """
-    a, b = xyz.mean(axis=0), other.mean(axis=0)
-    left, spread, right = np.linalg.svd((other - b).T @ (xyz - a))
-    sign = np.array([1, 1, np.sign(np.linalg.det(left @ right))])
-    scale = (spread * sign).sum() / max(np.square(xyz - a).sum(), 1e-30)
-    similarity = np.eye(4)
-    similarity[:3, :3] = scale * (left * sign) @ right
-    similarity[:3, 3] = b - similarity[:3, :3] @ a
-    return similarity

@@ -1,4 +1,4 @@
-"""The field at the grid corners next to the surface, found by walking along it.
+"""Evaluate the field at the grid corners next to the surface, which are found by walking along it (a flood fill).
 
 The walk starts in the cells that hold points and goes on through every cell face that the surface crosses, so gaps
 between points need no guessed dilation, and no corner is evaluated that the surface does not need.
@@ -12,17 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick, no_tick
-from services.edge.mesh.grid import CORNERS, STEP, Grid, find, once, without
+from services.edge.arrays import Bools, DistanceFn, Floats, Ints, Tick, no_tick, part_of
+from services.edge.mesh.grid import CORNERS, STEP, Grid, find, sorted_unique, without
 from services.edge.mesh.spacing import point_spacing
 
-# Queries between two ticks. The first few show how fast the field is, then as many follow as take SLAB_SECONDS: the
+# Queries per slab, between two ticks. The first few measure how fast the field is, then a slab takes SLAB_SECONDS: the
 # local field answers 300,000 a second on one core, a large network 8,000, a GPU millions.
 SLAB, SLAB_MOST, SLAB_GROWTH = 1 << 9, 1 << 18, 8.0
 SLAB_SECONDS = 0.25
-NEAR_ZERO = 1.75  # edges: the two distances of a crossed edge add up to less (1 on a plane, √3 across a fold),
-FLOOR_POINTS = 2_000  # and twice the field's floor, its median at so many points: a learned field may never reach 0
-TOUCHING = 0.25  # edges: two ends this near the surface see only their noise, so where they point proves nothing
+# Edge lengths: limit of the sum of a crossed edge's distances (1 on a plane, √3 across a fold), less twice the floor.
+NEAR_ZERO = 1.75
+FLOOR_POINTS = 2_000  # whose median distance is the field's floor: a learned field may never reach 0
+TOUCHING = 0.25  # edge lengths: where the sum is below this, directions are noise and need not point apart
 WALK_SPACINGS = 3.0  # the walk ends this many local spacings (and 2 cells) away from the points: no far sheets
 
 
@@ -30,7 +31,7 @@ WALK_SPACINGS = 3.0  # the walk ends this many local spacings (and 2 cells) away
 class Band:
     """Evaluated corners: keys (M,) sorted, distance (M,) and gradient (M,3) float32.
 
-    floor is what the field says where it should say 0.
+    floor is the field's value where it should be 0.
     """
 
     keys: Ints
@@ -64,17 +65,17 @@ def walk(distance: DistanceFn, near: Floats, grid: Grid, floor: float, tick: Tic
     away_most = WALK_SPACINGS * point_spacing(near, tree) + 2 * grid.side
     seeds, first = np.unique(grid.cells_of(near), return_index=True)
     band = Band(np.empty(0, np.int64), np.empty(0, np.float32), np.empty((0, 3), np.float32), floor)
-    seen: Ints = np.empty(0, np.int64)
+    visited: Ints = np.empty(0, np.int64)
     frontier: Ints = seeds
     left = 1.0
     while len(frontier):
-        # How many rounds will follow is unknown; each takes half of what is left of the bar.
+        # The number of rounds is unknown; each takes half of what is left of the progress bar.
         band = _grow(band, distance, grid, frontier, part_of(tick, 1 - left, 1 - left / 2))
-        seen, left = once(np.concatenate([seen, frontier])), left / 2
-        grown, active = _across(band, grid, frontier)
+        visited, left = sorted_unique(np.concatenate([visited, frontier])), left / 2
+        found, active = _cells_across(band, grid, frontier)
         if frontier is seeds:
-            grown = np.concatenate([grown, _pulled_cells(distance, near[first[~active]], grid)])
-        frontier = without(grown, seen)
+            found = np.concatenate([found, _pulled_cells(distance, near[first[~active]], grid)])
+        frontier = without(found, visited)
         centres = grid.xyz_of(frontier) + grid.side / 2
         away, nearest = tree.query(centres, workers=-1)
         frontier = frontier[away < away_most[nearest]]
@@ -83,7 +84,7 @@ def walk(distance: DistanceFn, near: Floats, grid: Grid, floor: float, tick: Tic
 
 
 def evaluate(distance: DistanceFn, xyz: Floats, tick: Tick) -> tuple[Floats, Floats]:
-    """The field in slabs: (N,) distance, (N,3) gradient of length 1 (0 where the field gives none), float32."""
+    """Evaluate the field in slabs: distance (N,), gradient (N,3) of length 1 (0 where the field has none), float32."""
     d, g = np.empty(len(xyz), np.float32), np.empty((len(xyz), 3), np.float32)
     start, slab = 0, SLAB
     while start < len(xyz):
@@ -98,18 +99,13 @@ def evaluate(distance: DistanceFn, xyz: Floats, tick: Tick) -> tuple[Floats, Flo
 
 
 def floor_of(distance: DistanceFn, near: Floats, tick: Tick = no_tick) -> float:
-    """What the field says where it should say 0: its median at the points (N,3)."""
+    """Estimate the field's value where it should be 0: its median at the points (N,3)."""
     some = near[:: max(1, len(near) // FLOOR_POINTS)]
     return float(np.median(evaluate(distance, some, tick)[0]))
 
 
-def part_of(tick: Tick, start: float, end: float) -> Tick:
-    """A tick whose 0…1 is start…end of another."""
-    return lambda fraction: tick(start + fraction * (end - start))
-
-
 def _grow(band: Band, distance: DistanceFn, grid: Grid, cells: Ints, tick: Tick) -> Band:
-    """The band with all corners of the cells."""
+    """Add all corners of the cells to the band."""
     keys = without((cells[:, None] + CORNERS).ravel(), band.keys)
     d, g = evaluate(distance, grid.xyz_of(keys), tick)
     order = np.argsort(merged := np.concatenate([band.keys, keys]), kind="stable")
@@ -121,8 +117,8 @@ def _grow(band: Band, distance: DistanceFn, grid: Grid, cells: Ints, tick: Tick)
     )
 
 
-def _across(band: Band, grid: Grid, cells: Ints) -> tuple[Ints, Bools]:
-    """Cells behind the crossed faces of these cells, and which of these cells are crossed at all."""
+def _cells_across(band: Band, grid: Grid, cells: Ints) -> tuple[Ints, Bools]:
+    """Find the cells behind the crossed faces of these cells, and which of these cells (C,) are crossed at all."""
     corners = find(band.keys, cells[:, None] + CORNERS)
     d, g = band.distance[corners], band.gradient[corners]
     crossed = np.zeros((len(cells), 3, 2), bool)
@@ -137,7 +133,7 @@ def _across(band: Band, grid: Grid, cells: Ints) -> tuple[Ints, Bools]:
 
 
 def _pulled_cells(distance: DistanceFn, xyz: Floats, grid: Grid) -> Ints:
-    """Where the surface is for points that lie off it by more than a cell: the cells of their pulled copies."""
+    """Cells of the surface near points that lie off it by more than a cell: those of the points pulled onto it."""
     if len(xyz) == 0:
         return np.empty(0, np.int64)
     d, g = evaluate(distance, xyz, no_tick)

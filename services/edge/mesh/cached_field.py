@@ -1,4 +1,4 @@
-"""The field read off a coarse grid wherever it is smooth there, so that fine detail is paid for only where it is.
+"""Cache the field on a coarse grid: where it is smooth it is interpolated, elsewhere it is evaluated.
 
 i runs over the eight corners of a cell of the coarse grid, at x_i, with distance f_i and unit gradient g_i.
 
@@ -7,8 +7,8 @@ i runs over the eight corners of a cell of the coarse grid, at x_i, with distanc
     s(x) = Σ w_i σ_i (f_i + ½ a g_i·(x − x_i))        w_i trilinear, Σ w_i = 1: exact where the field is quadratic
     f = |s|,  g = sign(s) Σ w_i σ_i g_i
 
-A cell is smooth where all g_i are nearly parallel and every pair of neighbours foretells the other's distance: folds,
-borders, a second layer and noise all break that, and there the field itself is asked.
+A cell is smooth where all g_i are nearly parallel and neighbouring corners predict each other's distance. Folds,
+borders, a second layer and noise break that, and there the field itself is evaluated.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from services.edge.mesh.band import Band
 from services.edge.mesh.grid import CORNERS, Grid, find
 
 PARALLEL = 0.8  # least cosine between gradients of a smooth cell: its surface turns by less than 37°
-FORETOLD = 0.02  # coarse cells: largest error of a foretold distance; 0.04 cost the car .003 of its F(.005)
+MOST_ERROR = 0.02  # coarse cells: largest error of a predicted distance; 0.04 cost the car .003 of its F(.005)
 
 # (8,3) corners of a cell in units of its side, in the order of CORNERS, and the (12,2) pairs that edges join.
 PLACES = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.float32)
 PAIRS = np.array([(a, a | bit) for bit in (4, 2, 1) for a in range(8) if not a & bit])
-# Of a smooth cell. Half-way between two flat sheets along the grid distances are foretold as well, but fall along g.
+# Least a of a smooth cell. Half-way between two flat sheets along the grid distances are predictable, but fall along g.
 LEAST_SLOPE = 0.3
-CHUNK = 1 << 15  # queries at once: 24 floats each, so those in use stay in the cache
+CHUNK = 1 << 15  # queries at once: 24 floats each, so the arrays in use stay in the cache
 
 
 @dataclass(frozen=True, slots=True)
-class Smooth:
+class SmoothCells:
     """Smooth cells: keys (C,) sorted, signed distance (C,8) and its gradient (C,8,3) at their corners."""
 
     grid: Grid
@@ -41,34 +41,34 @@ class Smooth:
     signed: Floats
     gradient: Floats
 
-    def at(self, xyz: Floats, cells: Ints) -> tuple[Floats, Floats]:
-        """(N,) distance and (N,3) gradient of places in these of the cells."""
+    def interpolate(self, xyz: Floats, cells: Ints) -> tuple[Floats, Floats]:
+        """Interpolate distance (N,) and gradient (N,3) at places xyz (N,3), each in one of these cells (N,)."""
         x = ((xyz - self.grid.xyz_of(self.keys[cells])) / self.grid.side).astype(np.float32)
         beside = x[:, None] - PLACES
         weight = np.prod(1 - np.abs(beside), axis=2)
         gradient = self.gradient[cells]
-        foretold = self.signed[cells] + np.float32(self.grid.side / 2) * np.einsum("nix,nix->ni", gradient, beside)
-        signed = np.einsum("ni,ni->n", weight, foretold)
+        predicted = self.signed[cells] + np.float32(self.grid.side / 2) * np.einsum("nix,nix->ni", gradient, beside)
+        signed = np.einsum("ni,ni->n", weight, predicted)
         across = np.einsum("ni,nix->nx", weight, gradient)
         return np.abs(signed), np.where(signed[:, None] < 0, -across, across)
 
 
-def smooth_cells(band: Band, grid: Grid) -> Smooth:
-    """The smooth ones among the cells whose corners are all in the band."""
+def smooth_cells(band: Band, grid: Grid) -> SmoothCells:
+    """Find the smooth cells among those whose corners are all in the band."""
     corners = find(band.keys, band.keys[:, None] + CORNERS)
-    held = (corners < len(band.keys)).all(axis=1)
-    keys, corners = band.keys[held], corners[held]
+    complete = (corners < len(band.keys)).all(axis=1)
+    keys, corners = band.keys[complete], corners[complete]
     gradient, distance = band.gradient[corners], band.distance[corners]
     cos = np.einsum("cix,cx->ci", gradient, gradient[:, 0])
     side = np.where(cos < 0, np.float32(-1), np.float32(1))
     signed = side * distance
-    slope, error = _foretell(signed, gradient := side[:, :, None] * gradient, grid.side)
-    kept = (np.abs(cos) > PARALLEL).all(axis=1) & (error < FORETOLD * grid.side) & (slope > LEAST_SLOPE)
-    return Smooth(grid, keys[kept], signed[kept], slope[kept, None, None] * gradient[kept])
+    slope, error = _predict(signed, gradient := side[:, :, None] * gradient, grid.side)
+    smooth = (np.abs(cos) > PARALLEL).all(axis=1) & (error < MOST_ERROR * grid.side) & (slope > LEAST_SLOPE)
+    return SmoothCells(grid, keys[smooth], signed[smooth], slope[smooth, None, None] * gradient[smooth])
 
 
-def read_off(smooth: Smooth, distance: DistanceFn) -> DistanceFn:
-    """The field, asked only outside the smooth cells."""
+def with_cache(smooth: SmoothCells, distance: DistanceFn) -> DistanceFn:
+    """Return the field that is interpolated in the smooth cells, and evaluated outside them."""
 
     def either(xyz: Floats) -> tuple[Floats, Floats]:
         cells = find(smooth.keys, smooth.grid.cells_of(xyz))
@@ -79,14 +79,14 @@ def read_off(smooth: Smooth, distance: DistanceFn) -> DistanceFn:
         rows = np.flatnonzero(known)
         for start in range(0, len(rows), CHUNK):
             part = rows[start : start + CHUNK]
-            f[part], g[part] = smooth.at(xyz[part], cells[part])
+            f[part], g[part] = smooth.interpolate(xyz[part], cells[part])
         return f, g
 
     return either
 
 
-def _foretell(signed: Floats, gradient: Floats, side: float) -> tuple[Floats, Floats]:
-    """(C,) slope a of each cell, and the worst error with which a corner's distance is then foretold from the next."""
+def _predict(signed: Floats, gradient: Floats, side: float) -> tuple[Floats, Floats]:
+    """Slope a (C,) of each cell, and the largest error (C,) of predicting a corner's distance from the next one's."""
     a, b = PAIRS.T
     along = np.float32(side / 2) * (PLACES[b] - PLACES[a])
     step = np.einsum("cpx,px->cp", gradient[:, a] + gradient[:, b], along)

@@ -1,8 +1,8 @@
-"""Which grid edges the surface crosses, and where.
+"""Find the grid edges that the surface crosses, and where it crosses them.
 
-One edge's gradients can be wrong; the surface cannot end inside a cell. Around every grid face the number of crossed
-edges must therefore be even, except at the open border. An edge that makes three or four of its four faces odd is
-outvoted.
+The gradients of an edge can be wrong, but the surface cannot end inside a cell. Around every grid face the number of
+crossed edges must therefore be even, except at the open border. An edge that makes three or four of its four faces odd
+is outvoted.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from services.edge.arrays import Bools, Floats, Ints
 from services.edge.mesh.band import NEAR_ZERO, Band, crosses
 from services.edge.mesh.grid import Grid
 
-VOTES = 3  # rounds; each outvotes what the last left alone, and three settle all but strips of noise
-OUTVOTED = 3  # odd faces, of four, that turn an edge over
-UNSURE_COS = 0.5  # an uncrossed edge may be turned only where its gradients part by more than 60 degrees
+VOTES = 3  # rounds: three correct all but strips of noise
+OUTVOTED = 3  # odd faces, of four, from which on an edge is flipped
+UNSURE_COS = 0.5  # an uncrossed edge may be flipped only where its gradients part by more than 60 degrees
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Crossings:
 
 
 def find_crossings(band: Band, grid: Grid) -> Crossings:
-    """All crossed edges of a band, after the vote."""
+    """Find all crossed edges of a band, and correct them by the vote."""
     nexts = [band.neighbours(axis) for axis in range(3)]
     crossed, unsure = _by_gradient(band, nexts, grid.side)
     _vote(crossed, unsure, nexts)
@@ -40,7 +40,7 @@ def find_crossings(band: Band, grid: Grid) -> Crossings:
 
 
 def _by_gradient(band: Band, nexts: list[Ints], side: float) -> tuple[Bools, Bools]:
-    """(M+1,3) crossed edges, and uncrossed ones that a vote may turn. The last row stands for corners not there."""
+    """Masks (M+1,3): crossed edges, and uncrossed ones that a vote may flip. The last row is for missing corners."""
     crossed = np.zeros((len(band.keys) + 1, 3), bool)
     unsure = np.zeros_like(crossed)
     for axis, following in enumerate(nexts):
@@ -54,7 +54,7 @@ def _by_gradient(band: Band, nexts: list[Ints], side: float) -> tuple[Bools, Boo
 
 
 def _vote(crossed: Bools, unsure: Bools, nexts: list[Ints]) -> None:
-    """Turn outvoted edges over, in place."""
+    """Flip outvoted edges between crossed and uncrossed, in place."""
     last = len(crossed) - 1
     ahead = [np.append(n, last) for n in nexts]
     for _ in range(VOTES):
@@ -66,15 +66,15 @@ def _vote(crossed: Bools, unsure: Bools, nexts: list[Ints]) -> None:
             for axis, across in ((a, b), (b, a)):
                 odd_faces[:, axis] += odd
                 odd_faces[ahead[across][odd], axis] += 1
-        turned = (odd_faces >= OUTVOTED) & (crossed | unsure)
-        turned[last] = False
-        if not turned.any():
+        flipped = (odd_faces >= OUTVOTED) & (crossed | unsure)
+        flipped[last] = False
+        if not flipped.any():
             return
-        crossed ^= turned
+        crossed ^= flipped
 
 
 def _locate(band: Band, grid: Grid, a: Ints, following: Ints, axis: int) -> Crossings:
-    """Crossings at t = f_a/(f_a+f_b) along their edges."""
+    """Compute the crossings at t = f_a/(f_a+f_b) along their edges."""
     b = following[a]
     total = np.maximum(band.distance[a] + band.distance[b], 1e-12)  # both ends on the surface: any t will do
     xyz = grid.xyz_of(band.keys[a])

@@ -1,4 +1,4 @@
-"""From crossed edges to a mesh: one quad per crossed edge, one vertex per layer of each cell.
+"""Connect the crossed edges to a mesh: one quad per crossed edge, one vertex per layer of each cell.
 
 Terms: every crossed edge has four cells around it, so its quad has four corners, and four faces, so its quad has four
 sides. On each grid face the crossed edges are joined in pairs; a pair is a line of the surface across that face, and
@@ -36,7 +36,7 @@ PAIRINGS: dict[int, tuple[tuple[tuple[int, int], ...], ...]] = {
 
 
 def connect(crossings: Crossings) -> tuple[Ints, Ints]:
-    """(E,4) quads into vertices 0…V−1, and (4E,) the vertex of every corner 4·edge + number."""
+    """Connect the crossings -> quads (E,4) of vertices 0…V−1, and the vertex (4E,) of every corner 4·edge + number."""
     count = len(crossings.corner)
     links = _links(crossings, _face_keys(crossings))
     graph = coo_array((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(4 * count, 4 * count))
@@ -59,7 +59,7 @@ def _face_keys(crossings: Crossings) -> Ints:
 
 
 def _links(crossings: Crossings, face_keys: Ints) -> Ints:
-    """(L,2) corners that are the same vertex."""
+    """Pairs (L,2) of corners that are the same vertex."""
     order = np.argsort(face_keys.ravel(), kind="stable")
     keys = face_keys.ravel()[order]
     start = np.flatnonzero(np.append(True, keys[1:] != keys[:-1])) if len(keys) else np.empty(0, np.int64)
@@ -75,14 +75,14 @@ def _links(crossings: Crossings, face_keys: Ints) -> Ints:
 
 
 def _link(row_a: Ints, row_b: Ints) -> Ints:
-    """Corners of the two edges on the upper and on the lower side of their face."""
+    """Pairs of corners of two edges, on the upper and on the lower side of their face."""
     a = (row_a // 4 * 4)[:, None] + SIDES[row_a % 4]
     b = (row_b // 4 * 4)[:, None] + SIDES[row_b % 4]
     return np.stack([a, b], axis=2).reshape(-1, 2)
 
 
 def _best_pairing(crossings: Crossings, edges: Ints, members: int) -> Ints:
-    """(G,members) edges of faces -> (G,) the pairing whose lines lie flattest in the surface."""
+    """Choose for the edges (G,members) of faces the pairing (G,) whose lines lie flattest in the surface."""
     if members == 2:
         return np.zeros(len(edges), np.int64)
     costs = []

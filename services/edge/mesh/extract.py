@@ -1,30 +1,30 @@
-"""An unsigned distance field to an open mesh (method: "extraction for open surfaces").
+"""Extract an open mesh from an unsigned distance field (method: "extraction for open surfaces").
 
 f, g   distance and gradient; h the cell's side. No sign exists, so a crossing is where the gradients of an edge's ends
        oppose and f_a + f_b < 1.75 h.
 
 1. walk along the surface and evaluate f, g at the corners of the cells it crosses   (band.py),
-   on a coarse grid first: where f is smooth there, the fine corners are read off it  (coarse.py)
+   on a coarse grid first: where f is smooth there, the fine corners are interpolated (cached_field.py)
 2. find the crossed edges and let their neighbours outvote the wrong ones            (crossings.py)
 3. join them into quads, a vertex per cell and layer                                 (dual.py)
-4. pull the vertices onto the zero set, relax them inside the surface, land them     (land.py)
+4. pull the vertices onto the zero set, spread them evenly, pull them once more      (settle.py)
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick
-from services.edge.mesh.band import floor_of, part_of, walk
-from services.edge.mesh.coarse import read_off, smooth_cells
+from services.edge.arrays import DistanceFn, Floats, Ints, Tick, no_tick, part_of
+from services.edge.mesh.band import floor_of, walk
+from services.edge.mesh.cached_field import smooth_cells, with_cache
 from services.edge.mesh.crossings import find_crossings
 from services.edge.mesh.dual import connect, triangles
 from services.edge.mesh.grid import Grid, grid_around
-from services.edge.mesh.land import settle
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.settle import settle
 
-COARSEST = 48  # cells along the longest side: a coarser grid is smooth nowhere
-FLOOR_SHARE, COARSE_SHARE, WALK_SHARE = 0.01, 0.2, 0.6  # of the time, from a network at 128³ and 256³
+COARSEST = 48  # cells along the longest side: in a coarser grid no cell is smooth
+FLOOR_SHARE, COARSE_SHARE, WALK_SHARE = 0.01, 0.2, 0.6  # of the run time, measured with a network at 128³ and 256³
 
 
 def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick = no_tick) -> Mesh:
@@ -50,12 +50,12 @@ def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick =
 
 
 def _coarse_first(distance: DistanceFn, near: Floats, grid: Grid, floor: float, tick: Tick) -> DistanceFn:
-    """The field, read off grids of twice the side, and twice that again, where they are smooth."""
+    """Return the field with a cache: interpolated on grids of 2, 4, … times the cell side, where they are smooth."""
     coarse = Grid(grid.origin, 2 * grid.side)
     if np.ptp(near, axis=0).max() < COARSEST * coarse.side:
         return distance
     read = _coarse_first(distance, near, coarse, floor, part_of(tick, 0, COARSE_SHARE))
-    return read_off(smooth_cells(walk(read, near, coarse, floor, part_of(tick, COARSE_SHARE, 1)), coarse), distance)
+    return with_cache(smooth_cells(walk(read, near, coarse, floor, part_of(tick, COARSE_SHARE, 1)), coarse), distance)
 
 
 def _mean_by(group: Ints, values: Floats) -> Floats:

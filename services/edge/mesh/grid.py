@@ -1,4 +1,4 @@
-"""A grid that is never stored: corners, edges, faces and cells are int64 keys, so work grows with the surface.
+"""A sparse grid: corners, edges, faces and cells are int64 keys, so time and memory grow with the surface.
 
 A corner (i,j,k) has the key (i·S + j)·S + k, S = 2²⁰; the neighbour along axis a lies STEP[a] further.
 A cell, and an edge or face beside its axis, has the key of its lowest corner.
@@ -31,24 +31,24 @@ class Grid:
     side: float
 
     def cells_of(self, xyz: Floats) -> Ints:
-        """(N,3) points -> (N,) keys of the cells that hold them."""
+        """Keys (N,) of the cells that contain points (N,3)."""
         index: Ints = np.floor((xyz - self.origin) / self.side).astype(np.int64) @ STEP
         return index
 
     def xyz_of(self, corners: Ints) -> Floats:
-        """(N,) corner keys -> (N,3) positions."""
+        """Positions (N,3) of corners, by their keys (N,)."""
         index = np.stack([corners // STEP[0], corners // STEP[1] % SIDE, corners % SIDE], axis=1)
         return self.origin + self.side * index
 
 
 def grid_around(near: Floats, resolution: int) -> Grid:
-    """A grid with `resolution` cells along the longest side of the points' box. Raises ValueError if they have none."""
+    """Make a grid of `resolution` cells along the longest side of the points' box. Raises ValueError if that is 0."""
     if resolution < 1:
         raise ValueError(f"a grid needs at least 1 cell along its longest side, not {resolution}")
     low, high = near.min(axis=0), near.max(axis=0)
     side = float((high - low).max()) / resolution
     if not side > 0:
-        raise ValueError(f"{len(near)} points without extent span no grid")
+        raise ValueError(f"{len(near)} points without extent: all lie at one place, so no grid fits them")
     return Grid(low - side * (PAD + SHIFT), side)
 
 
@@ -57,19 +57,19 @@ def find(sorted_keys: Ints, wanted: Ints) -> Ints:
     if len(sorted_keys) == 0:
         return np.zeros(len(wanted), np.int64)
     at = np.searchsorted(sorted_keys, wanted)
-    held = sorted_keys[np.minimum(at, len(sorted_keys) - 1)] == wanted
-    return np.where(held, at, len(sorted_keys))
+    found = sorted_keys[np.minimum(at, len(sorted_keys) - 1)] == wanted
+    return np.where(found, at, len(sorted_keys))
 
 
 def without(keys: Ints, sorted_known: Ints) -> Ints:
-    """The keys, sorted and once each, that are not among the known."""
-    keys = once(keys)
+    """Sorted unique keys that are not among the known ones."""
+    keys = sorted_unique(keys)
     new: Ints = keys[find(sorted_known, keys) == len(sorted_known)]
     return new
 
 
-def once(keys: Ints) -> Ints:
-    """The keys, sorted and once each: `np.unique`, which hashes, takes eight times as long."""
+def sorted_unique(keys: Ints) -> Ints:
+    """Sort keys and drop duplicates. `np.unique`, which hashes, takes eight times as long."""
     keys = np.sort(keys)
     distinct: Ints = keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
     return distinct

@@ -1,7 +1,8 @@
-"""Close the pin-holes and tears that an extraction leaves, before the trimming decides which of it points back.
+"""Close the pin-holes, tears and slits that an extraction leaves, before parts without points are trimmed.
 
-Pin-holes get a fan around their middle. Tears, long and narrow, run along tight folds where the field's planes change;
-they are zipped: ears of the border, three vertices in a row whose chord is short, are closed from the sharpest on.
+Pin-holes get a fan of triangles around their middle. Tears, long and narrow, run along tight folds where the field's
+planes change; they are zipped: ears of the border, three vertices in a row whose chord is short, are closed from the
+sharpest on.
 Slits along creases, whose sides lie in two planes, are closed by the triangulation of least area (G. Barequet,
 M. Sharir, "Filling gaps in the boundary of a polyhedron", 1995) where that is small.
 """
@@ -22,7 +23,7 @@ from services.edge.mesh.nouns import Mesh
 # An ear at an outer corner would lie back on the faces beside it. At a fold, where both sheets overshoot and pass each
 # other, the ear that joins them leans back too, but stands off the faces by more than this.
 STANDS_OFF = float(np.cos(np.radians(35)))
-MOST_CORNERS = 200  # of a slit, which take 0.1 s: a longer one is wider than it should be, or of another kind
+MOST_CORNERS = 200  # of a slit, which take 0.1 s: a longer loop is wider than a slit, or something else
 BLUNTEST = float(np.cos(np.radians(150)))  # an ear opens by less: the saw-teeth of a straight border stay as they are
 
 
@@ -34,16 +35,16 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
 
     largest (V,): longer loops are closed too where an area below this suffices.
     Needs a mesh whose vertices have one fan of faces each (`to_manifold`); border is its `border_edges`, where known.
-    The new faces follow those that there are, and are wound like those next to each loop's first edge.
+    The new faces are appended, and are wound like those next to each loop's first edge.
     """
     border = border_edges(mesh.faces) if border is None else border
-    across = _across(mesh.faces, border) if largest is not None else None
+    chords = _chords(mesh.faces, border) if largest is not None else None
     vertices, faces, count = [mesh.vertices], [mesh.faces], len(mesh.vertices)
     for loop in border_loops(mesh.faces, border):
         points = mesh.vertices[loop]
         if np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1).sum() > longest[loop].mean():
-            if largest is not None and across is not None:
-                faces.append(_sheet_below(largest[loop].mean(), points, loop, across))
+            if largest is not None and chords is not None:
+                faces.append(_triangulate_below(largest[loop].mean(), points, loop, chords))
             continue
         if len(loop) == 3:
             faces.append(loop[None, ::-1])
@@ -54,8 +55,8 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def _across(faces: Ints, border: Ints) -> Ints:
-    """(C,2) edges between border vertices."""
+def _chords(faces: Ints, border: Ints) -> Ints:
+    """Edges (C,2) of the mesh between border vertices."""
     rim = np.zeros(int(faces.max(initial=0)) + 1, bool)
     rim[border] = True
     ends = edges_of(faces[rim[faces].sum(axis=1) >= 2]).ends
@@ -63,32 +64,33 @@ def _across(faces: Ints, border: Ints) -> Ints:
     return between
 
 
-def _sheet_below(largest: float, points: Floats, loop: Ints, across: Ints) -> Ints:
-    """The faces of least area that close a loop (L,), its places (L,3); none where they are larger.
+def _triangulate_below(largest: float, points: Floats, loop: Ints, chords: Ints) -> Ints:
+    """Triangulate a loop (L,) of vertices at (L,3) with least area; no faces where that is not below `largest`.
 
-    across (C,2) are edges that the mesh has, which would get a third face.
+    chords (C,2) are edges that the mesh has already: they would get a third face.
     """
     none = np.empty((0, 3), np.int64)
-    # No sheet is smaller than its loop's vector area: most holes are told without looking for one.
+    # No triangulation is smaller than the loop's vector area: this rules out most holes at once.
     vector = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) / 2
     if len(points) > MOST_CORNERS or np.linalg.norm(vector) >= largest:
         return none
     order = np.argsort(loop)
-    chords = across[np.isin(across, loop).all(axis=1)]
-    taken = np.sort(order[np.searchsorted(loop, chords, sorter=order)], axis=1)
-    area, triangles = _least_area(points, taken)
+    own = chords[np.isin(chords, loop).all(axis=1)]
+    forbidden = np.sort(order[np.searchsorted(loop, own, sorter=order)], axis=1)
+    area, triangles = _least_area(points, forbidden)
     return loop[triangles[:, ::-1]] if area < largest else none
 
 
-def _least_area(points: Floats, taken: Ints) -> tuple[float, Ints]:
-    """Of a loop (L,3), L ≥ 3: the least area of its triangulations, and (L−2,3) that one's corners, wound like it.
+def _least_area(points: Floats, forbidden: Ints) -> tuple[float, Ints]:
+    """Triangulate a loop (L,3), L ≥ 3, with least area -> the area, and (L−2,3) corners, wound like the loop.
 
-    taken (C,2), each pair rising, are chords that it must not have; ∞ where it cannot do without.
+    forbidden (C,2), each pair rising, are chords that it must not use; the area is ∞ where it cannot avoid them.
     """
     count = len(points)
     least, middle = np.zeros((count, count)), np.zeros((count, count), np.int64)
     barred = np.zeros((count, count), bool)
-    barred[taken[:, 0], taken[:, 1]] = np.ptp(taken, axis=1) % (count - 1) > 1  # the loop's own edges are no chords
+    # The loop's own edges are no chords.
+    barred[forbidden[:, 0], forbidden[:, 1]] = np.ptp(forbidden, axis=1) % (count - 1) > 1
     for gap in range(2, count):
         first = np.arange(count - gap)
         last = first + gap
@@ -111,13 +113,13 @@ def _least_area(points: Floats, taken: Ints) -> tuple[float, Ints]:
 
 
 def zip_tears(mesh: Mesh, chord: Floats, border: Ints | None = None) -> Mesh:
-    """Close ears of the borders whose chord is shorter than the (V,) chord at their middle vertex.
+    """Zip tears: close ears of the borders whose chord is shorter than the (V,) chord at their middle vertex.
 
-    border is the mesh's `border_edges`, where known. The ears follow the faces that there are. May leave edges of three
-    faces where two tears meet: `to_manifold` is due before and after.
+    border is the mesh's `border_edges`, where known. The ears are appended to the faces. Call `to_manifold` before and
+    after: where two tears meet, edges may get three faces.
     """
     border = border_edges(mesh.faces) if border is None else border
-    inward, normals = _beside(mesh, border)
+    inward, normals = _inward_and_normals(mesh, border)
     ears = [
         ear
         for loop in border_loops(mesh.faces, border)
@@ -128,8 +130,8 @@ def zip_tears(mesh: Mesh, chord: Floats, border: Ints | None = None) -> Mesh:
     return Mesh(mesh.vertices, np.concatenate([mesh.faces, np.array(ears)]))
 
 
-def _beside(mesh: Mesh, border: Ints) -> tuple[Floats, Floats]:
-    """For border vertices, else 0: (V,3) towards the middles of the faces around, summed, and a unit normal of one."""
+def _inward_and_normals(mesh: Mesh, border: Ints) -> tuple[Floats, Floats]:
+    """For border vertices, else 0: the summed directions (V,3) to the centres of their faces, and one face's normal."""
     rim = np.zeros(len(mesh.vertices), bool)
     rim[border] = True
     faces = mesh.faces[rim[mesh.faces].any(axis=1)]
@@ -144,28 +146,28 @@ def _beside(mesh: Mesh, border: Ints) -> tuple[Floats, Floats]:
 
 
 def _zip(xyz: Floats, normals: Floats, inward: Floats, chord: Floats, loop: Ints) -> list[tuple[int, int, int]]:
-    """Ears of one border loop, shortest chord first; all arrays run along the loop.
+    """Close ears of one border loop, shortest chord first -> their triangles. All arrays run along the loop.
 
-    Plain floats, not arrays of three: a loop of thousands is walked vertex by vertex, each for 3 µs in place of 40.
+    Plain floats, not arrays of three: they take 3 µs in place of 40 for each of thousands of vertices.
     """
     place, across, inside, most = xyz.tolist(), normals.tolist(), inward.tolist(), chord.tolist()
     count = len(loop)
     after, before = [*range(1, count), 0], [count - 1, *range(count - 1)]
     heap: list[tuple[float, int, int, int]] = []
 
-    def offer(v: int) -> None:
+    def push_ear(v: int) -> None:
         a, b = before[v], after[v]
         length = math.dist(place[a], place[b])
         if length < most[v] and _may_close(place[a], place[v], place[b], across[v], inside[v]):
             heapq.heappush(heap, (length, a, v, b))
 
     for v in range(count):
-        offer(v)
+        push_ear(v)
     ears, left = [], count
     while heap and left > 3:
         _, a, v, b = heapq.heappop(heap)
         if before[v] != a or after[v] != b:
-            continue  # a neighbour was closed since: the ear was offered again with its new ends
+            continue  # outdated: a neighbour was closed since, and the ear was pushed again with its new ends
         ears.append((b, v, a))
         left -= 1
         for end in (a, b):
@@ -175,8 +177,8 @@ def _zip(xyz: Floats, normals: Floats, inward: Floats, chord: Floats, loop: Ints
             ]
         after[v] = before[v] = -1
         after[a], before[b] = b, a
-        offer(a)
-        offer(b)
+        push_ear(a)
+        push_ear(b)
     if left == 3 and ears:
         v = ears[-1][0]
         ears.append((after[v], v, before[v]))
@@ -184,7 +186,7 @@ def _zip(xyz: Floats, normals: Floats, inward: Floats, chord: Floats, loop: Ints
 
 
 def _may_close(a: Vector, v: Vector, b: Vector, normal: Vector, inward: Vector) -> bool:
-    """Whether the ear a-v-b is sharp, and lies in a gap of the surface: not back on the faces beside it."""
+    """Whether the ear a-v-b is sharp, and lies in a gap of the surface rather than on the faces beside it."""
     ax, ay, az = a[0] - v[0], a[1] - v[1], a[2] - v[2]
     bx, by, bz = b[0] - v[0], b[1] - v[1], b[2] - v[2]
     if ax * bx + ay * by + az * bz < BLUNTEST * math.hypot(ax, ay, az) * math.hypot(bx, by, bz):

@@ -1,4 +1,4 @@
-"""Cut a mesh wherever it is more than one surface: at edges of three faces, at vertices where fans of faces touch."""
+"""Make a mesh manifold: cut it at edges of three or more faces, and at vertices where fans of faces touch."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints
-from services.edge.mesh.edges import Edges, edges_of, following
+from services.edge.mesh.edges import Edges, edges_of, next_half
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import labels
+from services.edge.mesh.topology import component_labels
 
 # A vertex that is cut in two leaves two at one place. Each draws back by this share of the way into its own faces, so
 # that a program which welds equal positions does not undo the cut.
@@ -27,21 +27,21 @@ def to_manifold(mesh: Mesh, at: Bools | None = None) -> Mesh:
         at = np.ones(len(mesh.vertices), bool)
     near = at[faces].any(axis=1)
     part = _cut(Mesh(mesh.vertices, faces[near], mesh.rgb), at)
-    while doubled := _doubled(part):
-        part = _with_midpoints(part, doubled)
+    while duplicates := _duplicate_sheets(part):
+        part = _split_edges(part, duplicates)
     return Mesh(part.vertices, np.concatenate([faces[~near], part.faces]), part.rgb)
 
 
 def _cut(mesh: Mesh, at: Bools) -> Mesh:
-    """Faces joined along edges of two, and along the straightest pairs of edges of more; parted at these vertices."""
+    """Split these vertices: faces stay joined along edges of two, and in the straightest pairs along edges of more."""
     vertices, faces = mesh.vertices, mesh.faces
     edges = edges_of(faces)
     sheets = [sheet for at_edge in _sheets(vertices, faces, edges) for sheet in at_edge if len(sheet) == 2]
     a, b = np.concatenate([edges.halves(2), *(sheet[None] for sheet in sheets)]).T
     same = faces.ravel()[a] == faces.ravel()[b]
-    partner_start, partner_end = np.where(same, b, following(b)), np.where(same, following(b), b)
-    links = np.concatenate([np.stack([a, partner_start], 1), np.stack([following(a), partner_end], 1)])
-    fan = labels(links, faces.size)
+    partner_start, partner_end = np.where(same, b, next_half(b)), np.where(same, next_half(b), b)
+    links = np.concatenate([np.stack([a, partner_start], 1), np.stack([next_half(a), partner_end], 1)])
+    fan = component_labels(links, faces.size)
     origin = np.empty(int(fan.max(initial=-1)) + 1, np.int64)
     origin[fan] = faces.ravel()
     split = np.flatnonzero(((np.bincount(origin, minlength=len(vertices)) > 1) & at)[origin])
@@ -70,10 +70,10 @@ def _draw_back(vertices: Floats, faces: Ints, centres: Floats, split: Ints) -> N
 
 
 def _sheets(vertices: Floats, faces: Ints, edges: Edges) -> Iterator[list[Ints]]:
-    """Edges of more than two faces: their half-edges, in the pairs that go on straightest, then what is left alone."""
+    """Yield for each edge of more than two faces its half-edges: the straightest pairs, then those left alone."""
     for start, size in zip(edges.start[edges.size > 2], edges.size[edges.size > 2], strict=True):
         half = edges.order[start : start + size]
-        a, b, c = (vertices[faces.ravel()[h]] for h in (half, following(half), following(following(half))))
+        a, b, c = (vertices[faces.ravel()[h]] for h in (half, next_half(half), next_half(next_half(half))))
         along = (b - a) / max(float(np.linalg.norm(b[0] - a[0])), 1e-18)
         side = c - a - np.einsum("hx,hx->h", c - a, along)[:, None] * along
         side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-18)
@@ -87,23 +87,23 @@ def _sheets(vertices: Floats, faces: Ints, edges: Edges) -> Iterator[list[Ints]]
         yield sheets + [half[[i]] for i in alone]
 
 
-def _doubled(mesh: Mesh) -> list[Ints]:
-    """Where sheets pass through the same two vertices, the half-edges of all sheets but the first. Each face once."""
-    busy, doubled = set[int](), []
+def _duplicate_sheets(mesh: Mesh) -> list[Ints]:
+    """Find sheets that share an edge -> the half-edges of all but the first of each edge. No face comes twice."""
+    busy, duplicates = set[int](), []
     for sheets in _sheets(mesh.vertices, mesh.faces, edges_of(mesh.faces)):
         for sheet in sheets[1:]:
             touched = set((sheet // 3).tolist())
             if not touched & busy:
                 busy |= touched
-                doubled.append(sheet)
-    return doubled
+                duplicates.append(sheet)
+    return duplicates
 
 
-def _with_midpoints(mesh: Mesh, sheets: list[Ints]) -> Mesh:
-    """Give each sheet a vertex of its own in the middle of the edge of its half-edges."""
+def _split_edges(mesh: Mesh, sheets: list[Ints]) -> Mesh:
+    """Split the edge of each sheet: the sheet gets a vertex of its own in the middle."""
     faces, half = mesh.faces, np.concatenate(sheets)
     one = np.array([sheet[0] for sheet in sheets])
-    middle = mesh.vertices[faces.ravel()[np.stack([one, following(one)])]].mean(axis=0)
+    middle = mesh.vertices[faces.ravel()[np.stack([one, next_half(one)])]].mean(axis=0)
     new = np.repeat(len(mesh.vertices) + np.arange(len(sheets)), [len(sheet) for sheet in sheets])
     first, second = faces[half // 3], faces[half // 3]
     rows = np.arange(len(half))
@@ -115,18 +115,18 @@ def _with_midpoints(mesh: Mesh, sheets: list[Ints]) -> Mesh:
 
 
 def _more_rgb(mesh: Mesh, source: Ints) -> Bytes | None:
-    """Colours with those of new vertices, each from the (K,) vertex that it came of."""
+    """Colours with those of new vertices, each copied from its (K,) source vertex."""
     return None if mesh.rgb is None else np.concatenate([mesh.rgb, mesh.rgb[source]])
 
 
 def crowded_edges(faces: Ints) -> Ints:
-    """(C,2) edges of three or more faces, ends rising."""
+    """Edges (C,2) of three or more faces, ends rising."""
     edges = edges_of(faces)
     return edges.ends[edges.size > 2]
 
 
 def without_fins(faces: Ints) -> Ints:
-    """The faces but for pairs over the same three vertices that stand out of the surface: a fold that was pressed flat.
+    """Drop pairs of faces over the same three vertices that stand out of the surface: folds that were pressed flat.
 
     Of the edges of three or more faces that a collapse makes, nearly all come from these. A pair that touches no such
     edge is a flat piece of its own, and stays.

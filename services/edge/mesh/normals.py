@@ -50,8 +50,7 @@ def split_flips(mesh: Mesh) -> Mesh:
     doubled = np.unique(mesh.faces[back])
     faces = mesh.faces.copy()
     faces[back] = len(mesh.vertices) + np.searchsorted(doubled, mesh.faces[back])
-    rgb = None if mesh.rgb is None else np.concatenate([mesh.rgb, mesh.rgb[doubled]])
-    return Mesh(np.concatenate([mesh.vertices, mesh.vertices[doubled]]), faces, rgb)
+    return mesh.with_vertices(np.concatenate([np.arange(len(mesh.vertices)), doubled]), faces)
 
 
 def _on_flipped_edge(faces: Ints, count: int) -> Bools:
@@ -65,7 +64,7 @@ def _on_flipped_edge(faces: Ints, count: int) -> Bools:
 
 
 def _corner_angles(mesh: Mesh) -> Floats:
-    """(F,3) radians; at an edge without length any angle, since the face has no area to weigh."""
+    """Corner angles (F,3) in radians; any angle at an edge without length, since the face has no area to weigh."""
     corners = mesh.vertices[mesh.faces]
     ahead = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(ahead, axis=2)
@@ -76,7 +75,7 @@ def _corner_angles(mesh: Mesh) -> Floats:
 
 
 def _largest_face_normal(faces: Ints, area_normal: Floats, chosen: Bools) -> Floats:
-    """(V,3) normal of the largest face at each chosen vertex, +Y where there is none."""
+    """Normal (V,3) of the largest face at each chosen vertex, +Y where there is none."""
     largest = np.tile([0.0, 1.0, 0.0], (len(chosen), 1))
     near = np.flatnonzero(chosen[faces].any(axis=1))
     size = np.linalg.norm(area_normal[near], axis=1)

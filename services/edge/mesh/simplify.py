@@ -18,12 +18,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bools, Ints, Tick, no_tick
-from services.edge.mesh.band import part_of
+from services.edge.arrays import Bools, Ints, Tick, no_tick, part_of
 from services.edge.mesh.edges import border_edges
 from services.edge.mesh.manifold import crowded_edges, to_manifold, without_fins
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.order import by_place
+from services.edge.mesh.spatial_order import by_place
 from services.edge.mesh.topology import compact, orient, reseamed, seam_length
 from services.edge.srgb import to_linear, to_srgb
 
@@ -110,7 +109,7 @@ def _best_collapse(tick: Tick) -> Collapse:
 
 
 def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
-    """Collapses that keep a subset of the vertices; where they pinch the surface it is held, or cut, there."""
+    """Simplify by collapses that keep a subset of the vertices; where they pinch it, vertices are locked or cut."""
     if len(mesh.faces) > _AT_ONCE and faces < _AT_ONCE // 2:
         kept = _collapse(mesh, _AT_ONCE // 2, _loop_corners(mesh))
         tick(0)
@@ -127,7 +126,7 @@ def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
 
 
 def _held(mesh: Mesh, faces: int, tick: Tick) -> Mesh:
-    """Collapsed with those vertices held around which the surface would be pinched, or cut there if they are many."""
+    """Collapse, with the vertices locked around which the surface would be pinched, or cut there if they are many."""
     locked = _loop_corners(mesh)
     allowed = len(crowded_edges(mesh.faces))
     kept = _collapse(mesh, faces, locked)
@@ -143,7 +142,7 @@ def _held(mesh: Mesh, faces: int, tick: Tick) -> Mesh:
 
 
 def _cut(mesh: Mesh, kept: Ints, faces: int, locked: Bools) -> Mesh:
-    """What a collapse kept, cut open along edges of three or more faces; a cut may add faces, then fewer are kept."""
+    """Cut a collapsed mesh open along edges of three or more faces; if that adds too many faces, collapse further."""
     coarse = to_manifold(compact(Mesh(mesh.vertices, kept)))
     added = len(coarse.faces) - len(kept)
     if len(coarse.faces) <= faces or len(kept) > faces:
@@ -181,7 +180,7 @@ def _collapse(mesh: Mesh, faces: int, locked: Bools) -> Ints:
 
 
 def _forced(mesh: Mesh, faces: int) -> Mesh:
-    """Collapsed whatever the openings, then cut to a manifold."""
+    """Collapse without regard to openings, then cut to a manifold."""
     asked = faces
     for _ in range(_FORCED_TRIES):
         coarse = to_manifold(by_fast_simplification(mesh, asked, keep_borders=False))
@@ -192,7 +191,7 @@ def _forced(mesh: Mesh, faces: int) -> Mesh:
 
 
 def by_fast_simplification(mesh: Mesh, faces: int, *, keep_borders: bool = True) -> Mesh:
-    """Collapses that move vertices, except those at borders unless these are given up."""
+    """Simplify by collapses that move vertices; those at borders stay if `keep_borders`."""
     import fast_simplification
 
     with _ONE_AT_A_TIME:

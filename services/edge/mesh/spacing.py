@@ -1,4 +1,4 @@
-"""How far apart the points of a surface lie: the yardstick of everything that must not be a fixed distance."""
+"""The local spacing of points on a surface, the unit of all lengths that must adapt to the density of points."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ CELLS_PER_SPACING = 1.5  # folds gain up to here (10,000 points: 88 to 128 cells
 
 
 def point_spacing(near: Floats, tree: cKDTree | None = None) -> Floats:
-    """(N,3) points -> (N,) local spacing 1/√density. Copies of one point do not make it 0.
+    """Local spacing 1/√density (N,) of points (N,3). Copies of one point do not make it 0.
 
     Raises ValueError for fewer than 2 points.
     """
     tree = tree or cKDTree(near)
     k = min(NEIGHBOURS, len(near) - 1)
     if k < 1:
-        raise ValueError(f"{len(near)} points have no spacing")
+        raise ValueError(f"a spacing needs at least 2 points, not {len(near)}")
     reach = tree.query(near, k=[k + 1], workers=-1)[0][:, 0]
     spacing: Floats = reach * np.sqrt(np.pi / k)
     floor = 0.1 * float(np.median(spacing[spacing > 0])) if (spacing > 0).any() else 1.0
@@ -32,7 +32,7 @@ def point_spacing(near: Floats, tree: cKDTree | None = None) -> Floats:
 def auto_resolution(
     near: Floats, *, low: int = 48, high: int = 512, cells_per_spacing: float = CELLS_PER_SPACING
 ) -> int:
-    """Cells along the longest side that the points can fill: so many per mean spacing, a multiple of 8."""
+    """Choose the number of cells along the longest side: so many per median spacing, a multiple of 8."""
     side = float(np.ptp(near, axis=0).max())
     cells = cells_per_spacing * side / float(np.median(point_spacing(near)))
     return int(np.clip(8 * round(cells / 8), low, high))

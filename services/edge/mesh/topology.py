@@ -1,4 +1,4 @@
-"""What hangs together, and how it is wound."""
+"""Connected pieces of a mesh, and the orientation (winding) of its faces."""
 
 from __future__ import annotations
 
@@ -11,83 +11,88 @@ from services.edge.mesh.edges import Edges, edges_of
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
 
-BEND_STEPS = 64  # bends told apart when a tree of flattest neighbours is grown: 1.4° at a right angle
+BEND_STEPS = 64  # distinct bends in the spanning tree of flattest neighbours: steps of 1.4° at a right angle
 
 
-def labels(links: Ints, count: int) -> Ints:
-    """(count,) number of the connected piece of each node, for (L,2) links between nodes."""
+def component_labels(links: Ints, count: int) -> Ints:
+    """Number (count,) of the connected component of each node, for links (L,2) between nodes."""
     ends = links.astype(np.int32 if count < 2**31 else np.int64)
     graph = coo_array((np.ones(len(links), np.int8), (ends[:, 0], ends[:, 1])), shape=(count, count))
     pieces: Ints = connected_components(graph, directed=False)[1].astype(np.int64)
     return pieces
 
 
+def component_count(edges: Ints) -> int:
+    """Number of connected components of the edges (E,2); vertices without an edge do not count."""
+    used, ends = np.unique(edges, return_inverse=True)
+    return int(component_labels(ends.reshape(-1, 2), len(used)).max(initial=-1)) + 1
+
+
 def pieces_of(faces: Ints, edges: Edges | None = None) -> Ints:
-    """(F,) number of the connected piece of each face, where faces meet along edges of two."""
-    return labels((edges or edges_of(faces)).halves(2) // 3, len(faces))
+    """Number (F,) of the connected piece of each face; faces are connected along edges of two faces."""
+    return component_labels((edges or edges_of(faces)).halves(2) // 3, len(faces))
 
 
 def vertex_pieces(faces: Ints, count: int) -> tuple[Ints, int]:
-    """(V,) number of the connected piece of each of `count` vertices, and how many pieces there are."""
-    pieces = labels(faces[:, [[0, 1], [1, 2]]].reshape(-1, 2), count)
+    """Number (V,) of the connected piece of each of `count` vertices, and how many pieces there are."""
+    pieces = component_labels(faces[:, [[0, 1], [1, 2]]].reshape(-1, 2), count)
     return pieces, int(pieces.max(initial=-1)) + 1
 
 
 def compact(mesh: Mesh, kept: Ints | None = None) -> Mesh:
-    """The mesh with the kept faces (a mask or indices; all by default) and only the vertices that they use."""
+    """Drop all but the kept faces (a mask or indices; all by default), and the vertices that no face uses."""
     faces = mesh.faces if kept is None else mesh.faces[kept]
     used = np.zeros(len(mesh.vertices), bool)
     used[faces] = True
-    rgb = None if mesh.rgb is None else mesh.rgb[used]
-    return Mesh(mesh.vertices[used], (np.cumsum(used) - 1)[faces], rgb)
+    return mesh.with_vertices(used, (np.cumsum(used) - 1)[faces])
 
 
 def orient(mesh: Mesh, tick: Tick = no_tick) -> Mesh:
-    """Wind neighbours alike, closed pieces outwards. A piece that no winding suits (Möbius) keeps one seam of flips.
+    """Orient faces consistently, closed pieces outwards. A non-orientable piece (Möbius) keeps one seam of flips.
 
-    `tick` hears in between: a million faces take more than a second.
+    `tick` is called in between: a million faces take more than a second.
     """
     flip = _flips(mesh, tick)
     return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces), mesh.rgb)
 
 
 def reseamed(mesh: Mesh) -> Mesh:
-    """The mesh with the seams of one-sided pieces, where neighbours disagree, elsewhere; other pieces lose theirs.
+    """Move the seams of non-orientable pieces, where neighbours disagree, to other places; orient all other pieces.
 
-    What is done to a mesh edge by edge cannot work along its seams; done in two steps with other seams, it can.
+    An algorithm that works edge by edge cannot work along seams; in two steps with different seams, it can.
     """
     flip = _flips(mesh, no_tick, elsewhere=True)
     return Mesh(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces), mesh.rgb)
 
 
 def seam_length(faces: Ints) -> int:
-    """Edges at which neighbours are wound against each other."""
+    """Number of edges at which neighbours are wound against each other."""
     return int(_against(faces, edges_of(faces)).sum())
 
 
 def _against(faces: Ints, edges: Edges) -> Bools:
-    """(K,) whether the two faces at an edge of two are wound against each other."""
+    """Mask (K,) of edges of two whose faces are wound against each other."""
     half = edges.halves(2)
     against: Bools = faces.ravel()[half[:, 0]] == faces.ravel()[half[:, 1]]
     return against
 
 
 def _flips(mesh: Mesh, tick: Tick, *, elsewhere: bool = False) -> Bools:
-    """(F,) the faces to turn over. elsewhere: no seam stays where one is."""
+    """Mask (F,) of the faces to flip. elsewhere: no seam stays where it is."""
     tick(0)
     edges, count = edges_of(mesh.faces), len(mesh.faces)
     tick(0.2)
     against = _against(mesh.faces, edges)
     adjacent = edges.halves(2) // 3
-    # Every face twice, as it is and turned over, joined where windings agree: a piece falls in two, or is one-sided.
+    # Every face twice, as it is and flipped, joined where windings agree: a piece falls in two, or is one-sided.
     straight = np.column_stack([adjacent[:, 0], adjacent[:, 1] + count * against])
     turned = np.column_stack([adjacent[:, 0] + count, adjacent[:, 1] + count * ~against])
-    as_is, over = labels(np.concatenate([straight, turned]), 2 * count).reshape(2, -1)
+    as_is, over = component_labels(np.concatenate([straight, turned]), 2 * count).reshape(2, -1)
     piece, flip = np.minimum(as_is, over), as_is > over
     one_sided = as_is == over
     tick(0.5)
     if one_sided.any():
-        flip[one_sided] = _least_bent(mesh, adjacent, against, one_sided, elsewhere=elsewhere)
+        flip[one_sided] = _flips_along_flattest_tree(mesh, adjacent, against, one_sided, elsewhere=elsewhere)
     tick(0.8)
     flip = flip ^ _inward(mesh, flip, piece, edges)[piece]
     tick(1)
@@ -95,7 +100,7 @@ def _flips(mesh: Mesh, tick: Tick, *, elsewhere: bool = False) -> Bools:
 
 
 def _inward(mesh: Mesh, flip: Bools, piece: Ints, edges: Edges) -> Bools:
-    """(P,) closed pieces whose flipped faces look inwards."""
+    """Mask (P,) of closed pieces whose faces point inwards after the flips."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     volume = np.bincount(piece, np.where(flip, -1, 1) * np.einsum("fx,fx->f", a, np.cross(b, c)))
     closed = np.ones(len(volume), bool)
@@ -104,17 +109,17 @@ def _inward(mesh: Mesh, flip: Bools, piece: Ints, edges: Edges) -> Bools:
     return inward
 
 
-def _least_bent(mesh: Mesh, adjacent: Ints, against: Bools, chosen: Bools, *, elsewhere: bool) -> Bools:
-    """The chosen faces to turn over so that neighbours agree along the flattest spanning tree: seams follow bends.
+def _flips_along_flattest_tree(mesh: Mesh, adjacent: Ints, against: Bools, chosen: Bools, *, elsewhere: bool) -> Bools:
+    """Mask of the chosen faces to flip so that neighbours agree along the flattest spanning tree: seams follow bends.
 
-    elsewhere: that tree joins first what is wound against each other now.
+    elsewhere: the tree first joins faces that are wound against each other now.
     """
     count = int(chosen.sum())
     name = np.cumsum(chosen) - 1
     inside = chosen[adjacent[:, 0]]
     against, links = against[inside], name[adjacent[inside]]
     bend = _bends(mesh.vertices, mesh.faces[chosen], links, against)
-    root = np.unique(labels(links, count), return_index=True)[1]
+    root = np.unique(component_labels(links, count), return_index=True)[1]
     # One more node joins the roots, so that a single walk reaches every piece.
     rows = np.concatenate([links[:, 0], np.full(len(root), count)]).astype(np.int32)
     columns = np.concatenate([links[:, 1], root]).astype(np.int32)
@@ -136,7 +141,7 @@ def _least_bent(mesh: Mesh, adjacent: Ints, against: Bools, chosen: Bools, *, el
 
 
 def _bends(vertices: Floats, faces: Ints, adjacent: Ints, against: Bools) -> Floats:
-    """(K,) 1 − cos of the angle between two faces, whatever their windings: 0 flat, 2 folded shut."""
+    """Bend (K,), 1 − cos of the angle between two faces, whatever their windings: 0 flat, 2 folded shut."""
     normals = face_normals(vertices, faces)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)
     cos = np.einsum("kx,kx->k", normals[adjacent[:, 0]], normals[adjacent[:, 1]])

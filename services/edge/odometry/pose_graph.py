@@ -1,4 +1,4 @@
-"""Poses that agree with what was measured between pairs of them, by sparse least squares.
+"""Pose graph optimisation: find the poses that fit the measured relative poses best, by sparse least squares.
 
 Symbols: T_i = camera-to-world of camera i; Z = measured pose of camera j in camera i. The error of an edge is the
 motion (ω, t) of E = T_i⁻¹·T_j·Z⁻¹, weighted by the square root of its information. With T·exp(δ) for a change of pose,
@@ -15,16 +15,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
-from services.edge.points.icp import cross_matrix
+from services.edge.odometry.icp import cross_matrix
 
-_ALIKE = 400.0
-"""Neighbouring pixels err alike (smoothing, calibration): so many count as one measurement, 20 x 20 of them."""
+_PIXELS_PER_MEASUREMENT = 400.0
+"""Pixels that count as one measurement, 20 x 20: errors of neighbours are correlated, by smoothing and calibration."""
 _MAX_STEPS = 50
+"""Most evaluations of the solver per round."""
 
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """Camera `source` as seen from camera `target`: pose (4,4) source to target, information (6,6) of (ω, t)."""
+    """Measured pose of camera `source` in camera `target`: pose (4,4) source to target, information (6,6) of (ω, t)."""
 
     target: int
     source: int
@@ -32,36 +33,36 @@ class Edge:
     information: Floats
 
 
-def settle(poses: Floats, edges: Sequence[Edge]) -> Floats:
-    """(K,4,4) camera-to-world that fit the edges best, the first one kept; a wrong edge hardly counts."""
+def optimise_poses(poses: Floats, edges: Sequence[Edge]) -> Floats:
+    """Fit camera-to-world poses (K,4,4) to the edges; the first pose is fixed, and wrong edges have little weight."""
     from scipy.optimize import least_squares
 
     if len(poses) < 2:
         return poses
-    roots = [np.linalg.cholesky(_regular(edge.information) / _ALIKE).T for edge in edges]
-    # Each solution starts from the last, where the changes are 0 and the Jacobian is exact but for E's own size.
+    roots = [np.linalg.cholesky(_regularise(edge.information) / _PIXELS_PER_MEASUREMENT).T for edge in edges]
+    # The second round starts at the first one's solution, where the Jacobian is exact except for the size of E.
     for _ in range(2):
         solved = least_squares(
-            lambda change, at=poses: _errors(_changed(at, change), edges, roots),
+            lambda change, at=poses: _errors(_apply_changes(at, change), edges, roots),
             np.zeros(6 * (len(poses) - 1)),
-            jac=lambda change, at=poses: _jacobian(_changed(at, change), edges, roots),
+            jac=lambda change, at=poses: _jacobian(_apply_changes(at, change), edges, roots),
             loss="soft_l1",
             tr_solver="lsmr",
             x_scale="jac",
             max_nfev=_MAX_STEPS,
         )
-        poses = _changed(poses, solved.x)
+        poses = _apply_changes(poses, solved.x)
     return poses
 
 
-def _regular(information: Floats) -> Floats:
-    """Positive definite in spite of rounding."""
+def _regularise(information: Floats) -> Floats:
+    """Return the information matrix symmetric and positive definite, in spite of rounding."""
     symmetric: Floats = (information + information.T) / 2
     return symmetric + 1e-9 * np.diag(np.diag(symmetric)) + 1e-9 * np.eye(6)
 
 
-def _changed(poses: Floats, change: Floats) -> Floats:
-    """T·exp(δ), with the rotation and the shift of δ taken one after the other; the first pose stays."""
+def _apply_changes(poses: Floats, change: Floats) -> Floats:
+    """Apply changes to all poses but the first: T·exp(δ), with the rotation and the translation of δ separately."""
     moved = poses.copy()
     steps = change.reshape(-1, 6)
     moved[1:, :3, 3] += np.einsum("kij,kj->ki", poses[1:, :3, :3], steps[:, 3:])
@@ -70,6 +71,7 @@ def _changed(poses: Floats, change: Floats) -> Floats:
 
 
 def _errors(poses: Floats, edges: Sequence[Edge], roots: Sequence[Floats]) -> Floats:
+    """Return the weighted errors of all edges (6·edges,)."""
     parts = []
     for edge, root in zip(edges, roots, strict=True):
         gap = np.linalg.inv(poses[edge.target]) @ poses[edge.source] @ np.linalg.inv(edge.pose)
@@ -78,7 +80,7 @@ def _errors(poses: Floats, edges: Sequence[Edge], roots: Sequence[Floats]) -> Fl
 
 
 def _jacobian(poses: Floats, edges: Sequence[Edge], roots: Sequence[Floats]) -> Any:
-    """Sparse (6·edges, 6·(K-1)); the first pose has no columns."""
+    """Return the sparse Jacobian (6·edges, 6·(K-1)) of the errors; the first pose has no columns."""
     from scipy.sparse import csr_array
 
     rows, columns, values = [], [], []
@@ -95,7 +97,7 @@ def _jacobian(poses: Floats, edges: Sequence[Edge], roots: Sequence[Floats]) -> 
 
 
 def _adjoint(pose: Floats) -> Floats:
-    """(6,6) that takes a motion (ω, t) from before a pose to after it."""
+    """Return the adjoint (6,6) of a pose: it transforms a motion (ω, t) from the pose's source frame to its target."""
     turn = pose[:3, :3]
     adjoint = np.zeros((6, 6))
     adjoint[:3, :3] = adjoint[3:, 3:] = turn

@@ -1,11 +1,10 @@
-"""Depth frames without poses -> posed frames: each is aligned with a key frame, and key frames that meet again with
-each other.
+"""RGB-D odometry: compute the poses of depth frames by aligning them with key frames, with loop closure.
 
-1. track   every frame against the current key frame, from where the last motion would take it; where that fails, from
-           matched picture features
-2. key     a frame that shares too little with its key frame, or has moved too far, is the next key frame
-3. close   key frames that are no neighbours and look at one surface are aligned too
-4. settle  the key frames' poses are fitted to all of these; the other frames move with their key frame
+1. track     align every frame with the current key frame, from a guess of constant motion; where that fails, from
+             matched image features
+2. key       a frame that overlaps its key frame too little, or has moved too far, becomes the next key frame
+3. close     align key frames that are not neighbours but see the same surface
+4. optimise  fit the key frames' poses to all of these alignments; the other frames move with their key frame
 """
 
 from __future__ import annotations
@@ -18,67 +17,71 @@ import numpy as np
 from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.capture.nouns import Frame
 from services.edge.errors import CaptureError
-from services.edge.points.depth import Limits, read_view
+from services.edge.odometry.icp import MIN_PAIRS, IcpFit, align
+from services.edge.odometry.loop_closure import close_loops
+from services.edge.odometry.pose_graph import Edge, optimise_poses
+from services.edge.odometry.pyramid import Level, pyramid
+from services.edge.odometry.relocalise import relocalise
+from services.edge.points.depth_limits import DepthLimits, read_view
+from services.edge.points.depth_range import survey_frames
 from services.edge.points.fuse import at_resolution
-from services.edge.points.icp import MIN_PAIRS, Fit, align
-from services.edge.points.levels import Level, pyramid
-from services.edge.points.loops import close_loops
-from services.edge.points.posegraph import Edge, settle
-from services.edge.points.recognise import recognise
-from services.edge.points.survey import survey_frames
 
 _MAX_SIDE = 320
-"""Pixels of the longer side that are aligned: at 640 the pose is no better and takes four times as long."""
+"""Longer side, in pixels, at which frames are aligned: at 640 the pose is no better and takes four times as long."""
 _BLUR_PX = 1.5
-"""Standard deviation of the blur that takes the noise off the picture's gradients."""
+"""Standard deviation of the blur that removes the noise from the picture's gradients."""
 _KEY_OVERLAP = 0.75
 _KEY_TURN_DEG = 15.0
 _KEY_SHIFT = 0.15
-"""A frame that shares less than this with its key frame, or has turned or moved (in shares of the median depth)
-further, is the next: pixels then fall on a slanted surface's few."""
+"""A frame that overlaps its key frame less than this, or has turned or moved (in shares of the median depth) further,
+becomes the next key frame: beyond that, many pixels project to the few pixels of a slanted surface."""
 _MAX_LOST = 30
-"""Frames lost in a row after which the rest is not tried: a second at video rate, and somebody may have walked on."""
+"""Lost frames in a row after which tracking stops: a second at video rate, after which the camera may be elsewhere."""
 _MIN_TRACKED = 0.5
-"""Share of the frames that must be tracked; less is no picture of the thing."""
-_KEYS_TO_ASK = 3
-"""Key frames among which a lost camera is looked for, the newest first."""
+"""Least share of the frames that must be tracked; fewer do not show the whole object."""
+_RELOCALISATION_KEYS = 3
+"""Most key frames, the newest first, against which a lost camera is relocalised."""
 
 
 @dataclass(frozen=True, slots=True)
-class Tracked:
-    """frames: those that could be tracked, with poses in the first one's axes; warnings: sentences for the report."""
+class TrackedFrames:
+    """Result of the odometry.
+
+    frames: those that could be tracked, with poses in the first one's axes; warnings: sentences for the report.
+    """
 
     frames: tuple[Frame, ...]
     warnings: tuple[str, ...]
 
 
-def track_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> Tracked:
-    """Give frames without poses theirs, in metres and in the axes of the first tracked frame's camera.
+def track_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> TrackedFrames:
+    """Compute the poses of depth frames, in metres and in the axes of the first tracked frame's camera.
 
     One frame is in memory at a time, and half a megabyte per key frame. Raises CaptureError: CAPTURE_NO_POSES where
-    less than half can be tracked, naming the frame at which it ended; CAPTURE_TOO_FEW_POINTS where there is hardly any
-    depth. `tick` may raise `Cancelled`.
+    less than half can be tracked, naming the first lost frame; CAPTURE_TOO_FEW_POINTS where there is hardly any depth.
+    `tick` may raise `Cancelled`.
     """
     limits = survey_frames(frames).limits
-    walk = _Walk()
+    state = _TrackState()
     for number, frame in enumerate(frames):
-        walk.see(number, _level(frame, limits))
-        if walk.lost_in_a_row(number) > _MAX_LOST:
+        state.track(number, _level(frame, limits))
+        if state.lost_in_a_row(number) > _MAX_LOST:
             break
         tick(0.7 * (number + 1) / len(frames))
-    _require_tracked(frames, walk)
-    loops = close_loops(walk.keys, np.stack(walk.poses), lambda part: tick(0.7 + 0.28 * part))
-    poses = settle(np.stack(walk.poses), walk.edges + loops)
+    _require_tracked(frames, state)
+    loops = close_loops(state.keys, np.stack(state.poses), lambda part: tick(0.7 + 0.28 * part))
+    poses = optimise_poses(np.stack(state.poses), state.edges + loops)
     tick(1.0)
-    posed = (replace(frames[at], camera_to_world=poses[key] @ inside) for at, (key, inside) in walk.places.items())
-    return Tracked(tuple(posed), _lost_warning(frames, walk))
+    posed = (replace(frames[at], camera_to_world=poses[key] @ inside) for at, (key, inside) in state.places.items())
+    return TrackedFrames(tuple(posed), _lost_warning(frames, state))
 
 
-class _Walk:
-    """The way of the camera so far.
+class _TrackState:
+    """State of the tracker: the camera's path so far.
 
-    keys, poses  the key frames and their (4,4) camera-to-world; edges: between each and the one before
-    places       frame number -> (its key frame, pose (4,4) in it)
+    keys, poses  the key frames and their (4,4) camera-to-world poses
+    edges        measured poses between each key frame and the one before
+    places       frame number -> (index of its key frame, its pose (4,4) in that key frame)
     """
 
     def __init__(self) -> None:
@@ -87,10 +90,10 @@ class _Walk:
         self.edges: list[Edge] = []
         self.places: dict[int, tuple[int, Floats]] = {}
         self._key: tuple[Level, ...] = ()
-        self._here = self._motion = np.eye(4)
+        self._last_pose = self._motion = np.eye(4)
 
-    def see(self, number: int, level: Level) -> None:
-        """Place the frame `number`; a frame that cannot be placed leaves no trace."""
+    def track(self, number: int, level: Level) -> None:
+        """Track frame `number`; a frame that cannot be tracked changes nothing but the assumed motion."""
         if np.count_nonzero(level.inverse_depth) < MIN_PAIRS:
             return
         levels = pyramid(level)
@@ -103,55 +106,57 @@ class _Walk:
             return
         key, fit = found
         pose = self.poses[key] @ fit.pose
-        self._motion, self._here = np.linalg.inv(self._here) @ pose, pose
+        self._motion, self._last_pose = np.linalg.inv(self._last_pose) @ pose, pose
         self.places[number] = (key, fit.pose)
-        if _moved_on(fit, level):
+        if _is_next_key(fit, level):
             self.edges.append(Edge(key, len(self.keys), fit.pose, fit.information))
             self._add_key(number, levels, pose)
 
     def lost_in_a_row(self, number: int) -> int:
-        """Frames up to `number` since the last one with a place."""
+        """Return how many frames up to `number` are lost since the last tracked one."""
         return number - max(self.places, default=number)
 
     def _add_key(self, number: int, levels: tuple[Level, ...], pose: Floats) -> None:
+        """Make frame `number` the newest key frame."""
         self.places[number] = (len(self.keys), np.eye(4))
-        self.keys.append(replace(levels[-1]))  # without what it has worked out: that is five times its size
+        self.keys.append(replace(levels[-1]))  # a copy without the cached properties, which are five times its size
         self.poses.append(pose)
         self._key = levels
 
-    def _find(self, levels: tuple[Level, ...]) -> tuple[int, Fit] | None:
-        """The key frame, usually the newest, that the frame fits, and how."""
+    def _find(self, levels: tuple[Level, ...]) -> tuple[int, IcpFit] | None:
+        """Align a frame with a key frame, usually the newest; return the key frame's index and the fit, or None."""
         newest = len(self.keys) - 1
         to_key = np.linalg.inv(self.poses[newest])
-        for guess in (self._here @ self._motion, self._here):
+        for guess in (self._last_pose @ self._motion, self._last_pose):
             fit = align(levels, self._key, to_key @ guess)
             if fit is not None and fit.sound:
                 return newest, fit
-        for key in range(newest, max(newest - _KEYS_TO_ASK, -1), -1):
-            fit = recognise(levels, self.keys[key])
+        for key in range(newest, max(newest - _RELOCALISATION_KEYS, -1), -1):
+            fit = relocalise(levels, self.keys[key])
             if fit is not None:
                 return key, fit
         return None
 
 
-def _moved_on(fit: Fit, level: Level) -> bool:
-    """Whether a frame that fits its key frame so should be the next key frame."""
+def _is_next_key(fit: IcpFit, level: Level) -> bool:
+    """Return whether a frame, aligned like this with its key frame, should become the next key frame."""
     turn = np.degrees(np.arccos(np.clip((np.trace(fit.pose[:3, :3]) - 1) / 2, -1, 1)))
     q = level.inverse_depth
     shift = float(np.linalg.norm(fit.pose[:3, 3]) * np.median(q[q > 0]))
     return fit.overlap < _KEY_OVERLAP or turn > _KEY_TURN_DEG or shift > _KEY_SHIFT
 
 
-def _level(frame: Frame, limits: Limits) -> Level:
-    """The frame's believed depth and its picture in grey, at most _MAX_SIDE pixels long."""
+def _level(frame: Frame, limits: DepthLimits) -> Level:
+    """Load a frame's filtered depth and its grey picture, at most _MAX_SIDE pixels along the longer side."""
     view = read_view(replace(frame, camera_to_world=np.eye(4)), limits)
     level = Level(view.intrinsics, view.inverse_depth, _grey(frame, view.inverse_depth.shape))
     while max(level.inverse_depth.shape) > _MAX_SIDE:
-        level = level.halved()
+        level = level.half_size()
     return level
 
 
 def _grey(frame: Frame, shape: tuple[int, ...]) -> Floats | None:
+    """Load a frame's picture as blurred grey (H,W) float32 0..1, or None without a picture."""
     import cv2
 
     if frame.load_rgb is None:
@@ -160,28 +165,31 @@ def _grey(frame: Frame, shape: tuple[int, ...]) -> Floats | None:
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.float32)
 
 
-def _require_tracked(frames: Sequence[Frame], walk: _Walk) -> None:
-    if len(walk.places) >= max(_MIN_TRACKED * len(frames), min(2, len(frames))):
+def _require_tracked(frames: Sequence[Frame], state: _TrackState) -> None:
+    """Raise CAPTURE_NO_POSES when too few frames were tracked."""
+    if len(state.places) >= max(_MIN_TRACKED * len(frames), min(2, len(frames))):
         return
-    lost = _lost(frames, walk)
+    lost = _lost(frames, state)
     raise CaptureError(
         "CAPTURE_NO_POSES",
-        f"has no poses, and its frames do not tell them: {len(walk.places)} of {len(frames)} could be tracked",
+        "the recording has no camera poses, and they could not be computed: tracking works for only"
+        f" {len(state.places)} of {len(frames)} frames, and fails here first",
         file=frames[lost[0]].name,
         hints=(
             "Move slowly, so that each frame shows most of what the last one showed.",
             "Keep corners and things in view, not only a bare wall or floor.",
-            "Or send the poses of the app or the tracker too.",
+            "Or send the camera poses of the scanning app too.",
         ),
     )
 
 
-def _lost(frames: Sequence[Frame], walk: _Walk) -> list[int]:
-    return [number for number in range(len(frames)) if number not in walk.places]
+def _lost(frames: Sequence[Frame], state: _TrackState) -> list[int]:
+    """Return the numbers of the frames that were not tracked."""
+    return [number for number in range(len(frames)) if number not in state.places]
 
 
-def _lost_warning(frames: Sequence[Frame], walk: _Walk) -> tuple[str, ...]:
-    lost = _lost(frames, walk)
+def _lost_warning(frames: Sequence[Frame], state: _TrackState) -> tuple[str, ...]:
+    lost = _lost(frames, state)
     if not lost:
         return ()
     return (

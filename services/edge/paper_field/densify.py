@@ -1,7 +1,7 @@
 """The densification round of CAP-UDF (Zhou et al., "Learning consistency-aware unsigned distance functions", 2022).
 
-Queries around the points are pulled onto the fitted surface; those that land there, near the input and not too close
-to each other, are points of the next round. It closes the gaps between sparse points with what the field has learned.
+Queries around the points are pulled onto the fitted surface; those that reach it, near the input and not too close to
+each other, become points of the next round. This closes the gaps between sparse points with what the field has learned.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ import torch
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Floats
-from services.edge.field.config import Densify
-from services.edge.field.losses import pulled
-from services.edge.field.networks import FieldNetwork
 from services.edge.field.planes import SPACING_RANK, rank_spacing
-from services.edge.field.queries import Pool
-from services.edge.threads import slices
+from services.edge.paper_field.losses import pull
+from services.edge.paper_field.network_config import Densify
+from services.edge.paper_field.networks import FieldNetwork
+from services.edge.paper_field.queries import Pool
+from services.edge.parallel import slices
 
-DRAWN = 8  # queries per wanted point: half land, and of eight on a place the thinning keeps one
-PULLS = 2  # the second takes what the first left over: a trained field is a distance only nearly
-PART = 1 << 13  # queries between two breaths: 0.1 s of the MLP on one core
+DRAWN = 8  # queries per wanted point: half reach the surface, and the thinning keeps one of those close together
+PULLS = 2  # the second corrects the first: a trained field is only nearly a distance
+PART = 1 << 13  # queries between two yields: 0.1 s of the MLP on one core
 DISK = 0.84  # of the spacing: disks of radius r, thrown at random until none fits, lie √0.7/r apart in the mean
 
 
-def densified(network: FieldNetwork, pool: Pool, config: Densify, seed: int) -> Iterator[Floats | None]:
-    """None for a breath between parts of the work, the added points (K,3) float32 last."""
+def densify_points(network: FieldNetwork, pool: Pool, config: Densify, seed: int) -> Iterator[Floats | None]:
+    """Compute the added points (K,3) float32. Yields None between parts of the work, and the points last."""
     points = pool.points.cpu().numpy()
     wanted = round(config.growth * len(points))
     count = min(len(pool), DRAWN * wanted)
-    landed = []
+    reached = []
     for part in slices(count, PART):
         j = torch.arange(part.start, part.stop, device=pool.points.device)
-        landed.append(_landed(network, pool.strong_queries(j), config.field_below))
+        reached.append(_pull_onto_surface(network, pool.strong_queries(j), config.field_below))
         yield None
     tree = cKDTree(points)
-    xyz = np.concatenate(landed)
+    xyz = np.concatenate(reached)
     xyz = xyz[tree.query(xyz)[0] < config.farthest]
     distance, _ = tree.query(points, k=min(SPACING_RANK + 1, len(points)))
     radius = DISK * float(np.median(rank_spacing(distance))) / math.sqrt(config.growth)
@@ -46,10 +46,10 @@ def densified(network: FieldNetwork, pool: Pool, config: Densify, seed: int) -> 
 
 
 def poisson_disk(xyz: Floats, radius: float, seed: int) -> Bools:
-    """(N,3) -> which to keep (N,), so that none lies within the radius of another and none more fits.
+    """Thin points (N,3) -> mask (N,) of those to keep: none lies within the radius of another, and no more would fit.
 
-    Every point has a random rank; in each round those of the lowest rank among their neighbours stay and remove them
-    (M. Luby's independent set), which ends after some ten rounds whatever the number of points.
+    Every point has a random rank; in each round those of the lowest rank among their neighbours stay, and the
+    neighbours are removed (M. Luby's independent set). It ends after some ten rounds whatever the number of points.
     """
     rank = np.random.default_rng(seed).permutation(len(xyz))
     a, b = cKDTree(xyz).query_pairs(radius, output_type="ndarray").T
@@ -69,8 +69,9 @@ def poisson_disk(xyz: Floats, radius: float, seed: int) -> Bools:
 
 
 @torch.no_grad()
-def _landed(network: FieldNetwork, q: torch.Tensor, below: float) -> Floats:
+def _pull_onto_surface(network: FieldNetwork, q: torch.Tensor, below: float) -> Floats:
+    """Pull the queries (M,3) onto the surface, and return those where the field then is below `below`."""
     for _ in range(PULLS):
-        q = pulled(q, *network.value_and_gradient(q))
-    landed: Floats = q[network(q) < below].cpu().numpy()
-    return landed
+        q = pull(q, *network.value_and_gradient(q))
+    reached: Floats = q[network(q) < below].cpu().numpy()
+    return reached

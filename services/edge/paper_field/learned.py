@@ -1,7 +1,7 @@
-"""A trained network as a field: numpy in, numpy out.
+"""The distance field of a trained network: numpy in, numpy out.
 
-Where no point is near, a network's value is a guess, and a guess of 0 is a sheet in the air. There the plain distance
-to the nearest point takes over, which has no zero.
+Far from all points a network's value is a guess, and a guess of 0 would be a sheet in the air. There the distance to
+the nearest point is used instead, which is never 0.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ import torch
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import DistanceFn, Floats
-from services.edge.field.compute import memory_errors_named
-from services.edge.field.networks import FieldNetwork
+from services.edge.field.compute import translate_memory_errors
 from services.edge.field.planes import SPACING_RANK, rank_spacing
-from services.edge.threads import in_threads, slices
+from services.edge.paper_field.networks import FieldNetwork
+from services.edge.parallel import in_threads, slices
 
-FAR = 6.0  # local spacings: queries of the fit reach four; the extraction walks no farther than three and two cells
+FAR = 6.0  # local spacings: the network is used up to here. Its training reaches four, the extraction three and 2 cells
 CHUNK = {"cpu": 4_096, "cuda": 1 << 18}  # queries at once: on a CPU the activations of a layer stay in the cache (2 MB)
-TREE_CHUNK = 1 << 14  # queries of a KD-tree that a thread takes at once
-_TINY = 1e-12  # keeps a gradient of 0 from dividing by 0: it stays 0, and the extraction takes it for none
+TREE_CHUNK = 1 << 14  # queries of the KD-tree per task of a thread
+_TINY = 1e-12  # avoids a division by 0: a gradient of 0 stays 0, which the extraction treats as none
 
 
 class LearnedField:
     """The `DistanceFn` of a network and the points it was fitted to.
 
     Distances (M,) and gradients (M,3) are float32, gradients of length 1, also where their own length is not: the
-    extraction asks on which side a query lies. It evaluates the weights as they stand when it is called.
+    extraction asks on which side a query lies. A call uses the network's weights of that moment.
     """
 
     def __init__(self, network: FieldNetwork, points: Floats) -> None:
@@ -43,13 +43,13 @@ class LearnedField:
         index = np.concatenate([np.empty(0, np.int64), *(i for _, i in found)])
         far = away > self._reach[index]
         f, gradient = np.asarray(away, np.float32), np.empty((len(q), 3), np.float32)
-        with memory_errors_named(f"the field at {len(q):,} places"):
-            f[~far], gradient[~far] = self._of_network(q[~far])
+        with translate_memory_errors(f"the field at {len(q):,} places"):
+            f[~far], gradient[~far] = self._evaluate_network(q[~far])
         gradient[far] = (q[far] - self._points[index[far]]) / away[far, None]
         return f, gradient
 
     @torch.no_grad()
-    def _of_network(self, q: Floats) -> tuple[Floats, Floats]:
+    def _evaluate_network(self, q: Floats) -> tuple[Floats, Floats]:
         f, gradient = np.empty(len(q), np.float32), np.empty((len(q), 3), np.float32)
         device = next(self._network.parameters()).device
         for part in slices(len(q), CHUNK[device.type]):
@@ -60,5 +60,5 @@ class LearnedField:
 
 
 def learned_field(network: FieldNetwork, points: Floats) -> DistanceFn:
-    """A network and its points (N,3), N ≥ 2, in the unit frame -> the field."""
+    """Make the field of a network and its points (N,3), N ≥ 2, in the unit frame."""
     return LearnedField(network, points)

@@ -1,39 +1,40 @@
-"""How much memory a fit takes, so that a worker can say so before it accepts the job."""
+"""Estimate how much memory a fit takes, so that a worker knows it before it accepts a job."""
 
 from __future__ import annotations
 
 from services.edge.field.compute import BLOCK_BYTES
-from services.edge.field.config import FitConfig
-from services.edge.field.queries import WARM_QUERIES, far_batch, pool_size
+from services.edge.field.config import AnchorConfig
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.queries import WARM_QUERIES, far_batch, pool_size
 
-FLOAT, INDEX = 4, 8
-WEIGHTS = {"separable": 147_200, "mlp": 463_100}  # parameters, at the most
-WEIGHT_COPIES = 6  # the weights, their gradients, two moments of Adam, the best so far, one on its way to the disk
-LAYERS = {"separable": 6, "mlp": 8}
-# Per query, layer and channel, kept for the backward sweep: the slope and a(z); with the gradient also δ before and
-# after the slope. A ReLU's slope has no gradient of its own, so that the values beside it need not be kept.
+FLOAT, INDEX = 4, 8  # bytes
+WEIGHTS = {"separable": 147_200, "mlp": 463_100}  # most parameters of each network
+WEIGHT_COPIES = 6  # weights, gradients, two moments of Adam, the best weights, those of the checkpoint
+LAYERS = {"separable": 6, "mlp": 8}  # hidden layers
+# Floats per query, layer and channel that autograd keeps for the backward pass: the slope and a(z); with the gradient
+# also δ before and after the slope. A ReLU's slope has no gradient of its own, so its factors need not be kept.
 KEPT_BY_VALUE = 2
 KEPT_BY_GRADIENT = {"separable": 4, "mlp": 3}
-BACKWARD = 1.5  # of what is kept: with the gradients that the sweep back makes of it; the same at 1,000 and 20,000
+BACKWARD = 1.5  # times what is kept, for the gradients of the backward pass; measured at 1,000 and 20,000 queries
 TREE_BYTES = 64  # per point and tree: coordinates, index and its share of the nodes
-# torch's workspaces, and what it imports for a first step; on a GPU the context and the graph's pool as well.
+# Bytes of torch's workspaces, and of what it imports for a first step; on a GPU also the context and the graph's pool.
 RUNTIME = {"cpu": 64 << 20, "cuda": 600 << 20}
-# A fit of anchors: one block of edges with its activations; and per point some nine edges of 110 bytes, the patch,
-# Adam's state, and on a CPU the neighbours and the edges' making in double precision.
+# Bytes of a fit of anchors: one block of edges with its activations; and per point some nine edges of 110 bytes, the
+# patch, Adam's state, and on a CPU the neighbours and the edges in double precision while they are built.
 ANCHORS = {"cpu": 100 << 20, "cuda": 1_200 << 20}
 ANCHOR_BYTES = {"cpu": 5_000, "cuda": 2_000}
 
 
-def fit_memory_bytes(points: int, config: FitConfig, device: str = "cpu") -> int:
-    """An estimate, no bound, of what a fit to so many points takes on its device; on a CPU within a factor of 2.
+def fit_memory_bytes(points: int, config: AnchorConfig | NetworkConfig, device: str = "cpu") -> int:
+    """Estimate the bytes that a fit to so many points takes on its device; no bound, on a CPU within a factor of 2.
 
     = runtime + weights + pool + the activations of a step + trees (CPU) or a block of distances (GPU)   for a network
     = a block of edges + some bytes per point                                                            for anchors
 
-    The local field and the KD-trees of the pool's drawing stay in main memory and are not counted for a GPU.
+    The local field and the KD-trees that draw the pool stay in main memory and are not counted for a GPU.
     """
     kind = "cpu" if device == "cpu" else "cuda"
-    if config.model == "anchors":
+    if isinstance(config, AnchorConfig):
         return ANCHORS[kind] + ANCHOR_BYTES[kind] * points
     most_points, batch = points, config.batch
     if config.densify:
@@ -49,15 +50,18 @@ def fit_memory_bytes(points: int, config: FitConfig, device: str = "cpu") -> int
     )
 
 
-def _pool_bytes(pool: int, points: int, config: FitConfig) -> int:
-    """Per query an offset, two indices, its place in the batches' order and ω; per far query a place and a distance."""
+def _pool_bytes(pool: int, points: int, config: NetworkConfig) -> int:
+    """Bytes of the pool.
+
+    Per query an offset, two indices, its place in the batches' order and ω; per far query a place and a distance.
+    """
     per_query = 3 * FLOAT + 3 * INDEX + FLOAT
     far = round(config.far_share * pool) * 4 * FLOAT
     return pool * per_query + far + min(pool, WARM_QUERIES) * FLOAT + points * (3 * FLOAT + INDEX)
 
 
-def _step_bytes(batch: int, config: FitConfig) -> int:
-    """What the sweeps of one step keep: with gradients at q and at q̂, without at weak and far queries and points."""
+def _step_bytes(batch: int, config: NetworkConfig) -> int:
+    """Bytes of the activations of one step: with gradients at q and q̂, without at weak and far queries and points."""
     width = config.width if config.model == "separable" else 256
     with_gradient = batch * (1 + (config.projection > 0))
     by_value = batch * ((config.self_consistency > 0) + (config.surface > 0)) + far_batch(config, batch)

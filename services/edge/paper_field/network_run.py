@@ -1,4 +1,4 @@
-"""The state of one fit and the descent: what a checkpoint keeps, what a step changes, when it ends."""
+"""The training loop of a network: its state, checkpoint, optimiser steps and early stopping."""
 
 from __future__ import annotations
 
@@ -9,67 +9,55 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from services.edge.arrays import DistanceFn, Floats
-from services.edge.errors import EdgeError
+from services.edge.arrays import Floats
 from services.edge.field import checkpoint as checkpoints
-from services.edge.field.compute import captured
-from services.edge.field.config import FitConfig
-from services.edge.field.learned import learned_field
-from services.edge.field.losses import total_loss
-from services.edge.field.networks import network_of
-from services.edge.field.objectives import Objective
-from services.edge.field.queries import Batches, Pool
-from services.edge.field.schedule import learning_rate
+from services.edge.field.compute import capture_step
+from services.edge.field.schedule import warm_up_cosine
+from services.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, refuse_divergence
+from services.edge.paper_field.learned import learned_field
+from services.edge.paper_field.losses import total_loss
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.networks import network_of
+from services.edge.paper_field.objectives import Objective
+from services.edge.paper_field.queries import Batches, Pool
 
-EXPLODED = 10.0  # a loss above this, in unit frames: the pulled queries have left the box tenfold
-PER_YIELD = {"cpu": 1, "cuda": 25}  # steps between two yields: reading the losses makes a GPU wait
-RESIDUAL_EVERY = 50  # steps between two looks at the held-out points; a multiple of the above
-BETTER = 0.99  # of the best residual: a hundredth is less than what two seeds differ by
-UNCAPTURED = 3  # steps before the capture: allocators, cuBLAS and Adam's state settle
+EXPLODED = 10.0  # loss, in unit frames, above which a fit has diverged: pulled queries lie ten boxes away
+WARM_START_RISE = 50  # warm-up steps of the warm start: Adam's first steps have no estimate of the variance
+RESIDUAL_EVERY = 50  # steps between two evaluations at the held-out points; a multiple of `PER_YIELD`
+BETTER = 0.99  # of the best residual: what is not below this is no improvement; two seeds differ by more than 1 %
 
-Made = TypeVar("Made")
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """Where a fit stands: its number out of `of`, the losses by name, and the field of the weights as they stand."""
-
-    number: int
-    of: int
-    losses: Mapping[str, float]
-    field: DistanceFn
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
 class Best:
-    """The least residual on the held-out points, the step it was seen at, and the weights of then."""
+    """The least residual on the held-out points so far, its step, and the weights of that step."""
 
     residual: float
     at: int
     weights: Mapping[str, Tensor]
 
 
-class Run:
-    """A fit between two steps.
+class NetworkRun:
+    """The state of one fit.
 
-    done     steps done;  ended  whether patience has ended the fit
+    done     number of steps done;  ended  whether patience has ended the fit
     added    (K,3) points of the densification round, or None before it
     memory   ω (J,) of the pool in use, or None before its first loss
     """
 
     def __init__(
-        self, xyz: Floats, config: FitConfig, device: torch.device, held_out: Floats | None, checkpoint: Path | None
+        self, xyz: Floats, config: NetworkConfig, device: torch.device, held_out: Floats | None, checkpoint: Path | None
     ) -> None:
         self.config, self.device, self.done, self.ended = config, device, 0, False
         self.network = network_of(config).to(device)
         self.added: Floats | None = None
         self.memory: Tensor | None = None
         self._best: Best | None = None
-        # A tensor, for a captured step reads it from where it was; fused, for 30 small tensors are 30 launches else.
+        # A tensor, because a captured CUDA graph reads it from a fixed address; fused, to save 30 launches of kernels.
         self._rate = torch.tensor(config.learning_rate, device=device)
         self._optimiser = torch.optim.Adam(
             self.network.parameters(), lr=self._rate, fused=True, capturable=device.type == "cuda"
@@ -83,31 +71,31 @@ class Run:
             self._restore(state)
 
     def step(self, losses: Mapping[str, float]) -> Step:
-        """What the caller sees."""
+        """Build the step for the caller."""
         return Step(self.done, self.config.total_steps, losses, self._field)
 
-    def waiting(self, work: Iterator[Made | None]) -> Generator[Step, None, Made]:
-        """Work that yields None for a breath and its result last: the caller gets a step for every breath."""
-        for made in work:
-            if made is not None:
-                return made
+    def yield_steps(self, work: Iterator[Result | None]) -> Generator[Step, None, Result]:
+        """Run work that yields None between its parts and its result last; yields a step for every None."""
+        for result in work:
+            if result is not None:
+                return result
             yield self.step({})
         raise AssertionError("the work ended without a result")
 
     def memory_of(self, pool: Pool) -> Tensor:
-        """ω of this pool: that of the checkpoint, or one that has seen nothing."""
+        """Return ω of this pool: that of the checkpoint, or NaN for every pair."""
         if self.memory is None:
             self.memory = torch.full((len(pool),), math.nan, device=self.device)
         return self.memory
 
-    def densify_by(self, added: Floats) -> None:
-        """The next pool is another: its queries have no memory."""
+    def add_points(self, added: Floats) -> None:
+        """Store the points of the densification round. The next pool has other queries, so ω starts again."""
         self.added, self.memory = added, None
 
     def descend(
         self, objective: Objective, weights: Mapping[str, float], batches: Batches, until: int
     ) -> Iterator[Step]:
-        """Steps up to the number `until`, unless patience ends them."""
+        """Train up to step number `until`, or until patience ends the fit; yields steps."""
         j = torch.zeros(batches.size, dtype=torch.int64, device=self.device)
         values = torch.zeros(1 + len(weights), device=self.device)
 
@@ -125,24 +113,25 @@ class Run:
             self._rate.fill_(learning_rate(self.done, self.config))
             run()
             self.done += 1
-            if self.done - start == UNCAPTURED:
-                run = captured(descent, self.device)
+            if self.done - start == STEPS_BEFORE_CAPTURE:
+                run = capture_step(descent, self.device)
             if self.done % PER_YIELD[self.device.type] == 0 or self.done == until:
                 losses = dict(zip(("total", *weights), values.tolist(), strict=True))
-                refuse_divergence(losses, EXPLODED, self.config, self.done)
-                self._look_at_held_out()
+                refuse_divergence(losses, EXPLODED, self.config.learning_rate, self.done)
+                self._check_held_out()
                 self._write()
                 yield self.step(losses)
 
-    def take_best(self) -> bool:
-        """Go back to the weights that did best on the held-out points; whether there are such."""
+    def restore_best(self) -> bool:
+        """Restore the weights with the least residual on the held-out points. Returns False where there are none."""
         if self._best is None:
             return False
         self.network.load_state_dict(self._best.weights)
         return True
 
     @torch.no_grad()
-    def _look_at_held_out(self) -> None:
+    def _check_held_out(self) -> None:
+        """Evaluate the held-out points now and then: keep the best weights, end the fit when patience is used up."""
         patience = self.config.patience
         if self._held_out is None or not patience or self.done % RESIDUAL_EVERY or self.done <= self.config.warm_start:
             return
@@ -153,6 +142,7 @@ class Run:
         self.ended = self.done - self._best.at >= patience
 
     def _write(self) -> None:
+        """Write the checkpoint, if the last one is old enough."""
         if self._checkpoint is None or time.monotonic() - self._written < checkpoints.SECONDS:
             return
         checkpoints.save(self._checkpoint, self._state(), self._mark)
@@ -175,37 +165,13 @@ class Run:
         self.network.load_state_dict(state["network"])
         self._optimiser.load_state_dict(state["optimiser"])
         for group in self._optimiser.param_groups:
-            group["lr"] = self._rate  # loading has put a copy in its place
+            group["lr"] = self._rate  # load_state_dict has replaced it by a copy
         self.added = None if state["added"] is None else state["added"].cpu().numpy()
         self._best = None if state["best"] is None else Best(**state["best"])
 
 
-def checked_points(xyz_unit: Floats, least: int) -> Floats:
-    """The points (N,3) as float64. Raises ValueError for another shape or NaN, EdgeError for fewer than `least`."""
-    xyz = np.ascontiguousarray(xyz_unit, np.float64)
-    if xyz.ndim != 2 or xyz.shape[1] != 3:
-        raise ValueError(f"a fit needs (N,3) points, not {xyz.shape}")
-    if not np.isfinite(xyz).all():
-        raise ValueError(f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points are not finite")
-    if len(xyz) < least:
-        raise EdgeError(
-            "FIT_TOO_FEW_POINTS",
-            f"{len(xyz)} points are too few to fit a field to; it takes at least {least}",
-            hints=("scan the thing again, closer", "keep the preview, which needs no fit"),
-        )
-    return xyz
-
-
-def refuse_divergence(losses: Mapping[str, float], exploded: float, config: FitConfig, step: int) -> None:
-    """Raises EdgeError FIT_DIVERGED where the total loss is NaN or above `exploded`."""
-    if losses["total"] < exploded:  # false for NaN too
-        return
-    raise EdgeError(
-        "FIT_DIVERGED",
-        f"the fit diverged at step {step:,}: its loss is {losses['total']:.3g}",
-        hints=(
-            "keep the preview, which needs no fit",
-            f"choose a preset with a learning rate below {config.learning_rate:g}",
-            "look for points far away from the others",
-        ),
-    )
+def learning_rate(step: int, config: NetworkConfig) -> float:
+    """Learning rate of step 0, 1, … `total_steps` − 1. The warm start comes first, with a schedule of its own."""
+    if step < config.warm_start:
+        return config.learning_rate * warm_up_cosine(step, config.warm_start, WARM_START_RISE)
+    return config.learning_rate * warm_up_cosine(step - config.warm_start, config.loss_steps, config.warm_up)

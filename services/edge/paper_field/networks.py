@@ -1,15 +1,15 @@
-"""The two networks: a query in, its unsigned distance out, and the distance's gradient by a second sweep.
+"""The two networks: they map a query to its unsigned distance, and by a second pass to the distance's gradient.
 
 q (M,3)   queries;  h_l (M,C_l) activations, h_0 = q;  W_l, b_l the effective weights of layer l
 z_l = h_{l−1} W_l + q V_l + b_l        V_l only where the input is concatenated: [h, q] [W; V] = h W + q V
 h_l = a(z_l),  y = z_L,  f = |y|
 
-The gradient goes the same way back, as plain operations:
+The gradient is computed backwards through the layers, with ordinary operations:
 
 δ_L = sign(y),  δ_{l−1} = a'(z_{l-1}) ⊙ (δ_l W_lᵀ),  g = Σ_l δ_l V_lᵀ (+ δ_1 W_1ᵀ)
 
-so one `backward` of a loss on f and g is all a step needs. Against `autograd.grad(create_graph=True)` this takes
-7–25 % less time on a CPU, and a graph capture sees nothing but matrix products.
+so one `backward` of a loss on f and g is all that a step needs. Against `autograd.grad(create_graph=True)` this takes
+7–25 % less time on a CPU, and the capture of a CUDA graph meets only matrix products.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from services.edge.field.config import FitConfig
+from services.edge.paper_field.network_config import NetworkConfig
 
 OUTPUT_BIAS = -0.5  # geometric initialisation (SAL, Atzmon & Lipman 2020): the field of a sphere of this radius
-ROUNDING = 0.02  # half-width of the bend of the rounded ReLU: that of the softplus with β = 100 which SDF networks use
+ROUNDING = 0.02  # r: half-width of the rounded ReLU's bend; like the softplus with β = 100 which SDF networks use
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
     """Effective weights of one layer: weight (C_in,C_out), bias (C_out,), and the rows (3,C_out) of the query, or None.
 
-    A bent layer is followed by the activation.
+    has_activation: whether the activation follows.
     """
 
     weight: Tensor
     bias: Tensor
     of_query: Tensor | None
-    bent: bool
+    has_activation: bool
 
 
 class Activation(Protocol):
@@ -49,12 +49,12 @@ class Activation(Protocol):
 
 
 def relu(z: Tensor) -> tuple[Tensor, Tensor]:
-    """The slope is a step: no gradient flows through it, but losses on g still reach the weights."""
+    """ReLU and its slope, a step: no gradient flows through it, but losses on g still reach the weights."""
     return torch.relu(z), (z > 0).to(z.dtype)
 
 
 def rounded_relu(z: Tensor) -> tuple[Tensor, Tensor]:
-    """0 below −r, z above r, a parabola between: g is continuous, so that its direction can be trained and trusted.
+    """Rounded ReLU: 0 below −r, z above r, a parabola between. g is continuous, so its direction can be trained.
 
     Not a softplus, which costs an exponential and a logarithm for each of the M·C values.
     """
@@ -63,7 +63,7 @@ def rounded_relu(z: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class _RoundedReLU(torch.autograd.Function):
-    """By hand, for autograd's own chain takes twice as many passes over the memory, a fifth of a step."""
+    """The rounded ReLU with its backward by hand: autograd's takes twice the passes over memory, a fifth of a step."""
 
     @staticmethod
     def forward(ctx: Any, z: Tensor) -> tuple[Tensor, Tensor]:
@@ -86,12 +86,12 @@ class _RoundedReLU(torch.autograd.Function):
 
 
 class FieldNetwork(nn.Module):
-    """What both networks share: the sweeps at the head of this file."""
+    """Base class of both networks: the two passes at the head of this file."""
 
     activation: Activation = staticmethod(relu)
 
     def layers(self) -> Sequence[Layer]:
-        """The effective weights, from the parameters as they stand."""
+        """Compute the effective weights of all layers from the current parameters."""
         raise NotImplementedError
 
     def forward(self, q: Tensor) -> Tensor:
@@ -99,7 +99,7 @@ class FieldNetwork(nn.Module):
         h = q
         for layer in self.layers():
             z = _affine(h, q, layer)
-            h = self.activation(z)[0] if layer.bent else z
+            h = self.activation(z)[0] if layer.has_activation else z
         return h[:, 0].abs()
 
     def value_and_gradient(self, q: Tensor) -> tuple[Tensor, Tensor]:
@@ -109,7 +109,7 @@ class FieldNetwork(nn.Module):
         for layer in layers:
             h = _affine(h, q, layer)
             slope = None
-            if layer.bent:
+            if layer.has_activation:
                 h, slope = self.activation(h)
             slopes.append(slope)
         y = h
@@ -131,12 +131,12 @@ def _affine(h: Tensor, q: Tensor, layer: Layer) -> Tensor:
 class SeparableNetwork(FieldNetwork):
     """The paper's network: six 1-D depthwise-separable convolutions, the input concatenated at the 2nd and the 5th.
 
-    The reading: a block is a depthwise convolution (a filter per channel), then a pointwise one (a matrix over the
+    As read here, a block is a depthwise convolution (a filter per channel), then a pointwise one (a matrix over the
     channels), then the activation, and nothing between the two (F. Chollet, "Xception", CVPR 2017, found it harmful).
-    The "time" axis of the convolution is the batch, and queries of a batch are no neighbours; the kernel size is 1, for
-    a query's value must not depend on which other queries share its batch. The depthwise convolution is then a scale
-    and a shift of every channel, which is folded into the matrix before the queries see it: what the six blocks cost is
-    six matrix products. A linear layer reads the distance off the last block.
+    The "time" axis of the convolution is the batch, whose queries are no neighbours, so the kernel size is 1: a query's
+    value must not depend on the other queries of its batch. The depthwise convolution is then a scale and a shift of
+    every channel, which are folded into the matrix beforehand, so that six blocks cost six matrix products. A linear
+    layer computes the distance from the last block.
 
     128 channels take 85,000 parameters. With 256 the matrices alone would take 330,000, above the paper's 147,200; they
     then pass through a linear bottleneck (M. Sandler et al., "MobileNetV2", CVPR 2018), as its own block does.
@@ -145,30 +145,33 @@ class SeparableNetwork(FieldNetwork):
     BLOCKS = 6
     CONCATENATED = (2, 5)  # counted from 1
     BOTTLENECK = 48  # channels, for the matrices of 256: the most that keeps 147,200 is 51
-    UNBROKEN = 128  # channels up to which a block has a matrix of its own
+    WIDEST_FULL = 128  # channels up to which a block has one full matrix
 
     def __init__(self, width: int, generator: torch.Generator) -> None:
         super().__init__()
         self.activation = rounded_relu
-        rank = self.BOTTLENECK if width > self.UNBROKEN else None
+        rank = self.BOTTLENECK if width > self.WIDEST_FULL else None
         self.blocks = nn.ModuleList(
             _Separable(3 if number == 1 else width, width, number in self.CONCATENATED, rank, generator)
             for number in range(1, self.BLOCKS + 1)
         )
-        self.out_weight = nn.Parameter(_mean_weight(width, 1, generator))
+        self.out_weight = nn.Parameter(_output_weight(width, 1, generator))
         self.out_bias = nn.Parameter(torch.zeros(1))
-        self._become_sphere(generator)
+        self._start_as_sphere(generator)
 
     @torch.no_grad()
-    def _become_sphere(self, generator: torch.Generator) -> None:
-        """The geometric initialisation holds on average over many channels; a bottleneck of 48 is off by a half."""
+    def _start_as_sphere(self, generator: torch.Generator) -> None:
+        """Scale the output layer so that the first field is that of a sphere.
+
+        Alone, the geometric initialisation is right on average over many channels; a bottleneck of 48 is off by half.
+        """
         q = torch.nn.functional.normalize(torch.randn(512, 3, generator=generator)) * -OUTPUT_BIAS
         self.out_weight.mul_(-OUTPUT_BIAS / self.forward(q).mean())
         self.out_bias.fill_(OUTPUT_BIAS)
 
     def layers(self) -> Sequence[Layer]:
         folded = [layer for block in self.blocks if isinstance(block, _Separable) for layer in block.layers()]
-        return [*folded, Layer(self.out_weight, self.out_bias, None, bent=False)]
+        return [*folded, Layer(self.out_weight, self.out_bias, None, has_activation=False)]
 
 
 class _Separable(nn.Module):
@@ -183,14 +186,14 @@ class _Separable(nn.Module):
         inputs = channels + 3 * concatenated
         self.scale = nn.Parameter(torch.ones(inputs))
         self.shift = nn.Parameter(torch.zeros(inputs))
-        pointwise = _spread_weight(inputs, width, generator)
+        pointwise = _hidden_weight(inputs, width, generator)
         if concatenated:
-            pointwise[channels:] = 0  # as in the geometric initialisation: the input says nothing new yet
+            pointwise[channels:] = 0  # geometric initialisation: the concatenated input has no effect at first
         self.narrow: nn.Parameter | None = None
         if rank is not None and channels > rank:
             # A random projection and its transpose keep the activations' variance and so the geometric start.
             self.narrow = nn.Parameter(_orthogonal(inputs, rank, generator) * math.sqrt(inputs / rank))
-            pointwise = _spread_weight(rank, width, generator)
+            pointwise = _hidden_weight(rank, width, generator)
         self.weight = nn.Parameter(pointwise)
         self.bias = nn.Parameter(torch.zeros(width))
 
@@ -199,14 +202,14 @@ class _Separable(nn.Module):
         folded, shifted = self.scale[:, None] * first, self.shift @ first
         of_query = folded[self.channels :] if self.concatenated else None
         if self.narrow is None:
-            return [Layer(folded[: self.channels], self.bias + shifted, of_query, bent=True)]
+            return [Layer(folded[: self.channels], self.bias + shifted, of_query, has_activation=True)]
         return [
-            Layer(folded[: self.channels], shifted, of_query, bent=False),
-            Layer(self.weight, self.bias, None, bent=True),
+            Layer(folded[: self.channels], shifted, of_query, has_activation=False),
+            Layer(self.weight, self.bias, None, has_activation=True),
         ]
 
 
-class AncestorsNetwork(FieldNetwork):
+class NeuralPullNetwork(FieldNetwork):
     """The MLP of NeuralPull, CAP-UDF and LevelSetUDF: 8 hidden layers of 256, ReLU, weight norm, 463,100 parameters.
 
     The input is concatenated at the fourth hidden layer's output, divided by √2; the layer before makes 253 channels,
@@ -224,7 +227,7 @@ class AncestorsNetwork(FieldNetwork):
         for number, (inputs, outputs) in enumerate(pairwise(ends)):
             outputs -= 3 * (number + 1 == self.CONCATENATED)
             last = number == self.HIDDEN
-            weight = (_mean_weight if last else _spread_weight)(inputs, outputs, generator)
+            weight = (_output_weight if last else _hidden_weight)(inputs, outputs, generator)
             self.directions.append(nn.Parameter(weight))
             self.lengths.append(nn.Parameter(weight.norm(dim=0)))
             self.biases.append(nn.Parameter(torch.full((outputs,), OUTPUT_BIAS if last else 0.0)))
@@ -238,24 +241,24 @@ class AncestorsNetwork(FieldNetwork):
             if number == self.CONCATENATED:
                 weight = weight / math.sqrt(2)
                 weight, of_query = weight[:-3], weight[-3:]
-            made.append(Layer(weight, bias, of_query, bent=number < self.HIDDEN))
+            made.append(Layer(weight, bias, of_query, has_activation=number < self.HIDDEN))
         return made
 
 
-def network_of(config: FitConfig) -> FieldNetwork:
-    """The configured network with its first weights, on the CPU; the same for the same seed whatever else runs."""
+def network_of(config: NetworkConfig) -> FieldNetwork:
+    """Build the configured network with its initial weights, on the CPU; they depend on its seed alone."""
     generator = torch.Generator().manual_seed(config.seed)
     if config.model == "mlp":
-        return AncestorsNetwork(generator)
+        return NeuralPullNetwork(generator)
     return SeparableNetwork(config.width, generator)
 
 
-def _spread_weight(inputs: int, outputs: int, generator: torch.Generator) -> Tensor:
+def _hidden_weight(inputs: int, outputs: int, generator: torch.Generator) -> Tensor:
     """Geometric initialisation of a hidden layer: N(0, 2/C_out), which keeps |h| under a ReLU."""
     return torch.randn(inputs, outputs, generator=generator) * math.sqrt(2 / outputs)
 
 
-def _mean_weight(inputs: int, outputs: int, generator: torch.Generator) -> Tensor:
+def _output_weight(inputs: int, outputs: int, generator: torch.Generator) -> Tensor:
     """Geometric initialisation of the last layer: the mean of the channels, so that y ≈ |q| + the output bias."""
     return math.sqrt(math.pi / inputs) + 1e-4 * torch.randn(inputs, outputs, generator=generator)
 

@@ -1,6 +1,6 @@
-"""Which queries each loss sees: one batch of indices in, the terms by name out.
+"""The objectives of the training: a batch of query indices in, the loss terms by name out.
 
-Everything that a step reads stays in the same tensors from step to step, so a CUDA graph can hold the whole of it.
+Everything that a step reads stays in the same tensors from step to step, so that one CUDA graph can capture it all.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from services.edge.field import losses
 from services.edge.field.compute import nearest, nearest_in, rows
-from services.edge.field.config import FitConfig
-from services.edge.field.networks import FieldNetwork
-from services.edge.field.queries import Pool, far_batch
+from services.edge.paper_field import losses
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.networks import FieldNetwork
+from services.edge.paper_field.queries import Pool, far_batch
 
 Objective = Callable[[Tensor], Mapping[str, Tensor]]
 """Indices of a batch (M,) into the pool -> the loss terms by name."""
 
 
 def regression_objective(network: FieldNetwork, pool: Pool, target: Tensor) -> Objective:
-    """The warm start: at the queries j the field is target[j]."""
+    """The objective of the warm start: the field at the queries j should be target[j]."""
 
     def terms(j: Tensor) -> Mapping[str, Tensor]:
         return {"regression": losses.regression_loss(network(pool.strong_queries(j)), target[j])}
@@ -29,10 +29,10 @@ def regression_objective(network: FieldNetwork, pool: Pool, target: Tensor) -> O
     return terms
 
 
-def paper_weights(config: FitConfig) -> Mapping[str, float]:
-    """The weights of (7), and of the far queries; what weighs nothing is not computed.
+def paper_weights(config: NetworkConfig) -> Mapping[str, float]:
+    """Weights by term of (7), and of the far queries; terms of weight 0 are left out.
 
-    A far query counts as much as one of (1), for both measure how far off a query's distance is.
+    A far query counts as much as one of (1), because both measure the error of a query's distance.
     """
     weights = {
         "chamfer": config.chamfer,
@@ -45,8 +45,8 @@ def paper_weights(config: FitConfig) -> Mapping[str, float]:
     return {name: weight for name, weight in weights.items() if weight > 0}
 
 
-def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: FitConfig, batch: int) -> Objective:
-    """The terms of (7); memory (J,) is ω, which every step updates in place."""
+def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: NetworkConfig, batch: int) -> Objective:
+    """The objective of the paper, with the terms of (7); memory (J,) is ω, which every step updates in place."""
     wanted = paper_weights(config)
     nearest_point = nearest_in(pool.points)
     far_count = min(far_batch(config, batch), len(pool.far))
@@ -54,7 +54,7 @@ def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: F
     def terms(j: Tensor) -> Mapping[str, Tensor]:
         q, near_q = pool.strong_queries(j), pool.points[pool.nearest[j]]
         f, g = network.value_and_gradient(q)
-        moved = losses.pulled(q, f, g)
+        moved = losses.pull(q, f, g)
         found = {}
         if "chamfer" in wanted:
             to_point = pool.points[nearest_point(moved)]
@@ -68,7 +68,7 @@ def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: F
         return {name: found[name] for name in wanted}
 
     def values_only(j: Tensor, f: Tensor, near_q: Tensor) -> Mapping[str, Tensor]:
-        """The terms that need no gradient, their queries through the network at once."""
+        """The terms that need no gradient g; all their queries go through the network in one batch."""
         far = j[:far_count] % len(pool.far)  # j is random, so this is a random choice among the far queries too
         queries: Mapping[str, Callable[[], Tensor]] = {
             "surface": lambda: near_q,

@@ -1,11 +1,11 @@
-"""The pool: all queries of a fit, drawn once, so that a query has a number j for the whole fit.
+"""Draw the training queries: one pool for the whole fit, in which a query has a number j, and its batches.
 
 P (N,3)   points;  σ_p = s · (distance from p to its 50th neighbour),  s = max(¼, ¼√(N/20000))
 ε_j       the offset of pair j, N(0, σ_p²)
 p_s, p_w  the strong anchor, any point, and the weak one, the nearest to it of a fixed random subset of P
 q_s = p_s + ε,  q_w = p_w + ε
 
-On a locally flat surface both of a pair lie at one distance. Far queries are uniform in the padded box.
+On a locally flat surface both queries of a pair have the same distance. Far queries are uniform in the padded box.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from services.edge.arrays import DistanceFn, Floats, Ints
-from services.edge.field.config import FitConfig
-from services.edge.threads import in_threads, slices
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.parallel import in_threads, slices
 
-RANK = 50  # σ_p goes by this neighbour (NeuralPull)
+RANK = 50  # the neighbour whose distance gives σ_p (NeuralPull)
 SPREAD, SPREAD_POINTS = 0.25, 20_000  # s: dense clouds spread their queries over more neighbours (CAP-UDF)
-PER_POINT = 100  # queries: at 10,000 points the full million of the paper
+PER_POINT = 100  # queries per point: for 10,000 points the full million of the paper
 PADDING = 0.1  # of the box on every side, unit frame: the extraction's grid ends nearer than that
-WARM_QUERIES = 200_000  # of the pool that the warm start sees: as many as 40 steps of 5,000
-PART = 1 << 16  # queries of a KD-tree between two breaths, for a caller who may want to stop
+WARM_QUERIES = 200_000  # most queries of the pool that the warm start uses: 40 steps of 5,000
+PART = 1 << 16  # queries of a KD-tree between two yields, at which the caller may stop
 
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """On the fit's device, float32 and int64, unit frame.
+    """All queries of a fit, on its device, float32 and int64, unit frame.
 
     points (N,3); weak (N,) the weak anchor of each point; offset (J,3); anchor (J,) the strong anchor;
     nearest (J,) the nearest point to q_s; far (F,3) and far_distance (F,) to the nearest point.
@@ -59,18 +59,18 @@ class Pool:
         return self.points[self.weak[self.anchor[j]]] + self.offset[j]
 
 
-def pool_size(points: int, config: FitConfig) -> int:
-    """Queries that so many points draw."""
+def pool_size(points: int, config: NetworkConfig) -> int:
+    """Number of queries in the pool of so many points."""
     return min(config.pool, PER_POINT * points)
 
 
-def far_batch(config: FitConfig, batch: int) -> int:
-    """Far queries per step."""
+def far_batch(config: NetworkConfig, batch: int) -> int:
+    """Number of far queries per step."""
     return round(config.far_share * batch)
 
 
-def draw_pool(xyz: Floats, config: FitConfig, device: torch.device) -> Iterator[Pool | None]:
-    """None for a breath between parts of the work, the pool last. The same points and seed draw the same pool."""
+def draw_pool(xyz: Floats, config: NetworkConfig, device: torch.device) -> Iterator[Pool | None]:
+    """Draw the pool; the same points and seed give the same. Yields None between parts of the work, the pool last."""
     rng = np.random.default_rng(config.seed)
     xyz = np.ascontiguousarray(xyz, np.float32)
     tree = cKDTree(xyz)
@@ -96,7 +96,7 @@ def draw_pool(xyz: Floats, config: FitConfig, device: torch.device) -> Iterator[
 
 
 def base_values(pool: Pool, base: DistanceFn) -> Iterator[Tensor | None]:
-    """The base's distances at the pool's first queries, the last thing yielded; None for a breath before it."""
+    """Evaluate the base at the pool's first queries. Yields None between parts of the work, the distances last."""
     count = min(len(pool), WARM_QUERIES)
     values = np.empty(count, np.float32)
     for part in slices(count, PART // 4):
@@ -107,9 +107,9 @@ def base_values(pool: Pool, base: DistanceFn) -> Iterator[Tensor | None]:
 
 
 class Batches:
-    """Which queries a step takes: a function of the seed and the step alone, so a resumed fit needs no random state.
+    """Shuffled batches of query indices: they depend on seed and step alone, so a resumed fit needs no random state.
 
-    The pool is shuffled anew whenever it is used up; within a batch no query comes twice.
+    The pool is shuffled again whenever it is used up; within a batch no query comes twice.
     """
 
     def __init__(self, count: int, batch: int, seed: int, device: torch.device) -> None:
@@ -118,17 +118,17 @@ class Batches:
         self._epoch, self._order = -1, torch.empty(0, dtype=torch.int64)
 
     def at(self, step: int) -> Tensor:
-        """(size,) int64 into the pool."""
+        """Indices (size,) int64 into the pool, of one step's batch."""
         epoch, part = divmod(step, self._count // self.size)
         if epoch != self._epoch:
-            # Drawn on the CPU: a GPU's generator would give a capture of the step its own opinion of the seed.
+            # Drawn on the CPU: within a captured CUDA graph a GPU's generator goes on from a seed of its own.
             generator = torch.Generator().manual_seed((self._seed << 20) + epoch)
             self._epoch, self._order = epoch, torch.randperm(self._count, generator=generator).to(self._device)
         return self._order[part * self.size : (part + 1) * self.size]
 
 
 def _sigmas(xyz: Floats, tree: cKDTree) -> Floats:
-    """σ_p (M,) of some points (M,3) of the tree's."""
+    """σ_p (M,) of points (M,3) that are among the tree's."""
     scale = max(SPREAD, SPREAD * math.sqrt(tree.n / SPREAD_POINTS))
     rank = min(RANK, tree.n - 1)
     found = in_threads(lambda part: tree.query(xyz[part], k=[rank + 1])[0][:, 0], slices(len(xyz), PART // RANK))
@@ -136,12 +136,13 @@ def _sigmas(xyz: Floats, tree: cKDTree) -> Floats:
 
 
 def _weak_anchors(xyz: Floats, share: float, rng: np.random.Generator) -> Ints:
-    """(N,) the nearest to each point of the subset; members are their own."""
+    """Index (N,) of the point of a random subset that is nearest to each point; its members are their own."""
     subset = np.sort(rng.permutation(len(xyz))[: max(1, round(share * len(xyz)))])
     return np.asarray(subset[_nearest(cKDTree(xyz[subset]), xyz)[1]], np.int64)
 
 
 def _far_queries(xyz: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """Uniform random places (count,3) in the padded bounding box."""
     low, high = xyz.min(axis=0) - PADDING, xyz.max(axis=0) + PADDING
     return np.asarray(rng.uniform(low, high, (count, 3)), np.float32)
 

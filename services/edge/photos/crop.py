@@ -1,4 +1,4 @@
-"""Photos of which only a part is looked at: the rest is cut off, exactly, whatever size they are asked for."""
+"""Crop photos lazily: the crop is exact at whatever size a photo is loaded."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from services.edge.capture.nouns import LoadPhoto, Photo
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
-    """A part of a picture, in shares of its width and height."""
+class CropBox:
+    """A crop rectangle, in shares of the picture's width and height."""
 
     left: float
     top: float
@@ -21,26 +21,28 @@ class Box:
     bottom: float
 
     def pixels(self, size: tuple[int, int]) -> tuple[int, int, int, int]:
-        """left, top, width and height in a picture of `size`; what is left and right of the middle stays alike."""
+        """Return left, top, width and height in a picture of `size`; a box symmetric about the middle stays so."""
         width, height = size
         left, top = round(self.left * width), round(self.top * height)
         right, bottom = round((1 - self.right) * width), round((1 - self.bottom) * height)
         return left, top, max(1, width - left - right), max(1, height - top - bottom)
 
 
-def cropped(photo: Photo, box: Box) -> Photo:
-    """The part of a photo without pose as a photo; the lens's axis is in its middle where the box is in the photo's."""
+def crop_photo(photo: Photo, box: CropBox) -> Photo:
+    """Crop a photo without a pose to a box.
+
+    If the box is centred in the photo, the optical axis stays in the middle of the crop."""
     left, top, width, height = box.pixels(photo.size)
     mask = photo.mask
     if mask is not None:
-        mask = _part(mask.astype(np.uint8), photo.size, (left, top, width, height), cv2.INTER_NEAREST).astype(bool)
-    load = _PartOf(photo.load, photo.size, (left, top, width, height))
+        mask = _cut(mask.astype(np.uint8), photo.size, (left, top, width, height), cv2.INTER_NEAREST).astype(bool)
+    load = _CropLoader(photo.load, photo.size, (left, top, width, height))
     return replace(photo, size=(width, height), load=load, load_alpha=None, mask=mask)
 
 
 @dataclass(frozen=True, slots=True)
-class _PartOf:
-    """Loads the part (left, top, width, height) of a photo of `size`."""
+class _CropLoader:
+    """Loads the part (left, top, width, height) of a photo of `size`: a `LoadPhoto`."""
 
     whole: LoadPhoto
     size: tuple[int, int]
@@ -48,11 +50,13 @@ class _PartOf:
 
     def __call__(self, longest: int | None = None) -> Bytes:
         wanted = None if longest is None else max(1, int(longest * max(self.size) / max(self.part[2:])))
-        return _part(self.whole(wanted), self.size, self.part, cv2.INTER_CUBIC)
+        return _cut(self.whole(wanted), self.size, self.part, cv2.INTER_CUBIC)
 
 
-def _part(pixels: Bytes, size: tuple[int, int], part: tuple[int, int, int, int], method: int) -> Bytes:
-    """Cut between pixels where the picture's size asks for it: whole ones would move the lens's axis."""
+def _cut(pixels: Bytes, size: tuple[int, int], part: tuple[int, int, int, int], method: int) -> Bytes:
+    """Cut a part, given in pixels of `size`, out of a picture of any scale, with subpixel accuracy.
+
+    Rounding to whole pixels would move the optical axis."""
     left, top, width, height = part
     by_x, by_y = pixels.shape[1] / size[0], pixels.shape[0] / size[1]
     columns, rows = max(1, round(width * by_x)), max(1, round(height * by_y))

@@ -1,7 +1,8 @@
-"""The rim that stereo adds around a thing in front of a plain background.
+"""Remove the rim of false depth that stereo adds around an object in front of a plain background (edge fattening).
 
-A window at an outline matches as long as some of the thing is in it, so depth reaches half a window beyond the thing,
-over what lies behind. Other views confirm it: a plain background looks the same from everywhere. Its colour tells.
+A window at an outline matches as long as part of the object is in it, so the object's depth extends half a window over
+the background. Other views confirm it, since a plain background looks the same from everywhere; but its colour is that
+of the background.
 """
 
 from __future__ import annotations
@@ -12,44 +13,46 @@ from services.edge.arrays import Bools, Bytes, Floats
 from services.edge.photos.zncc import WINDOW
 
 _REACH = WINDOW // 2 + 1
-"""Pixels that the rim is wide: half a window, and one that the smoothing of the disparities adds."""
+"""Width of the rim in pixels: half a window, and one that the smoothing of the disparities adds."""
 _AROUND = 4 * _REACH + 1
-"""Side of the window that tells how the thing and the background look there."""
+"""Side in pixels of the window in which the colours of the object and of the background are modelled."""
 _STEP = 0.03
-"""Relative difference of depth across an outline; the surface itself changes less within the rim's width."""
+"""Least relative depth difference across an outline; the surface itself changes less within the rim's width."""
 _FEWEST = _REACH * _REACH
-"""Pixels of either side that tell how it looks."""
+"""Least number of pixels to model the colour of either side."""
 _LEAST_SPREAD = 5.0
-"""Grey levels, 1 sigma, that noise and compression give to what has one colour."""
+"""Grey levels, 1 sigma, that noise and compression give to a surface of one colour."""
 _SURE = 6.0
-"""Twice the logarithm of how much likelier the background's colour is to be: 1 : 20."""
+"""Twice the logarithm of the likelihood ratio, background to object, from which on a pixel is background: 20 : 1."""
 _OPEN = 0.01
-"""Share of the picture from which on what has no depth is background: a patch without texture on the thing is not."""
+"""Least share of the picture of a region without depth that is background; smaller ones are untextured patches on the
+object."""
 
 
-def without_rim(depth: Floats, rgb: Bytes) -> Floats:
-    """The depth image (H,W), 0 where unknown, without what looks (rgb (H,W,3)) like the background at an outline."""
+def remove_rim(depth: Floats, rgb: Bytes) -> Floats:
+    """Set depth (H,W) to 0 at outlines where the picture rgb (H,W,3) shows the background's colour; 0 is unknown."""
     import cv2
 
-    near = _dilated(np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0))
+    near = _nearest_around(np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0))
     thing = (depth > 0) & (depth * near < 1 + _STEP)
-    beyond = ~thing & _wide(~thing)
+    beyond = ~thing & _large_regions(~thing)
     core = cv2.erode(thing.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8), borderValue=1) > 0
     colour = rgb.astype(np.float32)
-    unlike_thing, told = _unlikeness(colour, core)
-    unlike_beyond, told_too = _unlikeness(colour, beyond)
-    rim = thing & ~core & told & told_too & (unlike_thing > unlike_beyond + _SURE)
+    unlike_thing, thing_known = _unlikeness(colour, core)
+    unlike_beyond, beyond_known = _unlikeness(colour, beyond)
+    rim = thing & ~core & thing_known & beyond_known & (unlike_thing > unlike_beyond + _SURE)
     return np.where(rim, np.float32(0), depth)
 
 
-def _dilated(inverse: Floats) -> Floats:
+def _nearest_around(inverse: Floats) -> Floats:
+    """Return the largest inverse depth (the nearest surface) within the rim's width of each pixel."""
     import cv2
 
     return np.asarray(cv2.dilate(inverse.astype(np.float32), np.ones((2 * _REACH + 1,) * 2, np.uint8)))
 
 
-def _wide(mask: Bools) -> Bools:
-    """The pieces of a mask (H,W) that are large."""
+def _large_regions(mask: Bools) -> Bools:
+    """Return the large connected regions of a mask (H,W)."""
     import cv2
 
     count, label, figures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
@@ -59,8 +62,9 @@ def _wide(mask: Bools) -> Bools:
 
 
 def _unlikeness(colour: Floats, which: Bools) -> tuple[Floats, Bools]:
-    """(H,W) minus twice the logarithm of the likelihood of each pixel's colour among those of `which` around it, up to
-    a constant, by a normal distribution; and where enough of them are."""
+    """Return how unlikely each pixel's colour is among those of `which` around it (H,W), and where these are enough.
+
+    It is minus twice the logarithm of the likelihood under a normal distribution, up to a constant."""
     import cv2
 
     def around(values: Floats) -> Floats:

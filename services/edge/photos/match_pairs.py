@@ -1,6 +1,6 @@
-"""Which photos to hold against each other, and which matches of two photos their known poses allow.
+"""Choose the pairs of photos to match, and check matches against known poses (epipolar error).
 
-All pairs where that is affordable, else neighbours and a skeleton.
+All pairs are matched where that is affordable, else neighbours and a skeleton of every n-th photo.
 """
 
 from __future__ import annotations
@@ -11,30 +11,31 @@ import numpy as np
 
 from services.edge.arrays import Bools, Floats, Ints
 
-FEW = 30  # photos up to which every pair is tried at once; of 20, neighbours and skeleton placed 10, 2 s earlier
-MANY = 100  # photos up to which every pair is ever tried: 4,950 pairs
+FEW = 30  # photos up to which all pairs are matched at once; of 20, neighbours and skeleton placed 10, 2 s earlier
+MANY = 100  # photos up to which all pairs, 4,950, are ever matched
 
-_WINDOW = 4  # neighbours in the order of the capture; 50 photos purely so: one gap split the model
-_WIDE_WINDOW = 12  # where MANY forbids every pair
-_STEP = 4  # every 4th photo meets every other 4th: as exact as every pair, at a third of its time
-_SKELETON = 100  # photos of the skeleton at most, which keeps the number of pairs linear in that of the photos
+_WINDOW = 4  # neighbours on either side in the capture's order; with these alone one gap split the model of 50 photos
+_WIDE_WINDOW = 12  # the same for more than MANY photos, where all pairs are too many
+_STEP = 4  # every 4th photo is matched with every other 4th: as exact as all pairs, at a third of the time
+_SKELETON = 100  # most photos of the skeleton, which keeps the number of pairs linear in that of the photos
 
 
 def sequential(count: int) -> Ints:
-    """Neighbours within 4 and the every-4th skeleton, (M,2) with first < second; every pair of FEW photos."""
+    """Return pairs (M,2), first < second: neighbours within 4 and the skeleton; all pairs of up to FEW photos."""
     if count <= FEW:
         return exhaustive(count)
     return _neighbours_and_skeleton(count, _WINDOW)
 
 
 def exhaustive(count: int) -> Ints:
-    """Every pair of up to MANY photos, (M,2) with first < second; of more, wider neighbourhoods and the skeleton."""
+    """Return all pairs (M,2), first < second, of up to MANY photos; of more, wider neighbourhoods and the skeleton."""
     if count > MANY:
         return _neighbours_and_skeleton(count, _WIDE_WINDOW)
     return _pairs(np.ones((count, count), np.bool_))
 
 
 def _neighbours_and_skeleton(count: int, window: int) -> Ints:
+    """Return the pairs within `window` of each other, and all pairs of the skeleton."""
     index = np.arange(count)
     chosen = index % max(_STEP, math.ceil(count / _SKELETON)) == 0
     near = np.abs(index[:, None] - index) <= window
@@ -42,12 +43,14 @@ def _neighbours_and_skeleton(count: int, window: int) -> Ints:
 
 
 def _pairs(wanted: Bools) -> Ints:
-    """The pairs above the diagonal of a (N,N) matrix, by first and then second photo."""
+    """Return the True entries above the diagonal of a matrix (N,N) as pairs, sorted by first, then second photo."""
     return np.argwhere(np.triu(wanted, 1)).astype(np.int32)
 
 
 def epipolar_errors(first: Floats, second: Floats, first_pose: Floats, second_pose: Floats) -> Floats:
-    """Sampson distances (K,) of matches from what two camera_to_world (4,4) allow; all in units of the focal length.
+    """Return the Sampson distances (K,) of matches from the epipolar geometry of two camera_to_world (4,4).
+
+    They are in units of the focal length.
 
     first, second (K,2): the matched points in the plane one unit before each camera, x right, y down.
     Richard Hartley, Andrew Zisserman, "Multiple View Geometry in Computer Vision", 2nd ed., eq. 11.9.
@@ -60,6 +63,6 @@ def epipolar_errors(first: Floats, second: Floats, first_pose: Floats, second_po
     to_first = np.hstack([second, one]) @ essential
     algebraic = (np.hstack([second, one]) * to_second).sum(axis=1)
     slope = (to_second[:, :2] ** 2).sum(axis=1) + (to_first[:, :2] ** 2).sum(axis=1)
-    # Without a baseline every line vanishes, and every match is allowed.
+    # Without a baseline the essential matrix is 0, and every match is allowed.
     errors: Floats = np.abs(algebraic) / np.sqrt(np.maximum(slope, 1e-20))
     return errors

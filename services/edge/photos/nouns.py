@@ -1,4 +1,4 @@
-"""What is known of photos once their cameras are: posed `View`s and the sparse points that they share."""
+"""Data types of the result of structure from motion: posed `PhotoView`s and their shared sparse points."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from services.edge.capture.nouns import Intrinsics, Photo, PhotoVerdict
 
 
 @dataclass(frozen=True, slots=True)
-class View:
-    """A photo with its camera.
+class PhotoView:
+    """A photo with its camera intrinsics, lens distortion and pose.
 
-    intrinsics       of the photo at its stored size, behind the lens's distortion
+    intrinsics       of the photo at its stored size, to be applied after the distortion
     distortion       OpenCV's (k1, k2, p1, p2, k3)
     camera_to_world  (4,4) float64, OpenCV axes, in units of the alignment
     """
@@ -25,17 +25,17 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """The cameras of a capture and the points that they agree on.
+    """Result of structure from motion: posed photos and sparse points.
 
     views        the photos that could be placed, in the order of the capture
     xyz          (P,3) float64 sparse points
-    seen_point, seen_view  (T,) which point was seen in which view: one row for every observation
-    error_px     mean distance between an observation and its point's projection, pixels of the features' pictures
-    verdicts     of every photo that went in, placed or not
+    seen_point, seen_view  (T,) indices of the point and of the view of every observation
+    error_px     mean reprojection error of the observations, in pixels of the pictures that features were found in
+    verdicts     on every input photo, placed or not
     warnings     sentences for the report
     """
 
-    views: tuple[View, ...]
+    views: tuple[PhotoView, ...]
     xyz: Floats
     seen_point: Ints
     seen_view: Ints

@@ -1,9 +1,9 @@
-"""Plane sweep: the depth of every pixel of a view, from a few other views.
+"""Plane sweep stereo: compute the depth of every pixel of a view from a few other views.
 
-R. T. Collins, "A Space-Sweep Approach to True Multi-Image Matching", 1996. Planes parallel to the view's image stand at
-equal steps of inverse depth q = 1/z; on each the other pictures are brought into the view's place by a homography and
-compared (`zncc`); `sgm` chooses a plane for every pixel; the depth is then refined pixel by pixel between the planes.
-The arithmetic is a `Stand`'s: `stand.py` on the CPU, `stand_torch.py` on a GPU.
+R. T. Collins, "A Space-Sweep Approach to True Multi-Image Matching", 1996. Planes parallel to the view's image are at
+equal steps of inverse depth q = 1/z; for each plane the other pictures are warped to the view by a homography and
+compared (`zncc`); `sgm` chooses a plane for every pixel; then the depth is refined per pixel between the planes.
+A `SweepBackend` does the computation: `plane_sweep_cpu.py` on the CPU, `plane_sweep_torch.py` on a GPU.
 """
 
 from __future__ import annotations
@@ -15,86 +15,95 @@ from typing import Protocol
 import numpy as np
 
 from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.photos.pictures import Picture
-from services.edge.photos.stand import CpuStand, vertex
-from services.edge.photos.warp import Rays, Source, shift_px
+from services.edge.photos.plane_sweep_cpu import CpuSweep, vertex
+from services.edge.photos.undistorted import UndistortedPhoto
+from services.edge.photos.warp import Rays, WarpSource, shift_px
 
 _NEARER, _FARTHER = 0.7, 1.25
-"""Of the nearest and the farthest sparse point of a view: how far the sweep goes beyond them."""
+"""First and last plane, over the depths of a view's nearest and farthest sparse points."""
 _PERCENTILES = (0.5, 99.0)
+"""Percentiles of the sparse points' depths that count as nearest and farthest."""
 _STEP_PX = 1.0
-"""Shift of a source's pixels from plane to plane; the refinement looks between them."""
+"""Shift of a source's pixels from plane to plane; the refinement finds depths between them."""
 _FEWEST, _MOST = 24, 128
-"""Planes. Memory is 4 bytes a pixel and plane: 128 of 640 x 480 are 160 MB."""
+"""Least and most planes. Memory is 4 bytes per pixel and plane: 128 of 640 x 480 are 160 MB."""
 _REFINEMENTS = (0.5, 0.25, 0.08)
-"""Steps of the refinement in planes."""
+"""Steps of the refinement, in distances between planes."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepthMap:
-    """depth (H,W) float32 in units of the alignment, along the optical axis; score (H,W) float32: ZNCC, -1 to 1."""
+    """Depth of a view's pixels: depth (H,W) float32 along the optical axis, in units of the alignment; score (H,W)
+    float32: ZNCC, -1 to 1."""
 
     depth: Floats
     score: Floats
 
 
-class Stand(Protocol):
-    """A reference and the pictures that it is compared with, at one size."""
+class SweepBackend(Protocol):
+    """Computes the sweep of one reference picture and its sources, all at one size."""
 
-    def chosen(self, planes: Floats, tick: Tick) -> Floats:
-        """(H,W) number of the plane that SGM chooses for each pixel, or a little beside it; planes (D,) of 1/z."""
+    def choose_planes(self, planes: Floats, tick: Tick) -> Floats:
+        """Choose a plane for each pixel by SGM: its index (H,W), with a fraction between planes; planes (D,) of 1/z."""
 
     def score(self, q: Floats) -> Floats:
-        """(H,W) ZNCC in [-1,1] at the inverse depths q (H,W)."""
+        """Return the ZNCC (H,W) in [-1,1] at the inverse depths q (H,W)."""
 
 
-StandOf = Callable[[Picture, Sequence[Picture]], Stand]
+SweepBackendOf = Callable[[UndistortedPhoto, Sequence[UndistortedPhoto]], SweepBackend]
+"""Function that makes the backend for a reference and its sources."""
 
 
-def stand_on(device: str) -> StandOf:
-    """Where the arithmetic is done: "cpu", or as PyTorch names a GPU."""
+def backend_on(device: str) -> SweepBackendOf:
+    """Return the backend for a device: "cpu", or a GPU as PyTorch names it."""
     if device == "cpu":
-        return CpuStand
-    from services.edge.photos.stand_torch import TorchStand  # loads torch
+        return CpuSweep
+    from services.edge.photos.plane_sweep_torch import TorchSweep  # loads torch
 
-    return lambda reference, sources: TorchStand(reference, sources, device)
+    return lambda reference, sources: TorchSweep(reference, sources, device)
 
 
 def sweep(
-    reference: Picture, sources: Sequence[Picture], z: Floats, tick: Tick = no_tick, *, stand_of: StandOf = CpuStand
+    reference: UndistortedPhoto,
+    sources: Sequence[UndistortedPhoto],
+    z: Floats,
+    tick: Tick = no_tick,
+    *,
+    backend_of: SweepBackendOf = CpuSweep,
 ) -> DepthMap:
-    """Depth of all pixels of `reference`. z (n,): depths of the sparse points that it saw.
+    """Compute the depth of all pixels of `reference`. z (n,): depths of the sparse points that it sees.
 
-    Planes are chosen on pictures of half the size, an eighth of the work, and the depth is refined on the whole ones.
+    Planes are chosen on pictures of half the size, an eighth of the work; the depth is refined at full size.
     """
     near, far = np.percentile(z, _PERCENTILES)
     q_far, q_near = 1 / (_FARTHER * far), 1 / (_NEARER * near)
-    small, small_sources = reference.halved(), [source.halved() for source in sources]
+    small, small_sources = reference.half_size(), [source.half_size() for source in sources]
     planes = np.linspace(q_far, q_near, _planes(small, small_sources, q_far, q_near))
-    chosen = stand_of(small, small_sources).chosen(planes, lambda fraction: tick(0.6 * fraction))
-    fine = stand_of(reference, sources)
-    q = _enlarged((planes[0] + (planes[1] - planes[0]) * chosen).astype(np.float32), reference.grey.shape)
+    chosen = backend_of(small, small_sources).choose_planes(planes, lambda fraction: tick(0.6 * fraction))
+    fine = backend_of(reference, sources)
+    q = _upscale((planes[0] + (planes[1] - planes[0]) * chosen).astype(np.float32), reference.grey.shape)
     for number, step in enumerate(_REFINEMENTS):
-        q = _refined(fine, q, step * (planes[1] - planes[0]))
+        q = _refine(fine, q, step * (planes[1] - planes[0]))
         tick(0.6 + 0.4 * (number + 1) / len(_REFINEMENTS))
     q = np.clip(q, q_far, q_near).astype(np.float32)
     return DepthMap(1 / q, fine.score(q))
 
 
-def _planes(reference: Picture, sources: Sequence[Picture], q_far: float, q_near: float) -> int:
-    """Planes so that the picture's middle moves about `_STEP_PX` from one to the next in the median source."""
-    others = [Source.of(reference, source) for source in sources]
+def _planes(reference: UndistortedPhoto, sources: Sequence[UndistortedPhoto], q_far: float, q_near: float) -> int:
+    """Return the number of planes for which the picture's middle moves `_STEP_PX` per plane in the median source."""
+    others = [WarpSource.of(reference, source) for source in sources]
     shift = shift_px(Rays.of(reference), others, q_far, q_near)
     return int(np.clip(shift / _STEP_PX, _FEWEST, _MOST))
 
 
-def _enlarged(q: Floats, shape: tuple[int, ...]) -> Floats:
+def _upscale(q: Floats, shape: tuple[int, ...]) -> Floats:
+    """Upscale inverse depths to `shape`, bilinearly."""
     import cv2
 
     return np.asarray(cv2.resize(q, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR))
 
 
-def _refined(stand: Stand, q: Floats, step: float) -> Floats:
-    """q moved by at most `step` to where the pictures agree best; windows follow the depth of each of their pixels."""
-    scores = [stand.score(q + np.float32(offset * step)) for offset in (-1, 0, 1)]
+def _refine(backend: SweepBackend, q: Floats, step: float) -> Floats:
+    """Move q by at most `step` to the best score; each pixel of a window is warped by its own depth."""
+    scores = [backend.score(q + np.float32(offset * step)) for offset in (-1, 0, 1)]
     return q + np.float32(step) * vertex(-scores[0], -scores[1], -scores[2])

@@ -1,4 +1,4 @@
-"""The plane sweep's arithmetic on the CPU: what `sweep.py` asks of a stand, in OpenCV and numpy."""
+"""Plane sweep on the CPU: the `SweepBackend` in OpenCV and NumPy."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Tick
-from services.edge.photos.pictures import Picture
 from services.edge.photos.sgm import Costs, aggregate
-from services.edge.photos.warp import Rays, Source
+from services.edge.photos.undistorted import UndistortedPhoto
+from services.edge.photos.warp import Rays, WarpSource
 from services.edge.photos.zncc import BestTwo, Windows
 
 
-class CpuStand:
-    """A reference and the pictures that it is compared with, at one size. Memory: 4 bytes a pixel and plane."""
+class CpuSweep:
+    """`SweepBackend` on the CPU. Memory: 4 bytes per pixel and plane."""
 
-    def __init__(self, reference: Picture, sources: Sequence[Picture]) -> None:
+    def __init__(self, reference: UndistortedPhoto, sources: Sequence[UndistortedPhoto]) -> None:
         self._windows = Windows.of(reference.grey)
         self._rays = Rays.of(reference)
-        self._others = [Source.of(reference, source) for source in sources]
+        self._others = [WarpSource.of(reference, source) for source in sources]
 
-    def chosen(self, planes: Floats, tick: Tick) -> Floats:
-        """(H,W) number of the plane that SGM chooses for each pixel, or a little beside it."""
+    def choose_planes(self, planes: Floats, tick: Tick) -> Floats:
+        """Choose a plane for each pixel by SGM: its index (H,W), with a fraction between planes."""
         grey = self._windows.grey
         cost = np.empty((*grey.shape, len(planes)), np.uint8)
         for number, q in enumerate(planes):
@@ -31,13 +31,14 @@ class CpuStand:
         return _lowest(aggregate(cost, grey.astype(np.uint8)))
 
     def score(self, q: Floats) -> Floats:
-        """(H,W) ZNCC in [-1,1] at the inverse depths q (H,W): the mean of the two best sources."""
+        """Return the ZNCC (H,W) in [-1,1] at the inverse depths q (H,W): the mean of the two best sources."""
         best = BestTwo(q.shape)
         for other in self._others:
             best.add(self._windows.zncc(other.at(self._rays, q)))
         return best.mean()
 
     def _cost(self, q: float) -> Bytes:
+        """Return the matching cost (H,W) uint8 on the plane at inverse depth q: 0 for ZNCC 1, 255 for -1."""
         shape = self._windows.grey.shape
         best = BestTwo(shape)
         for other in self._others:
@@ -46,7 +47,7 @@ class CpuStand:
 
 
 def _lowest(total: Costs) -> Floats:
-    """(H,W) plane of the least sum, between planes by a parabola through it and its neighbours."""
+    """Return the index (H,W) of the plane of least cost, with a fraction from a parabola through its neighbours."""
     count = total.shape[2]
     index = np.clip(total.argmin(axis=2), 1, count - 2)[..., None]
     before, here, after = (
@@ -57,7 +58,7 @@ def _lowest(total: Costs) -> Floats:
 
 
 def vertex(before: Floats, here: Floats, after: Floats) -> Floats:
-    """Where the parabola through three values one step apart is least, in steps from the middle, at most one away."""
+    """Return the minimum of the parabola through three values one step apart, in steps from the middle: -1 to 1."""
     bend = before - 2 * here + after
     offset = np.where(bend > 0, 0.5 * (before - after) / np.where(bend > 0, bend, 1), np.sign(before - after))
     return np.clip(offset, -1, 1).astype(np.float32)

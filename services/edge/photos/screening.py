@@ -1,6 +1,6 @@
-"""Photos that would only do harm: dark ones, copies, and blurred ones where enough others are sharp.
+"""Screen out photos that would harm the alignment: dark ones, duplicates, and blurred ones if enough others are sharp.
 
-Everything is judged on small pictures, because what cannot be seen there cannot be matched either.
+All are judged on downscaled pictures: details that are not visible there cannot be matched either.
 """
 
 from __future__ import annotations
@@ -15,28 +15,31 @@ from services.edge.arrays import Bools, Floats, Tick
 from services.edge.capture.nouns import Photo, PhotoVerdict
 from services.edge.errors import CaptureError
 
-LONGEST = 480  # pixels of the pictures that are judged
-# Black in the middle of its tones and hardly lighter anywhere: 8-bit luma, 50th and 95th percentile. Both, since a
-# thing photographed on black velvet is dark in the middle too.
+LONGEST_PX = 480  # longer side of the downscaled pictures
+# A photo is dark if its 50th and 95th percentile of 8-bit luma are below these. Both, since an object photographed on
+# black velvet has a dark median too.
 _DARK = (16.0, 40.0)
-# Sharpness, of the capture's median. Photos in focus have 0.59 and more, those smeared over 8 pixels of 480 have 0.17
-# to 0.37, and 5 pixels 0.20 to 0.56, of which the matching still makes something.
+# Least sharpness, over the capture's median. Photos in focus have 0.59 and more, those smeared over 8 pixels of 480
+# have 0.17 to 0.37, and over 5 pixels 0.20 to 0.56, which can still be matched.
 _BLURRED = 0.4
-_COARSE_PX = 4.0  # 1 sigma: smears that matter are no wider than what is left after it
-_NOTHING = 0.1  # (grey steps per pixel)² left at _COARSE_PX; photos have 1 and more, walls and skies 0.01
-_KEPT_SHARE = 0.7  # of the photos: a blurred one still closes a gap, and gaps break the alignment
-_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # (rows, columns): a smear takes fine detail away in one direction only
-_THUMB = (72, 54)  # pixels; small enough for the damage of another JPEG to average out
-_COPY_BITS = 8  # of the 64 in the hash that may differ: a JPEG of quality 40 at half the size turns up to 6
+_COARSE_PX = 4.0  # 1 sigma of the wide blur: smears that matter are no wider than the detail that it leaves
+_NOTHING = 0.1  # (grey steps per pixel)² left after _COARSE_PX; photos have 1 and more, walls and skies 0.01
+_KEPT_SHARE = 0.7  # of the photos are never dropped as blurred: they may close a gap, and gaps break the alignment
+_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # (rows, columns): motion blur removes fine detail in one direction only
+_THUMB = (72, 54)  # pixels, width and height; small enough to average out JPEG artefacts
+_COPY_BITS = 8  # of the hash's 64 bits may differ: a JPEG of quality 40 at half the size changes up to 6
 # Mean difference of luma over its standard deviation: such copies have 0.02 to 0.06, photos from 2 degrees apart 0.25
-# and more. A camera that was only turned by half a degree has 0.02 to 0.08, and shows nothing new either.
+# and more. A camera that only turned by half a degree has 0.02 to 0.08, and shows nothing new either.
 _COPY_CHANGE = 0.08
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
-    """What is kept of a photo: sharpness (4,) by direction, NaN where there is nothing to be sharp; hash (64,) bool;
-    thumb (h,w) float32 luma; tones: two percentiles of luma."""
+class _PhotoTraits:
+    """Measurements of a photo for screening.
+
+    sharpness (4,) by direction, NaN for a picture without detail; hash (64,) bool: perceptual hash;
+    thumb (h,w) float32 luma; tones: 50th and 95th percentile of luma.
+    """
 
     photo: Photo
     sharpness: Floats
@@ -46,39 +49,40 @@ class _Look:
 
 
 def screen(photos: Sequence[Photo], *, tick: Tick) -> tuple[tuple[Photo, ...], tuple[PhotoVerdict, ...]]:
-    """The photos worth aligning, in their order, and a verdict on each of the others."""
+    """Return the photos worth aligning, in their order, and a verdict on each of the others."""
     verdicts: list[PhotoVerdict] = []
-    looks: list[_Look] = []
+    accepted: list[_PhotoTraits] = []
     for number, photo in enumerate(photos):
         tick(number / len(photos))
         try:
-            look = _look(photo)
+            traits = _photo_traits(photo)
         except CaptureError as error:
             advice = f"It {error.message}; send it again as a JPEG or HEIC."
             verdicts.append(PhotoVerdict(photo.name, "unreadable", advice))
             continue
-        refused = _dark(look) or _copy(look, looks)
-        if refused is None:
-            looks.append(look)
+        verdict = _dark_verdict(traits) or _duplicate_verdict(traits, accepted)
+        if verdict is None:
+            accepted.append(traits)
         else:
-            verdicts.append(refused)
-    blurred = _blurred(looks)
-    kept = tuple(look.photo for look in looks if look.photo.name not in blurred)
-    return kept, (*verdicts, *(_blur_verdict(name) for name in blurred))
+            verdicts.append(verdict)
+    blurred = _blurred_names(accepted)
+    photos_left = tuple(traits.photo for traits in accepted if traits.photo.name not in blurred)
+    return photos_left, (*verdicts, *(_blur_verdict(name) for name in blurred))
 
 
-def _look(photo: Photo) -> _Look:
-    luma = cv2.cvtColor(photo.load(LONGEST), cv2.COLOR_RGB2GRAY).astype(np.float32)
+def _photo_traits(photo: Photo) -> _PhotoTraits:
+    """Load a photo and measure it. Raises CaptureError."""
+    luma = cv2.cvtColor(photo.load(LONGEST_PX), cv2.COLOR_RGB2GRAY).astype(np.float32)
     tones = np.percentile(luma, (50, 95))
     thumb = np.asarray(cv2.resize(luma, _THUMB, interpolation=cv2.INTER_AREA), np.float32)
-    return _Look(photo, _sharpness(luma), _difference_hash(luma), thumb, (float(tones[0]), float(tones[1])))
+    return _PhotoTraits(photo, _sharpness(luma), _difference_hash(luma), thumb, (float(tones[0]), float(tones[1])))
 
 
 def _sharpness(luma: Floats) -> Floats:
-    """(4,) energy of the differences between neighbours, over what of it a wide blur leaves.
+    """Return the sharpness (4,) by direction: mean squared difference of neighbours, over the same after a wide blur.
 
-    Contrast falls out, so a soft thing before a smooth wall is not taken for a smear; noise counts as detail, which
-    errs on the side of keeping.
+    The ratio is independent of contrast, so a soft object in front of a smooth wall does not count as blurred. Noise
+    counts as detail, so in doubt a photo is kept.
     """
     coarse = np.asarray(cv2.GaussianBlur(luma, (0, 0), _COARSE_PX), np.float32)
     fine, left = _change(luma), _change(coarse)
@@ -86,7 +90,7 @@ def _sharpness(luma: Floats) -> Floats:
 
 
 def _change(luma: Floats) -> Floats:
-    """(4,) mean squared difference between a pixel and the one a step further."""
+    """Return the mean squared difference (4,) between a pixel and its neighbour, for each step of _STEPS."""
     height, width = luma.shape
     inner = luma[1:-1, 1:-1]
     ahead = (luma[1 + y : height - 1 + y, 1 + x : width - 1 + x] for y, x in _STEPS)
@@ -94,40 +98,41 @@ def _change(luma: Floats) -> Floats:
 
 
 def _difference_hash(luma: Floats) -> Bools:
-    """(64,) bool: whether it grows lighter from cell to cell, on 8 rows of 9."""
+    """Compute a perceptual hash (64,) bool, dHash: whether each of 8 rows of 9 cells gets lighter from cell to cell."""
     cells = cv2.resize(luma, (9, 8), interpolation=cv2.INTER_AREA)
     lighter: Bools = cells[:, 1:] > cells[:, :-1]
     return lighter.reshape(-1)
 
 
-def _dark(look: _Look) -> PhotoVerdict | None:
-    if all(tone < limit for tone, limit in zip(look.tones, _DARK, strict=True)):
-        return PhotoVerdict(look.photo.name, "dark", "It is almost black; take it again with more light.")
+def _dark_verdict(traits: _PhotoTraits) -> PhotoVerdict | None:
+    """Return a verdict if the photo is almost black."""
+    if all(tone < limit for tone, limit in zip(traits.tones, _DARK, strict=True)):
+        return PhotoVerdict(traits.photo.name, "dark", "It is almost black; take it again with more light.")
     return None
 
 
-def _copy(look: _Look, kept: Sequence[_Look]) -> PhotoVerdict | None:
-    """Against all that were kept, the last first: a copy mostly comes right behind its original."""
-    for other in reversed(kept):
-        alike = int((look.hash != other.hash).sum()) <= _COPY_BITS
-        if alike and np.abs(look.thumb - other.thumb).mean() <= _COPY_CHANGE * other.thumb.std():
+def _duplicate_verdict(traits: _PhotoTraits, accepted: Sequence[_PhotoTraits]) -> PhotoVerdict | None:
+    """Return a verdict if the photo is a copy of an accepted one; the last is compared first, as it is most likely."""
+    for other in reversed(accepted):
+        alike = int((traits.hash != other.hash).sum()) <= _COPY_BITS
+        if alike and np.abs(traits.thumb - other.thumb).mean() <= _COPY_CHANGE * other.thumb.std():
             advice = f"It shows the same as {other.photo.name}; take a step to the side between photos."
-            return PhotoVerdict(look.photo.name, "duplicate", advice)
+            return PhotoVerdict(traits.photo.name, "duplicate", advice)
     return None
 
 
-def _blurred(looks: Sequence[_Look]) -> list[str]:
-    """Names of the photos to leave out, the worst first, as many as may go."""
-    if not looks:
+def _blurred_names(accepted: Sequence[_PhotoTraits]) -> list[str]:
+    """Return the names of the blurred photos to drop, the worst first, at most as many as _KEPT_SHARE allows."""
+    if not accepted:
         return []
-    sharpness = np.stack([look.sharpness for look in looks])
+    sharpness = np.stack([traits.sharpness for traits in accepted])
     judged = ~np.isnan(sharpness[:, 0])
     if not judged.any():
         return []
     share = np.where(judged, (sharpness / np.median(sharpness[judged], axis=0)).min(axis=1), np.inf)
-    may_go = int((1 - _KEPT_SHARE) * len(looks))
-    worst = np.argsort(share, kind="stable")[:may_go]
-    return [looks[at].photo.name for at in worst if share[at] < _BLURRED]
+    most = int((1 - _KEPT_SHARE) * len(accepted))
+    worst = np.argsort(share, kind="stable")[:most]
+    return [accepted[at].photo.name for at in worst if share[at] < _BLURRED]
 
 
 def _blur_verdict(name: str) -> PhotoVerdict:

@@ -1,7 +1,7 @@
-"""The process that places photos with pycolmap: `python -m services.edge.photos.solve_child FOLDER`.
+"""Child process that runs structure from motion with pycolmap: `python -m services.edge.photos.sfm_child FOLDER`.
 
-Reads the `Problem` in FOLDER, writes the `Answer` there, and its progress to its output, one JSON object a line.
-COLMAP puts the centre of the first pixel at (0.5, 0.5); it is moved to ours, at (0, 0), on the way in and out.
+Reads the `SfmProblem` in FOLDER, writes the `SfmResult` there, and its progress to stdout, one JSON object per line.
+COLMAP's first pixel has its centre at (0.5, 0.5), ours at (0, 0): coordinates are converted on the way in and out.
 """
 
 from __future__ import annotations
@@ -22,42 +22,44 @@ import pycolmap
 
 from services.edge.arrays import Floats, Ints
 from services.edge.capture.nouns import Intrinsics
-from services.edge.photos.pairs import epipolar_errors
-from services.edge.photos.solve import ANSWER, PROBLEM, Answer, Lens, Problem, read_problem, write_answer
-from services.edge.threads import WORKERS
+from services.edge.parallel import WORKERS
+from services.edge.photos.match_pairs import epipolar_errors
+from services.edge.photos.sfm_process import ANSWER, PROBLEM, Lens, SfmProblem, SfmResult, read_problem, write_answer
 
-Say = Callable[[float], None]
-"""Told the fraction done."""
+ReportFraction = Callable[[float], None]
+"""Function that reports the fraction done."""
 
 _SEED = 0
-_PART = 100  # pairs between two words on the progress: 1.5 s; 190 pairs in parts of 10 took twice as long
-_MATCHING = 0.7  # of the time goes into matching 20 to 50 photos, the rest into the mapper
-_EPIPOLAR_PX = 4.0  # COLMAP's own limit for matches of unposed photos
-_CREDIBLE = 0.5  # share of a pair's matches that its poses must allow; true poses allow 0.8 to 1, others' 0 to 0.1
-_SMALLEST_MODEL = 3  # photos
+_PART = 100  # pairs matched per progress report: 1.5 s; 190 pairs in parts of 10 took twice as long
+_MATCHING = 0.7  # share of the time that matching takes for 20 to 50 photos; the mapper takes the rest
+_EPIPOLAR_PX = 4.0  # largest epipolar error of a match: COLMAP's own limit for matches of unposed photos
+_CREDIBLE = 0.5  # least share of a pair's matches that its poses allow; true poses allow 0.8 to 1, wrong ones 0 to 0.1
+_SMALLEST_MODEL = 3  # photos of a model
 _FEWEST_INLIERS = 15  # points that place a photo; COLMAP's 30 split 20 photos of fruit of 600 x 400 into 9, 7 and 6
-_MOST_MODELS = 5  # a capture of more pieces than that is no capture of one thing
+_MOST_MODELS = 5  # with more, the photos do not show one object
 _ANY_DISTORTION = 1e6  # COLMAP drops every point of a camera with a coefficient over 1; a long lens has k3 = -6.3
-_PR_SET_PDEATHSIG = 1  # of Linux's prctl(2)
+_PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2): signal for this process when its parent dies
 
 
 def main(folder: Path) -> None:
-    """Solve the problem in the folder; every failure is a non-zero exit with its reason on stderr."""
-    say = _alone()
+    """Solve the problem in `folder`; every failure is a non-zero exit with its reason on stderr."""
+    report = _set_up_process()
     problem = read_problem(folder / PROBLEM)
     database = folder / "database.db"
     _write_database(problem, database)
-    _match(problem, database, folder / "pairs.txt", lambda done: say(_MATCHING * done))
+    _match(problem, database, folder / "pairs.txt", lambda done: report(_MATCHING * done))
     if problem.poses is None:
-        models = _mapped(problem, database, folder, lambda done: say(_MATCHING + (1 - _MATCHING) * done))
+        models = _map_incrementally(problem, database, folder, lambda done: report(_MATCHING + (1 - _MATCHING) * done))
     else:
-        _drop_contradicted(problem, database)
-        models = [_triangulated(problem, database, folder)]
+        _drop_contradicting_matches(problem, database)
+        models = [_triangulate(problem, database, folder)]
     write_answer(_answer(problem, models), folder / ANSWER)
 
 
-def _alone() -> Say:
-    """Set the process up: it dies with its parent, leaves no core, and its output holds nothing but progress."""
+def _set_up_process() -> ReportFraction:
+    """Set up the process: it dies with its parent, writes no core dump, and stdout has only its progress.
+
+    Returns the function that reports progress."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -72,8 +74,10 @@ def _write_line(output: int, fraction: float) -> None:
     os.write(output, json.dumps({"fraction": round(fraction, 4)}).encode() + b"\n")
 
 
-def _write_database(problem: Problem, path: Path) -> None:
-    """Each lens is a camera in a rig of its own, each photo an image in a frame of its own; numbers start at 1."""
+def _write_database(problem: SfmProblem, path: Path) -> None:
+    """Write COLMAP's database: each lens as a camera in its own rig, each photo as an image in its own frame.
+
+    Their numbers start at 1."""
     with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
         for number, lens in enumerate(problem.lenses, start=1):
             camera = _camera(number, lens, solved=problem.poses is None)
@@ -86,6 +90,7 @@ def _write_database(problem: Problem, path: Path) -> None:
 
 
 def _write_photo(database: Any, number: int, camera: int, features: Any) -> None:
+    """Write a photo's image, frame, key points and descriptors to the database."""
     image = pycolmap.Image(name=_name(number), camera_id=camera, image_id=number)
     database.write_image(image, use_image_id=True)
     frame = pycolmap.Frame(frame_id=number, rig_id=camera)
@@ -97,12 +102,13 @@ def _write_photo(database: Any, number: int, camera: int, features: Any) -> None
 
 
 def _name(number: int) -> str:
-    """A name without blanks, which the list of pairs cannot hold."""
+    """Return COLMAP's name for a photo: without blanks, which separate names in the list of pairs."""
     return f"{number:06d}"
 
 
 def _camera(number: int, lens: Lens, *, solved: bool) -> Any:
-    """SIMPLE_RADIAL where the mapper is to solve it, which has the fewest numbers to get wrong; else as given."""
+    """Make COLMAP's camera: SIMPLE_RADIAL if the mapper has to solve it, as it has the fewest parameters; else as given
+    (FULL_OPENCV)."""
     at = lens.intrinsics
     centre = (at.cx + 0.5, at.cy + 0.5)
     radial = (at.fx, *centre, lens.distortion[0])
@@ -118,28 +124,30 @@ def _camera(number: int, lens: Lens, *, solved: bool) -> Any:
 
 
 def _lens(camera: Any) -> Lens:
-    """The lens of a solved SIMPLE_RADIAL camera."""
+    """Convert a solved SIMPLE_RADIAL camera to a lens."""
     focal, cx, cy, k1 = (float(value) for value in camera.params)
     intrinsics = Intrinsics(focal, focal, cx - 0.5, cy - 0.5, camera.width, camera.height)
     return Lens(intrinsics, (k1, 0.0, 0.0, 0.0, 0.0), known=True)
 
 
-def _match(problem: Problem, database: Path, listed: Path, say: Say) -> None:
-    """Match and verify in parts, for the sake of the progress: pairs of one photo lie together, its index is reused."""
+def _match(problem: SfmProblem, database: Path, pair_list: Path, report: ReportFraction) -> None:
+    """Match the pairs and verify the matches geometrically, in parts so that progress can be reported.
+
+    Pairs of one photo are in sequence, so that its descriptor index is reused."""
     matching = pycolmap.FeatureMatchingOptions(use_gpu=False, num_threads=WORKERS)
-    pairing = pycolmap.ImportedPairingOptions(match_list_path=listed)
+    pairing = pycolmap.ImportedPairingOptions(match_list_path=pair_list)
     verifying = pycolmap.TwoViewGeometryOptions()
-    verifying.ransac.max_error *= _slack(problem)
+    verifying.ransac.max_error *= _limit_factor(problem)
     verifying.ransac.random_seed = _SEED
     parts = np.array_split(problem.pairs + 1, math.ceil(len(problem.pairs) / _PART))
     for done, part in enumerate(parts, start=1):
-        listed.write_text("".join(f"{_name(first)} {_name(second)}\n" for first, second in part.tolist()))
+        pair_list.write_text("".join(f"{_name(first)} {_name(second)}\n" for first, second in part.tolist()))
         pycolmap.match_image_pairs(database, matching, pairing, verifying, device=pycolmap.Device.cpu)
-        say(done / len(parts))
+        report(done / len(parts))
 
 
-def _drop_contradicted(problem: Problem, database: Path) -> None:
-    """Drop the matches that the given poses forbid, and all of a pair where most are: its poses are wrong.
+def _drop_contradicting_matches(problem: SfmProblem, database: Path) -> None:
+    """Drop matches that contradict the given poses, and all matches of a pair where most do: its poses are wrong.
 
     Without this, poses of other photos give hundreds of points, each from two views whose rays nearly meet by chance.
     """
@@ -156,29 +164,29 @@ def _drop_contradicted(problem: Problem, database: Path) -> None:
                     problem.poses[second],
                 )
                 focal = problem.lenses[problem.lens_of[first]].intrinsics.fx
-                allowed = errors * focal < _EPIPOLAR_PX * _slack(problem)
+                allowed = errors * focal < _EPIPOLAR_PX * _limit_factor(problem)
                 geometry.inlier_matches = matches[allowed & (allowed.mean() > _CREDIBLE)]
                 opened.update_two_view_geometry(first + 1, second + 1, geometry)
 
 
-def _rays(problem: Problem, photo: int, key_points: Ints) -> Floats:
-    """(K,2) where the rays of a photo's key points meet the plane one unit before its camera."""
+def _rays(problem: SfmProblem, photo: int, key_points: Ints) -> Floats:
+    """Return the undistorted key points of a photo (K,2), on the plane one unit in front of its camera."""
     camera = _camera(1, problem.lenses[problem.lens_of[photo]], solved=False)
     return np.asarray(camera.cam_from_img(problem.features[photo].xy[key_points].astype(np.float64) + 0.5))
 
 
-def _slack(problem: Problem) -> float:
-    """What to multiply COLMAP's limits with, most of which are 4 pixels.
+def _limit_factor(problem: SfmProblem) -> float:
+    """Return the factor for COLMAP's limits, most of which are 4 pixels of the stored photos.
 
-    2 pixels of the features' pictures, and 4 where a phone's tracking, which drifts, gave the poses.
+    They become 2 pixels of the features' pictures; 4 where a phone's tracking, which drifts, gave the poses.
     """
     return max(1.0, problem.pixel / (2 if problem.poses is None else 1))
 
 
 def _options(slack: float, *, given: bool) -> Any:
-    """The mapper's settings: its own, except for fewer and shorter adjustments and limits that suit the features.
+    """Return the mapper's options: fewer and shorter bundle adjustments, and limits that suit the features' resolution.
 
-    On 50 photos that takes a third of the adjustments' time, at the same error of the positions.
+    With 50 photos, bundle adjustment takes a third of the time, at the same error of the positions.
     """
     options = pycolmap.IncrementalPipelineOptions(
         min_model_size=_SMALLEST_MODEL,
@@ -206,24 +214,24 @@ def _options(slack: float, *, given: bool) -> Any:
     return options
 
 
-def _mapped(problem: Problem, database: Path, folder: Path, say: Say) -> list[Any]:
-    """The models, the largest first."""
+def _map_incrementally(problem: SfmProblem, database: Path, folder: Path, report: ReportFraction) -> list[Any]:
+    """Run incremental mapping: the models, the largest first."""
     placed = 0
 
     def next_placed() -> None:
         nonlocal placed
         placed += 1
-        say(min(1.0, placed / len(problem.features)))
+        report(min(1.0, placed / len(problem.features)))
 
     models = pycolmap.incremental_mapping(
-        database, folder, folder, _options(_slack(problem), given=False), next_image_callback=next_placed
+        database, folder, folder, _options(_limit_factor(problem), given=False), next_image_callback=next_placed
     )
     large = [model for model in models.values() if model.num_reg_images() >= _SMALLEST_MODEL]
     return sorted(large, key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
 
 
-def _triangulated(problem: Problem, database: Path, folder: Path) -> Any:
-    """One model with the poses as given."""
+def _triangulate(problem: SfmProblem, database: Path, folder: Path) -> Any:
+    """Triangulate points with the poses as given: one model."""
     assert problem.poses is not None
     model = pycolmap.Reconstruction()
     for number, lens in enumerate(problem.lenses, start=1):
@@ -232,39 +240,43 @@ def _triangulated(problem: Problem, database: Path, folder: Path) -> Any:
         xy = problem.features[number - 1].xy.astype(np.float64) + 0.5
         image = pycolmap.Image(name=_name(number), keypoints=xy, camera_id=int(lens_of) + 1, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(pose)[:3]))
-    return pycolmap.triangulate_points(model, database, folder, folder, options=_options(_slack(problem), given=True))
+    return pycolmap.triangulate_points(
+        model, database, folder, folder, options=_options(_limit_factor(problem), given=True)
+    )
 
 
-def _answer(problem: Problem, models: Sequence[Any]) -> Answer:
+def _answer(problem: SfmProblem, models: Sequence[Any]) -> SfmResult:
+    """Convert the largest model to the result."""
     best = models[0] if models else pycolmap.Reconstruction()
-    placed = np.array(_placed(best), np.int32)
+    placed = np.array(_placed_photos(best), np.int32)
     lenses, poses = _lenses(problem, best, placed), _poses(problem, best, placed)
-    return Answer(lenses, _model_of(len(problem.features), models), placed, poses, *_points(best, placed))
+    return SfmResult(lenses, _model_of(len(problem.features), models), placed, poses, *_points(best, placed))
 
 
-def _placed(model: Any) -> list[int]:
-    """The photos that see enough of the model's points; one with a given pose may see none."""
+def _placed_photos(model: Any) -> list[int]:
+    """Return the photos that see enough of the model's points; a photo with a given pose may see none."""
     return [
         number - 1 for number in sorted(model.reg_image_ids()) if model.image(number).num_points3D >= _FEWEST_INLIERS
     ]
 
 
-def _lenses(problem: Problem, model: Any, placed: Ints) -> tuple[Lens, ...]:
+def _lenses(problem: SfmProblem, model: Any, placed: Ints) -> tuple[Lens, ...]:
+    """Return the lenses of the placed photos: as given with the poses, or as solved."""
     if problem.poses is not None:
         return tuple(problem.lenses[lens] for lens in problem.lens_of[placed])
     return tuple(_lens(model.image(photo + 1).camera) for photo in placed.tolist())
 
 
 def _model_of(count: int, models: Sequence[Any]) -> Ints:
-    """(N,) for each photo the first, so the largest, of the models that placed it, or -1."""
+    """Return for each photo (N,) the first, hence largest, of the models that placed it, or -1."""
     found = np.full(count, -1, np.int32)
     for number in reversed(range(len(models))):
-        found[_placed(models[number])] = number
+        found[_placed_photos(models[number])] = number
     return found
 
 
-def _poses(problem: Problem, model: Any, placed: Ints) -> Floats:
-    """camera_to_world (V,4,4); given ones as given, without the detour through a quaternion."""
+def _poses(problem: SfmProblem, model: Any, placed: Ints) -> Floats:
+    """Return camera_to_world (V,4,4); given poses exactly as given, without rounding through a quaternion."""
     if problem.poses is not None:
         return problem.poses[placed]
     poses = np.tile(np.eye(4), (len(placed), 1, 1))
@@ -274,7 +286,7 @@ def _poses(problem: Problem, model: Any, placed: Ints) -> Floats:
 
 
 def _points(model: Any, placed: Ints) -> tuple[Floats, Ints, Ints, Ints]:
-    """xyz (P,3) of the points that two placed photos see, and for every observation its point, view and key point."""
+    """Return xyz (P,3) of the points that two or more placed photos see, and per observation point, view, key point."""
     points = [point for _, point in sorted(model.points3D.items())]
     xyz = np.array([point.xyz for point in points]).reshape(-1, 3)
     seen = [

@@ -1,29 +1,22 @@
-"""Cameras and sparse points from key points: the problem, its answer, and the child process that finds it.
+"""Run structure from motion in a child process: types of the problem and of the result, and their files.
 
-pycolmap runs in a child, because its native code may end the process, cannot be interrupted and traps SIGTERM.
+pycolmap runs in a child, because its native code may crash the process, cannot be interrupted and traps SIGTERM.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import selectors
-import signal
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.capture.nouns import Intrinsics
+from services.edge.child_process import ChildError, run_child
 from services.edge.errors import EdgeError
 from services.edge.photos.features import Features
 
@@ -32,18 +25,18 @@ Distortion = tuple[float, float, float, float, float]
 PROBLEM = "problem.npz"
 ANSWER = "answer.npz"
 _LOG = "log"
-_POLL_SECONDS = 0.2  # between two ticks; with the child's death it keeps a cancelled job under a second
-_SILENT_SECONDS = 600.0  # the longest step between two lines, an adjustment of 300 photos, takes under a minute
-_LOG_LINES = 3  # of the child's log that go into the error
+_SILENT_SECONDS = (
+    600.0  # limit between two progress lines; the longest step, adjusting 300 photos, takes under a minute
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A camera of the capture.
+    """Intrinsics and distortion of one of the capture's cameras.
 
-    intrinsics  at the stored size, pixel centres at integers
+    intrinsics  for the stored size, pixel centres at integers
     distortion  OpenCV's (k1, k2, p1, p2, k3)
-    known       whether the focal length comes from the camera, rather than being a first guess
+    known       whether the focal length is from the file, not a first guess
     """
 
     intrinsics: Intrinsics
@@ -52,13 +45,13 @@ class Lens:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
-    """What is known of N photos.
+class SfmProblem:
+    """Input of structure from motion for N photos.
 
     lens_of  (N,) index of each photo's lens
-    pairs    (M,2) photos to hold against each other
+    pairs    (M,2) photos to match
     pixel    side of one pixel of the features' pictures, in pixels of the stored photos
-    poses    (N,4,4) camera_to_world in OpenCV axes where they are known, and then the lenses are too; else None
+    poses    (N,4,4) camera_to_world in OpenCV axes if they are known, and then the lenses are too; else None
     """
 
     lenses: tuple[Lens, ...]
@@ -70,15 +63,16 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """The largest model that explains the photos; empty where there is none.
+class SfmResult:
+    """Result of structure from motion: the largest model, empty if there is none.
 
-    lenses    of the V photos placed, as solved, or as given with the poses
-    model_of  (N,) the model that placed each photo, 0 the largest and the one told here, or -1 for none
-    placed    (V,) the photos of that model, in rising order
+    lenses    of the V placed photos, as computed, or as given with the poses
+    model_of  (N,) the model that placed each photo, 0 for the largest, which is the one here; -1 for none
+    placed    (V,) the photos of that model, ascending
     poses     (V,4,4) their camera_to_world, OpenCV axes
     xyz       (P,3) float64 points
-    seen_point, seen_view, seen_feature (T,)  which point was seen in which of the V views, as which of its key points
+    seen_point, seen_view, seen_feature (T,)  per observation, indices of the point, of the view among the V, and of the
+              view's key point
     """
 
     lenses: tuple[Lens, ...]
@@ -91,8 +85,11 @@ class Answer:
     seen_feature: Ints
 
 
-def solve(problem: Problem, tick: Tick = no_tick) -> Answer:
-    """Let the child solve it; EdgeError ALIGN_FAILED when it dies. Nothing of it is left behind, whatever happens."""
+def solve(problem: SfmProblem, tick: Tick = no_tick) -> SfmResult:
+    """Solve the problem in a child process; its temporary files are always removed.
+
+    Raises EdgeError ALIGN_FAILED when the child fails.
+    """
     with tempfile.TemporaryDirectory(prefix="align-") as name:
         folder = Path(name)
         write_problem(problem, folder / PROBLEM)
@@ -101,53 +98,19 @@ def solve(problem: Problem, tick: Tick = no_tick) -> Answer:
 
 
 def _run(folder: Path, tick: Tick) -> None:
-    log = folder / _LOG
-    with log.open("wb") as errors, _child(folder, errors) as child:
-        _follow(child, tick)
-        code = child.wait()
-    if code != 0:
-        last = " | ".join(log.read_text(errors="replace").strip().splitlines()[-_LOG_LINES:])
-        raise _failed(f"the solver ended with status {code}: {last or 'it said nothing'}")
+    """Run the child process, which reads the problem in `folder` and writes the result there."""
+    command = [sys.executable, "-m", "services.edge.photos.sfm_child", str(folder)]
+    try:
+        run_child(command, "the solver", folder / _LOG, tick, most_seconds=_SILENT_SECONDS, tells_progress=True)
+    except ChildError as error:
+        hints = ("try again with fewer photos", "send smaller photos")
+        raise EdgeError("ALIGN_FAILED", str(error), hints=hints) from None
 
 
-@contextmanager
-def _child(folder: Path, errors: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    """The solver in a process group of its own, which is gone when this ends."""
-    command = [sys.executable, "-m", "services.edge.photos.solve_child", str(folder)]
-    child = subprocess.Popen(  # noqa: S603 - our own module
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, bufsize=0, start_new_session=True
-    )
-    with child:
-        try:
-            yield child
-        finally:
-            if child.poll() is None:
-                os.killpg(child.pid, signal.SIGKILL)
-
-
-def _follow(child: subprocess.Popen[bytes], tick: Tick) -> None:
-    """Pass the child's progress on until it closes its output, and tick in between, so that a cancel is heard."""
-    assert child.stdout is not None
-    fraction, heard = 0.0, time.monotonic()
-    with selectors.DefaultSelector() as selector:
-        selector.register(child.stdout, selectors.EVENT_READ)
-        while time.monotonic() - heard < _SILENT_SECONDS:
-            if selector.select(_POLL_SECONDS):
-                line = child.stdout.readline()
-                if not line:
-                    return
-                fraction, heard = float(json.loads(line)["fraction"]), time.monotonic()
-            tick(fraction)
-    raise _failed(f"the solver said nothing for {_SILENT_SECONDS:.0f} s")
-
-
-def _failed(message: str) -> EdgeError:
-    return EdgeError("ALIGN_FAILED", message, hints=("try again with fewer photos", "send smaller photos"))
-
-
-def write_problem(problem: Problem, path: Path) -> None:
+def write_problem(problem: SfmProblem, path: Path) -> None:
+    """Write the problem as .npz."""
     arrays: dict[str, NDArray[Any]] = {
-        "lenses": _rows(problem.lenses),
+        "lenses": _lens_rows(problem.lenses),
         "lens_of": problem.lens_of,
         "counts": np.array([len(each.xy) for each in problem.features]),
         "xy": np.concatenate([each.xy for each in problem.features]),
@@ -160,12 +123,13 @@ def write_problem(problem: Problem, path: Path) -> None:
     np.savez(path, **arrays)  # type: ignore[arg-type]
 
 
-def read_problem(path: Path) -> Problem:
+def read_problem(path: Path) -> SfmProblem:
+    """Read what `write_problem` wrote."""
     with np.load(path) as file:
         arrays = dict(file)
     ends = np.cumsum(arrays["counts"])[:-1]
     parts = zip(np.split(arrays["xy"], ends), np.split(arrays["descriptors"], ends), strict=True)
-    return Problem(
+    return SfmProblem(
         _lenses(arrays["lenses"]),
         arrays["lens_of"],
         tuple(Features(xy, descriptors) for xy, descriptors in parts),
@@ -178,18 +142,20 @@ def read_problem(path: Path) -> Problem:
 _ANSWER_ARRAYS = ("model_of", "placed", "poses", "xyz", "seen_point", "seen_view", "seen_feature")
 
 
-def write_answer(answer: Answer, path: Path) -> None:
+def write_answer(answer: SfmResult, path: Path) -> None:
+    """Write the result as .npz."""
     arrays = {name: getattr(answer, name) for name in _ANSWER_ARRAYS}
-    np.savez(path, lenses=_rows(answer.lenses), **arrays)
+    np.savez(path, lenses=_lens_rows(answer.lenses), **arrays)
 
 
-def read_answer(path: Path) -> Answer:
+def read_answer(path: Path) -> SfmResult:
+    """Read what `write_answer` wrote."""
     with np.load(path) as file:
-        return Answer(_lenses(file["lenses"]), *(file[name] for name in _ANSWER_ARRAYS))
+        return SfmResult(_lenses(file["lenses"]), *(file[name] for name in _ANSWER_ARRAYS))
 
 
-def _rows(lenses: tuple[Lens, ...]) -> Floats:
-    """(L,12): fx, fy, cx, cy, width, height, the distortion, known."""
+def _lens_rows(lenses: tuple[Lens, ...]) -> Floats:
+    """Convert lenses to rows (L,12): fx, fy, cx, cy, width, height, the distortion, known."""
     rows = [
         (at.fx, at.fy, at.cx, at.cy, at.width, at.height, *lens.distortion, lens.known)
         for lens in lenses
@@ -199,6 +165,7 @@ def _rows(lenses: tuple[Lens, ...]) -> Floats:
 
 
 def _lenses(rows: Floats) -> tuple[Lens, ...]:
+    """Convert rows (L,12) back to lenses."""
     return tuple(
         Lens(Intrinsics(fx, fy, cx, cy, int(width), int(height)), (k1, k2, p1, p2, k3), bool(known))
         for fx, fy, cx, cy, width, height, k1, k2, p1, p2, k3, known in rows.tolist()

@@ -1,4 +1,4 @@
-"""Which other views to compare a view with: those that share points with it, at angles that show depth."""
+"""Select for each view the source views for stereo: views that share sparse points with it, at useful angles."""
 
 from __future__ import annotations
 
@@ -8,31 +8,33 @@ from services.edge.arrays import Bools, Floats
 from services.edge.photos.nouns import Alignment
 
 SOURCES = 4
+"""Source views per view for the plane sweep."""
 _BEST_DEG, _BELOW_DEG, _ABOVE_DEG = 9.0, 4.0, 10.0
-"""Angle between two views of a point that serves stereo best, and how fast it serves less: too small an angle shows no
-depth, too large a one another face of the thing."""
+"""Best triangulation angle between two views of a point, and the widths (1 sigma) of its weight below and above it: a
+smaller angle shows no depth, a larger one another face of the object."""
 _SAME_SIDE = 0.7
-"""Of its worth a source loses when it lies in the direction of one already chosen: what hides a point from one side
-rarely hides it from the other."""
+"""Share of its weight that a source loses when it is in the same direction as one already chosen: a point that is
+occluded from one side is rarely occluded from the other."""
 _LEAST = 5
-"""Shared points, each of full worth, below which two views are strangers."""
+"""Least weight of a source, in shared points of full weight."""
 
 
 def sightings(alignment: Alignment) -> Bools:
-    """(V,P) which view saw which sparse point."""
+    """Return a mask (V,P): whether each view sees each sparse point."""
     seen = np.zeros((len(alignment.views), len(alignment.xyz)), bool)
     seen[alignment.seen_view, alignment.seen_point] = True
     return seen
 
 
 def choose_sources(alignment: Alignment, most: int) -> tuple[tuple[int, ...], ...]:
-    """For each view the others to compare it with, best first; () for a view that has none."""
+    """Select at most `most` source views for each view, best first; () for a view without any."""
     seen = sightings(alignment)
     eyes = np.stack([view.camera_to_world[:3, 3] for view in alignment.views])
-    return tuple(_chosen(view, seen, eyes, alignment.xyz, most) for view in range(len(eyes)))
+    return tuple(_choose(view, seen, eyes, alignment.xyz, most) for view in range(len(eyes)))
 
 
-def _chosen(view: int, seen: Bools, eyes: Floats, xyz: Floats, most: int) -> tuple[int, ...]:
+def _choose(view: int, seen: Bools, eyes: Floats, xyz: Floats, most: int) -> tuple[int, ...]:
+    """Select the source views of one view greedily, preferring different directions."""
     worth = _worths(view, seen, eyes, xyz)
     towards = eyes - eyes[view]
     towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
@@ -46,7 +48,7 @@ def _chosen(view: int, seen: Bools, eyes: Floats, xyz: Floats, most: int) -> tup
 
 
 def _worths(view: int, seen: Bools, eyes: Floats, xyz: Floats) -> Floats:
-    """(V,) sum over the shared points of how well their angle serves."""
+    """Return the weight (V,) of each view as a source: the sum of the shared points' weights by their angles."""
     points = np.flatnonzero(seen[view])
     ray = xyz[points] - eyes[view]
     ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""The pictures that stereo works on: grey, of a common size, with the lens's distortion taken out."""
+"""Load photos for stereo: downscaled, undistorted, and grey, with their pinhole camera."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ import numpy as np
 
 from services.edge.arrays import Bools, Bytes, Floats
 from services.edge.capture.nouns import Intrinsics
-from services.edge.photos.features import sized
-from services.edge.photos.nouns import View
+from services.edge.photos.features import resize_mask
+from services.edge.photos.nouns import PhotoView
 
-_STRAIGHT = 1e-6
-"""Distortion coefficients below it move no pixel by a hundredth."""
+_NEGLIGIBLE_DISTORTION = 1e-6
+"""Largest distortion coefficient that is ignored: less moves no pixel by a hundredth of a pixel."""
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
-    """A view as stereo sees it.
+class UndistortedPhoto:
+    """A view's undistorted grey picture with its pinhole camera.
 
     grey             (H,W) uint8, undistorted
     camera           of `grey`, a pinhole
     world_to_camera  (4,4) float64, OpenCV axes
-    mask             (H,W) of what of `grey` may be used, or None for all of it
+    mask             (H,W) bool: True where `grey` may be used, or None for everywhere
     """
 
-    view: View
+    view: PhotoView
     grey: Bytes
     camera: Intrinsics
     world_to_camera: Floats
@@ -33,53 +33,53 @@ class Picture:
 
     @property
     def k(self) -> Floats:
-        """(3,3) camera matrix."""
-        return matrix(self.camera)
+        """Camera matrix (3,3)."""
+        return camera_matrix(self.camera)
 
-    def halved(self) -> Picture:
-        """The same at half the size."""
+    def half_size(self) -> UndistortedPhoto:
+        """Downscale the picture and its camera to half the size; the mask is dropped."""
         import cv2
 
         height, width = self.grey.shape
         size = (max(1, width // 2), max(1, height // 2))
         grey = np.asarray(cv2.resize(self.grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-        return Picture(self.view, grey, self.camera.scaled_to(*size), self.world_to_camera)
+        return UndistortedPhoto(self.view, grey, self.camera.scaled_to(*size), self.world_to_camera)
 
 
-def picture(view: View, longest: int) -> Picture:
-    """Decode a view at no more than `longest` pixels along its longer side."""
+def load_undistorted_grey(view: PhotoView, longest: int) -> UndistortedPhoto:
+    """Load a view's undistorted grey picture at no more than `longest` pixels along its longer side."""
     import cv2
 
-    rgb, camera = colours(view, longest)
+    rgb, camera = load_undistorted_rgb(view, longest)
     grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
-    return Picture(view, grey, camera, np.linalg.inv(view.camera_to_world), _mask(view, camera))
+    return UndistortedPhoto(view, grey, camera, np.linalg.inv(view.camera_to_world), _mask(view, camera))
 
 
-def _mask(view: View, camera: Intrinsics) -> Bools | None:
-    """The photo's mask, undistorted."""
+def _mask(view: PhotoView, camera: Intrinsics) -> Bools | None:
+    """Return the photo's mask at the camera's size, undistorted."""
     if view.photo.mask is None:
         return None
-    mask = sized(view.photo.mask, (camera.height, camera.width)).astype(np.uint8)
-    return _straight(mask, view, camera) > 0
+    mask = resize_mask(view.photo.mask, (camera.height, camera.width)).astype(np.uint8)
+    return _undistort(mask, view, camera) > 0
 
 
-def colours(view: View, longest: int) -> tuple[Bytes, Intrinsics]:
-    """(H,W,3) uint8 sRGB, undistorted, and its pinhole."""
+def load_undistorted_rgb(view: PhotoView, longest: int) -> tuple[Bytes, Intrinsics]:
+    """Load a view's undistorted picture (H,W,3) uint8 sRGB, and its pinhole camera."""
     rgb = view.photo.load(longest)
     camera = view.intrinsics.scaled_to(rgb.shape[1], rgb.shape[0])
-    return _straight(rgb, view, camera), camera
+    return _undistort(rgb, view, camera), camera
 
 
-def _straight(pixels: Bytes, view: View, camera: Intrinsics) -> Bytes:
-    """Without the lens's distortion."""
+def _undistort(pixels: Bytes, view: PhotoView, camera: Intrinsics) -> Bytes:
+    """Undistort a picture, keeping its camera matrix."""
     import cv2
 
-    if max(map(abs, view.distortion)) <= _STRAIGHT:
+    if max(map(abs, view.distortion)) <= _NEGLIGIBLE_DISTORTION:
         return pixels
-    k = matrix(camera)
+    k = camera_matrix(camera)
     return np.asarray(cv2.undistort(pixels, k, np.asarray(view.distortion, np.float64), newCameraMatrix=k), np.uint8)
 
 
-def matrix(camera: Intrinsics) -> Floats:
-    """(3,3) of the pinhole."""
+def camera_matrix(camera: Intrinsics) -> Floats:
+    """Return the camera matrix (3,3) of a pinhole."""
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], np.float64)

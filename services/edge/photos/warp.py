@@ -1,4 +1,4 @@
-"""How another picture lies in a view's: through a plane, or through a depth for every pixel."""
+"""Warp a source picture to a reference view: by a plane (homography), or by a depth for every pixel."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.photos.pictures import Picture
+from services.edge.photos.undistorted import UndistortedPhoto
 
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """x (W,), y (H,): the pixel (u, v) looks along (x, y, 1)."""
+    """Rays of a pinhole camera: pixel (u, v) has the direction (x[u], y[v], 1); x (W,), y (H,)."""
 
     x: Floats
     y: Floats
 
     @classmethod
-    def of(cls, picture: Picture) -> Rays:
+    def of(cls, picture: UndistortedPhoto) -> Rays:
         height, width = picture.grey.shape
         camera = picture.camera
         x = ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32)
@@ -28,8 +28,9 @@ class Rays:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """Another picture as seen from the reference: pixel ~ turn·(x, y, 1) + q·shift, with turn = K R and shift = K t.
+class WarpSource:
+    """A source picture and its projection: the reference's ray (x, y, 1) at inverse depth q projects to the source's
+    pixel ~ turn·(x, y, 1) + q·shift, with turn = K R and shift = K t.
 
     turn (3,3), shift (3,); grey (H,W) float32; unproject (3,3): the reference's inverse camera matrix.
     """
@@ -40,14 +41,14 @@ class Source:
     unproject: Floats
 
     @classmethod
-    def of(cls, reference: Picture, source: Picture) -> Source:
+    def of(cls, reference: UndistortedPhoto, source: UndistortedPhoto) -> WarpSource:
         relative = source.world_to_camera @ np.linalg.inv(reference.world_to_camera)
         k = source.k
         unproject = np.linalg.inv(reference.k)
         return cls(source.grey.astype(np.float32), k @ relative[:3, :3], k @ relative[:3, 3], unproject)
 
     def on_plane(self, q: float, shape: tuple[int, ...]) -> Floats:
-        """The picture as the reference would see it if all of it lay on the plane at inverse depth q."""
+        """Warp the picture to the reference, assuming that everything is on the plane at inverse depth q."""
         import cv2
 
         homography = self.turn @ self.unproject
@@ -59,7 +60,7 @@ class Source:
         )
 
     def at(self, rays: Rays, q: Floats) -> Floats:
-        """The picture brought to the reference through the inverse depth q (H,W) of each pixel."""
+        """Warp the picture to the reference by the inverse depth q (H,W) of each pixel."""
         import cv2
 
         turn, shift = self.turn.astype(np.float32), self.shift.astype(np.float32)
@@ -67,12 +68,12 @@ class Source:
             turn[axis, 0] * rays.x[None] + (turn[axis, 1] * rays.y + turn[axis, 2])[:, None] + shift[axis] * q
             for axis in range(3)
         )
-        w = np.where(w > 0, w, np.float32(np.nan))  # behind the source: outside its picture
+        w = np.where(w > 0, w, np.float32(np.nan))  # points behind the source are outside its picture
         return np.asarray(cv2.remap(self.grey, u / w, v / w, cv2.INTER_LINEAR))
 
 
-def shift_px(rays: Rays, others: Sequence[Source], q_far: float, q_near: float) -> float:
-    """How far the picture's middle moves between two inverse depths, pixels of the median source."""
+def shift_px(rays: Rays, others: Sequence[WarpSource], q_far: float, q_near: float) -> float:
+    """Return how far the picture's middle moves between two inverse depths, in pixels of the median source."""
     middle = np.array([rays.x[len(rays.x) // 2], rays.y[len(rays.y) // 2], 1.0])
     moved = []
     for other in others:

@@ -1,10 +1,10 @@
-"""How alike two pictures are around each pixel: the zero-mean normalised cross-correlation (ZNCC) of small windows.
+"""Compute the similarity of two pictures at each pixel: zero-mean normalised cross-correlation (ZNCC) of small windows.
 
-With E the mean over a window, r the reference and s the other picture brought into its place:
+With E the mean over a window, r the reference and s the other picture warped to it:
 
     ZNCC = (E[rs] − E[r]E[s]) / sqrt((var r + ε)(var s + ε)),   ε = the variance of the sensor's noise
 
-It does not see exposure. ε makes plain walls, where only noise correlates, score near 0 instead of anything at all.
+It is independent of exposure. Because of ε plain walls, which have only noise, score near 0 and not at random.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats
 
 WINDOW = 7
-"""Pixels along a side: 5 is noisier, 9 widens thin things."""
+"""Side of the windows in pixels: 5 is noisier, 9 makes thin objects wider."""
 NOISE = 1.0
-"""Grey levels (of 255): a phone's noise in daylight after the picture was made smaller."""
+"""Standard deviation of the noise in grey levels (of 255): a phone's in daylight, after downscaling."""
 
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """The reference's part of the correlation: (H,W) float32 picture, window means, and 1/sqrt(var + ε)."""
+    """The reference's terms of the correlation: (H,W) float32 picture, window means, and 1/sqrt(var + ε)."""
 
     grey: Floats
     mean: Floats
@@ -37,32 +37,38 @@ class Windows:
         return cls(values, mean, _inverse(_box(values * values) - mean * mean))
 
     def zncc(self, other: Floats) -> Floats:
-        """(H,W) float32 in [-1,1] of the picture `other` (H,W) float32 that has been warped here."""
+        """Return the ZNCC (H,W) float32 in [-1,1] with the picture `other` (H,W) float32, warped to the reference."""
         mean = _box(other)
         spread = _inverse(_box(other * other) - mean * mean)
         return (_box(self.grey * other) - self.mean * mean) * self.inverse * spread
 
 
 class BestTwo:
-    """Mean of the two best scores of several sources, or the only one: a surface hidden from one still has two."""
+    """Mean of the two best scores of several sources per pixel: an occlusion in some of the sources does not matter.
+
+    With one source it is that source's score."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self._first: Floats = np.full(shape, -1, np.float32)
         self._second: Floats = np.full(shape, -1, np.float32)
 
     def add(self, score: Floats) -> None:
+        """Add the scores (H,W) of one source."""
         np.maximum(self._second, np.minimum(self._first, score), out=self._second)
         np.maximum(self._first, score, out=self._first)
 
     def mean(self) -> Floats:
+        """Return the mean of the two best scores (H,W)."""
         return np.where(self._second > -1, (self._first + self._second) / 2, self._first)
 
 
 def _box(values: Any) -> Floats:
+    """Box filter: means over windows."""
     import cv2
 
     return np.asarray(cv2.boxFilter(values, cv2.CV_32F, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT))
 
 
 def _inverse(variance: Floats) -> Floats:
+    """Return 1/sqrt(var + ε)."""
     return np.float32(1) / np.sqrt(np.maximum(variance, 0) + np.float32(NOISE**2))

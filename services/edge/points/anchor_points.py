@@ -1,4 +1,4 @@
-"""A few hundred points that stand for the whole cloud: the paper's anchors, shown while a mesh is on its way."""
+"""Summarise a point cloud by a few hundred points (the paper's anchors), shown while a mesh is still loading."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import numpy as np
 
 from services.edge.arrays import Bytes, Floats
 
-HINTS = 512
-"""Of the paper's 100 to 1,000; 15 kB of a manifest."""
-_SOME = 20_000
-_ROUNDS = 8  # of Lloyd's; more move no centre by what an eye would see
-_GREY = 180
+ANCHORS = 512
+"""Number of points: within the paper's 100 to 1,000; 15 kB of a manifest."""
+_SOME = 20_000  # points of the cloud that are clustered, chosen at random
+_ROUNDS = 8  # of Lloyd's algorithm; further rounds move no centre visibly
+_GREY = 180  # of points without colours, 0 to 255
 
 
-def hints(xyz: Floats, rgb: Bytes | None, count: int = HINTS) -> tuple[Floats, Bytes]:
-    """k-means centres of points (N,3) with colours (N,3) or None -> (K,3) float64, (K,3) uint8, K <= count.
+def cluster_anchors(xyz: Floats, rgb: Bytes | None, count: int = ANCHORS) -> tuple[Floats, Bytes]:
+    """Cluster points (N,3) by k-means: centres (K,3) float64 and their colours (K,3) uint8, K <= count.
 
-    The colour is that of the point next to a centre. Deterministic.
+    A centre has the colour of the point nearest to it. Deterministic.
     """
     from scipy.spatial import cKDTree
 
@@ -26,9 +26,9 @@ def hints(xyz: Floats, rgb: Bytes | None, count: int = HINTS) -> tuple[Floats, B
     centres = points[:count].copy()
     for _ in range(_ROUNDS):
         _, nearest = cKDTree(centres).query(points)
-        held = np.bincount(nearest, minlength=len(centres))
+        counts = np.bincount(nearest, minlength=len(centres))
         summed = np.stack([np.bincount(nearest, points[:, axis], len(centres)) for axis in range(3)], axis=1)
-        centres = np.where(held[:, None] > 0, summed / np.maximum(held, 1)[:, None], centres)
+        centres = np.where(counts[:, None] > 0, summed / np.maximum(counts, 1)[:, None], centres)
     _, nearest = cKDTree(points).query(centres)
     colours = np.full((len(centres), 3), _GREY, np.uint8) if rgb is None else rgb[some[nearest]]
     return centres, colours

@@ -1,8 +1,8 @@
-"""From where to shoot again: the sides of the thing that too few cameras looked at from in front.
+"""Find the sides of the object that too few cameras see frontally, and advise from where to take more photos.
 
-The thing's convex hull stands for its surface: what lies in a hollow is looked into from the same side. A cell of the
-hull is seen by the cameras that have it in their picture within `_FRONTAL_DEG` of its normal. What is left unseen is
-gathered into the directions that show most of it. The side that the thing stands on does not count.
+The convex hull is used as the surface, since a hollow is visible from the same side as the hull over it. A triangle of
+the hull counts as seen by the cameras that have it in their picture within `_FRONTAL_DEG` of its normal. The unseen
+triangles are grouped greedily by the direction that shows most of them. The side that the object stands on is ignored.
 """
 
 from __future__ import annotations
@@ -13,27 +13,28 @@ import numpy as np
 
 from services.edge.arrays import Bools, Floats
 from services.edge.capture.nouns import Frame
-from services.edge.points.nouns import Points, Unseen
+from services.edge.points.nouns import Points, UnseenSide
 
 _FRONTAL_DEG = 65.0
-"""Between a surface's normal and the way to a camera: beyond it pixels are stretched to twice their width and more."""
+"""Largest angle between a normal and the direction to a camera: beyond it pixels cover twice their width or more."""
 _ENOUGH = 2
-"""Cameras that must see a cell: one gives no depth by itself, and is soon blurred."""
+"""Cameras that must see a triangle: one camera gives no depth by itself, and may be blurred."""
 _LOWEST_DEG = -20.0
-"""Elevation of normals below which a surface faces what the thing stands on."""
+"""Elevation of normals below which a surface faces the ground that the object stands on."""
 _REACHABLE_DEG = -10.0
 """Elevation below which nobody holds a phone."""
 _LEAST = 0.06
-"""Share of the surface that is worth another round: what noise makes of a hull is below."""
+"""Least share of the surface that is worth advice: noise of the hull stays below it."""
 _MOST = 3
-"""Pieces of advice that a person follows."""
+"""Most pieces of advice: people follow no more."""
 _PROBES = 400
 """Directions tried, 7 degrees apart."""
 _POINTS = 20_000
-"""Enough for a hull."""
+"""Points that the hull is computed from, at most."""
 _ABOVE_DEG = 60.0
+"""Elevation from which on the advice is "from above"."""
 _OTHER_HEIGHT_DEG = 12.0
-"""Beyond the lowest and highest camera: what people notice as another height."""
+"""Degrees beyond the lowest or highest camera that people notice as another height."""
 _SIDES = (
     "the front",
     "the front right",
@@ -44,13 +45,13 @@ _SIDES = (
     "the left",
     "the front left",
 )
-"""As somebody sees them who took the first picture, in steps of 45 degrees."""
+"""Names of the directions as seen in the first picture, in steps of 45 degrees."""
 
 
-def unseen_sides(points: Points, frames: Sequence[Frame]) -> tuple[Unseen, ...]:
-    """At most `_MOST`, the largest first; none where the thing is seen well all round or nothing tells which way is up.
+def unseen_sides(points: Points, frames: Sequence[Frame]) -> tuple[UnseenSide, ...]:
+    """Return at most `_MOST` badly seen sides, the largest first; none where all are seen well or `up` is unknown.
 
-    points: of the thing alone; frames: with poses, in the same frame and units.
+    points: of the isolated object; frames: with poses, in the same frame and units.
     """
     if points.up is None:
         return ()
@@ -61,7 +62,7 @@ def unseen_sides(points: Points, frames: Sequence[Frame]) -> tuple[Unseen, ...]:
     whole = float(area[counts].sum())
     centre = points.xyz.mean(axis=0)
     probes = _directions(up)
-    found: list[Unseen] = []
+    found: list[UnseenSide] = []
     while len(found) < _MOST and unseen.any():
         facing = normal @ probes.T > np.cos(np.radians(_FRONTAL_DEG))
         share = (area * unseen) @ facing / whole
@@ -70,14 +71,14 @@ def unseen_sides(points: Points, frames: Sequence[Frame]) -> tuple[Unseen, ...]:
             break
         shown = unseen & facing[:, best]
         toward = _reachable((area * shown) @ normal, up)
-        told = _sentence(toward, up, frames, centre, float(share[best]))
-        found.append(Unseen(told, (float(toward[0]), float(toward[1]), float(toward[2])), float(share[best])))
+        advice = _advice(toward, up, frames, centre, float(share[best]))
+        found.append(UnseenSide(advice, (float(toward[0]), float(toward[1]), float(toward[2])), float(share[best])))
         unseen = unseen & ~shown
     return tuple(found)
 
 
 def _hull(xyz: Floats) -> tuple[Floats, Floats, Floats]:
-    """Middles (F,3), outward unit normals (F,3) and areas (F,) of the hull's triangles."""
+    """Compute the convex hull: centres (F,3), outward unit normals (F,3) and areas (F,) of its triangles."""
     from scipy.spatial import ConvexHull
 
     some = xyz[np.random.default_rng(0).permutation(len(xyz))[:_POINTS]]
@@ -88,7 +89,7 @@ def _hull(xyz: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _cameras(middle: Floats, normal: Floats, frames: Sequence[Frame]) -> Floats:
-    """(F,) number of the cameras that see each cell from in front."""
+    """Count for each triangle of the hull the cameras that see it frontally (F,)."""
     seen = np.zeros(len(middle))
     for frame in frames:
         pose = np.asarray(frame.camera_to_world, np.float64)
@@ -99,6 +100,7 @@ def _cameras(middle: Floats, normal: Floats, frames: Sequence[Frame]) -> Floats:
 
 
 def _in_picture(xyz: Floats, frame: Frame, pose: Floats) -> Bools:
+    """Return a mask (N,): True for points that project into the frame's image."""
     camera = frame.intrinsics
     x, y, z = pose[:3, :3].T @ (xyz - pose[:3, 3]).T
     safe = np.where(z > 0, z, 1)
@@ -108,7 +110,7 @@ def _in_picture(xyz: Floats, frame: Frame, pose: Floats) -> Bools:
 
 
 def _directions(up: Floats) -> Floats:
-    """(P,3) unit vectors spread evenly (a sunflower's spiral) over where a camera can be."""
+    """Return unit vectors (P,3), spread evenly (sunflower spiral) over the directions where a camera can be."""
     lowest = np.sin(np.radians(_REACHABLE_DEG))
     rise = lowest + (1 - lowest) * (np.arange(_PROBES) + 0.5) / _PROBES
     turn = np.arange(_PROBES) * np.pi * (3 - np.sqrt(5))
@@ -118,7 +120,7 @@ def _directions(up: Floats) -> Floats:
 
 
 def _reachable(direction: Floats, up: Floats) -> Floats:
-    """The direction (3,) as a unit vector, no lower than somebody can hold a phone."""
+    """Normalise a direction (3,), and raise it to the lowest elevation at which somebody can hold a phone."""
     unit = direction / np.linalg.norm(direction)
     lowest = np.sin(np.radians(_REACHABLE_DEG))
     if unit @ up >= lowest:
@@ -128,14 +130,14 @@ def _reachable(direction: Floats, up: Floats) -> Floats:
     return raised / np.linalg.norm(raised)
 
 
-def _sentence(toward: Floats, up: Floats, frames: Sequence[Frame], centre: Floats, share: float) -> str:
-    """As "Shoot from behind, higher up: …", sides as the first picture has them."""
-    told = f"{share:.0%} of the thing is seen too little"
+def _advice(toward: Floats, up: Floats, frames: Sequence[Frame], centre: Floats, share: float) -> str:
+    """Return the advice, such as "Shoot from behind, higher up: …"; sides are as seen in the first picture."""
+    reason = f"{share:.0%} of the thing is seen too little"
     rise = _elevation(toward, up)
     if rise > _ABOVE_DEG:
-        return f"Shoot from above: {told}."
+        return f"Shoot from above: {reason}."
     first = np.asarray(frames[0].camera_to_world, np.float64)
-    # Towards the camera, which for pictures from above is where their lower edge is.
+    # "Front" is towards the camera; for a picture from above, towards its lower edge.
     front = _level(-first[:3, 2] + 0.2 * first[:3, 1], up)
     right = np.cross(up, front)
     side = _SIDES[round(float(np.degrees(np.arctan2(toward @ right, toward @ front))) / 45) % 8]
@@ -146,14 +148,15 @@ def _sentence(toward: Floats, up: Floats, frames: Sequence[Frame], centre: Float
         height = ", higher up"
     elif rise < min(rises) - _OTHER_HEIGHT_DEG:
         height = ", lower down"
-    return f"Shoot from {side}{height}, as seen in the first picture: {told}."
+    return f"Shoot from {side}{height}, as seen in the first picture: {reason}."
 
 
 def _elevation(direction: Floats, up: Floats) -> float:
-    """Degrees above the horizon of a unit vector."""
+    """Return the elevation of a unit vector above the horizon, in degrees."""
     return float(np.degrees(np.arcsin(np.clip(direction @ up, -1, 1))))
 
 
 def _level(direction: Floats, up: Floats) -> Floats:
+    """Return the horizontal part of a direction as a unit vector."""
     level: Floats = direction - (direction @ up) * up
     return level / max(float(np.linalg.norm(level)), 1e-12)

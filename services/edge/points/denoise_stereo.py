@@ -1,7 +1,8 @@
-"""Points of stereo onto the surface that they mean.
+"""Denoise stereo points by projecting them onto planes fitted to their neighbours (moving least squares).
 
-A depth sensor errs pixel by pixel, and averages take that off. Stereo compares windows, so that its errors are alike
-over several pixels: ripples, which no average within a voxel flattens and which a field would take for shape.
+A depth sensor's errors differ from pixel to pixel, so averaging removes them. Stereo matches windows, so its errors are
+correlated over several pixels: ripples, which an average within a voxel does not flatten, and which a field would fit
+as if they were shape.
 """
 
 from __future__ import annotations
@@ -9,19 +10,23 @@ from __future__ import annotations
 import numpy as np
 
 from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.threads import in_threads, slices
+from services.edge.parallel import in_threads, slices
 
 NEIGHBOURS = (48, 32)
-"""Of each round: wider than the ripples first. Planes, not quadrics: those are 1 % nearer and take twice the time."""
+"""Number of neighbours in each of the two rounds; the first is wider than the ripples. Planes, not quadrics: quadrics
+are 1 % more accurate and take twice the time."""
 _WIDER = 1.05
-"""Of the farthest neighbour's distance, so that it keeps a tenth of the weight."""
+"""Radius of the weight over the farthest neighbour's distance, so that this neighbour keeps a tenth of the weight."""
 _CHUNK = 4_096
+"""Points per task of a thread."""
 
 
-def smoothed(xyz: Floats, weight: Floats, tick: Tick = no_tick, *, neighbours: tuple[int, int] = NEIGHBOURS) -> Floats:
-    """Points (N,3) with weights (N,) moved along their normals onto planes through their neighbours; the same order.
+def smooth_stereo_points(
+    xyz: Floats, weight: Floats, tick: Tick = no_tick, *, neighbours: tuple[int, int] = NEIGHBOURS
+) -> Floats:
+    """Move points (N,3) with weights (N,) along their normals onto planes fitted to their neighbours; in their order.
 
-    A neighbour counts by its weight and by 1 − d²/R². Clouds of fewer points than neighbours come back as they are.
+    A neighbour's weight is multiplied by 1 − d²/R². A cloud with fewer points than neighbours is returned unchanged.
     `tick` is called between chunks, on the caller's thread. Raises what it raises.
     """
     wide, narrow = neighbours
@@ -30,6 +35,7 @@ def smoothed(xyz: Floats, weight: Floats, tick: Tick = no_tick, *, neighbours: t
 
 
 def _onto_planes(xyz: Floats, weight: Floats, neighbours: int, tick: Tick) -> Floats:
+    """Project every point onto the weighted least-squares plane of its neighbours: one round."""
     from scipy.spatial import cKDTree
 
     if len(xyz) <= neighbours:
@@ -40,7 +46,7 @@ def _onto_planes(xyz: Floats, weight: Floats, neighbours: int, tick: Tick) -> Fl
     def work(part: slice) -> None:
         distance, index = tree.query(xyz[part], k=neighbours + 1)
         relative = xyz[index] - xyz[part, None]
-        radius = np.maximum(_WIDER * distance[:, -1:], np.finfo(np.float64).tiny)  # copies of one point
+        radius = np.maximum(_WIDER * distance[:, -1:], np.finfo(np.float64).tiny)  # duplicates: distance 0
         near = (1 - np.square(distance / radius)) * weight[index]
         near /= np.maximum(near.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
         mean = np.einsum("nk,nkx->nx", near, relative)

@@ -1,4 +1,4 @@
-"""What several depth images say about the same points: agreement moves a point, free space condemns it."""
+"""Check points against several depth images: average the views that agree, count the views that see free space."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.points.depth import DepthView
+from services.edge.points.depth_limits import DepthView
 
 _MIN_GATE, _MAX_GATE = 0.004, 0.03
-"""Bounds of the relative depth difference that counts as the same surface: below lies every sensor's noise, above it
-two sides of a thin thing would be averaged into one."""
+"""Bounds of the gate, the relative depth difference that counts as the same surface: every sensor's noise reaches the
+lower one; above the upper one the two sides of a thin object would be averaged into one."""
 _GATE_SIGMAS = 3.0
+"""Gate over the standard deviation of the views' disagreement."""
 _FREE_SPACE_GATES = 2.0
 """A view contradicts a point when it sees this many gates past it: pose errors must not carve surfaces away."""
 _CHUNK = 1 << 15
-"""Points looked at together: their dozen temporary arrays stay in the processor's cache."""
+"""Points per batch: their dozen temporary arrays fit into the processor's cache."""
 _PROBE = 20_000
-"""Points enough to measure by how much the views disagree."""
+"""Points sampled to measure by how much the views disagree."""
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What the views say about N points: xyz (N,3) float32 after averaging; agree, contradict (N,) numbers of views."""
+class ViewAgreement:
+    """Votes of the views on N points: xyz (N,3) float32 after averaging; agree, contradict (N,) numbers of views."""
 
     xyz: Floats
     agree: Ints
@@ -32,7 +33,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class _Tables:
-    """A view as rows to look up by pixel, so that a point costs one memory access.
+    """Lookup tables of a view, one row per pixel, so that a point needs one memory access.
 
     surface (H·W,4): q, ∂q/∂u, ∂q/∂v, and the largest q of 3x3 pixels, in 1/m; q is 0 where unknown
     facing (H·W,4): the measurement's weight, and the surface's normal in the world
@@ -45,9 +46,11 @@ class _Tables:
 
 @dataclass(frozen=True, slots=True)
 class _Sighting:
-    """One view's measurement of the points it has in its image: index (M,) into the points; pixel (M,) flat;
-    shift (M,): the relative depth of the seen surface past the point; free (M,): the same for the nearest of 3x3
-    pixels, since a silhouette one pixel off must not carve a point away."""
+    """One view's measurements of the points that project into its image.
+
+    index (M,) into the points; pixel (M,) flat; shift (M,): how far the seen surface is behind the point, relative to
+    its depth; free (M,): the same for the nearest of 3x3 pixels, so that a silhouette one pixel off removes no point.
+    """
 
     index: Ints
     pixel: Ints
@@ -55,12 +58,14 @@ class _Sighting:
     free: Floats
 
 
-def cross_examine(xyz: Floats, normal: Floats, views: list[DepthView], origin: Floats, tick: Tick = no_tick) -> Verdict:
-    """Let every view vote on every point it can see.
+def vote_on_points(
+    xyz: Floats, normal: Floats, views: list[DepthView], origin: Floats, tick: Tick = no_tick
+) -> ViewAgreement:
+    """Let every view vote on every point that it can see.
 
     xyz (N,3) float32 m relative to `origin` (3,); normal (N,3) mean normals, shorter than 1 where they disagreed.
-    A point moves to the weighted mean, over the views that agree, of where they see its surface along their own rays:
-    layers of voxels that one noisy surface left collapse into one.
+    A point moves to the weighted mean of the surfaces that the agreeing views see along their own rays: so several
+    layers of voxels from one noisy surface become one.
     """
     tables = [_tables(view) for view in views]
     gate = _gate(xyz, normal, tables, origin)
@@ -73,41 +78,42 @@ def cross_examine(xyz: Floats, normal: Floats, views: list[DepthView], origin: F
         for start in starts:
             part = slice(start, start + _CHUNK)
             points = xyz[part]
-            seen = _sight(points, table, origin)
-            index, shift, w = _agreeing(seen, normal[part], table, gate)
+            sighting = _sight(points, table, origin)
+            index, shift, w = _select_agreeing(sighting, normal[part], table, gate)
             moved[part][index] += (w * shift)[:, None] * (points[index] - eye)
             weight[part][index] += w
             agree[part][index] += 1
-            contradict[part][seen.index[seen.free > _FREE_SPACE_GATES * gate]] += 1
+            contradict[part][sighting.index[sighting.free > _FREE_SPACE_GATES * gate]] += 1
         tick((number + 1) / len(tables))
-    return Verdict(xyz + moved / np.maximum(weight, np.float32(1e-12))[:, None], agree, contradict)
+    return ViewAgreement(xyz + moved / np.maximum(weight, np.float32(1e-12))[:, None], agree, contradict)
 
 
-def _agreeing(seen: _Sighting, normal: Floats, table: _Tables, gate: float) -> tuple[Ints, Floats, Floats]:
-    """Index, shift and weight of the sightings within the gate whose surface faces the way the point does."""
-    near = np.flatnonzero(np.abs(seen.shift) < gate)
-    index = seen.index[near]
-    row = table.facing[seen.pixel[near]]
+def _select_agreeing(sighting: _Sighting, normal: Floats, table: _Tables, gate: float) -> tuple[Ints, Floats, Floats]:
+    """Return index, shift and weight of the measurements within the gate whose normal agrees with the point's."""
+    near = np.flatnonzero(np.abs(sighting.shift) < gate)
+    index = sighting.index[near]
+    row = table.facing[sighting.pixel[near]]
     same = np.flatnonzero(np.einsum("ni,ni->n", row[:, 1:], normal[index]) > 0)
-    return index[same], seen.shift[near[same]], row[same, 0]
+    return index[same], sighting.shift[near[same]], row[same, 0]
 
 
 def _gate(xyz: Floats, normal: Floats, tables: list[_Tables], origin: Floats) -> float:
-    """Relative depth difference that noise and pose errors explain, measured on the views themselves."""
+    """Measure the relative depth difference that noise and pose errors explain, on a sample of points and views."""
     probe = np.random.default_rng(0).permutation(len(xyz))[:_PROBE]
     shifts = []
     for table in tables[:: max(1, len(tables) // 8)]:
-        _, shift, _ = _agreeing(_sight(xyz[probe], table, origin), normal[probe], table, _MAX_GATE)
+        _, shift, _ = _select_agreeing(_sight(xyz[probe], table, origin), normal[probe], table, _MAX_GATE)
         shifts.append(np.abs(shift))
     every = np.concatenate(shifts)
     return float(np.clip(_GATE_SIGMAS * 1.4826 * np.median(every), _MIN_GATE, _MAX_GATE)) if every.size else _MAX_GATE
 
 
 def _sight(xyz: Floats, table: _Tables, origin: Floats) -> _Sighting:
+    """Project points (N,3) into a view, and compare their depth with what it measured there."""
     view, camera = table.view, table.view.intrinsics
     height, width = view.inverse_depth.shape
     x, y, z = view.camera_to_world[:3, :3].T.astype(np.float32) @ (xyz - _eye(view, origin)).T
-    z = np.maximum(z, np.float32(1e-6))  # behind the camera: thrown far out of the image
+    z = np.maximum(z, np.float32(1e-6))  # points behind the camera project far outside the image
     u = x / z * np.float32(camera.fx) + np.float32(camera.cx)
     v = y / z * np.float32(camera.fy) + np.float32(camera.cy)
     index = np.flatnonzero((u > 0) & (u < width - 1) & (v > 0) & (v < height - 1))
@@ -116,7 +122,7 @@ def _sight(xyz: Floats, table: _Tables, origin: Floats) -> _Sighting:
     pixel = row * np.int32(width) + column
     q, dq_du, dq_dv, closest = table.surface[pixel].T
     known = np.flatnonzero(q > 0)
-    # Between pixel centres q goes on linearly, as it does on a plane.
+    # Between pixel centres q is interpolated linearly, which is exact on a plane.
     q = (q + dq_du * (u - column) + dq_dv * (v - row))[known]
     z = z[known]
     shift = 1 / (np.maximum(q, np.float32(1e-6)) * z) - 1
@@ -124,10 +130,12 @@ def _sight(xyz: Floats, table: _Tables, origin: Floats) -> _Sighting:
 
 
 def _eye(view: DepthView, origin: Floats) -> Floats:
+    """Return the camera's position (3,) relative to `origin`."""
     return np.asarray(view.camera_to_world[:3, 3] - origin, np.float32)
 
 
 def _tables(view: DepthView) -> _Tables:
+    """Build the lookup tables of a view."""
     import cv2
 
     q = view.inverse_depth

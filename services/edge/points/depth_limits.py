@@ -1,4 +1,4 @@
-"""One depth image: which pixels to believe, how noisy they are, and which way the surface faces.
+"""Filter one depth image: find its valid pixels, estimate its noise, and compute the surface normals.
 
 Symbols: z = depth along the optical axis (m); q = 1/z, which is linear in the pixel on a plane; (x, y, 1) = the pixel's
 ray in the camera frame. A plane n·X = 1 has q = n·(x, y, 1), so n = (∂q/∂x, ∂q/∂y, q - x·∂q/∂x - y·∂q/∂y) exactly,
@@ -16,18 +16,19 @@ from services.edge.capture.nouns import Frame, Intrinsics
 from services.edge.errors import CaptureError
 
 _MAX_GRAZING_DEG = 78.0
-"""Steeper than this the depth of a pixel says little and flying pixels between two surfaces look just like it."""
+"""Largest angle between ray and normal: steeper surfaces have unreliable depth, and look like flying pixels between
+two surfaces."""
 _MIN_JUMP = 0.012
 """Relative depth step between pixels below which a surface is continuous, however fine the pixels: 12 mm at 1 m."""
 _MIN_NOISE, _MAX_NOISE = 0.0007, 0.01
-"""Bounds of the relative depth noise: quantised depth looks noiseless, and texture must not pass for noise."""
+"""Bounds of the relative depth noise: quantised depth looks noiseless, and texture must not be taken for noise."""
 _BILATERAL_PX = 5
-"""Diameter of the smoothing window."""
+"""Diameter of the window of the bilateral filter."""
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What to believe: depth between near_m and far_m, confidence of at least min_confidence (0..1)."""
+class DepthLimits:
+    """Limits of valid pixels: depth between near_m and far_m, confidence of at least min_confidence (0..1)."""
 
     near_m: float
     far_m: float
@@ -36,12 +37,13 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class DepthView:
-    """A depth image ready for use.
+    """A filtered depth image with its pose.
 
-    inverse_depth (H,W) float32 1/m, smoothed, 0 where unknown or not believed;
-    slope: ∂q/∂u and ∂q/∂v (H,W) float32 per pixel, on this side of any jump;
+    inverse_depth (H,W) float32 1/m, smoothed, 0 where unknown or filtered out;
+    slope: ∂q/∂u and ∂q/∂v (H,W) float32 per pixel, never across a depth jump;
     normal (H,W,3) float32 camera frame, unit, towards the camera; cosine (H,W) float32 of the angle to the ray;
-    confidence (H,W) float32; noise: relative standard deviation of the raw depth; read: pixels that had any depth.
+    confidence (H,W) float32; noise: relative standard deviation of the raw depth; read: number of pixels with depth
+    before filtering.
     """
 
     intrinsics: Intrinsics
@@ -56,16 +58,17 @@ class DepthView:
 
 
 def load_depth(frame: Frame) -> tuple[Floats, Floats, Intrinsics]:
-    """Depth (H,W) float32 m with 0 for unknown, confidence (H,W) float32, and the intrinsics at that resolution.
+    """Load depth (H,W) float32 m with 0 for unknown, confidence (H,W) float32, and the intrinsics at that resolution.
 
-    Raises CaptureError: CAPTURE_COUNT_MISMATCH where depth is not an image.
+    Raises CaptureError: CAPTURE_COUNT_MISMATCH where depth is not two-dimensional.
     """
     import cv2
 
     depth_m = np.asarray(frame.load_depth_m(), np.float32)
     if depth_m.ndim != 2 or not depth_m.size:
         shape = "x".join(map(str, depth_m.shape))
-        raise CaptureError("CAPTURE_COUNT_MISMATCH", f"depth has shape {shape}, not height x width", file=frame.name)
+        reason = f"has depth of shape {shape}; a depth image has height x width"
+        raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=frame.name)
     depth_m = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0))
     height, width = depth_m.shape
     confidence: Floats = np.ones_like(depth_m)
@@ -81,8 +84,8 @@ def load_depth(frame: Frame) -> tuple[Floats, Floats, Intrinsics]:
     return depth_m, confidence, camera
 
 
-def read_view(frame: Frame, limits: Limits) -> DepthView:
-    """Load a frame's depth and keep what can be believed: in range, confident, no flying pixel, not grazing."""
+def read_view(frame: Frame, limits: DepthLimits) -> DepthView:
+    """Load and filter a frame's depth: keep pixels in range, confident, not flying, and not at a grazing angle."""
     depth_m, confidence, camera = load_depth(frame)
     known = (depth_m >= limits.near_m) & (depth_m <= limits.far_m) & (confidence >= limits.min_confidence)
     noise = depth_noise(depth_m, known)
@@ -99,7 +102,9 @@ def read_view(frame: Frame, limits: Limits) -> DepthView:
 
 
 def depth_noise(depth_m: Floats, known: Bools) -> float:
-    """Relative standard deviation of the depth, from second differences along rows (they vanish on planes in 1/z)."""
+    """Estimate the relative standard deviation of the depth, from second differences of 1/z along rows.
+
+    They vanish on planes."""
     inverse = np.where(known, 1 / np.where(known, depth_m, 1), 0)
     centre = inverse[:, 1:-1]
     both = known[:, :-2] & known[:, 1:-1] & known[:, 2:]
@@ -111,23 +116,24 @@ def depth_noise(depth_m: Floats, known: Bools) -> float:
 
 
 def _smooth(depth_m: Floats, known: Bools, noise: float) -> Floats:
-    """Bilateral filter on log depth: within three standard deviations pixels are averaged, beyond they are not."""
+    """Smooth with a bilateral filter on log depth: pixels within three standard deviations are averaged."""
     import cv2
 
-    unknown = np.float32(-20)  # so far in log depth that it weighs nothing
+    unknown = np.float32(-20)  # so far from any log depth that its weight is 0
     log_m = np.where(known, np.log(np.where(known, depth_m, 1)), unknown).astype(np.float32)
     return np.exp(cv2.bilateralFilter(log_m, _BILATERAL_PX, 3 * noise, _BILATERAL_PX / 2))
 
 
 def max_jump(camera: Intrinsics, noise: float) -> float:
-    """The largest relative depth step between two pixels of one surface."""
+    """Return the largest relative depth step between two neighbouring pixels of one surface."""
     return float(max(np.tan(np.radians(_MAX_GRAZING_DEG)) / max(camera.fx, camera.fy), _MIN_JUMP, 4 * noise))
 
 
 def slopes(inverse: Floats, jump: float, *, axis: int) -> tuple[Floats, Bools]:
-    """Change of q per pixel along an axis, from the sides without a jump, and whether there is such a side.
+    """Compute the change of q per pixel along an axis (H,W), averaged over the sides without a depth jump.
 
-    A flying pixel lies between two surfaces and agrees with neither side; the last pixel of a surface agrees with one.
+    Also returns a mask (H,W): True where a pixel has such a side. A flying pixel, between two surfaces, has none; the
+    last pixel of a surface has one.
     """
     step = np.diff(inverse, axis=axis)
     first, second = (inverse[:, :-1], inverse[:, 1:]) if axis == 1 else (inverse[:-1], inverse[1:])
@@ -143,6 +149,7 @@ def slopes(inverse: Floats, jump: float, *, axis: int) -> tuple[Floats, Bools]:
 
 
 def _normals(inverse: Floats, dq_dx: Floats, dq_dy: Floats, camera: Intrinsics) -> tuple[Floats, Floats]:
+    """Compute unit normals (H,W,3) towards the camera and the cosines (H,W) to the rays, as in the module's text."""
     height, width = inverse.shape
     x = ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32)[None, :]
     y = ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32)[:, None]

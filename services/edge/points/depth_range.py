@@ -1,4 +1,4 @@
-"""A first look at a few frames: which depths to believe, and how large a pixel is on the surface."""
+"""Survey a few depth frames: the range of valid depths, and the size of a pixel on the surface."""
 
 from __future__ import annotations
 
@@ -9,31 +9,35 @@ import numpy as np
 
 from services.edge.capture.nouns import Frame
 from services.edge.errors import CaptureError
-from services.edge.points.depth import Limits, load_depth
+from services.edge.points.depth_limits import DepthLimits, load_depth
 
 MIN_PIXELS = 100
-"""Fewer usable depth pixels than this in a whole capture are no surface."""
+"""Least number of usable depth pixels in a whole capture; fewer do not describe a surface."""
 _NEAR_M, _FAR_M = 0.1, 8.0
-"""What phone depth sensors claim to measure."""
+"""Range, in metres, that phone depth sensors are specified for."""
 _MIN_CONFIDENCE = 0.25
-"""Drops the lowest of the usual three levels (0, 1/2, 1)."""
+"""Least confidence of a valid pixel: it drops the lowest of the usual three levels (0, 1/2, 1)."""
 _SURVEY_FRAMES = 8
+"""Most frames that are surveyed."""
 _NEARER_HALF = 35
-"""Percentile of the pixel sizes that sets the voxel: the thing itself lies nearer than what surrounds it."""
+"""Percentile of the pixel sizes that sets the voxel size: the object is nearer than its surroundings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """limits: depths and confidences to believe; pixel_m: size of a depth pixel on the nearer surfaces, metres;
-    warnings: sentences for the report."""
+    """Result of the survey.
 
-    limits: Limits
+    limits: of valid depth and confidence; pixel_m: size of a depth pixel on the nearer surfaces, metres;
+    warnings: sentences for the report.
+    """
+
+    limits: DepthLimits
     pixel_m: float
     warnings: tuple[str, ...]
 
 
 def survey_frames(frames: Sequence[Frame]) -> Survey:
-    """Look at up to `_SURVEY_FRAMES` frames. Raises CaptureError: CAPTURE_TOO_FEW_POINTS where they hold no depth."""
+    """Survey up to `_SURVEY_FRAMES` frames. Raises CaptureError: CAPTURE_TOO_FEW_POINTS when they have no depth."""
     chosen = frames[:: max(1, -(-len(frames) // _SURVEY_FRAMES))]
     depths, confidences, pixels = [], [], []
     for frame in chosen:
@@ -44,7 +48,7 @@ def survey_frames(frames: Sequence[Frame]) -> Survey:
         pixels.append(z / max(camera.fx, camera.fy))
     z, confidence, pixel = np.concatenate(depths), np.concatenate(confidences), np.concatenate(pixels)
     if z.size < MIN_PIXELS:
-        raise too_few(len(chosen), z.size, 0, Limits(_NEAR_M, _FAR_M, _MIN_CONFIDENCE))
+        raise too_few_pixels(len(chosen), z.size, 0, DepthLimits(_NEAR_M, _FAR_M, _MIN_CONFIDENCE))
     middle = float(np.median(z))
     near_m = _NEAR_M if middle > 2 * _NEAR_M else middle / 2
     far_m = _FAR_M if middle < _FAR_M / 2 else 2 * middle
@@ -52,16 +56,16 @@ def survey_frames(frames: Sequence[Frame]) -> Survey:
     warnings: tuple[str, ...] = ()
     trusted = float(np.mean(confidence[usual] >= _MIN_CONFIDENCE))
     if trusted < 0.05:
-        warnings = (f"Only {trusted:.1%} of the depth is marked as confident; all of it was used.",)
-    limits = Limits(near_m, far_m, _MIN_CONFIDENCE if trusted >= 0.05 else 0.0)
+        warnings = (f"Only {trusted:.1%} of the depth pixels are marked as confident, so all of them were used.",)
+    limits = DepthLimits(near_m, far_m, _MIN_CONFIDENCE if trusted >= 0.05 else 0.0)
     return Survey(limits, float(np.percentile(pixel[usual], _NEARER_HALF)), warnings)
 
 
-def too_few(frames: int, read: int, kept: int, limits: Limits) -> CaptureError:
-    """The error for `frames` depth images with `read` pixels of depth, of which `kept` are usable."""
+def too_few_pixels(frames: int, read: int, usable: int, limits: DepthLimits) -> CaptureError:
+    """Return the error for `frames` depth images with `read` pixels of depth, of which `usable` passed the filters."""
     return CaptureError(
         "CAPTURE_TOO_FEW_POINTS",
-        f"of {read} depth pixels in {frames} frames only {kept} are usable"
+        f"of {read} depth pixels in {frames} frames only {usable} are usable"
         f" (between {limits.near_m:.2f} and {limits.far_m:.1f} m, confident, not at an edge); at least {MIN_PIXELS}"
         " are needed",
         hints=(

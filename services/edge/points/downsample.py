@@ -1,4 +1,4 @@
-"""Fewer points where there are more than a stage can use: one per voxel, the mean of its points."""
+"""Downsample point clouds by a voxel grid: one point per voxel, the mean of its points."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.points.grid import sum_groups, voxel_keys
 from services.edge.points.nouns import Points
+from services.edge.points.voxel_grid import sum_groups, voxel_keys
 from services.edge.srgb import to_linear, to_srgb
 
 
-def thin(xyz: Floats, rgb: Bytes | None, voxel: float) -> tuple[Floats, Bytes | None]:
-    """One point per voxel: the mean of its points, coloured with the mean of their light."""
+def voxel_downsample(xyz: Floats, rgb: Bytes | None, voxel: float) -> tuple[Floats, Bytes | None]:
+    """Downsample to one point per voxel: the mean of its points, with the mean of their colours in linear light."""
     ones = np.ones((len(xyz), 1))
     light = np.zeros((len(xyz), 0)) if rgb is None else to_linear(rgb)
     _, sums = sum_groups(voxel_keys(xyz, voxel), np.concatenate([ones, xyz, light], axis=1))
@@ -21,21 +21,21 @@ def thin(xyz: Floats, rgb: Bytes | None, voxel: float) -> tuple[Floats, Bytes | 
     return means[:, :3], None if rgb is None else to_srgb(means[:, 3:])
 
 
-def thin_to(xyz: Floats, rgb: Bytes | None, most: int) -> tuple[Floats, Bytes | None]:
-    """At most `most` points: as they are where that holds, thinned by the smallest voxel that suffices otherwise."""
+def voxel_downsample_to(xyz: Floats, rgb: Bytes | None, most: int) -> tuple[Floats, Bytes | None]:
+    """Downsample to at most `most` points, by about the smallest voxel that suffices; fewer points stay unchanged."""
     if len(xyz) <= most:
         return xyz, rgb
     voxel = float(np.ptp(xyz, axis=0).max()) / most**0.5
     while (count := len(np.unique(voxel_keys(xyz, voxel)))) > most:
         voxel *= 1.05 * (count / most) ** 0.5
-    return thin(xyz, rgb, voxel)
+    return voxel_downsample(xyz, rgb, voxel)
 
 
-def at_most(points: Points, most: int) -> Points:
-    """The points, thinned evenly to at most `most`; the report says so."""
+def downsample_points(points: Points, most: int) -> Points:
+    """Downsample `Points` evenly to at most `most`, with a warning for the report. The confidence becomes its mean."""
     if len(points) <= most:
         return points
-    xyz, rgb = thin_to(points.xyz, points.rgb, most)
+    xyz, rgb = voxel_downsample_to(points.xyz, points.rgb, most)
     confidence = np.full(len(xyz), points.confidence.mean(), np.float32)
-    warning = f"Of {len(points):,} points this preset uses {len(xyz):,}, evenly thinned."
+    warning = f"The {len(points):,} points were downsampled evenly to the {len(xyz):,} that this preset uses."
     return replace(points, xyz=xyz, rgb=rgb, confidence=confidence, warnings=(*points.warnings, warning))

@@ -1,9 +1,9 @@
-"""Posed depth images -> one set of coloured points.
+"""Fuse posed depth images into one coloured point cloud.
 
-1. survey  a few frames tell the range of depths to believe and the size of a pixel on the surface
-2. gather  every frame is cleaned, back-projected and averaged into a voxel grid of that size
-3. examine the views vote: what agrees is averaged along the rays, what stands in seen-through space goes
-4. merge   the moved points are averaged into the grid once more
+1. survey   a few frames give the range of valid depths and the size of a pixel on the surface
+2. gather   every frame is filtered, back-projected and averaged into a voxel grid of that size
+3. examine  the views vote: points that agree are averaged along the rays, points in free space are dropped
+4. merge    the moved points are averaged into a voxel grid once more
 """
 
 from __future__ import annotations
@@ -15,41 +15,42 @@ import numpy as np
 
 from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick
 from services.edge.capture.nouns import Frame
-from services.edge.points.depth import DepthView, read_view
-from services.edge.points.grid import Samples, VoxelGrid, voxel_keys
-from services.edge.points.survey import MIN_PIXELS, survey_frames, too_few
-from services.edge.points.views import Verdict, cross_examine
+from services.edge.points.depth_consensus import ViewAgreement, vote_on_points
+from services.edge.points.depth_limits import DepthView, read_view
+from services.edge.points.depth_range import MIN_PIXELS, survey_frames, too_few_pixels
+from services.edge.points.voxel_grid import Samples, VoxelGrid, voxel_keys
 from services.edge.srgb import to_linear, to_srgb
 
 MAX_POINTS = 1_500_000
-"""Voxels kept at most; the voxel grows beyond. About 100 MB of sums."""
+"""Most voxels: with more, the voxel size grows. About 100 MB of sums."""
 _VOTING_VIEWS = 48
-"""Views kept in memory to vote: 48 of 256x192 are 50 MB, and more of a walk around a thing add little."""
+"""Views kept in memory for the vote: 48 of 256x192 are 50 MB; more of a walk around an object add little."""
 _VOXEL_PIXELS = 1.2
-"""Voxel over the size of a depth pixel on the surface: just above 1, a surface seen once leaves no holes."""
-_WINDOWED_VOXEL_PIXELS = 2.0
-"""The same of depth that windows were compared for, whose pixels tell less each."""
+"""Voxel size over the size of a depth pixel on the surface: just above 1, so that one view leaves no holes."""
+_STEREO_VOXEL_PIXELS = 2.0
+"""The same for stereo depth, which is matched by windows, so that neighbouring pixels are not independent."""
 _FRONTAL = 2
-"""Power of the cosine by which a picture's light counts beyond the depth's weight: a slanted pixel mixes colours."""
+"""Power of the cosine in a colour's weight, on top of the depth's weight: a slanted pixel mixes colours."""
 _SHARP = 2
-"""Power of the sharpness: with half of the pictures blurred colours are 4 levels off, at 1 they were 6, at 0 14."""
+"""Power of the sharpness in a colour's weight: with half of the pictures blurred, colours are 4 levels off; with a
+power of 1 it was 6, with 0 14."""
 _LEAST_SHARPNESS = 1.0
-"""Grey levels squared: what rounding leaves on a picture of one colour."""
+"""Grey levels squared: the sharpness that rounding leaves in a picture of one colour."""
 _SURROUNDINGS = 4.0
-"""Cell, in voxels, in which points compare how many views agree on them."""
+"""Side, in voxels, of the cells in which the points' numbers of agreeing views are compared."""
 _OUTVOTED = 5
-"""Fewer than a fifth of the views that agree next to it."""
+"""A point is dropped if fewer than a fifth as many views agree on it as on the best point of its surroundings."""
 _AIM = 0.2
-"""The middle of the image, as a share of its sides, that tells what the person aimed at."""
+"""Central part of the image, as a share of its sides, that the person aimed at."""
 
 
 @dataclass(frozen=True, slots=True)
-class Fused:
-    """Fused points in the capture frame (metres).
+class FusedPoints:
+    """Result of the fusion: points in the capture frame (metres).
 
     xyz (N,3) float64; rgb (N,3) uint8 or None; confidence (N,) float32; voxel: size used, metres;
-    cameras (M,3) positions; sharpness (M,) of the pictures, 0 without one; aim (3,): what the cameras had in the middle
-    of their images, or None.
+    cameras (M,3) positions; sharpness (M,) of the pictures, 0 without one; aim (3,): median of the surface points in
+    the middle of the images, or None.
     """
 
     xyz: Floats
@@ -62,48 +63,49 @@ class Fused:
     warnings: tuple[str, ...]
 
 
-def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no_tick) -> Fused:
-    """Fuse posed depth frames into points, `voxel` metres apart (from the pixels' size when None).
+def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no_tick) -> FusedPoints:
+    """Fuse posed depth frames into points, `voxel` metres apart (None: derived from the pixels' size).
 
     One frame is in memory at a time, besides the grid and at most `_VOTING_VIEWS` depth images. Raises CaptureError:
     CAPTURE_TOO_FEW_POINTS where hardly any depth is usable.
     """
     survey = survey_frames(frames)
     origin = np.asarray(frames[0].camera_to_world, np.float64)[:3, 3]
-    pixels = _WINDOWED_VOXEL_PIXELS if windowed(frames) else _VOXEL_PIXELS
+    pixels = _STEREO_VOXEL_PIXELS if has_stereo_depth(frames) else _VOXEL_PIXELS
     grid = VoxelGrid(voxel or survey.pixel_m * pixels, MAX_POINTS)
     voters = set(np.linspace(0, len(frames) - 1, min(len(frames), _VOTING_VIEWS)).round().astype(int).tolist())
     views: list[DepthView] = []
     aims: list[Floats] = []
     sharpness = np.zeros(len(frames))
-    read = kept = 0
+    read = usable = 0
     for number, frame in enumerate(frames):
         view = read_view(frame, survey.limits)
         samples, sharpness[number] = _observe(view, frame, origin)
         grid.add(samples)
-        aims += _aim(view)
-        read, kept = read + view.read, kept + len(samples)
+        aims += _aim_point(view)
+        read, usable = read + view.read, usable + len(samples)
         if number in voters:
             views.append(view)
         tick(0.7 * (number + 1) / len(frames))
-    if kept < MIN_PIXELS:
-        raise too_few(len(frames), read, kept, survey.limits)
-    merged = _agreed(grid, views, origin, lambda fraction: tick(0.7 + 0.3 * fraction))
+    if usable < MIN_PIXELS:
+        raise too_few_pixels(len(frames), read, usable, survey.limits)
+    merged = _merge_agreeing(grid, views, origin, lambda fraction: tick(0.7 + 0.3 * fraction))
     rgb = to_srgb(_fill_light(merged)) if merged.clarity.any() else None
     cameras = np.stack([np.asarray(frame.camera_to_world, np.float64)[:3, 3] for frame in frames])
     aim = np.median(np.stack(aims), axis=0) if aims else None
     xyz = merged.xyz.astype(np.float64) + origin
-    return Fused(xyz, rgb, np.clip(merged.confidence, 0, 1), grid.voxel, cameras, sharpness, aim, survey.warnings)
+    return FusedPoints(xyz, rgb, np.clip(merged.confidence, 0, 1), grid.voxel, cameras, sharpness, aim, survey.warnings)
 
 
-def windowed(frames: Sequence[Frame]) -> bool:
-    """Whether the depth is that of stereo, not of a sensor."""
+def has_stereo_depth(frames: Sequence[Frame]) -> bool:
+    """Return whether the depth was computed by stereo matching, not measured by a sensor."""
     return any(frame.window_px > 1 for frame in frames)
 
 
 def _observe(view: DepthView, frame: Frame, origin: Floats) -> tuple[Samples, float]:
-    """Back-project the believed pixels; weight = cosine · confidence / z² (depth noise grows with z). And how sharp
-    the picture is."""
+    """Back-project the valid pixels of a view; return the samples and the picture's sharpness.
+
+    weight = cosine · confidence / z²: depth noise grows with z."""
     rows, columns = np.nonzero(view.inverse_depth)
     inverse, confidence = view.inverse_depth[rows, columns], view.confidence[rows, columns]
     camera = view.intrinsics
@@ -125,9 +127,9 @@ def _observe(view: DepthView, frame: Frame, origin: Floats) -> tuple[Samples, fl
 
 
 def _sharpness(rgb: Bytes) -> float:
-    """The variance of the picture's Laplacian, in grey levels squared: motion and bad focus bring it down by tens.
+    """Return the variance of the picture's Laplacian, in grey levels squared: blur lowers it by a factor of tens.
 
-    Only pictures of one surface compare, and those are what a voxel averages.
+    It is comparable only between pictures of the same surface, such as a voxel averages.
     """
     import cv2
 
@@ -136,7 +138,7 @@ def _sharpness(rgb: Bytes) -> float:
 
 
 def at_resolution(rgb: Bytes, shape: tuple[int, ...]) -> Bytes:
-    """The picture (h,w,3) at the depth's (H,W): a depth pixel's colour is the mean of what it covers."""
+    """Resize a picture (h,w,3) to the depth's (H,W); a depth pixel gets the mean colour of the area that it covers."""
     import cv2
 
     if rgb.shape[:2] == shape:
@@ -146,31 +148,32 @@ def at_resolution(rgb: Bytes, shape: tuple[int, ...]) -> Bytes:
     return np.asarray(cv2.resize(rgb, (shape[1], shape[0]), interpolation=method), np.uint8)
 
 
-def _agreed(grid: VoxelGrid, views: list[DepthView], origin: Floats, tick: Tick) -> Samples:
-    """Points moved to where the views agree and averaged again, those in free space dropped.
+def _merge_agreeing(grid: VoxelGrid, views: list[DepthView], origin: Floats, tick: Tick) -> Samples:
+    """Move points to where the views agree, drop those in free space, and average the rest into a new grid.
 
-    The confidence is the sensor's times n/(n+1), n being the number of views that agree: 1/2 for what one view saw.
+    The confidence is the sensor's times n/(n+1), n being the number of views that agree: 1/2 for a single view.
     """
     samples = grid.averages()
     if len(views) < 2:
         return replace(samples, confidence=samples.confidence / 2)
-    verdict = cross_examine(samples.xyz, samples.normal, views, origin, tick)
+    verdict = vote_on_points(samples.xyz, samples.normal, views, origin, tick)
     agree = np.maximum(verdict.agree, 1)
     moved = replace(samples, xyz=verdict.xyz, confidence=samples.confidence * agree / (agree + 1))
     merged = VoxelGrid(grid.voxel, MAX_POINTS)
-    merged.add(moved.take(~(_contradicted(verdict) | _outvoted(verdict, grid.voxel))))
+    merged.add(moved.take(~(_contradicted_mask(verdict) | _outvoted_mask(verdict, grid.voxel))))
     return merged.averages()
 
 
-def _contradicted(verdict: Verdict) -> Bools:
-    """Two views at least, and more than half as many as agree, saw free space where the point is."""
+def _contradicted_mask(verdict: ViewAgreement) -> Bools:
+    """Return a mask (N,): True where at least two views, and more than half as many as agree, see free space."""
     contradicted: Bools = (verdict.contradict >= 2) & (verdict.contradict * 2 > verdict.agree)
     return contradicted
 
 
-def _outvoted(verdict: Verdict, voxel: float) -> Bools:
-    """Far fewer views agree on the point than on its surroundings: a layer of noise behind the surface, where no view
-    sees free space."""
+def _outvoted_mask(verdict: ViewAgreement, voxel: float) -> Bools:
+    """Return a mask (N,): True where far fewer views agree on a point than on its surroundings.
+
+    This finds layers of noise behind a surface, where no view sees free space."""
     _, cell = np.unique(voxel_keys(verdict.xyz, _SURROUNDINGS * voxel), return_inverse=True)
     most = np.zeros(cell.max(initial=0) + 1, verdict.agree.dtype)
     np.maximum.at(most, cell, verdict.agree)
@@ -179,7 +182,7 @@ def _outvoted(verdict: Verdict, voxel: float) -> Bools:
 
 
 def _fill_light(samples: Samples) -> Floats:
-    """The light of points that no picture saw comes from the nearest point that one did."""
+    """Return the light (N,3), filling points without a colour from the nearest point that has one."""
     from scipy.spatial import cKDTree
 
     seen = samples.clarity > 0
@@ -191,8 +194,8 @@ def _fill_light(samples: Samples) -> Floats:
     return light
 
 
-def _aim(view: DepthView) -> list[Floats]:
-    """The surface in the middle of the image, capture frame, as a list of one or none."""
+def _aim_point(view: DepthView) -> list[Floats]:
+    """Return the surface point in the middle of the image, capture frame, as a list of one; empty without depth."""
     height, width = view.inverse_depth.shape
     rows = slice(int(height * (1 - _AIM) / 2), int(height * (1 + _AIM) / 2) + 1)
     columns = slice(int(width * (1 - _AIM) / 2), int(width * (1 + _AIM) / 2) + 1)

@@ -1,21 +1,21 @@
-"""Points that a field can be fitted to, and the frame in which it is fitted."""
+"""Data types of cleaned points, ready for fitting a distance field, and of the unit frame in which it is fitted."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from services.edge.arrays import Bytes, Floats
+from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
 from services.edge.capture.nouns import Intrinsics, ScaleConfidence
 
 
 @dataclass(frozen=True, slots=True)
-class Unseen:
-    """A side of the thing that the capture shows too little of.
+class UnseenSide:
+    """A side of the object that too few cameras see.
 
     advice  a sentence for the person: from where to shoot
-    toward  unit vector in the capture frame, from the thing's middle to where the camera should go
-    share   of the thing's surface that is seen too little from there, in (0,1]
+    toward  unit vector in the capture frame, from the object's middle to where the camera should go
+    share   of the object's surface that faces this side and is seen too little, in (0,1]
     """
 
     advice: str
@@ -24,10 +24,10 @@ class Unseen:
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
-    """A picture that shows the thing, read when asked for: it costs no memory.
+class TextureView:
+    """A photo or video frame for texturing, with its camera and depth. Images load lazily.
 
-    intrinsics       of the field of view, at any resolution
+    intrinsics       for images of any resolution with the same field of view
     camera_to_world  (4,4) float64, OpenCV axes, capture frame
     load_rgb         -> (h,w,3) uint8 sRGB
     load_depth_m     -> (H,W) float32 of the same field of view, units of the capture, 0 where unknown
@@ -41,12 +41,12 @@ class Shot:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Clean points in the capture frame and its units.
+    """Point cloud after cleaning, in the capture frame and its units.
 
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
     metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report;
-    unseen: sides to shoot again, the largest first; shots: sharp pictures from all sides, for textures, as long as the
-    capture lies on this machine's disk.
+    unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing; empty
+    where the capture's files are not on this machine.
     """
 
     xyz: Floats
@@ -56,26 +56,33 @@ class Points:
     scale_confidence: ScaleConfidence
     up: Floats | None
     warnings: tuple[str, ...] = ()
-    unseen: tuple[Unseen, ...] = ()
-    shots: tuple[Shot, ...] = ()
+    unseen: tuple[UnseenSide, ...] = ()
+    texture_views: tuple[TextureView, ...] = ()
 
     def __len__(self) -> int:
         return len(self.xyz)
 
+    def subset(self, which: Bools | Ints) -> Points:
+        """Return the points of a mask or of indices; the fields about the whole cloud stay as they are."""
+        return replace(self, xyz=self.xyz[which], rgb=pick(self.rgb, which), confidence=self.confidence[which])
+
 
 @dataclass(frozen=True, slots=True)
 class UnitFrame:
-    """Bounding box centred at 0, longest side 1: xyz_unit = (xyz - centre) / size. Kept in the manifest, both ways."""
+    """Transform to the frame in which the bounding box is centred at 0 with longest side 1, and back.
+
+    xyz_unit = (xyz - centre) / size. The manifest has it.
+    """
 
     centre: Floats
     size: float
 
     def to_unit(self, xyz: Floats) -> Floats:
-        """(N,3) capture frame -> unit frame, float64."""
+        """Transform points (N,3) from the capture frame to the unit frame, float64."""
         unit: Floats = (xyz - self.centre) / self.size
         return unit
 
     def to_world(self, xyz_unit: Floats) -> Floats:
-        """(N,3) unit frame -> capture frame, float64."""
+        """Transform points (N,3) from the unit frame to the capture frame, float64."""
         world: Floats = xyz_unit * self.size + self.centre
         return world

@@ -1,4 +1,4 @@
-"""Whether somebody walked around one thing, or looked around in a room: told by the cameras alone."""
+"""Decide from the camera poses alone whether somebody walked around one object or looked around in a room."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from services.edge.arrays import Floats
 from services.edge.capture.nouns import Frame
 
 _MISSED_BY = 0.25
-"""Median distance of the optical axes from the point they meet at, over that from the cameras to it: around a thing
-that fills the picture 0.02 to 0.15; from the middle of a room outward the point lies behind half of the cameras."""
+"""Largest median distance of the optical axes from their meeting point, over the median distance of the cameras from
+it. Around an object that fills the picture it is 0.02 to 0.15; for cameras that look outward from the middle of a room,
+the point is behind half of them."""
 _IN_FRONT = 0.9
-"""Share of the cameras that must have the point before them."""
+"""Share of the cameras that must have the point in front of them."""
 _ROUNDS = 10
+"""Rounds of reweighted least squares."""
 
 
-def around_one_thing(frames: Sequence[Frame]) -> bool:
-    """Whether the optical axes meet, near enough, at one point before the cameras."""
+def orbits_one_object(frames: Sequence[Frame]) -> bool:
+    """Return whether the optical axes of the posed frames meet, approximately, at one point in front of the cameras."""
     poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in frames])
     eyes, axes = poses[:, :3, 3], poses[:, :3, 2]
     point = meeting_point(eyes, axes)
@@ -28,9 +30,10 @@ def around_one_thing(frames: Sequence[Frame]) -> bool:
 
 
 def meeting_point(eyes: Floats, axes: Floats) -> Floats:
-    """The point (3,) nearest to lines through eyes (N,3) along unit vectors axes (N,3), by the sum of the distances.
+    """Return the point (3,) with the least sum of distances to the lines through eyes (N,3) along unit axes (N,3).
 
-    Reweighted least squares: a few photos of something else do not move it. Parallel lines meet at their middle.
+    By reweighted least squares, which is robust against a few photos of something else. For parallel lines it is in the
+    middle between them.
     """
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     weight = np.ones(len(eyes))

@@ -1,4 +1,4 @@
-"""Stray points, told from sparse surfaces by their neighbours: a stray is far from points that are close together.
+"""Remove outliers (stray points) from a point cloud: points far from neighbours that are close to each other.
 
 A point's spacing is the mean distance to its `_NEIGHBOURS` nearest. Measured on 10,000 points of a dress, a folded
 T-shirt, a hemisphere and a car with its interior: on the surface the spacing is at most 2.5 times the median of its
@@ -14,31 +14,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
-from services.edge.points.grid import cell_keys, key_cells, voxel_keys
+from services.edge.points.voxel_grid import cell_keys, key_cells, voxel_keys
 
 _NEIGHBOURS = 10
 _MAX_ROUNDS = 8
-"""Strays hide behind strays: each round peels those that are next to a surface."""
+"""Most rounds of removal: outliers hide other outliers, so each round only removes those next to a surface."""
 _SORTING_CELLS = 50
-"""Cells along the longest side by which points are sorted before the search."""
+"""Cells along the longest side, by which points are sorted before the neighbour search."""
 _CLEAN_SHARE = 0.001
-"""A cloud that loses less than this in the first round is clean, and nothing stricter is tried on it."""
+"""A cloud that loses less than this share in the first round is clean: the stricter rules are not applied."""
 _CLUMPS = ((2.0, 0.02), (4.0, 0.1))
-"""Strays dense enough to keep each other company, as in clouds of a million: a clump wider spaced than this many
-medians, with less than this share of the points, that is no sheet. A part sampled ten times thinner is 3.2 times wider
-spaced."""
+"""Clumps of outliers that are each other's neighbours, as in clouds of a million points: (spacing in medians, share of
+the points); a clump is removed if it is wider spaced, smaller than the share, and not a sheet. For comparison: a part
+sampled ten times thinner is spaced 3.2 times wider."""
 _SHEET_THICKNESS = 0.03
-"""Smallest share of the variance in a neighbourhood (of 1/3 for a ball) from which on it is no sheet: noise at the
-spacing gives 0.06, sheets without noise less than 0.02."""
+"""Smallest eigenvalue's share of the variance of a neighbourhood (1/3 for a ball), from which on it is not a sheet:
+noise as large as the spacing gives 0.06, sheets without noise less than 0.02."""
 
 _HALF_NEIGHBOURHOOD = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])[14:]
-"""Of the 26 cells around a cell the 13 whose pairs, taken from both sides, are all."""
+"""Offsets to 13 of the 26 cells around a cell: with them every pair of neighbouring cells is visited once."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A point is stray when its spacing exceeds `most` x the median or `any` x the smallest spacing of its neighbours,
-    or `off_plane` x the smallest while it lies farther than `height` spacings from its neighbours' plane."""
+    """Thresholds: a point is an outlier when its spacing exceeds `most` x the median or `any` x the smallest spacing of
+    its neighbours, or `off_plane` x the smallest while it is farther than `height` spacings from their plane."""
 
     most: float
     any: float
@@ -48,11 +48,15 @@ class _Rule:
 
 _GENTLE = _Rule(most=2.6, any=4.0, off_plane=2.4, height=0.35)
 _STRICT = _Rule(most=2.4, any=4.0, off_plane=2.0, height=0.5)
-"""For clouds known to hold strays: costs up to 0.2 % of a surface, halves the strays left within 2 spacings of it."""
+"""For clouds known to have outliers: removes up to 0.2 % of a surface, and halves the outliers left within 2 spacings
+of it."""
 
 
 def inliers(xyz: Floats, tick: Tick = no_tick) -> Bools:
-    """(N,) which of the distinct points `xyz` (N,3) belong to something; all, of fewer than 2·`_NEIGHBOURS`."""
+    """Return a mask (N,): False for the outliers among the distinct points `xyz` (N,3).
+
+    With fewer than 2·`_NEIGHBOURS` points all are inliers.
+    """
     keep = np.ones(len(xyz), bool)
     if len(xyz) < 2 * _NEIGHBOURS:
         return keep
@@ -74,10 +78,10 @@ def inliers(xyz: Floats, tick: Tick = no_tick) -> Bools:
 
 
 class _Graph:
-    """Points that are left, with their nearest neighbours: index (M,) into the cloud, near (M,k) into the M points."""
+    """The M remaining points and their nearest neighbours: index (M,) into the cloud, near (M,k) into the M points."""
 
     def __init__(self, xyz: Floats) -> None:
-        # In the order of space instead of the file's, the search finds its way in the cache: 2.6 times faster.
+        # Sorted in space instead of in the file's order, the search uses the cache better: 2.6 times faster.
         cell = float(np.ptp(xyz, axis=0).max()) / _SORTING_CELLS
         self.index: Ints = np.argsort(voxel_keys(xyz - xyz.min(axis=0), cell or 1.0), kind="stable")
         self._xyz = xyz[self.index]
@@ -85,7 +89,7 @@ class _Graph:
         self._changed: Ints = np.zeros(0, np.int64)
 
     def remove(self, stray: Bools) -> None:
-        """Drop points; only those that lost a neighbour look for new ones."""
+        """Remove points; neighbours are searched again only for the points that lost one."""
         keep = ~stray
         lost = np.asarray(stray[self._near].any(axis=1))[keep]
         renumber = np.cumsum(keep) - 1
@@ -95,7 +99,7 @@ class _Graph:
         self._changed = np.flatnonzero(lost | lost[self._near].any(axis=1))
 
     def stray(self, rule: _Rule, *, everywhere: bool) -> Bools:
-        """(M,) strays, everywhere or among the points whose neighbourhood changed since the last round."""
+        """Return a mask (M,) of outliers, among all points or those whose neighbourhood changed in the last round."""
         at = np.arange(len(self.index)) if everywhere else self._changed
         near = self._near[at]
         around: Floats = self._spacing[near]
@@ -110,21 +114,21 @@ class _Graph:
         return stray
 
     def clumps(self, wider: float, share: float) -> Bools:
-        """(M,) points spaced `wider` than the median that form no sheet, in clumps of less than `share` of all."""
+        """Return a mask (M,) of clumps spaced `wider` than the median, smaller than `share` of all, and not sheets."""
         wide = np.flatnonzero(self._spacing > wider * np.median(self._spacing))
         stray = np.zeros(len(self.index), bool)
         if not len(wide):
             return stray
         thickness, _ = _planes(self._xyz[wide], self._xyz[self._near[wide]])
-        label = connected(self._xyz[wide], 2 * float(np.median(self._spacing[wide])))
+        label = label_components(self._xyz[wide], 2 * float(np.median(self._spacing[wide])))
         size = np.bincount(label)
         thick = np.bincount(label, weights=thickness) / size > _SHEET_THICKNESS
         stray[wide] = (thick & (size < share * len(self.index)))[label]
         return stray
 
 
-def connected(xyz: Floats, reach: float) -> Ints:
-    """(N,) component of every point, 0 for the largest: points in touching cells of side `reach` are connected."""
+def label_components(xyz: Floats, reach: float) -> Ints:
+    """Label connected components (N,), 0 for the largest: points in touching cells of side `reach` are connected."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -146,7 +150,7 @@ def connected(xyz: Floats, reach: float) -> Ints:
 
 
 def _neighbours(xyz: Floats, queries: Floats) -> tuple[Floats, Ints]:
-    """Mean distance (Q,) of every query, itself a point, to its nearest others, and their indices (Q,k)."""
+    """Return the mean distance (Q,) of each query, itself a point, to its nearest others, and their indices (Q,k)."""
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(xyz).query(queries, k=_NEIGHBOURS + 1, workers=-1)
@@ -154,8 +158,11 @@ def _neighbours(xyz: Floats, queries: Floats) -> tuple[Floats, Ints]:
 
 
 def _planes(xyz: Floats, around: Floats) -> tuple[Floats, Floats]:
-    """Least-squares planes of neighbourhoods `around` (M,k,3): their thickness (M,) as the smallest share of the
-    variance, and the heights (M,) of the points `xyz` (M,3) above them."""
+    """Fit least-squares planes to neighbourhoods `around` (M,k,3).
+
+    Returns their thickness (M,), the smallest eigenvalue's share of the variance, and the distances (M,) of the points
+    `xyz` (M,3) from them.
+    """
     centre = around.mean(axis=1)
     spread = around - centre[:, None]
     values, vectors = np.linalg.eigh(np.einsum("mki,mkj->mij", spread, spread))

@@ -1,4 +1,4 @@
-"""The largest plane in a set of points, by random samples and refinement."""
+"""Find the largest plane in a point cloud, by RANSAC and least-squares refinement."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ import numpy as np
 from services.edge.arrays import Floats
 
 _SAMPLES = 400
-"""Random planes tried: finds a plane that holds 20 % of the points with a probability of 96 %, one of 30 % always."""
+"""Random planes tried: finds a plane with 20 % of the points with a probability of 96 %, one with 30 % always."""
 _JUDGES = 5_000
-"""Points that judge a candidate."""
+"""Points on which the random planes are compared."""
 _REFINEMENTS = 5
+"""Rounds of least squares."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """normal·x = offset; normal (3,) unit; spread: standard deviation of its points' distances; share of all points."""
+    """A plane normal·x = offset that was fitted to points.
+
+    normal (3,) unit vector; spread: standard deviation of its inliers' distances; share: of all points, its inliers.
+    """
 
     normal: Floats
     offset: float
@@ -25,7 +29,7 @@ class Plane:
     share: float
 
     def height(self, xyz: Floats) -> Floats:
-        """(N,3) -> (N,) signed distance, positive on the normal's side."""
+        """Return the signed distances (N,) of points (N,3), positive on the normal's side."""
         heights: Floats = xyz @ self.normal - self.offset
         return heights
 
@@ -34,10 +38,10 @@ class Plane:
 
 
 def largest_plane(xyz: Floats, reach: float, *, along: Floats | None = None, within_deg: float = 90.0) -> Plane | None:
-    """The plane with most points (N,3) within `reach` of it, or None where no three points span one.
+    """Find the plane with the most points (N,3) within `reach` of it; None where no three points span a plane.
 
-    With `along` (3,) unit only planes whose normal is within `within_deg` of it count, and the normal points along it.
-    Seeded: the same points give the same plane.
+    With a unit vector `along` (3,), only planes whose normal is within `within_deg` of it count, and the normal points
+    along it. The random generator is seeded: the same points give the same plane.
     """
     rng = np.random.default_rng(0)
     judges = xyz[rng.permutation(len(xyz))[:_JUDGES]]
@@ -59,7 +63,7 @@ def largest_plane(xyz: Floats, reach: float, *, along: Floats | None = None, wit
 
 
 def _refine(xyz: Floats, normal: Floats, offset: float, reach: float) -> Plane:
-    """Least squares over the inliers, again and again, with a reach that shrinks to three standard deviations."""
+    """Refine a plane by repeated least squares over its inliers; the reach shrinks to three standard deviations."""
     spread = reach
     for _ in range(_REFINEMENTS):
         inside = np.abs(xyz @ normal - offset) < min(reach, 3 * spread)
@@ -68,7 +72,7 @@ def _refine(xyz: Floats, normal: Floats, offset: float, reach: float) -> Plane:
         centre = xyz[inside].mean(axis=0)
         values, vectors = np.linalg.eigh(np.cov((xyz[inside] - centre).T))
         normal, offset = vectors[:, 0], float(vectors[:, 0] @ centre)
-        # Points of a noiseless plane have no spread; a thousandth of the reach keeps their rounding inside.
+        # Points of a noiseless plane have spread 0; with a thousandth of the reach, rounding errors stay inliers.
         spread = max(float(np.sqrt(max(values[0], 0))), 1e-3 * reach)
     share = float(np.mean(np.abs(xyz @ normal - offset) < min(reach, 3 * spread)))
     return Plane(normal, offset, spread, share)

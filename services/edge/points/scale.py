@@ -1,4 +1,4 @@
-"""One length that a person measured, for captures that do not know how large anything is."""
+"""Scale points by a length that a person measured, for captures whose scale is unknown."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from services.edge.arrays import Floats
 from services.edge.points.nouns import Points
 
 _MOST = 2_000
-"""Corners of the hull that are compared pair by pair."""
+"""Most corners of the convex hull that are compared pair by pair."""
 
 
-def with_longest(points: Points, longest_m: float) -> Points:
-    """The same points, two of which are `longest_m` metres apart and none farther; the scale then is an estimate."""
+def scale_to_longest(points: Points, longest_m: float) -> Points:
+    """Set the scale so that the two points farthest apart are `longest_m` metres apart; its confidence: "estimated"."""
     return replace(points, metres_per_unit=longest_m / span(points.xyz), scale_confidence="estimated")
 
 
 def span(xyz: Floats) -> float:
-    """The greatest distance between two of the points (N,3), N >= 2 and not all in one place."""
+    """Return the greatest distance between two of the points (N,3); N >= 2, and not all points are equal."""
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import pdist
 
     try:
         corners = xyz[ConvexHull(xyz).vertices]
-    except QhullError:  # flat, or in a line: then all of them may be corners
+    except QhullError:  # points on one plane or line have no hull: use all of them
         corners = xyz
-    if len(corners) > _MOST:  # the farthest along many directions: less than 0.1 % is lost
-        ways = np.random.default_rng(0).normal(size=(_MOST // 2, 3))
-        along = corners @ ways.T
+    if len(corners) > _MOST:  # take the extreme points along many directions: the result is less than 0.1 % too small
+        directions = np.random.default_rng(0).normal(size=(_MOST // 2, 3))
+        along = corners @ directions.T
         corners = corners[np.unique(np.r_[along.argmin(axis=0), along.argmax(axis=0)])]
     return float(pdist(corners).max())

@@ -1,4 +1,4 @@
-"""The frame in which a field is fitted."""
+"""Compute the unit frame, in which a field is fitted."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from services.edge.points.nouns import UnitFrame
 
 
 def unit_frame(xyz: Floats) -> UnitFrame:
-    """The frame that centres the bounding box of `xyz` (N,3) at 0 with its longest side 1.
+    """Return the frame that centres the bounding box of `xyz` (N,3) at 0 with its longest side 1.
 
     float64 throughout: georeferenced coordinates near 1e6 keep a nanometre. Points on one plane or line are fine.
     Raises CaptureError: CAPTURE_EMPTY without points, CAPTURE_DEGENERATE where all are equal or not finite.
     """
     xyz = np.asarray(xyz, np.float64)
     if not len(xyz):
-        raise CaptureError("CAPTURE_EMPTY", "there are no points to frame")
+        raise CaptureError("CAPTURE_EMPTY", "there are no points to reconstruct")
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     size = float((high - low).max())
     if not (np.isfinite(size) and size > 0):
-        raise CaptureError("CAPTURE_DEGENERATE", f"all {len(xyz)} points lie at one place or are not finite")
+        raise CaptureError("CAPTURE_DEGENERATE", f"all {len(xyz)} points are at the same position or not finite")
     return UnitFrame(centre=low + (high - low) / 2, size=size)

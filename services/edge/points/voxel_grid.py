@@ -1,4 +1,7 @@
-"""Voxels as sorted integer keys: grouping, thinning and an average that grows frame by frame in bounded memory."""
+"""Voxel grids as sorted integer keys: group points by voxel, and average observations frame by frame.
+
+Memory is bounded, however many observations are added.
+"""
 
 from __future__ import annotations
 
@@ -9,33 +12,36 @@ import numpy as np
 from services.edge.arrays import Bools, Floats, Ints
 
 _BITS = 21
-"""Bits per axis of a key: three of them fill 63 bits, so a grid spans two million voxels a side."""
+"""Bits per axis of a key: three axes fill 63 bits, so a grid spans two million voxels per side."""
 _HALF = 1 << (_BITS - 1)
 _MERGE_ROWS = 400_000
-"""Rows waiting before they are merged with the grid: sorting a few large batches beats sorting every frame."""
+"""Buffered rows before they are merged into the grid: sorting few large batches is faster than sorting every frame."""
 _COARSER = 1.26
-"""Growth of the voxel when the grid is full: 2^(1/3), about a third fewer voxels on a surface."""
+"""Growth of the voxel size when the grid is full: 2^(1/3), about a third fewer voxels on a surface."""
 
 
 def voxel_keys(xyz: Floats, voxel: float) -> Ints:
-    """(N,3) relative to an origin nearby -> (N,) int64, equal for points of one voxel. Far cells share the border's."""
+    """Return int64 keys (N,) of points (N,3), equal for points of one voxel.
+
+    xyz is relative to an origin nearby: points beyond the grid's range get the keys of its border.
+    """
     return cell_keys(np.clip(np.floor(xyz / voxel), -_HALF, _HALF - 1).astype(np.int64) + _HALF)
 
 
 def cell_keys(cells: Ints) -> Ints:
-    """(N,3) integer cells, each from 0 to 2^21 - 1 -> (N,) keys."""
+    """Pack integer cells (N,3), each from 0 to 2^21 - 1, into keys (N,)."""
     keys: Ints = (cells[:, 0] << (2 * _BITS)) | (cells[:, 1] << _BITS) | cells[:, 2]
     return keys
 
 
 def key_cells(keys: Ints) -> Ints:
-    """The inverse of `cell_keys`: (N,) keys -> (N,3) cells."""
+    """Unpack keys (N,) into cells (N,3): the inverse of `cell_keys`."""
     mask = (1 << _BITS) - 1
     return np.stack([keys >> (2 * _BITS), (keys >> _BITS) & mask, keys & mask], axis=1)
 
 
 def sum_groups(keys: Ints, values: Floats) -> tuple[Ints, Floats]:
-    """Sum the rows of `values` (N,C) that share a key: distinct keys (M,) ascending, sums (M,C)."""
+    """Sum the rows of `values` (N,C) that share a key; return the distinct keys (M,), ascending, and the sums (M,C)."""
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     starts = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]]) if len(keys) else np.zeros(0, np.int64)
@@ -49,8 +55,8 @@ class Samples:
     """Observations of surface points, one row each; everything float32 but xyz.
 
     xyz (N,3) relative to the grid's origin; normal (N,3) unit, towards the viewer, or zeros;
-    light (N,3) linear, zeros where unseen; confidence (N,) in [0,1]; weight (N,) how much the observation counts in
-    averages; clarity (N,) how much its light counts beyond that, 0 where unseen.
+    light (N,3) linear colour, zeros without a picture; confidence (N,) in [0,1]; weight (N,) of the observation in
+    averages; clarity (N,): additional weight of its colour, 0 without a picture.
     """
 
     xyz: Floats
@@ -64,6 +70,7 @@ class Samples:
         return len(self.xyz)
 
     def take(self, index: Ints | Bools) -> Samples:
+        """Return the rows of a mask or of indices."""
         return Samples(
             self.xyz[index],
             self.normal[index],
@@ -75,9 +82,9 @@ class Samples:
 
 
 class VoxelGrid:
-    """Weighted averages per voxel. Holds at most `limit` voxels: when full, the voxel grows.
+    """Weighted averages of observations per voxel, for at most `limit` voxels: with more, the voxel size grows.
 
-    Memory is that of the voxels plus `_MERGE_ROWS` waiting rows, however many observations are added.
+    Memory is that of the voxels plus `_MERGE_ROWS` buffered rows, however many observations are added.
     """
 
     def __init__(self, voxel: float, limit: int) -> None:
@@ -85,24 +92,26 @@ class VoxelGrid:
         self._limit = limit
         self._keys: Ints = np.zeros(0, np.int64)
         self._sums: Floats = np.zeros((0, 12), np.float32)
-        self._waiting: list[tuple[Ints, Floats]] = []
+        self._buffer: list[tuple[Ints, Floats]] = []
 
     def add(self, samples: Samples) -> None:
-        self._waiting.append(sum_groups(voxel_keys(samples.xyz, self.voxel), _moments(samples)))
-        if sum(len(keys) for keys, _ in self._waiting) > max(_MERGE_ROWS, len(self._keys) // 2):
+        """Add observations; they are buffered and merged in large batches."""
+        self._buffer.append(sum_groups(voxel_keys(samples.xyz, self.voxel), _moments(samples)))
+        if sum(len(keys) for keys, _ in self._buffer) > max(_MERGE_ROWS, len(self._keys) // 2):
             self._merge()
 
     def averages(self) -> Samples:
-        """One sample per voxel; its weight is the sum of the weights."""
+        """Return one averaged sample per voxel; its weight is the sum of the weights."""
         self._merge()
         return _average(self._sums)
 
     def _merge(self) -> None:
-        batches: list[tuple[Ints, Floats]] = [(self._keys, self._sums), *self._waiting]
+        """Merge the buffer into the grid, and enlarge the voxels while there are too many."""
+        batches: list[tuple[Ints, Floats]] = [(self._keys, self._sums), *self._buffer]
         all_keys = np.concatenate([batch[0] for batch in batches])
         sums: Floats = np.concatenate([batch[1] for batch in batches])
         self._keys, self._sums = sum_groups(all_keys, sums)
-        self._waiting.clear()
+        self._buffer.clear()
         while len(self._keys) > self._limit:
             self.voxel *= _COARSER
             means = self._sums[:, 1:4] / self._sums[:, :1]
@@ -110,7 +119,7 @@ class VoxelGrid:
 
 
 def _moments(samples: Samples) -> Floats:
-    """(N,12) float32: w, w·xyz, w·normal, w·confidence, w·clarity, w·clarity·light."""
+    """Return the rows that are summed (N,12) float32: w, w·xyz, w·normal, w·confidence, w·clarity, w·clarity·light."""
     w = samples.weight.astype(np.float32)[:, None]
     lit = w * samples.clarity[:, None]
     columns: list[Floats] = [
@@ -125,6 +134,7 @@ def _moments(samples: Samples) -> Floats:
 
 
 def _average(sums: Floats) -> Samples:
+    """Divide summed rows (N,12) by their weights."""
     w, lit = sums[:, :1], sums[:, 8:9]
     light = sums[:, 9:12] / np.where(lit > 0, lit, 1)
     return Samples(sums[:, 1:4] / w, sums[:, 4:7] / w, light, lit[:, 0] / w[:, 0], sums[:, 7] / w[:, 0], w[:, 0])

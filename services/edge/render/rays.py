@@ -1,4 +1,4 @@
-"""Rays against a mesh, by Embree: the pictures, and the cameras of the simulated captures."""
+"""Ray casting against a mesh with Embree, for rendered images, texture baking and simulated captures."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from services.edge.arrays import Bools, Floats, Ints
 from services.edge.mesh.nouns import Mesh
 
-LIFT = 1e-3  # of the longest side: where a ray starts above its surface, so that it does not meet it again
-_SKY_REACH = 0.35  # of the longest side: things farther off do not darken
+LIFT = 1e-3  # of the longest side: offset of a ray's origin from its surface, so that it does not hit that again
+_SKY_REACH = 0.35  # of the longest side: surface farther off does not darken
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What each of N rays met first.
+    """First hits of N rays.
 
-    face (N,) int64, −1 where nothing; along (N,) float32 in lengths of the ray's direction, infinite where nothing;
-    bary (N,3) float32 weights of the face's corners.
+    face (N,) int64, −1 where nothing was hit; along (N,) float32 distance in lengths of the ray's direction, infinite
+    where nothing was hit; bary (N,3) float32 barycentric weights of the face's corners.
     """
 
     face: Ints
@@ -28,9 +28,10 @@ class Hits:
 
 
 class Scene:
-    """A mesh, ready to be looked at; rays are in its frame. Inside it is centred and scaled, for float32's sake.
+    """A mesh with Embree's acceleration structure. Rays are in the mesh's frame; inside, everything is centred and
+    scaled, because Embree computes in float32.
 
-    May be shared by threads, and should be: Embree lets go of the interpreter (7 M rays/s on one, 13 M/s on two).
+    Threads may share it, and should: Embree releases the interpreter lock (7 M rays/s on one thread, 13 M/s on two).
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -47,14 +48,14 @@ class Scene:
         self._run(np.zeros((1, 3)), np.ones((1, 3)))  # builds the tree now, before threads share it
 
     def cast(self, origins: Floats, directions: Floats) -> Hits:
-        """The first face along each ray; origins (N,3) or (1,3), directions (N,3) of any length but 0."""
+        """Find the first face along each ray; origins (N,3) or (1,3), directions (N,3) of any length but 0."""
         found = self._run(origins, directions, output=True)
         face, along, u, v = (found[key] for key in ("primID", "tfar", "u", "v"))
         along[face < 0] = np.inf
         return Hits(face.astype(np.int64), along, np.stack([1 - u - v, u, v], axis=1))
 
     def blocked(self, origins: Floats, directions: Floats, reach: float) -> Bools:
-        """(N,) True where something lies within `reach` lengths of the ray's direction."""
+        """Test each ray for occlusion: (N,) True where a face lies within `reach` lengths of the ray's direction."""
         limit = np.full(len(directions), reach, dtype=np.float32)
         hit: Bools = self._run(origins, directions, dists=limit, query="OCCLUDED") >= 0
         return hit
@@ -65,7 +66,7 @@ class Scene:
 
 
 def pinhole(x: Floats, y: Floats, right: Floats, down: Floats, ahead: Floats) -> Floats:
-    """(len(y)·len(x),3) float32 rays of a grid of pixels, row by row: ahead + x·right + y·down."""
+    """Ray directions of a pinhole camera: (len(y)·len(x),3) float32, row by row: ahead + x·right + y·down."""
     grid = np.empty((len(y), len(x), 3), dtype=np.float32)
     grid[:] = (ahead + x[:, None] * right)[None]
     grid += (y[:, None] * down).astype(np.float32)[:, None]
@@ -73,9 +74,9 @@ def pinhole(x: Floats, y: Floats, right: Floats, down: Floats, ahead: Floats) ->
 
 
 def open_sky(scene: Scene, vertices: Floats, normals: Floats, *, rays: int) -> Floats:
-    """(V,) share of the half-space over each vertex that is open, by `rays` spread like a matte surface's light.
+    """Ambient occlusion: (V,) share of `rays` rays over each vertex that hit nothing, with a cosine distribution.
 
-    vertices (V,3), normals (V,3) of unit length, float32. Whatever is farther off than `_SKY_REACH` darkens nothing.
+    vertices (V,3), normals (V,3) of unit length, float32. Surface farther off than `_SKY_REACH` does not count.
     """
     tangent = np.cross(normals, np.eye(3, dtype=np.float32)[np.abs(normals).argmin(axis=1)])
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -84,7 +85,7 @@ def open_sky(scene: Scene, vertices: Floats, normals: Floats, *, rays: int) -> F
     turn = np.random.default_rng(0).random(len(normals), dtype=np.float32) * np.float32(2 * np.pi)
     closed = np.zeros(len(normals), dtype=np.float32)
     for number in range(rays):
-        # Malley: points spread evenly on the disk (a sunflower's spiral), lifted to the hemisphere.
+        # Malley's method: points spread evenly on the disk (a Fibonacci spiral), projected up to the hemisphere.
         radius = np.float32(np.sqrt((number + 0.5) / rays))
         angle = turn + np.float32(number * np.pi * (3 - np.sqrt(5)))
         ray = (radius * np.cos(angle))[:, None] * tangent + (radius * np.sin(angle))[:, None] * bitangent

@@ -1,6 +1,6 @@
-"""Small pictures for pages: one of the thing from three quarters, and one that turns it round. WebP on nothing.
+"""Render small images for web pages: a thumbnail and a turning animation, as WebP with a transparent background.
 
-The colours are straight (not times alpha), so that a page of any colour shows through the edges.
+The alpha is straight (colours are not premultiplied), so that a page of any colour shows through the edges.
 """
 
 from __future__ import annotations
@@ -10,59 +10,58 @@ from io import BytesIO
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Tick, no_tick
-from services.edge.mesh.band import part_of
-from services.edge.mesh.nouns import Mesh, Textured
-from services.edge.mesh.views import Subject, View, cameras, view
+from services.edge.arrays import Bytes, Tick, no_tick, part_of
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.parallel import in_threads
+from services.edge.render.renderer import RenderedView, RenderMesh, place_cameras, render_view
 from services.edge.srgb import to_srgb
-from services.edge.threads import in_threads
 
-THUMBNAIL_SIDE, THUMBNAIL_BYTES = 256, 15_000  # a page of a hundred is 1.5 MB at most
+THUMBNAIL_SIDE, THUMBNAIL_BYTES = 256, 15_000  # pixels, bytes: a page of a hundred thumbnails is 1.5 MB at most
 TURNING_SIDE, TURNING_BYTES = 192, 200_000
 
 _AZIMUTH, _ELEVATION = 30.0, 18.0  # degrees: front and side both show, and a little of the top
-_SKY_RAYS = 400_000  # the grain of fewer would show; that of these is lost between small pixels
-_FRAMES = 24  # 15° from one to the next: still read as turning
-_FRAME_MS = 125  # once round in 3 s
-_QUALITIES = (82, 68, 54, 40, 26, 12, 0)  # of WebP, the best that keeps within the bytes; 82 looks like the original
-_PROBES = 4  # frames, evenly spread, that tell what all of them will take
-_SPARE = 0.9  # of the bytes: how far the probes are trusted
+_SKY_RAYS = 400_000  # the noise of fewer would show; at this size the noise of these does not
+_FRAMES = 24  # 15° from one to the next: it still looks like turning
+_FRAME_MS = 125  # one turn in 3 s
+_QUALITIES = (82, 68, 54, 40, 26, 12, 0)  # of WebP: the best that fits is taken; 82 looks like the original
+_PROBES = 4  # evenly spread frames from which the size of all is estimated
+_SPARE = 0.9  # of the bytes: what the estimate may use, for it is not exact
 
 
-def thumbnail(mesh: Mesh | Textured) -> bytes:
-    """WebP of 256² pixels with alpha, the thing from three quarters, Y up; at most 15 KB.
+def thumbnail(mesh: Mesh | TexturedMesh) -> bytes:
+    """Render a WebP of 256² pixels with alpha: the mesh in three-quarter view, Y up; at most 15 KB.
 
-    For LOD1 or LOD2: more faces show nothing more. Raises ValueError if there are no faces.
+    Meant for LOD1 or LOD2: more faces would not show. Raises ValueError if there are no faces.
     """
-    subject = Subject.of(mesh, THUMBNAIL_SIDE, sky_rays=_SKY_RAYS)
-    (camera,) = cameras(subject, (_AZIMUTH,), _ELEVATION)
-    return _within([_rgba(view(subject, camera, THUMBNAIL_SIDE))], THUMBNAIL_BYTES)
+    subject = RenderMesh.of(mesh, THUMBNAIL_SIDE, sky_rays=_SKY_RAYS)
+    (camera,) = place_cameras(subject, (_AZIMUTH,), _ELEVATION)
+    return _compress([_rgba(render_view(subject, camera, THUMBNAIL_SIDE))], THUMBNAIL_BYTES)
 
 
-def turning(mesh: Mesh | Textured, *, tick: Tick = no_tick) -> bytes:
-    """Animated WebP of 192² pixels with alpha that loops for ever: the thing turned once round Y; at most 200 KB.
+def turning_preview(mesh: Mesh | TexturedMesh, *, tick: Tick = no_tick) -> bytes:
+    """Render an animated WebP of 192² pixels with alpha that loops for ever: the mesh turning about Y; at most 200 KB.
 
-    For LOD1 or LOD2. `tick` is called before the frames and after each, with the fraction done. Raises ValueError if
-    there are no faces.
+    Meant for LOD1 or LOD2. `tick` is called before the frames and after each, with the fraction done. Raises ValueError
+    if there are no faces.
     """
-    subject = Subject.of(mesh, TURNING_SIDE, sky_rays=_SKY_RAYS)
+    subject = RenderMesh.of(mesh, TURNING_SIDE, sky_rays=_SKY_RAYS)
     tick(0)
     azimuths = [_AZIMUTH - 360 * frame / _FRAMES for frame in range(_FRAMES)]
-    around = cameras(subject, azimuths, _ELEVATION)
-    frames = in_threads(lambda camera: _rgba(view(subject, camera, TURNING_SIDE)), around, part_of(tick, 0, 0.8))
-    animation = _within(frames, TURNING_BYTES)
+    around = place_cameras(subject, azimuths, _ELEVATION)
+    frames = in_threads(lambda camera: _rgba(render_view(subject, camera, TURNING_SIDE)), around, part_of(tick, 0, 0.8))
+    animation = _compress(frames, TURNING_BYTES)
     tick(1)
     return animation
 
 
-def _rgba(seen: View) -> Bytes:
+def _rgba(view: RenderedView) -> Bytes:
     """(S,S,4) uint8: sRGB and straight alpha."""
-    colour = to_srgb(seen.light / np.maximum(seen.cover, 1e-6))
-    return np.concatenate([colour, np.rint(255 * seen.cover).astype(np.uint8)], axis=2)
+    colour = to_srgb(view.light / np.maximum(view.cover, 1e-6))
+    return np.concatenate([colour, np.rint(255 * view.cover).astype(np.uint8)], axis=2)
 
 
-def _within(frames: Sequence[Bytes], most: int) -> bytes:
-    """The frames as one WebP of the best quality that takes so many bytes at most."""
+def _compress(frames: Sequence[Bytes], most: int) -> bytes:
+    """Encode frames as one WebP of the best quality that takes at most `most` bytes."""
     probes = frames[:: max(1, len(frames) // _PROBES)]
     share = len(probes) / len(frames)
     for quality in _QUALITIES:
@@ -79,7 +78,7 @@ def _webp(frames: Sequence[Bytes], quality: int) -> bytes:
 
     first, *others = (Image.fromarray(frame) for frame in frames)
     out = BytesIO()
-    # Every frame on its own: a difference from the one before is no shorter where everything moves, and takes longer.
+    # Every frame is a key frame: where everything moves, a difference from the last frame is no smaller, and slower.
     turn = {"save_all": True, "append_images": others, "duration": _FRAME_MS, "loop": 0, "kmin": 0, "kmax": 1}
     first.save(out, "WEBP", quality=quality, method=4, **(turn if others else {}))
     return out.getvalue()

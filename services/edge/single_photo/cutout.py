@@ -1,7 +1,7 @@
-"""The thing in a photo: which pixels are it, and the square around it that the network sees. numpy and OpenCV.
+"""Segment the thing in a photo, and crop the square around it that the network sees. numpy and OpenCV.
 
-An alpha channel says it; otherwise GrabCut does (Rother et al. 2004), started from what differs from the colours along
-the picture's border and lies near its middle.
+The mask is an alpha channel, where there is one; otherwise GrabCut computes it (Rother et al. 2004), started from what
+differs from the colours along the picture's border and lies near its middle.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from services.edge.capture.nouns import Photo
 from services.edge.errors import CaptureError
 
 LONGEST = 320
-"""Pixels of the picture that is cut: GrabCut takes 0.2 s, and the network sees 64."""
-_BORDER = 0.04  # of the longer side: what is so near the edge is background, or the thing is not in the picture
-_BORDER_COLOURS = 4
+"""Longest side in pixels of the picture that is segmented: GrabCut takes 0.2 s, and the network sees only 64."""
+_BORDER = 0.04  # of the longer side: width of the border, which is taken for background
+_BORDER_COLOURS = 4  # clusters of k-means
 _ROUNDS = 5  # of GrabCut
-_SURELY, _PERHAPS = 2.5, 1.2  # times the usual distance of border colours from their centres
-_LEAST_LAB = 7.0  # distance in CIELAB that lamps and lenses make of one wall
-_LIGHTNESS = 0.6  # of it that counts: shadows are darker than their ground and of the same colour
-_OUTLINE = 1.2  # CIELAB per pixel across the outline; things have 4 and more, what a lens dims has no outline
-_AREA = (0.005, 0.92)  # shares of the picture that a thing takes
-_EDGE = 0.25  # of a side of the picture: more than so much of it covered, and the thing touches that side
-_OPAQUE = 128
+_SURELY, _PERHAPS = 2.5, 1.2  # `_strangeness` above which a pixel is surely, or perhaps, the thing
+_LEAST_LAB = 7.0  # least spread, in CIELAB: lamps and lenses make as much of one wall
+_LIGHTNESS = 0.6  # weight of lightness in a distance: shadows are darker than their ground and of the same colour
+_OUTLINE = 1.2  # least contrast of an outline, CIELAB per pixel; things have 4 and more, lens vignetting has none
+_AREA = (0.005, 0.92)  # least and most share of the picture that a thing covers
+_EDGE = 0.25  # share of a side of the picture that a thing which is cut off there covers at least
+_OPAQUE = 128  # alpha from which on a pixel belongs to the thing
 _ADVICE = (
     "take the photo so that the whole thing is in it, with some background on every side",
     "choose a background of another colour than the thing, in even light",
@@ -35,56 +35,59 @@ _ADVICE = (
 
 @dataclass(frozen=True, slots=True)
 class CutOut:
-    """rgb (h,w,3) uint8 upright, and mask (h,w) of the thing."""
+    """A segmented photo: rgb (h,w,3) uint8 upright, and mask (h,w) of the thing."""
 
     rgb: Bytes
     mask: Bools
 
 
 def cut_out(photo: Photo) -> CutOut:
-    """An alpha channel tells the thing where it hides anything at all.
+    """Segment the thing in a photo: by its alpha channel, if that hides anything, else by colour.
 
     Raises CaptureError CAPTURE_NO_OBJECT where nothing stands out, or what does is cut off on every side.
     """
     stored = photo.load(LONGEST)
     alpha = photo.load_alpha() if photo.load_alpha else None
-    rgb = upright(stored, photo.turns)
+    rgb = rotate_clockwise(stored, photo.turns)
     if alpha is None or not 0 < (alpha >= _OPAQUE).mean() < 1:
-        return CutOut(rgb, standing_out(rgb, photo.name))
+        return CutOut(rgb, segment_by_colour(rgb, photo.name))
     height, width = stored.shape[:2]
     small = np.asarray(cv2.resize(alpha, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    return CutOut(rgb, upright(small, photo.turns) >= _OPAQUE)
+    return CutOut(rgb, rotate_clockwise(small, photo.turns) >= _OPAQUE)
 
 
-def upright(pixels: Bytes, turns: int) -> Bytes:
-    """Quarter turns clockwise."""
+def rotate_clockwise(pixels: Bytes, turns: int) -> Bytes:
+    """Rotate pixels clockwise by so many quarter turns."""
     return np.ascontiguousarray(np.rot90(pixels, -turns))
 
 
-def standing_out(rgb: Bytes, name: str) -> Bools:
-    """(h,w): what differs from the border. Raises CaptureError CAPTURE_NO_OBJECT."""
+def segment_by_colour(rgb: Bytes, name: str) -> Bools:
+    """Mask (h,w) of what differs in colour from the border. Raises CaptureError CAPTURE_NO_OBJECT."""
     strange = _strangeness(rgb)
     seeds = _seeds(strange)
     if seeds is None:
         raise _no_object(name, "shows nothing that stands out from its background")
     cv2.setRNGSeed(0)  # GrabCut draws its first colour clusters
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    whole = (0, 0, 0, 0)  # not looked at: the seeds say where to begin
-    labels, _, _ = cv2.grabCut(rgb[..., ::-1].copy(), seeds, whole, *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    unused = (0, 0, 0, 0)  # the rectangle: the seeds take its place
+    labels, _, _ = cv2.grabCut(rgb[..., ::-1].copy(), seeds, unused, *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
     mask = _main_part((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
     _check(mask, strange, rgb, name)
     return mask
 
 
-def square(cut: CutOut, side: int, fill: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Floats:
-    """(side,side,4) float32 in [0,1], colours times mask and mask; the thing's longer side takes `fill` of it, its
-    middle lies `shift` squares right of and below the square's."""
+def crop_square(cut: CutOut, side: int, fill: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    """Crop a square around the thing -> (side,side,4) float32 in [0,1]: colours times mask, and mask.
+
+    The thing's longer side takes `fill` of the square; its middle lies `shift` squares right of and below the square's.
+    """
     rows, columns = np.flatnonzero(cut.mask.any(axis=1)), np.flatnonzero(cut.mask.any(axis=0))
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     length = max(bottom - top, right - left) / fill
     x0 = (left + right) / 2 - length * (0.5 + shift[0])
     y0 = (top + bottom) / 2 - length * (0.5 + shift[1])
-    # Drawn finer than the photo where that is finer, then averaged. Pixel i lies at x0 + (i + ½)·by − ½ of the photo.
+    # Where the photo is finer than the square, warp to a multiple of the square's size, then average. Pixel i lies at
+    # x0 + (i + ½)·by − ½ of the photo.
     fine = side * max(1, int(np.ceil(length / side)))
     by = length / fine
     warp = np.array([[by, 0, x0 + by / 2 - 0.5], [0, by, y0 + by / 2 - 0.5]])
@@ -95,26 +98,26 @@ def square(cut: CutOut, side: int, fill: float, *, shift: tuple[float, float] = 
 
 
 def _strangeness(rgb: Bytes) -> Floats:
-    """(h,w): how far a pixel's colour is from those along the border, in their usual distances from one another."""
+    """Distance (h,w) of each pixel's colour from the colours along the border, in units of their usual spread."""
     lab = _lab(rgb)
     border = lab[~_inside(lab.shape[:2])]
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.5)
     cv2.setRNGSeed(0)
     unlabelled = np.zeros((len(border), 1), np.int32)
     compactness, _, centres = cv2.kmeans(border, _BORDER_COLOURS, unlabelled, criteria, 3, cv2.KMEANS_PP_CENTERS)
-    usual = max(_LEAST_LAB, 2 * float(np.sqrt(compactness / len(border))))
+    spread = max(_LEAST_LAB, 2 * float(np.sqrt(compactness / len(border))))
     away = np.min([np.sqrt(((lab - centre) ** 2).sum(axis=2)) for centre in centres], axis=0)
-    return np.asarray(away / usual)
+    return np.asarray(away / spread)
 
 
 def _lab(rgb: Bytes) -> Floats:
-    """(h,w,3) CIELAB without noise and with less lightness."""
+    """Convert to CIELAB (h,w,3), blurred against noise, lightness scaled by `_LIGHTNESS`."""
     lab = cv2.cvtColor(cv2.GaussianBlur(rgb, (0, 0), 1.5).astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
     return np.asarray(lab * np.array([_LIGHTNESS, 1, 1], np.float32))
 
 
 def _inside(shape: tuple[int, ...]) -> Bools:
-    """(h,w) False along the border."""
+    """Mask (h,w), False along the border."""
     band = max(2, round(_BORDER * max(shape)))
     inside = np.zeros(shape, bool)
     inside[band:-band, band:-band] = True
@@ -122,7 +125,7 @@ def _inside(shape: tuple[int, ...]) -> Bools:
 
 
 def _seeds(strange: Floats) -> Bytes | None:
-    """GrabCut's first labels, or None where nothing is strange. The middle needs to be less so than the edge."""
+    """GrabCut's initial labels; None where nothing differs from the border. Near the middle a smaller one counts."""
     h, w = strange.shape
     y, x = np.mgrid[-1 : 1 : complex(h), -1 : 1 : complex(w)]
     from_middle = np.sqrt(x * x + y * y)
@@ -135,7 +138,7 @@ def _seeds(strange: Floats) -> Bytes | None:
 
 
 def _main_part(mask: Bools) -> Bools:
-    """The component that is large and near the middle, with those that belong to it, without holes of a few pixels."""
+    """Keep the components that are large and near the middle, without specks and holes of a few pixels."""
     kernel = np.ones((3, 3), np.uint8)
     tidy = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
     tidy = cv2.morphologyEx(tidy, cv2.MORPH_CLOSE, kernel)
@@ -150,18 +153,19 @@ def _main_part(mask: Bools) -> Bools:
 
 
 def _check(mask: Bools, strange: Floats, rgb: Bytes, name: str) -> None:
+    """Raise CaptureError CAPTURE_NO_OBJECT for a mask that is tiny, without contrast or cut off on every side."""
     share = float(mask.mean())
     if share < _AREA[0]:
         raise _no_object(name, "shows nothing that stands out from its background")
-    if float(np.median(strange[mask])) < _PERHAPS or _outline(rgb, mask) < _OUTLINE:
+    if float(np.median(strange[mask])) < _PERHAPS or _outline_contrast(rgb, mask) < _OUTLINE:
         raise _no_object(name, "shows nothing whose colours differ from those of its background")
     sides = mask[0].mean(), mask[-1].mean(), mask[:, 0].mean(), mask[:, -1].mean()
     if share > _AREA[1] or all(side > _EDGE for side in sides):
         raise _no_object(name, "shows something that reaches beyond the picture on every side")
 
 
-def _outline(rgb: Bytes, mask: Bools) -> float:
-    """How fast colours change across the mask's outline, in the middle."""
+def _outline_contrast(rgb: Bytes, mask: Bools) -> float:
+    """Median change of colour across the mask's outline, in CIELAB per pixel."""
     lab = _lab(rgb)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
     steep = np.sqrt((across * across + down * down).sum(axis=2))

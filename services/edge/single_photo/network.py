@@ -1,14 +1,14 @@
-"""Picture -> points: the paper's "pixel-rearranged" network, read literally; the backbone of the other heads. Torch.
+"""The network from a picture to points: the paper's "pixel-rearranged" one, and backbone of the other heads. Torch.
 
     (4,64,64) -> residual convolutions -> (192,4,4) -> 256 numbers -> (192,4,4)
               -> 3 x [convolution, PixelShuffle 2] -> (3,32,32) = 1,024 points on top of a base sphere
 
-              -> turned to where the picture shows them and moved there (`refine.py`)
+              -> rotated and moved to where the picture shows them (`refine.py`)
 
-The rearranging moves channels into neighbouring pixels: what is near in the square is made from the same numbers and
-tends to be near on the surface. The points say how the thing looks when its front is turned to +z, and a class of yaw
-says how it is turned.
-The frame is that of `shapes.py`: y up, the camera at azimuth 0 on the side of +z, the farthest point at 1.
+PixelShuffle moves channels into neighbouring pixels: neighbours in the square are made from the same numbers and tend
+to be neighbours on the surface. The points are those of the thing with its front towards +z; a class of yaw says how
+it is rotated.
+The frame is that of `camera.py`: y up, the camera at azimuth 0 on the side of +z, the farthest point at 1.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from services.edge.guess.refine import Refine
-from services.edge.guess.shapes import about_vertical
+from services.edge.single_photo.camera import about_vertical
+from services.edge.single_photo.refine import Refine
 
-WIDTHS = (32, 48, 96, 192)
-LATENT = 256
-GRID = 32
+WIDTHS = (32, 48, 96, 192)  # channels of the feature maps, the finest first
+LATENT = 256  # numbers that describe the whole picture
+GRID = 32  # points along each side of the square
 POINTS = GRID * GRID
 BINS = 36
-"""Of the yaw, 10 degrees each: a class can say "the front or the back", where a number could only say "the side"."""
+"""Classes of the yaw, 10 degrees each: classes can say "front or back", where a number could only say "the side"."""
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """What the backbone makes of n pictures.
+class Prediction:
+    """The network's output for n pictures.
 
-    own     (n,1024,3) points as if the thing's front were turned to +z; bins (n,BINS) logits of its yaw
-    camera  (n,6) as in `pictures.py`
-    points  (n,1024,3) turned by the likeliest yaw, and moved to where the picture shows them
-    latent  (n,LATENT) of the whole picture
-    fine    (n,32,32,32), near (n,48,16,16) and wide (n,96,8,8): features of its places
-    made    (n,32,32,32): features of the points
+    own     (n,1024,3) points in the thing's own frame, its front towards +z; bins (n,BINS) logits of its yaw
+    camera  (n,6) as in `camera.py`
+    points  (n,1024,3) rotated by the likeliest yaw, and moved to where the picture shows them
+    latent  (n,LATENT) code of the whole picture
+    fine    (n,32,32,32), near (n,48,16,16) and wide (n,96,8,8): feature maps of the picture
+    made    (n,32,32,32): feature map of the points
     """
 
     own: Tensor
@@ -55,7 +55,7 @@ class Seen:
 
 
 class Block(nn.Module):
-    """Two convolutions beside a straight way (He et al. 2016); `stride` 2 halves the picture."""
+    """Residual block: two convolutions beside a skip connection (He et al. 2016); `stride` 2 halves the picture."""
 
     def __init__(self, inner: int, outer: int, stride: int = 1) -> None:
         super().__init__()
@@ -71,8 +71,8 @@ class Block(nn.Module):
         return functional.relu(y + self.straight(straight))
 
 
-class Rearranged(nn.Module):
-    """A convolution; then four channels become a square of four pixels (Shi et al. 2016)."""
+class UpsamplingBlock(nn.Module):
+    """Upsample by 2: a convolution, then four channels become a square of four pixels (Shi et al. 2016)."""
 
     def __init__(self, inner: int, outer: int) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class Rearranged(nn.Module):
 
 
 class Pixels(nn.Module):
-    """The head `pixels`: n pictures (n,4,64,64) -> `Seen`."""
+    """The head `pixels`: n pictures (n,4,64,64) -> `Prediction`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -97,15 +97,16 @@ class Pixels(nn.Module):
         self.camera = nn.Linear(LATENT, 6)
         self.bins = nn.Linear(LATENT, BINS)
         self.spread = nn.Linear(LATENT, d * 16)
-        self.rearrange = nn.Sequential(Rearranged(d, c), Block(c, c), Rearranged(c, b), Block(b, b), Rearranged(b, a))
+        up = UpsamplingBlock
+        self.rearrange = nn.Sequential(up(d, c), Block(c, c), up(c, b), Block(b, b), up(b, a))
         self.place = nn.Conv2d(a, 3, 3, 1, 1)
         nn.init.normal_(self.place.weight, std=1e-3)
         self.refine = Refine((a, b, c), a)
         self.register_buffer("sphere", base_sphere(), persistent=False)
         self.register_buffer("usual_camera", torch.tensor([0.35, 0.0, 0.25, 0.9, 0.0, 0.0]), persistent=False)
 
-    def forward(self, picture: Tensor, yaw: Tensor | None = None) -> Seen:
-        """yaw (n,) radians by which things are turned; where it is NaN, and without it, the likeliest."""
+    def forward(self, picture: Tensor, yaw: Tensor | None = None) -> Prediction:
+        """Predict points. yaw (n,): the radians by which the things are rotated; NaN, or None, takes the likeliest."""
         fine = self.stem(picture.contiguous(memory_format=torch.channels_last) - 0.5)
         near = self.to_near(fine)
         wide = self.to_wide(near)
@@ -115,25 +116,26 @@ class Pixels(nn.Module):
         made = self.rearrange(functional.relu(square))
         own = self.sphere + self.place(made).float().flatten(2).transpose(1, 2)
         bins, camera = self.bins(latent).float(), self.camera(latent).float() + self.usual_camera
-        seen = Seen(own, bins, camera, own, latent, fine, near, wide, made)
-        likely = likeliest(bins)
+        prediction = Prediction(own, bins, camera, own, latent, fine, near, wide, made)
+        likely = likeliest_yaw(bins)
         turn = likely if yaw is None else torch.where(yaw.isnan(), likely, yaw)
-        return replace(seen, points=self.turned(seen, picture, turn))
+        return replace(prediction, points=self.rotate_and_refine(prediction, picture, turn))
 
-    def turned(self, seen: Seen, picture: Tensor, yaw: Tensor) -> Tensor:
-        """(n,1024,3) as they are if the thing is turned by yaw (n,) radians, moved to where the picture shows them."""
-        maps = [seen.fine, seen.near, seen.wide]
-        points: Tensor = self.refine(about_vertical(seen.own, yaw), seen.camera, picture, maps, seen.made)
+    def rotate_and_refine(self, prediction: Prediction, picture: Tensor, yaw: Tensor) -> Tensor:
+        """Rotate the points by yaw (n,) radians, and move them to where the picture shows them -> (n,1024,3)."""
+        maps = [prediction.fine, prediction.near, prediction.wide]
+        rotated = about_vertical(prediction.own, yaw)
+        points: Tensor = self.refine(rotated, prediction.camera, picture, maps, prediction.made)
         return points
 
 
 def bin_of(yaw: Tensor) -> Tensor:
-    """(n,) radians -> the nearest bin's number."""
+    """Number (n,) of the bin nearest to a yaw (n,) in radians."""
     return (yaw * BINS / (2 * math.pi)).round().long() % BINS
 
 
-def likeliest(bins: Tensor) -> Tensor:
-    """(n,BINS) logits -> (n,) radians: the likeliest three bins in a row, and where between them."""
+def likeliest_yaw(bins: Tensor) -> Tensor:
+    """The most likely yaw (n,) in radians, from logits (n,BINS): interpolated in the likeliest three bins in a row."""
     share = bins.softmax(dim=1)
     before, after = share.roll(1, dims=1), share.roll(-1, dims=1)
     three = before + share + after
@@ -143,7 +145,7 @@ def likeliest(bins: Tensor) -> Tensor:
 
 
 def base_sphere() -> Tensor:
-    """(1024,3): a square folded into an octahedron and blown up to radius ½, rows and columns staying neighbours."""
+    """Points (1024,3) of a sphere of radius ½, in rows and columns: the octahedral map of a square."""
     axis = (torch.arange(GRID) + 0.5) / GRID * 2 - 1
     y, x = torch.meshgrid(axis, axis, indexing="ij")
     z = 1 - x.abs() - y.abs()

@@ -1,10 +1,10 @@
-"""Points that were guessed from the whole picture, moved to where the picture shows them. Torch.
+"""Refine the points guessed from the whole picture: move them to where the picture shows them. Torch.
 
-    for each of two rounds:  p <- p + c(p, depth, what the maps hold where p is seen, what p was made from)
+    for each of two rounds:  p <- p + c(p, depth, the feature maps where p is seen, the features that made p)
 
 with c convolutions over the square of points, whose neighbours are neighbours on the surface (features pooled at
-projections as in Wang et al. 2018, Pixel2Mesh). What is seen of an outline or of a part is precise in the picture and
-was lost in the few hundred numbers that the points were made from.
+projections as in Wang et al. 2018, Pixel2Mesh). Outlines and parts are precise in the picture, but were lost in the
+few hundred numbers that the points were made from.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from services.edge.guess.pictures import project
+from services.edge.single_photo.camera import project
 
 _SHOWN = 32  # features of a place in the picture
-_WIDE = 48
-_SOFT = (4, 8)  # pixels of the mask in one: how much of it is around a place tells how far from the outline it is
+_WIDE = 48  # channels inside a round
+_SOFT = (4, 8)  # pixels over which the mask is averaged: the average tells how far a place is from the outline
 
 
 class Refine(nn.Module):
-    """maps: channels of the feature maps, the finest first; own: features of every point in the square."""
+    """The refining network. maps: channels of the feature maps, the finest first; own: features of every point."""
 
     def __init__(self, maps: tuple[int, ...], own: int) -> None:
         super().__init__()
@@ -30,7 +30,7 @@ class Refine(nn.Module):
         self.rounds = nn.ModuleList([_Round(inner), _Round(inner)])
 
     def forward(self, points: Tensor, camera: Tensor, picture: Tensor, maps: list[Tensor], own: Tensor) -> Tensor:
-        """points (n,side²,3) in the frame of the picture; picture (n,4,h,w); own (n,c,side,side) -> (n,side²,3)."""
+        """Move points (n,side²,3) in the picture's frame; picture (n,4,h,w); own (n,c,side,side) -> (n,side²,3)."""
         side, fine = own.shape[-1], maps[0].shape[-1]
         thin = [layer(each) for layer, each in zip(self.thin, maps, strict=True)]
         features = sum(functional.interpolate(each, size=fine, mode="bilinear") for each in thin[1:]) + thin[0]
@@ -38,7 +38,7 @@ class Refine(nn.Module):
         for each in self.rounds:
             at, depth = project(points.detach(), camera.detach())
             where = (at * torch.tensor([1.0, -1.0], device=at.device)).reshape(len(at), side, side, 2)
-            shown = [_taken(one, where) for one in (picture - 0.5, *soft, features)]
+            shown = [_sample(one, where) for one in (picture - 0.5, *soft, features)]
             place = torch.cat([points.detach(), depth[..., None], at], dim=2).transpose(1, 2)
             known = torch.cat([own, place.reshape(len(at), -1, side, side), *shown], dim=1)
             points = points + each(known).float().flatten(2).transpose(1, 2)
@@ -46,7 +46,7 @@ class Refine(nn.Module):
 
 
 class _Round(nn.Module):
-    """What is known of every point (n,inner,side,side) -> how it moves (n,3,side,side)."""
+    """One round: features of every point (n,inner,side,side) -> its displacement (n,3,side,side)."""
 
     def __init__(self, inner: int) -> None:
         super().__init__()
@@ -62,5 +62,6 @@ class _Round(nn.Module):
         return moved
 
 
-def _taken(maps: Tensor, where: Tensor) -> Tensor:
+def _sample(maps: Tensor, where: Tensor) -> Tensor:
+    """Sample maps (n,c,h,w) bilinearly at places (n,side,side,2) in [-1,1], x right and y down."""
     return functional.grid_sample(maps.float(), where, align_corners=False, padding_mode="border")

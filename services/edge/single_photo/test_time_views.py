@@ -1,8 +1,8 @@
-"""Several looks at one picture, and what they say together. Torch.
+"""Test-time augmentation: predict points from several views of one picture, and combine them. Torch.
 
-The picture is shown as it is, in a mirror, and moved by a pixel, each with and without the mirror. How the thing is
-turned is said by all of them together and by the outline that the points would have; what it is like by the two that
-were not moved: points of all four are denser, and as far apart as the looks disagree.
+The network sees the picture as it is and shifted by a pixel, each also mirrored. All four views together decide the
+yaw, and the outline that the points would have; the points are those of the two views that were not shifted: denser
+than one view's, and as far apart as the views disagree.
 """
 
 from __future__ import annotations
@@ -14,45 +14,48 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from services.edge.guess.network import BINS, Pixels
-from services.edge.guess.pictures import SIDE, project
-from services.edge.guess.shapes import about_vertical
+from services.edge.single_photo.camera import SIDE, about_vertical, project
+from services.edge.single_photo.network import BINS, Pixels
 
-LOOKS = 2  # whose points are taken
-_TRIED = 2 * BINS  # yaws
-_CELLS = SIDE // 2  # of the grid in which outlines are compared: 1,024 points fill a thing's inside there
-_OUTLINE = 5.0  # how much a whole outline counts, in logits; 10 and more make it worse: outlines know no front
-_DOUBT = 1e-3  # share that is left to a yaw which the network rules out
+VIEWS = 2  # views whose points are used
+_TRIED = 2 * BINS  # yaws that are compared
+_CELLS = SIDE // 2  # per side of the grid in which outlines are compared: 1,024 points fill a thing's inside there
+_OUTLINE = 5.0  # weight of a perfect outline, in logits; 10 and more are worse: outlines do not tell front from back
+_DOUBT = 1e-3  # probability that is left to a yaw which the network rules out
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
-    """points (n,LOOKS,1024,3) in the frame of `shapes.py`, none mirrored any more; camera (n,6) of the first look."""
+class AugmentedPrediction:
+    """points (n,VIEWS,1024,3) in the frame of `camera.py`, mirroring undone; camera (n,6) of the first view."""
 
     points: Tensor
     camera: Tensor
 
 
 @torch.no_grad()
-def look(head: Pixels, picture: Tensor) -> Looks:
-    """Pictures (n,4,64,64) -> points that agree about how the thing is turned."""
-    moved = picture.roll((1, 1), dims=(2, 3))
-    shown = [picture, picture.flip(3), moved, moved.flip(3)]
-    seen = [head(each) for each in shown]
-    bins = torch.stack([_mirrored(each.bins) if number % 2 else each.bins for number, each in enumerate(seen)])
-    yaw = _turned(seen[0].own, bins.log_softmax(dim=2).mean(dim=0), seen[0].camera, picture[:, 3])
+def predict_from_views(head: Pixels, picture: Tensor) -> AugmentedPrediction:
+    """Predict points from pictures (n,4,64,64) by several views, which agree on one yaw."""
+    shifted = picture.roll((1, 1), dims=(2, 3))
+    views = [picture, picture.flip(3), shifted, shifted.flip(3)]
+    predictions = [head(view) for view in views]
+    plain, mirrored = predictions[:2]
+    bins = [_mirror_bins(each.bins) if number % 2 else each.bins for number, each in enumerate(predictions)]
+    yaw = _choose_yaw(plain.own, torch.stack(bins).log_softmax(dim=2).mean(dim=0), plain.camera, picture[:, 3])
     mirror = torch.tensor([-1.0, 1.0, 1.0])
-    points = [head.turned(seen[0], shown[0], yaw), head.turned(seen[1], shown[1], -yaw) * mirror]
-    return Looks(torch.stack(points, dim=1), seen[0].camera)
+    points = [
+        head.rotate_and_refine(plain, views[0], yaw),
+        head.rotate_and_refine(mirrored, views[1], -yaw) * mirror,
+    ]
+    return AugmentedPrediction(torch.stack(points, dim=1), plain.camera)
 
 
-def _mirrored(bins: Tensor) -> Tensor:
-    """In a mirror a yaw is its negative."""
+def _mirror_bins(bins: Tensor) -> Tensor:
+    """Mirror the logits of the yaw (n,BINS): in a mirror a yaw is its negative."""
     return bins[:, (-torch.arange(BINS)) % BINS]
 
 
-def _turned(own: Tensor, bins: Tensor, camera: Tensor, mask: Tensor) -> Tensor:
-    """(n,) the yaw of which the network is sure and under which the points cover the mask (n,64,64)."""
+def _choose_yaw(own: Tensor, bins: Tensor, camera: Tensor, mask: Tensor) -> Tensor:
+    """Choose the yaw (n,) that the network finds likely and under which the points cover the mask (n,64,64)."""
     share = bins.softmax(dim=1)
     three = share + (share.roll(1, dims=1) + share.roll(-1, dims=1)) / 2
     between = (three + three.roll(-1, dims=1)) / 2
@@ -64,8 +67,10 @@ def _turned(own: Tensor, bins: Tensor, camera: Tensor, mask: Tensor) -> Tensor:
 
 
 def _overlap(points: Tensor, camera: Tensor, mask: Tensor) -> Tensor:
-    """(n,) of the points' outline with the mask (n,cells,cells), over what both cover, laid middle on middle at one
-    size: the guessed camera is a few pixels off."""
+    """Intersection over union (n,) of the points' outline and the mask (n,cells,cells).
+
+    Both are brought to one middle and size first: the guessed camera is a few pixels off.
+    """
     at, _ = project(points, camera)
     low, high = at.amin(dim=1), at.amax(dim=1)
     first, last = _bounds(mask)
@@ -79,7 +84,7 @@ def _overlap(points: Tensor, camera: Tensor, mask: Tensor) -> Tensor:
 
 
 def _bounds(mask: Tensor) -> tuple[Tensor, Tensor]:
-    """(n,2): left and top, and right and bottom, in cells."""
+    """Bounding box of a mask, in cells: left and top (n,2), right and bottom (n,2)."""
     number = torch.arange(mask.shape[1]).float()
     first, last = [], []
     for filled in (mask.any(dim=1), mask.any(dim=2)):

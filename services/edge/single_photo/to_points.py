@@ -1,4 +1,4 @@
-"""A capture of one photo -> points, as a capture of many would give them."""
+"""Turn a capture of one photo into points, of the same form as those of many photos."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import numpy as np
 
 from services.edge.arrays import Tick, no_tick
 from services.edge.capture.nouns import Capture
-from services.edge.guess.guess import guess
-from services.edge.points import Points
-from services.edge.points.smooth import smoothed
+from services.edge.points.denoise_stereo import smooth_stereo_points
+from services.edge.points.nouns import Points
+from services.edge.single_photo.guess import guess
 
 _USUAL_M = 0.4
-"""Metres of a thing that fills half of a picture taken at arm's length: a place to start from, and no measurement."""
+"""Metres of a thing that fills half of a picture taken at arm's length: an assumption, not a measurement."""
 _NEIGHBOURS = 48, 32
-"""Of 2,000 points: the looks scatter by a few percent, and a surface through all of them is a crumpled one."""
+"""Neighbours that smooth 2,000 points: the views differ by a few percent, and a surface through all would crumple."""
 
 
 def to_points(capture: Capture, *, tick: Tick = no_tick) -> Points:
-    """Points of the thing in the one photo, y up. Raises CaptureError CAPTURE_NO_OBJECT."""
+    """Guess the points of the thing in the one photo, y up. Raises CaptureError CAPTURE_NO_OBJECT."""
     (photo,) = capture.photos
     guessed = guess(photo, tick=tick)
     return Points(
-        xyz=smoothed(guessed.xyz, np.ones(len(guessed.xyz)), neighbours=_NEIGHBOURS),
+        xyz=smooth_stereo_points(guessed.xyz, np.ones(len(guessed.xyz)), neighbours=_NEIGHBOURS),
         rgb=guessed.rgb,
         confidence=guessed.confidence,
         metres_per_unit=_USUAL_M,

@@ -1,8 +1,7 @@
-"""The trained heads as files, in half precision."""
+"""Load the weights of the network that guesses a shape from one photo: a file in half precision. Torch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,80 +10,42 @@ import torch
 from torch import nn
 
 from services.edge.errors import EdgeError
-from services.edge.guess.heads import AnchorUdf, Field, Implicit
-from services.edge.guess.network import Pixels
+from services.edge.single_photo.network import Pixels
 
-HEADS = ("pixels", "anchor-udf", "implicit")
 SHIPPED = Path(__file__).with_name("weights")
-_BACKBONE = "backbone."
+"""Folder of the weights that come with the product: pixels.pt."""
 
-
-@dataclass(frozen=True, slots=True)
-class Trained:
-    """What a file says about its training."""
-
-    steps: int
-    seconds: float
-
-
-def save_half(head: nn.Module, trained: Trained, path: Path) -> None:
-    """A field is saved without the backbone that it stands on."""
-    state = {
-        name: value.half() if value.is_floating_point() else value
-        for name, value in head.state_dict().items()
-        if not name.startswith(_BACKBONE)
-    }
-    part = path.with_name(path.name + ".part")
-    torch.save({"head": state, "steps": trained.steps, "seconds": trained.seconds}, part)
-    part.replace(path)
-
-
-def new_head(name: str, folder: Path) -> nn.Module:
-    """Untrained; a field on the backbone that is in `folder`, or else on the one that is shipped."""
-    if name == "pixels":
-        return Pixels()
-    backbone = load_pixels(folder if (folder / "pixels.pt").exists() else SHIPPED)
-    return AnchorUdf(backbone) if name == "anchor-udf" else Implicit(backbone)
+BACKBONE = "backbone."
+"""Prefix of the parameters that the file of another head leaves out, because they are in pixels.pt."""
 
 
 def load_pixels(folder: Path = SHIPPED) -> Pixels:
-    """The backbone, ready to be used. Raises EdgeError WEIGHTS_ABSENT."""
-    head = Pixels()
-    _fill(head, folder / "pixels.pt")
-    return head.eval()
-
-
-def load_field(name: str, folder: Path = SHIPPED) -> Field:
-    """Of the name "anchor-udf" or "implicit". Raises EdgeError WEIGHTS_ABSENT."""
-    backbone = load_pixels(folder)
-    field = AnchorUdf(backbone) if name == "anchor-udf" else Implicit(backbone)
-    _fill(field, folder / f"{name}.pt")
-    return field.eval()
-
-
-def trained(name: str, folder: Path = SHIPPED) -> Trained:
-    """How long that head was trained. Raises EdgeError WEIGHTS_ABSENT."""
-    kept = _read(folder / f"{name}.pt")
-    return Trained(kept["steps"], kept["seconds"])
+    """Read the network from `folder`/pixels.pt, ready to be used. Raises EdgeError WEIGHTS_ABSENT."""
+    network = Pixels()
+    load_weights(network, folder / "pixels.pt")
+    return network.eval()
 
 
 @cache
 def shipped_pixels() -> Pixels:
-    """Read once per process; nobody may train it."""
+    """The shipped network, cached per process and shared: do not train it. Raises EdgeError WEIGHTS_ABSENT."""
     return load_pixels().requires_grad_(False)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_weights(path: Path) -> dict[str, Any]:
+    """Read the content of a file of weights. Raises EdgeError WEIGHTS_ABSENT."""
     try:
-        kept: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
-        hint = "install the package again, or train them: python -m services.edge.guess"
-        raise EdgeError("WEIGHTS_ABSENT", f"there is no {path}", hints=(hint,)) from None
-    return kept
+        hint = "install the package again, or train them: python -m services.edge.single_photo_training"
+        raise EdgeError("WEIGHTS_ABSENT", f"the weights file {path} does not exist", hints=(hint,)) from None
+    return content
 
 
-def _fill(head: nn.Module, path: Path) -> None:
-    missing, unknown = head.load_state_dict(_read(path)["head"], strict=False)
-    lost = [name for name in missing if not name.startswith(_BACKBONE)]
+def load_weights(network: nn.Module, path: Path) -> None:
+    """Load a file's weights into a network of the same shape. Raises EdgeError WEIGHTS_ABSENT."""
+    missing, unknown = network.load_state_dict(read_weights(path)["head"], strict=False)
+    lost = [name for name in missing if not name.startswith(BACKBONE)]
     if lost or unknown:
-        raise EdgeError("WEIGHTS_ABSENT", f"{path} is of another version: {', '.join([*lost, *unknown][:3])}")
+        named = ", ".join([*lost, *unknown][:3])
+        raise EdgeError("WEIGHTS_ABSENT", f"the weights file {path} is of another version of the network: {named}")

@@ -1,6 +1,7 @@
-"""What the heads learn from: generated shapes and their pictures, a bag at a time; the same seed, the same lessons.
+"""Batches for the training of the heads: generated shapes and their pictures. The same seed gives the same batches.
 
-A bag's pictures are used four times, every other time in a mirror: making them costs half of learning from them.
+They are made a bag at a time. A bag's pictures are used four times, every other time mirrored: to make a picture costs
+half as much as to learn from it.
 """
 
 from __future__ import annotations
@@ -12,25 +13,25 @@ from itertools import islice
 import torch
 from torch import Tensor
 
-from services.edge.guess.pictures import Pictures, mirrored, photographed
-from services.edge.guess.shapes import CLASSES, Shapes, shapes, turned
+from services.edge.single_photo_training.pictures import RenderedPictures, mirror_pictures, render_pictures
+from services.edge.single_photo_training.shapes import CLASSES, Shapes, generate_shapes, rotate_shapes
 
-BATCH = 32
-_SHEETS = 12  # with one, four uses in a row are learnt by heart: Chamfer 13 on them and 21 on others
+BATCH = 32  # pictures per step
+_SHEETS = 12  # per bag: with one, the four uses in a row overfit: Chamfer 13 on them and 21 on others
 _EACH = 8  # shapes of every class in a sheet
 _VIEWS = 2  # pictures of every shape
-SURFACE = 4096  # points of a surface that a lesson keeps
-_USES = 4
+SURFACE = 4096  # points of a surface that a batch keeps
+_USES = 4  # of every picture
 STEPS = _USES * _SHEETS * _VIEWS * _EACH * len(CLASSES) // BATCH
 """Batches in a bag."""
 HELD_OUT = 1 << 40
 """Seeds from here on are never trained on."""
 _CAMERAS = 1 << 50
-"""Between the seeds of shapes and of their pictures: equal ones would tie the camera's place to the thing's size."""
+"""Distance of pictures' seeds from their shapes': equal seeds would tie the camera's place to the thing's size."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class Batch:
     """picture (n,4,64,64), camera (n,6), surface (n,SURFACE,3) in the frame of `shapes.py`, label, yaw (n,)."""
 
     picture: Tensor
@@ -39,56 +40,57 @@ class Lesson:
     label: Tensor
     yaw: Tensor
 
-    def __getitem__(self, index: Tensor | slice) -> Lesson:
-        return Lesson(*(each[index] for each in _parts(self)))
+    def __getitem__(self, index: Tensor | slice) -> Batch:
+        return Batch(*(each[index] for each in _tensors(self)))
 
-    def to(self, device: torch.device) -> Lesson:
-        """On another device."""
-        return Lesson(*(each.to(device) for each in _parts(self)))
+    def to(self, device: torch.device) -> Batch:
+        """Copy to another device."""
+        return Batch(*(each.to(device) for each in _tensors(self)))
 
 
-def lessons(seed: int, step: int) -> Iterator[Lesson]:
-    """The batches from that step on, for ever."""
+def training_batches(seed: int, step: int) -> Iterator[Batch]:
+    """Yield the training batches from that step on, for ever."""
     while True:
         bag, done = divmod(step, STEPS)
-        for lesson in islice(_batches(seed, bag), done, None):
-            yield lesson
+        for batch in islice(_batches(seed, bag), done, None):
+            yield batch
             step += 1
 
 
-def held_out(seed: int, each: int, *, clean: bool = False) -> Lesson:
-    """`each` shapes of every class that training never sees, one picture of each."""
-    these = shapes(HELD_OUT + seed, each)
-    return _lesson(these, photographed(these, HELD_OUT + _CAMERAS + seed, clean=clean))
+def held_out_batch(seed: int, each: int, *, clean: bool = False) -> Batch:
+    """A batch that training never sees: `each` shapes of every class, one picture of each shape."""
+    shapes = generate_shapes(HELD_OUT + seed, each)
+    return _make_batch(shapes, render_pictures(shapes, HELD_OUT + _CAMERAS + seed, clean=clean))
 
 
-def _batches(seed: int, bag: int) -> Iterator[Lesson]:
+def _batches(seed: int, bag: int) -> Iterator[Batch]:
+    """Yield the batches of one bag."""
     start = (seed << 24) + bag * _SHEETS * _VIEWS
     sheets = [part for sheet in range(_SHEETS) for part in _sheet(start + sheet * _VIEWS)]
-    plain = Lesson(*(torch.cat(parts) for parts in zip(*map(_parts, sheets), strict=True)))
+    plain = Batch(*(torch.cat(parts) for parts in zip(*map(_tensors, sheets), strict=True)))
     order = torch.Generator().manual_seed(start)
     for use in range(_USES):
         for index in torch.split(torch.randperm(len(plain.label), generator=order), BATCH):
-            yield _mirrored(plain[index]) if use % 2 else plain[index]
+            yield _mirror(plain[index]) if use % 2 else plain[index]
 
 
-def _sheet(start: int) -> Iterator[Lesson]:
-    """So many shapes at a time as a core's cache holds."""
-    these = shapes(start, _EACH)
+def _sheet(start: int) -> Iterator[Batch]:
+    """Yield the views of one sheet: as many shapes as fit a core's cache."""
+    shapes = generate_shapes(start, _EACH)
     for view in range(_VIEWS):
-        seen = turned(these, _CAMERAS // 2 + start + view) if view else these
-        yield _lesson(seen, photographed(seen, _CAMERAS + start + view))
+        rotated = rotate_shapes(shapes, _CAMERAS // 2 + start + view) if view else shapes
+        yield _make_batch(rotated, render_pictures(rotated, _CAMERAS + start + view))
 
 
-def _lesson(these: Shapes, pictures: Pictures) -> Lesson:
-    return Lesson(pictures.picture, pictures.camera, these.xyz[:, :SURFACE].clone(), these.label, these.yaw)
+def _make_batch(shapes: Shapes, pictures: RenderedPictures) -> Batch:
+    return Batch(pictures.picture, pictures.camera, shapes.xyz[:, :SURFACE].clone(), shapes.label, shapes.yaw)
 
 
-def _parts(lesson: Lesson) -> tuple[Tensor, ...]:
-    return lesson.picture, lesson.camera, lesson.surface, lesson.label, lesson.yaw
+def _tensors(batch: Batch) -> tuple[Tensor, ...]:
+    return batch.picture, batch.camera, batch.surface, batch.label, batch.yaw
 
 
-def _mirrored(lesson: Lesson) -> Lesson:
-    pictures = mirrored(Pictures(lesson.picture, lesson.camera))
+def _mirror(batch: Batch) -> Batch:
+    pictures = mirror_pictures(RenderedPictures(batch.picture, batch.camera))
     turn = torch.tensor([-1.0, 1.0, 1.0])
-    return Lesson(pictures.picture, pictures.camera, lesson.surface * turn, lesson.label, -lesson.yaw)
+    return Batch(pictures.picture, pictures.camera, batch.surface * turn, batch.label, -batch.yaw)

@@ -1,11 +1,11 @@
-"""Clothes, as if worn by nobody: open surfaces, y up, front towards +z. Each returns the parts of n shapes."""
+"""Generate clothes without a wearer: open surfaces, y up, front towards +z. Each returns the parts of n shapes."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from services.edge.guess.lofts import Dice, mirrored, pipe, pleats, spindle, where
+from services.edge.single_photo_training.lofts import Dice, both_sides, pipe, pleats, spindle, where
 
 
 def skirt(d: Dice) -> list[Tensor]:
@@ -45,7 +45,7 @@ def trousers(d: Dice) -> list[Tensor]:
     legs = spindle(
         "y", -0.26 - t * leg, width, width + (hip * depth - width) * (1 - t) ** 2, at=(apart, t * d(-0.05, 0.05)), n=d.n
     )
-    return [pelvis, *mirrored(legs)]
+    return [pelvis, *both_sides(legs)]
 
 
 def _bodice(d: Dice, shoulder: Tensor, length: Tensor) -> list[Tensor]:
@@ -58,7 +58,7 @@ def _bodice(d: Dice, shoulder: Tensor, length: Tensor) -> list[Tensor]:
 
 
 def _sleeves(d: Dice, shoulder: Tensor) -> list[Tensor]:
-    """From the shoulder outward and down at any angle, open at the wrist."""
+    """Both sleeves, from the shoulder outward and down at any angle, open at the wrist."""
     droop, length = d(0.1, 1.4), d(0.15, 0.75)
     t = torch.linspace(0, 1, 5)
     path = torch.stack(
@@ -66,4 +66,4 @@ def _sleeves(d: Dice, shoulder: Tensor) -> list[Tensor]:
         dim=-1,
     )
     radius = d(0.06, 0.12) * (1 - t * d(-0.2, 0.45))
-    return mirrored(pipe(path, radius, closed=False))
+    return both_sides(pipe(path, radius, closed=False))

@@ -1,8 +1,8 @@
-"""The other two heads: a field of unsigned distances from one picture. Torch.
+"""The two heads that predict a field of unsigned distances from one picture. Torch.
 
-Both stand on the backbone of `pixels`, which is not trained any more, so that rows of a table differ in the head alone.
+Both use the frozen backbone of `pixels`, so that their results differ by the head alone.
 
-implicit     f(q) = |MLP(q, latent)|: what anchors are compared with
+implicit     f(q) = |MLP(q, latent)|: what anchor-udf is compared with
 anchor-udf   f(q) = |MLP(q, latent, features of the picture where q is seen, the nearest anchors)|  (Zhao et al. 2021),
              anchors being k-means centres of the 1,024 points; 256 of them and a small MLP, for two CPU cores
 """
@@ -15,20 +15,19 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from services.edge.guess.losses import nearest
-from services.edge.guess.network import LATENT, POINTS, WIDTHS, Pixels, Seen, likeliest
-from services.edge.guess.pictures import project
-from services.edge.guess.shapes import about_vertical
+from services.edge.single_photo.camera import about_vertical, project
+from services.edge.single_photo.network import LATENT, POINTS, WIDTHS, Pixels, Prediction, likeliest_yaw
+from services.edge.single_photo_training.losses import nearest
 
-ANCHORS = 256
-_ROUNDS = 3  # of k-means; the start is every fourth point of the square, which is spread already
-_NEIGHBOURS = 4
-_FEATURES = 32
-_WIDE = 192
+ANCHORS = 256  # per thing
+_ROUNDS = 3  # of k-means; it starts with every fourth point of the square, which is spread out already
+_NEIGHBOURS = 4  # anchors per query
+_FEATURES = 32  # channels of the picture's and of the anchors' features
+_WIDE = 192  # channels of the MLP
 
 
 class Implicit(nn.Module):
-    """Queries (n,q,3) in the frame of `shapes.py` -> distances (n,q)."""
+    """The head `implicit`: queries (n,q,3) in the frame of `shapes.py` -> distances (n,q)."""
 
     def __init__(self, backbone: Pixels) -> None:
         super().__init__()
@@ -37,18 +36,18 @@ class Implicit(nn.Module):
         self.place = nn.Linear(3, _WIDE)
         self.deeper = _layers(_WIDE)
 
-    def see(self, picture: Tensor) -> Seen:
-        """Once per picture."""
-        return _seen(self.backbone, picture)
+    def encode(self, picture: Tensor) -> Prediction:
+        """Run the backbone, once per picture; `forward` then answers any number of queries."""
+        return _encode(self.backbone, picture)
 
-    def forward(self, seen: Seen, q: Tensor) -> Tensor:
-        own = about_vertical(q, -likeliest(seen.bins))
-        distance: Tensor = self.deeper(self.place(own) + self.whole(seen.latent)[:, None])[..., 0].abs()
+    def forward(self, prediction: Prediction, q: Tensor) -> Tensor:
+        own = about_vertical(q, -likeliest_yaw(prediction.bins))
+        distance: Tensor = self.deeper(self.place(own) + self.whole(prediction.latent)[:, None])[..., 0].abs()
         return distance
 
 
 class AnchorUdf(nn.Module):
-    """As `Implicit`, with what the picture and the anchors say about the query's place."""
+    """The head `anchor-udf`: as `Implicit`, with features of the picture and of the anchors at the query's place."""
 
     def __init__(self, backbone: Pixels) -> None:
         super().__init__()
@@ -60,18 +59,20 @@ class AnchorUdf(nn.Module):
         self.place = nn.Linear(3 + 1 + 3 * _FEATURES, _WIDE)
         self.deeper = _layers(_WIDE)
 
-    def see(self, picture: Tensor) -> Seen:
-        """Once per picture."""
-        return _seen(self.backbone, picture)
+    def encode(self, picture: Tensor) -> Prediction:
+        """Run the backbone, once per picture; `forward` then answers any number of queries."""
+        return _encode(self.backbone, picture)
 
-    def forward(self, seen: Seen, q: Tensor) -> Tensor:
-        at, depth = project(q, seen.camera)
+    def forward(self, prediction: Prediction, q: Tensor) -> Tensor:
+        at, depth = project(q, prediction.camera)
         pixel = (at * torch.tensor([1.0, -1.0], device=q.device))[:, None]
-        maps = torch.cat([self.near(seen.near), functional.interpolate(self.wide(seen.wide), scale_factor=2)], dim=1)
-        seen_there = functional.grid_sample(maps, pixel, align_corners=False)[:, :, 0].transpose(1, 2)
-        beside = self.beside(_offsets(q, anchors(seen.points, ANCHORS))).amax(dim=2)
-        features = torch.cat([q, depth[..., None], seen_there, beside], dim=2)
-        distance: Tensor = self.deeper(self.place(features) + self.whole(seen.latent)[:, None])[..., 0].abs()
+        maps = torch.cat(
+            [self.near(prediction.near), functional.interpolate(self.wide(prediction.wide), scale_factor=2)], dim=1
+        )
+        features_there = functional.grid_sample(maps, pixel, align_corners=False)[:, :, 0].transpose(1, 2)
+        beside = self.beside(_offsets(q, anchors(prediction.points, ANCHORS))).amax(dim=2)
+        features = torch.cat([q, depth[..., None], features_there, beside], dim=2)
+        distance: Tensor = self.deeper(self.place(features) + self.whole(prediction.latent)[:, None])[..., 0].abs()
         return distance
 
 
@@ -79,7 +80,7 @@ Field = Implicit | AnchorUdf
 
 
 def anchors(points: Tensor, count: int) -> Tensor:
-    """(n,p,3) -> (n,count,3): k-means centres."""
+    """K-means centres (n,count,3) of points (n,p,3)."""
     centres = points[:, :: points.shape[1] // count][:, :count]
     for _ in range(_ROUNDS):
         own, _ = nearest(points, centres)
@@ -90,43 +91,45 @@ def anchors(points: Tensor, count: int) -> Tensor:
     return centres
 
 
-def on_surface(field: Field, seen: Seen, start: Tensor, *, rounds: int = 4) -> tuple[Tensor, Tensor]:
-    """Queries (n,q,3) pulled to where the field is 0, by f along −∇f; the distances that are left (n,q)."""
+def pull_to_surface(field: Field, prediction: Prediction, start: Tensor, *, rounds: int = 4) -> tuple[Tensor, Tensor]:
+    """Pull queries (n,q,3) to where the field is 0, by f along −∇f -> places, and the distances (n,q) that remain."""
     q = start
     for _ in range(rounds):
-        distance, gradient = with_gradient(field, seen, q)
+        distance, gradient = value_and_gradient(field, prediction, q)
         q = (q - distance[..., None] * functional.normalize(gradient, dim=2)).detach()
     with torch.no_grad():
-        return q, field(seen, q)
+        return q, field(prediction, q)
 
 
-def field_points(field: Field, seen: Seen, generator: torch.Generator) -> Tensor:
-    """(n,1024,3) on the zero set: of many queries anywhere those nearest to it, pulled there.
+def field_points(field: Field, prediction: Prediction, generator: torch.Generator) -> Tensor:
+    """Sample points (n,1024,3) of the zero set: of many random queries the nearest to it, pulled onto it.
 
-    Those within a thin band are as dense as the surface is large.
+    Queries in a thin band around a surface are spread evenly over its area.
     """
-    n = len(seen.points)
-    anywhere = 2 * torch.rand(n, 16 * POINTS, 3, generator=generator).to(seen.points.device) - 1
+    n = len(prediction.points)
+    anywhere = 2 * torch.rand(n, 16 * POINTS, 3, generator=generator).to(prediction.points.device) - 1
     with torch.no_grad():
-        distance = field(seen, anywhere)
+        distance = field(prediction, anywhere)
     nearby = distance.argsort(dim=1)[:, : 2 * POINTS, None].expand(-1, -1, 3)
-    pulled, left = on_surface(field, seen, anywhere.gather(1, nearby))
-    best = left.argsort(dim=1)[:, : POINTS + POINTS // 2]
+    pulled, remaining = pull_to_surface(field, prediction, anywhere.gather(1, nearby))
+    best = remaining.argsort(dim=1)[:, : POINTS + POINTS // 2]
     some = torch.rand(best.shape, generator=generator).argsort(dim=1)[:, :POINTS].to(best.device)
     return pulled.gather(1, best.gather(1, some)[..., None].expand(-1, -1, 3))
 
 
-def with_gradient(field: Field, seen: Seen, q: Tensor, *, learn: bool = False) -> tuple[Tensor, Tensor]:
-    """f and ∇f at q; `learn` keeps what a second derivative needs."""
+def value_and_gradient(
+    field: Field, prediction: Prediction, q: Tensor, *, learn: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Evaluate f and ∇f at q; `learn` keeps the graph for a second derivative."""
     with torch.enable_grad():
         q = q.requires_grad_(True)
-        distance = field(seen, q)
+        distance = field(prediction, q)
         (gradient,) = torch.autograd.grad(distance.sum(), q, create_graph=learn)
     return distance, gradient
 
 
 def _layers(width: int) -> nn.Sequential:
-    # Smooth, since the loss looks at gradients.
+    # Softplus, which is smooth, because the loss contains gradients.
     last = nn.Linear(width // 2, 1)
     nn.init.constant_(last.bias, 0.1)
     return nn.Sequential(
@@ -135,7 +138,7 @@ def _layers(width: int) -> nn.Sequential:
 
 
 def _offsets(q: Tensor, anchor: Tensor) -> Tensor:
-    """(n,q,_NEIGHBOURS,4): from the nearest anchors to the query, and how long that is."""
+    """Offsets from the nearest anchors to each query, and their lengths: (n,q,_NEIGHBOURS,4)."""
     with torch.no_grad():
         index = torch.cdist(q, anchor).topk(_NEIGHBOURS, dim=2, largest=False).indices
     near = anchor.gather(1, index.flatten(1)[..., None].expand(-1, -1, 3)).reshape(*index.shape, 3)
@@ -143,9 +146,11 @@ def _offsets(q: Tensor, anchor: Tensor) -> Tensor:
     return torch.cat([offset, (offset.square().sum(dim=3, keepdim=True) + 1e-8).sqrt()], dim=3)
 
 
-def _seen(backbone: Pixels, picture: Tensor) -> Seen:
-    """The backbone keeps its weights and its statistics."""
+def _encode(backbone: Pixels, picture: Tensor) -> Prediction:
+    """Run the frozen backbone: its weights and statistics do not change."""
     backbone.eval()
     with torch.no_grad():
-        seen: Seen = backbone(picture)
-    return replace(seen, latent=seen.latent.float(), near=seen.near.float(), wide=seen.wide.float())
+        prediction: Prediction = backbone(picture)
+    return replace(
+        prediction, latent=prediction.latent.float(), near=prediction.near.float(), wide=prediction.wide.float()
+    )

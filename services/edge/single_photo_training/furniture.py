@@ -1,11 +1,11 @@
-"""Furniture on its feet: y up, front towards +z. Each returns the parts of n shapes."""
+"""Generate furniture on its feet: y up, front towards +z. Each returns the parts of n shapes."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from services.edge.guess.lofts import Dice, box, mirrored, pipe, rod, spindle, where
+from services.edge.single_photo_training.lofts import Dice, both_sides, box, pipe, rod, spindle, where
 
 
 def chair(d: Dice) -> list[Tensor]:
@@ -21,7 +21,7 @@ def chair(d: Dice) -> list[Tensor]:
         n=d.n,
         square=d(0, 1),
     )
-    parts += mirrored(where(post, 1 - panel))
+    parts += both_sides(where(post, 1 - panel))
     low = height + back * d(0.05, 0.5)
     slab = torch.stack(
         [torch.zeros(d.n, 2), torch.cat([low, top], 1), torch.cat([-depth * 0.46, -depth * 0.46 - lean], 1)], dim=-1
@@ -30,7 +30,7 @@ def chair(d: Dice) -> list[Tensor]:
     arm = box(d.n, (width * 0.5, height + d(0.15, 0.25), 0.0), (0.05, 0.03, depth * 0.9))
     prop = rod((width * 0.5, height, depth * 0.4), (width * 0.5, height + 0.2, depth * 0.4), 0.02, n=d.n)
     armed = d.often(0.3)
-    return parts + [where(each, armed) for part in (arm, prop) for each in mirrored(part)]
+    return parts + [where(each, armed) for part in (arm, prop) for each in both_sides(part)]
 
 
 def table(d: Dice) -> list[Tensor]:
@@ -57,12 +57,12 @@ def sofa(d: Dice) -> list[Tensor]:
         )
     )
     rest = seat + back * d(0.2, 0.8)
-    parts += mirrored(box(d.n, (width / 2, (foot + rest) / 2, 0.0), (arm, rest - foot, depth), square=soft))
+    parts += both_sides(box(d.n, (width / 2, (foot + rest) / 2, 0.0), (arm, rest - foot, depth), square=soft))
     parts.append(
         where(box(d.n, (0.0, seat + 0.05, 0.05), (width * 0.9, 0.12, depth * 0.75), square=soft), d.often(0.6))
     )
     for end in (-0.45, 0.45):
-        parts += mirrored(rod((width * 0.45, 0.0, depth * end), (width * 0.45, foot, depth * end), 0.025, n=d.n))
+        parts += both_sides(rod((width * 0.45, 0.0, depth * end), (width * 0.45, foot, depth * end), 0.025, n=d.n))
     return parts
 
 
@@ -107,7 +107,7 @@ def _feet(d: Dice, width: Tensor, depth: Tensor, height: Tensor) -> list[Tensor]
     for end in (-1, 1):
         foot = (width * 0.44 + splay, 0.0, end * (depth * 0.44 + splay))
         leg = rod(foot, (width * 0.44, height, end * depth * 0.44), thick, n=d.n, square=square)
-        parts += mirrored(where(leg, four))
+        parts += both_sides(where(leg, four))
     post = rod((0.0, 0.0, 0.0), (0.0, height, 0.0), thick * 1.5, n=d.n)
     plate = box(d.n, (0.0, 0.015, 0.0), (width * 0.7, 0.03, depth * 0.7), square=d.often(0.4))
     return [*parts, where(post, 1 - four), where(plate, 1 - four)]

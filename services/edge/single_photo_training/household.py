@@ -1,4 +1,4 @@
-"""Things on a table: y up. Each returns the parts of n shapes."""
+"""Generate household things and fruit: y up. Each returns the parts of n shapes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from services.edge.guess.lofts import Dice, box, loft, mirrored, pipe, pleats, rod, spindle, where
+from services.edge.single_photo_training.lofts import Dice, both_sides, box, loft, pipe, pleats, rod, spindle, where
 
 
 def mug(d: Dice) -> list[Tensor]:
@@ -44,7 +44,7 @@ def bottle(d: Dice) -> list[Tensor]:
 
 
 def bowl(d: Dice) -> list[Tensor]:
-    """Also plates and cups: open above."""
+    """A bowl, plate or cup, open above."""
     t = torch.linspace(0, 1, 8)
     deep, foot, bend = d(0.08, 0.6), d(0.2, 0.5), d(0.3, 1)
     wide = 0.5 * (foot + (1 - foot) * t**bend)
@@ -127,7 +127,7 @@ def leaf(d: Dice) -> list[Tensor]:
 
 
 def vase(d: Dice) -> list[Tensor]:
-    """Any turned thing, open above; some with two handles."""
+    """A vase or any other body of revolution, open above; some have two handles."""
     n, t = d.n, torch.linspace(0, 1, 9)
     wide = d(0.2, 0.4) * (1 + d(-0.5, 0.6) * (t * d(2, 7) + d(0, 6.28)).sin())
     wide = torch.cat([torch.zeros(n, 1), wide], dim=1)
@@ -135,4 +135,4 @@ def vase(d: Dice) -> list[Tensor]:
     turn = torch.linspace(-math.pi / 2, math.pi / 2, 8)
     path = torch.stack([0.2 + d(0.1, 0.3) * turn.cos(), 0.5 + d(0.1, 0.25) * turn.sin(), torch.zeros(n, 8)], dim=-1)
     handled = d.often(0.3)
-    return [body, *(where(each, handled) for each in mirrored(pipe(path, d(0.02, 0.04))))]
+    return [body, *(where(each, handled) for each in both_sides(pipe(path, d(0.02, 0.04))))]

@@ -1,4 +1,4 @@
-"""The one form that all shapes are made of: a loft, rings swept along a line. Torch, a batch of n at a time.
+"""Lofts, from which all shapes are made: rings swept along a line. Torch, a batch of n at a time.
 
 A ring is centre + side·c(θ) + front·s(θ); (c, s) runs along a circle (square 0) or a square (square 1). Rings of size 0
 close an end, rings at one place make a sharp edge. Numbers of the batch are (n,1), profiles along a loft (n,L) or (L,).
@@ -15,9 +15,9 @@ from torch import Tensor
 from torch.nn import functional
 
 SEGMENTS = 24
-"""Around a ring; a multiple of 8, so that a square's corners are corners."""
+"""Segments around a ring; a multiple of 8, so that a square's corners are vertices."""
 RINGS = 12
-"""Along a loft; shorter ones repeat their last ring, whose triangles have no area."""
+"""Rings along a loft; a shorter one repeats its last ring, whose triangles then have no area."""
 
 Profile = Tensor | Sequence[float] | float
 
@@ -47,7 +47,7 @@ def loft(
     arc: tuple[float, float] = (0.0, 1.0),
     folds: Tensor | None = None,
 ) -> Tensor:
-    """Centre, side and front (n,L,3) -> vertices (n, RINGS, SEGMENTS+1, 3).
+    """Sweep rings: centre, side and front (n,L,3) -> vertices (n, RINGS, SEGMENTS+1, 3).
 
     arc    the part of the ring that there is, in turns
     folds  (n,L,SEGMENTS+1): factor on the ring's size, for pleats
@@ -98,7 +98,7 @@ def spindle(
 def box(
     n: int, centre: Sequence[Profile], size: Sequence[Profile], *, square: Profile = 1.0, taper: Profile = 1.0
 ) -> Tensor:
-    """A closed block: centre and size along x, y, z; its top is `taper` times as wide as its foot."""
+    """A closed box: centre and size along x, y, z; its top is `taper` times as wide as its foot."""
     x, y, z, sx, sy, sz, top = (_profiles(n, each)[0] for each in (*centre, *size, taper))
     grow = torch.cat([torch.zeros_like(top), torch.ones_like(top), top, torch.zeros_like(top)], dim=1)
     up = torch.tensor([-0.5, -0.5, 0.5, 0.5])
@@ -106,12 +106,12 @@ def box(
 
 
 def pipe(path: Tensor, r: Profile, r2: Profile | None = None, *, closed: bool = True, square: Profile = 0.0) -> Tensor:
-    """A tube along `path` (n,L,3), L at most RINGS-2 where closed; half as wide as r, and as r2 in the other way."""
+    """A tube along `path` (n,L,3), L at most RINGS-2 where closed; radius r, and r2 in the other direction."""
     n = len(path)
     width, depth = _profiles(n, r, r if r2 is None else r2, length=path.shape[1])
     step = torch.cat([path[:, 1:2] - path[:, :1], path[:, 2:] - path[:, :-2], path[:, -1:] - path[:, -2:-1]], dim=1)
     ahead = functional.normalize(step, dim=2)
-    # Across the direction and never along it, for paths in any direction.
+    # A reference direction that no path runs along, so that the cross product is never 0.
     reference = torch.tensor([0.05, 0.1, 1.0]).expand_as(ahead)
     side = functional.normalize(torch.linalg.cross(ahead, reference), dim=2)
     front = torch.linalg.cross(side, ahead)
@@ -131,25 +131,25 @@ def rod(
     return pipe(torch.stack(ends, dim=1), torch.cat([thick, thick * end], dim=1), square=square)
 
 
-def mirrored(part: Tensor) -> list[Tensor]:
-    """The part, and its twin on the other side of x = 0."""
+def both_sides(part: Tensor) -> list[Tensor]:
+    """The part, and its mirror image on the other side of x = 0."""
     return [part, part * torch.tensor([-1.0, 1.0, 1.0])]
 
 
 def where(part: Tensor, there: Tensor) -> Tensor:
-    """The part only in the shapes that have it; in the others it shrinks to a point, which has no area."""
+    """Keep the part where `there` (n,1) is 1; in the other shapes it shrinks to a point, which has no area."""
     return part * there[..., None, None]
 
 
 def pleats(n: int, length: int, count: Tensor, depth: Tensor, phase: Tensor) -> Tensor:
-    """(n,length,SEGMENTS+1) folds that deepen from the first ring to the last."""
+    """Factors (n,length,SEGMENTS+1) on the rings' size: folds that deepen from the first ring to the last."""
     turn = torch.linspace(0, 2 * math.pi, SEGMENTS + 1)
     deepen = torch.linspace(0, 1, length)[None, :, None]
     return 1 + depth[..., None] * deepen * torch.cos(count.round()[..., None] * turn + phase[..., None])
 
 
 def _profiles(n: int, *values: Profile, length: int | None = None) -> list[Tensor]:
-    """Each as (n,L), L the longest among them."""
+    """Expand each value to (n,L), L the longest among them."""
     tensors = [torch.as_tensor(value, dtype=torch.float32) for value in values]
     tensors = [each if each.dim() == 2 else each.reshape(1, -1) for each in tensors]
     longest = length or max(each.shape[1] for each in tensors)

@@ -1,9 +1,9 @@
-"""What the heads are trained with, and how points are measured. Torch in, torch out.
+"""The losses that heads are trained with, and the metrics of points. Torch in, torch out.
 
 P (n,p,3) predicted points;  T (n,t,3) points on the surface;  d(a,B) distance from a to the nearest of B
 
 (1)  CD  = mean d(p,T)² + mean d(t,P)²                      Chamfer distance: squared, both ways added
-(2)  L   = CD + c·(mean d(p,T) + mean d(t,P))               the second part moves what is nearly right
+(2)  L   = CD + c·(mean d(p,T) + mean d(t,P))               the second part moves points that are nearly right
 (3)  F@r = 2·a·b / (a + b),  a = share of d(p,T) < r,  b = share of d(t,P) < r
 (4)  L_udf = mean |min(f,δ) − min(d,δ)| + w · mean (1 − cos(∇f, ∇d))          the second where d < δ
 """
@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 NEAR = 0.05  # r of (3), for things whose farthest point is at 1
-LINEAR = 0.1  # c of (2): both parts pull alike at a distance of 0.05, where F is decided
-CLAMP = 0.2  # δ of (4), and the weight w: AnchorUDF's
-DIRECTION = 0.02
+LINEAR = 0.1  # c of (2): both parts pull equally at a distance of 0.05, where F is decided
+CLAMP = 0.2  # δ of (4), from AnchorUDF
+DIRECTION = 0.02  # w of (4), from AnchorUDF
 
 
 def nearest(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Of a (n,p,3) and b (n,t,3): index of the nearest in b (n,p), and of the nearest in a (n,t). No gradient."""
+    """Nearest neighbours of a (n,p,3) in b (n,t,3), and of b in a: indices (n,p) and (n,t). No gradient."""
     with torch.no_grad():
         return _nearest(a, b)
 
@@ -28,30 +28,31 @@ def nearest(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 def gaps(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """Squared distances d(a,B)² (n,p) and d(b,A)² (n,t); gradients flow."""
     to_b, to_a = nearest(a, b)
-    return _squared(a - _taken(b, to_b)), _squared(b - _taken(a, to_a))
+    return _squared(a - _gather(b, to_b)), _squared(b - _gather(a, to_a))
 
 
 def chamfer(a: Tensor, b: Tensor) -> Tensor:  # eq. 1
-    """(n,)"""
+    """Chamfer distance (n,) of a (n,p,3) and b (n,t,3)."""
     there, back = gaps(a, b)
     return there.mean(dim=1) + back.mean(dim=1)
 
 
 def chamfer_loss(points: Tensor, surface: Tensor) -> Tensor:  # eq. 2
+    """Loss of points (n,p,3) against points (n,t,3) of the surface, over the whole batch."""
     there, back = gaps(points, surface)
     straight = (there + 1e-6).sqrt().mean() + (back + 1e-6).sqrt().mean()  # 1e-6: a bounded slope at a hit
     return there.mean() + back.mean() + LINEAR * straight
 
 
 def f_score(a: Tensor, b: Tensor, near: float = NEAR) -> Tensor:  # eq. 3
-    """(n,)"""
+    """F-score (n,) of a (n,p,3) and b (n,t,3) at the distance `near`."""
     there, back = gaps(a, b)
     hits, found = (there < near * near).float().mean(dim=1), (back < near * near).float().mean(dim=1)
     return 2 * hits * found / (hits + found).clamp(min=1e-9)
 
 
 def udf_loss(distance: Tensor, gradient: Tensor, true_distance: Tensor, true_direction: Tensor) -> Tensor:  # eq. 4
-    """Distances (n,q), gradients (n,q,3); the true direction has unit length and points away from the surface."""
+    """Loss of distances (n,q) and gradients (n,q,3). True directions are unit vectors away from the surface."""
     clamped = (distance.clamp(max=CLAMP) - true_distance.clamp(max=CLAMP)).abs().mean()
     within = (true_distance < CLAMP).float()
     turned = 1 - torch.cosine_similarity(gradient, true_direction, dim=2)
@@ -59,10 +60,10 @@ def udf_loss(distance: Tensor, gradient: Tensor, true_distance: Tensor, true_dir
 
 
 def _nearest(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """|a|² − 2ab + |b|² as one product of matrices, shape after shape in one table that stays in the cache.
+    """Nearest neighbours both ways, from |a|² − 2ab + |b|² as one matrix product per shape, whose table fits the cache.
 
-    Floats that are not negative order like their bits: with the index in the low bits, a minimum, which is eighteen
-    times as fast as an argmin, finds both. What the distance loses is a share of 2⁻¹³.
+    Non-negative floats are ordered like their bits: with the index in the low bits, a minimum, which is eighteen times
+    as fast as an argmin, finds distance and index. The distance loses a relative precision of 2⁻¹³.
     """
     p, t = a.shape[1], b.shape[1]
     low = (1 << (max(p, t) - 1).bit_length()) - 1
@@ -86,7 +87,7 @@ def _nearest(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     return (there & low).long(), (back & low).long()
 
 
-def _taken(xyz: Tensor, index: Tensor) -> Tensor:
+def _gather(xyz: Tensor, index: Tensor) -> Tensor:
     return xyz.gather(1, index[..., None].expand(-1, -1, 3))
 
 

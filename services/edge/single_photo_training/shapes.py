@@ -1,7 +1,7 @@
-"""Generated shapes: things of every class as coloured points on their surfaces. The same seed, the same shapes.
+"""Generate shapes: things of every class as coloured points on their surfaces. The same seed gives the same shapes.
 
 Frame: y up; the camera's azimuth is 0, on the side of +z; the farthest point of the surface lies at distance 1. The
-bounding box was centred at 0 before the thing was turned.
+bounding box was centred at 0 before the thing was rotated.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from services.edge.guess import clothes, furniture, household, vehicles
-from services.edge.guess.lofts import Dice
+from services.edge.single_photo.camera import about_vertical
+from services.edge.single_photo_training import clothes, furniture, household, vehicles
+from services.edge.single_photo_training.lofts import Dice
 
 CLASSES: dict[str, Callable[[Dice], list[Tensor]]] = {
     "skirt": clothes.skirt,
@@ -40,15 +41,18 @@ CLASSES: dict[str, Callable[[Dice], list[Tensor]]] = {
     "vase": household.vase,
 }
 PAPER_CLASSES = tuple(CLASSES)[:10]
-"""Those of the proof of concept, for comparison."""
+"""Classes of the published proof of concept, for comparison."""
 SAMPLES = 12_000
 """Points on a surface: enough that a splat picture of 128 pixels has no holes worth mentioning."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """xyz, normals, rgb (n,m,3) float32, colours in [0,1]; label (n,) index into CLASSES; yaw (n,) radians by which the
-    thing is turned from where its own front is on the side of +z."""
+    """n shapes of m points.
+
+    xyz, normals, rgb (n,m,3) float32, colours in [0,1]; label (n,) index into CLASSES; yaw (n,) radians by which the
+    thing is rotated from its own frame, whose front is on the side of +z.
+    """
 
     xyz: Tensor
     normals: Tensor
@@ -57,51 +61,46 @@ class Shapes:
     yaw: Tensor
 
 
-def shapes(seed: int, each: int, *, names: tuple[str, ...] = tuple(CLASSES), samples: int = SAMPLES) -> Shapes:
-    """`each` shapes of every named class."""
+def generate_shapes(seed: int, each: int, *, names: tuple[str, ...] = tuple(CLASSES), samples: int = SAMPLES) -> Shapes:
+    """Generate `each` shapes of every named class."""
     generator = torch.Generator().manual_seed(seed)
-    made = [_of_class(name, each, samples, generator) for name in names]
+    made = [_generate_class(name, each, samples, generator) for name in names]
     return Shapes(*(torch.cat(parts) for parts in zip(*made, strict=True)))
 
 
-def _of_class(name: str, n: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
+def _generate_class(name: str, n: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
+    """Generate n shapes of one class: the fields of `Shapes`, in their order."""
     dice = Dice(n, generator)
     grids = torch.stack(CLASSES[name](dice), dim=1)
     grids = grids * torch.cat([dice(0.8, 1.25) for _ in range(3)], dim=1)[:, None, None, None]
-    own, normals, part, place = _sampled(grids, samples, generator)
-    own, yaw = _normalised(own), _yaw(n, generator)
-    rgb = _painted(dice, part, place, own, grids.shape[1])
+    own, normals, part, place = _sample_surface(grids, samples, generator)
+    own, yaw = _normalise(own), _yaw(n, generator)
+    rgb = _paint(dice, part, place, own, grids.shape[1])
     label = torch.full((n,), list(CLASSES).index(name))
     return about_vertical(own, yaw), about_vertical(normals, yaw), rgb, label, yaw
 
 
-def turned(these: Shapes, seed: int) -> Shapes:
-    """The same things from other azimuths."""
-    more = _yaw(len(these.xyz), torch.Generator().manual_seed(seed))
-    xyz, normals = (about_vertical(each, more) for each in (these.xyz, these.normals))
-    return replace(these, xyz=xyz, normals=normals, yaw=these.yaw + more)
-
-
-def about_vertical(xyz: Tensor, yaw: Tensor) -> Tensor:
-    """(n,m,3) by (n,) radians, from +z towards +x."""
-    c, s = yaw.cos()[:, None], yaw.sin()[:, None]
-    x, y, z = xyz.unbind(dim=2)
-    return torch.stack([c * x + s * z, y, c * z - s * x], dim=2)
+def rotate_shapes(shapes: Shapes, seed: int) -> Shapes:
+    """Rotate the shapes about the vertical by random angles."""
+    more = _yaw(len(shapes.xyz), torch.Generator().manual_seed(seed))
+    xyz, normals = (about_vertical(each, more) for each in (shapes.xyz, shapes.normals))
+    return replace(shapes, xyz=xyz, normals=normals, yaw=shapes.yaw + more)
 
 
 def _yaw(n: int, generator: torch.Generator) -> Tensor:
+    """Random yaws (n,) in radians."""
     return 2 * math.pi * torch.rand(n, generator=generator)
 
 
-def _normalised(xyz: Tensor) -> Tensor:
-    """Into the frame of this file."""
+def _normalise(xyz: Tensor) -> Tensor:
+    """Centre and scale points into the frame of this file."""
     xyz = xyz - (xyz.amin(dim=1, keepdim=True) + xyz.amax(dim=1, keepdim=True)) / 2
     scaled: Tensor = xyz / xyz.norm(dim=2).amax(dim=1)[:, None, None]
     return scaled
 
 
-def _sampled(grids: Tensor, samples: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Uniform by area: points, unit normals (n,m,3), number of the part (n,m), place on the part (n,m,2) in [0,1]."""
+def _sample_surface(grids: Tensor, samples: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Sample uniformly by area -> points, normals (n,m,3), part number (n,m), place on the part (n,m,2) in [0,1]."""
     n, _, rings, around, _ = grids.shape
     a, b, c, d = grids[:, :, :-1, :-1], grids[:, :, 1:, :-1], grids[:, :, 1:, 1:], grids[:, :, :-1, 1:]
     corners = torch.stack([torch.stack([a, b, c], dim=-2), torch.stack([a, c, d], dim=-2)], dim=-3).reshape(n, -1, 3, 3)
@@ -120,8 +119,8 @@ def _sampled(grids: Tensor, samples: int, generator: torch.Generator) -> tuple[T
     return p + u * (q - p) + v * (r - p), normals, cell // per_part, place
 
 
-def _painted(dice: Dice, part: Tensor, place: Tensor, xyz: Tensor, parts: int) -> Tensor:
-    """(n,m,3) colours: parts alike or not; stripes, checks or clouds on a share of the shapes."""
+def _paint(dice: Dice, part: Tensor, place: Tensor, xyz: Tensor, parts: int) -> Tensor:
+    """Random colours (n,m,3): parts alike or not; stripes, checks or smooth waves on a share of the shapes."""
     n, g = dice.n, dice.generator
     base = torch.rand(n, 1, 3, generator=g) ** dice(0.4, 2.0)[..., None]
     apart = (dice.often(0.6) * dice(0.1, 1))[..., None]

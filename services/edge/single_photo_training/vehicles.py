@@ -1,15 +1,15 @@
-"""Vehicles: y up, nose towards +z. Each returns the parts of n shapes."""
+"""Generate vehicles: y up, nose towards +z. Each returns the parts of n shapes."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from services.edge.guess.lofts import Dice, box, mirrored, pipe, rod, spindle, where
+from services.edge.single_photo_training.lofts import Dice, both_sides, box, pipe, rod, spindle, where
 
 
 def car(d: Dice) -> list[Tensor]:
-    """Wheels, a body and a cabin that is a hump, a bus's whole length or a truck's front."""
+    """Wheels, a body, and a cabin: in the middle, along a whole bus or at a truck's front."""
     length, width, low, body = d(0.8, 1.1), d(0.17, 0.23), d(0.06, 0.12), d(0.1, 0.2)
     nose, tail = d(0.6, 1), d(0.7, 1)
     z = length / 2 * torch.tensor([-1.0, -1.0, -0.85, 0.4, 0.9, 1.0, 1.0])
@@ -27,7 +27,7 @@ def car(d: Dice) -> list[Tensor]:
     parts.append(where(cargo, d.often(0.2)))
     wheel = d(0.07, 0.11)
     for z_wheel in (length * d(0.26, 0.36), -length * d(0.26, 0.36)):
-        parts += mirrored(rod((width * 0.75, wheel, z_wheel), (width * 1.04, wheel, z_wheel), wheel, n=d.n))
+        parts += both_sides(rod((width * 0.75, wheel, z_wheel), (width * 1.04, wheel, z_wheel), wheel, n=d.n))
     return parts
 
 
@@ -37,9 +37,9 @@ def plane(d: Dice) -> list[Tensor]:
     hull = r * torch.tensor([0.15, 0.6, 1.0, 1.0, 0.85, 0.5, 0.0])
     parts = [spindle("z", length * t, hull, hull, at=(0.0, r * 0.5 * torch.tensor([1.0, 0.6, 0, 0, 0, 0, 0])), n=d.n)]
     root, high = d(0.08, 0.16), r * d(-0.8, 0.9)
-    parts += mirrored(_wing(d, 0.0, span, root, root * d(0.25, 0.9), d(-0.1, 0.15), sweep, high))
+    parts += both_sides(_wing(d, 0.0, span, root, root * d(0.25, 0.9), d(-0.1, 0.15), sweep, high))
     tail = root * d(0.4, 0.65)
-    parts += mirrored(
+    parts += both_sides(
         _wing(d, -0.92, span * d(0.25, 0.45), tail, tail * 0.6, -length * 0.85, sweep * 0.4, r * d(0.3, 3))
     )
     fin = torch.stack(
@@ -55,11 +55,11 @@ def plane(d: Dice) -> list[Tensor]:
     engine = d(0.02, 0.035)
     z = d(0.0, 0.1) - sweep * 0.4
     jets = rod((out, high - engine, z - 0.08), (out, high - engine, z + 0.06), engine, n=d.n)
-    return parts + [where(each, d_jets) for d_jets in [d.often(0.6)] for each in mirrored(jets)]
+    return parts + [where(each, d_jets) for d_jets in [d.often(0.6)] for each in both_sides(jets)]
 
 
 def _wing(d: Dice, _: float, span: Tensor, root: Tensor, tip: Tensor, z: Tensor, sweep: Tensor, y: Tensor) -> Tensor:
-    """From the middle outward along +x; its tip lies `sweep` farther back."""
+    """A wing, from the middle outward along +x; its tip lies `sweep` farther back."""
     t = torch.tensor([0.0, 1.0, 1.0])
     chord = torch.cat([root, tip, 0 * tip], dim=1)
     thick = 0.012 * torch.tensor([1.0, 0.5, 0.0])

@@ -1,8 +1,8 @@
-"""A picture for an unwrapped mesh: every texel that lies on the surface gets the light that is there.
+"""Bake a texture for an unwrapped mesh: every texel on the surface gets the light of its place there.
 
-Texels are asked for by their centre, at (column + ½, row + ½) / side. Which triangle a centre lies on is found by rays
-upon the flat charts. What lies on none takes the nearest texel's colour, so that neither the filter at a chart's rim
-nor a mip, which averages across gaps, brings in anything else.
+A texel stands for its centre, at (column + ½, row + ½) / side. Rays cast at the flat charts find the triangle of each
+centre. A texel on no triangle takes the nearest texel's colour, so that neither filtering at a chart's rim nor a mip,
+which averages across gaps, brings in other colours.
 """
 
 from __future__ import annotations
@@ -14,32 +14,31 @@ from io import BytesIO
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick
-from services.edge.mesh.band import part_of
+from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
 from services.edge.mesh.normals import face_normals, vertex_normals
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.rays import Scene
+from services.edge.parallel import slices
+from services.edge.render.rays import Scene
 from services.edge.srgb import to_srgb
-from services.edge.threads import slices
 
-_BAND = 1 << 18  # texels looked up together: their rays take 50 MB, and a cancelled job is heard within a second
-_FOUND, _LIT = 0.2, 0.9  # of the time: where texels lie, and the light there; the rest fills the gaps
+_BAND = 1 << 18  # texels looked up together: their rays take 50 MB, and a cancellation takes effect within a second
+_FIND_END, _LIGHT_END = 0.2, 0.9  # fractions of the time: finding texels, then their light; the rest fills the gaps
 
 LightAt = Callable[[Floats, Floats, Tick], Floats]
-"""Places (N,3) on the mesh and its unit normals (N,3) there -> (N,3) linear light."""
+"""Function from positions (N,3) on the mesh and unit normals (N,3) to linear light (N,3)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Texels:
-    """Texels on the surface: place (T,) row by row in the picture, face (T,), bary (T,3) weights of its corners."""
+    """Texels on the surface: place (T,) index in the texture, row by row; face (T,); bary (T,3) corner weights."""
 
     place: Ints
     face: Ints
     bary: Floats
 
 
-def texels_of(faces: Ints, uv: Floats, side: int, tick: Tick = no_tick) -> Texels:
-    """Those of a picture of side × side whose centres lie on a chart; uv (V,2)."""
+def find_texels(faces: Ints, uv: Floats, side: int, tick: Tick = no_tick) -> Texels:
+    """Find the texels of a texture of side × side whose centres lie on a chart; uv (V,2)."""
     scene = Scene(Mesh(np.concatenate([uv, np.zeros((len(uv), 1))], axis=1), faces))
     ahead, found = np.array([[0.0, 0.0, 1.0]]), []
     for part in slices(side * side, _BAND):
@@ -53,9 +52,9 @@ def texels_of(faces: Ints, uv: Floats, side: int, tick: Tick = no_tick) -> Texel
     return Texels(place, face, bary)
 
 
-def with_rims(inner: Texels, faces: Ints, uv: Floats, side: int) -> Texels:
-    """And those that hold a corner or the middle of a triangle: one too thin for any centre would show its neighbour
-    chart's colour, a speck."""
+def add_rim_texels(inner: Texels, faces: Ints, uv: Floats, side: int) -> Texels:
+    """Add the texels that contain a corner or the centre of a triangle: a thin triangle that contains no texel's centre
+    would otherwise show the colour of a neighbouring chart, a speck."""
     known = np.zeros(side * side, bool)
     known[inner.place] = True
     found = [inner]
@@ -70,51 +69,53 @@ def with_rims(inner: Texels, faces: Ints, uv: Floats, side: int) -> Texels:
 
 
 def bake(mesh: Mesh, uv: Floats, light_at: LightAt, *, side: int, tick: Tick = no_tick) -> tuple[Bytes, int]:
-    """The picture (side,side,3) uint8 sRGB of an unwrapped mesh, and how many of its texels lie on the surface: none
-    where it is too small for the charts, and then it is black."""
-    inner = texels_of(mesh.faces, uv, side, part_of(tick, 0, _FOUND))
+    """Bake the texture (side,side,3) uint8 sRGB of an unwrapped mesh; also return how many texels lie on the surface.
+
+    They are 0 where the texture is too small for the charts; it is black then.
+    """
+    inner = find_texels(mesh.faces, uv, side, part_of(tick, 0, _FIND_END))
     if len(inner.place) == 0:
         return np.zeros((side, side, 3), np.uint8), 0
-    texels = with_rims(inner, mesh.faces, uv, side)
-    places, normals = places_on(mesh, texels.face, texels.bary)
+    texels = add_rim_texels(inner, mesh.faces, uv, side)
+    places, normals = positions_and_normals(mesh, texels.face, texels.bary)
     picture, known = np.zeros((side * side, 3), np.uint8), np.zeros(side * side, bool)
-    picture[texels.place] = to_srgb(light_at(places, normals, part_of(tick, _FOUND, _LIT)))
+    picture[texels.place] = to_srgb(light_at(places, normals, part_of(tick, _FIND_END, _LIGHT_END)))
     known[texels.place] = True
-    filled = _filled(picture.reshape(side, side, 3), known.reshape(side, side))
+    filled = _fill_gaps(picture.reshape(side, side, 3), known.reshape(side, side))
     tick(1)
     return filled, len(inner.place)
 
 
-def scattered(mesh: Mesh, count: int) -> tuple[Ints, Floats]:
-    """So many places all over a mesh, the same for the same mesh: (N,) face, (N,3) weights of its corners."""
+def random_places(mesh: Mesh, count: int) -> tuple[Ints, Floats]:
+    """Sample `count` random places on a mesh, the same for the same mesh: (N,) face, (N,3) weights of its corners."""
     area = np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1)
     rng = np.random.default_rng(0)
     return rng.choice(len(area), count, p=area / area.sum()), rng.dirichlet(np.ones(3), count)
 
 
-def blended(values: Floats, corners: Ints, weight: Floats) -> Floats:
-    """(N,3) values (V,3) of vertices at places with these corners (N,3) and their weights (N,3)."""
+def interpolate(values: Floats, corners: Ints, weight: Floats) -> Floats:
+    """Interpolate vertex values (V,3) at places given by corners (N,3) and their weights (N,3): (N,3)."""
     mixed = np.zeros((len(corners), 3))
-    for corner in range(3):  # one after the other: all at once would take three times the memory
+    for corner in range(3):  # one after the other: together they would take three times the memory
         mixed += weight[:, corner, None] * values[corners[:, corner]]
     return mixed
 
 
-def places_on(mesh: Mesh, face: Ints, weight: Floats) -> tuple[Floats, Floats]:
-    """Where places on faces (N,) with weights (N,3) of their corners are, (N,3), and the unit normals there."""
+def positions_and_normals(mesh: Mesh, face: Ints, weight: Floats) -> tuple[Floats, Floats]:
+    """Positions (N,3) and unit normals (N,3) of places on faces (N,) with weights (N,3) of their corners."""
     corners = mesh.faces[face]
-    place, normal = (blended(values, corners, weight) for values in (mesh.vertices, vertex_normals(mesh)))
+    place, normal = (interpolate(values, corners, weight) for values in (mesh.vertices, vertex_normals(mesh)))
     return place, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
-def _filled(picture: Bytes, known: Bools) -> Bytes:
-    """Texels that are not known take the colour of the nearest that is."""
+def _fill_gaps(picture: Bytes, known: Bools) -> Bytes:
+    """Give every unknown texel the colour of the nearest known one."""
     row, column = distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(picture[row, column])
 
 
 def jpeg_of(picture: Bytes, quality: int) -> bytes:
-    """The picture as a JPEG whose colours are as sharp as its light: charts of different colours lie side by side."""
+    """Encode as JPEG without chroma subsampling, because charts of different colours lie side by side."""
     from PIL import Image
 
     out = BytesIO()

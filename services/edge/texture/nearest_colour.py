@@ -1,4 +1,4 @@
-"""Colours: from the captured points to wherever they are asked for, averaged in linear light."""
+"""Interpolate the colours of captured points at other places, in linear light, by their nearest neighbours."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from services.edge.mesh.nouns import Mesh
 from services.edge.srgb import to_linear, to_srgb
 
 _NEIGHBOURS = 6  # about one ring of a surface sample: smooths the noise of single pixels without washing out a print
-_NEAR = 0.05  # a neighbour this share of the nearest spacing away counts as "here": bounds the weight 1/d² at d = 0
+_NEAR = 0.05  # of the neighbours' mean distance: its square is added to d² in the weight 1/d², a bound for d = 0
 
 
 @dataclass(frozen=True, slots=True)
 class ColouredPoints:
-    """Points that know the light of the surface they lie on: xyz (N,3), light (N,3) float32 linear, N ≥ 1."""
+    """Coloured points with a KD-tree: xyz (N,3), light (N,3) float32 linear, N ≥ 1."""
 
     xyz: Floats
     light: Floats
@@ -25,26 +25,26 @@ class ColouredPoints:
 
     @classmethod
     def of(cls, xyz: Floats, rgb: Bytes) -> ColouredPoints:
-        """Points with rgb (N,3) uint8 sRGB. Raises ValueError where the two differ in length or are empty."""
+        """Index points with rgb (N,3) uint8 sRGB. Raises ValueError where the two differ in length or are empty."""
         if len(xyz) != len(rgb) or len(xyz) == 0:
-            raise ValueError(f"{len(xyz)} points with {len(rgb)} colours: need as many of both, and at least one")
+            raise ValueError(f"{len(xyz)} points but {len(rgb)} colours: both must be equal in number, at least one")
         return cls(xyz, to_linear(rgb), cKDTree(xyz))
 
     def __len__(self) -> int:
         return len(self.xyz)
 
     def light_at(self, places: Floats, neighbours: int = _NEIGHBOURS) -> Floats:
-        """(M,3) linear light at places (M,3): inverse square distance over the nearest points."""
+        """Interpolate linear light (M,3) at places (M,3): inverse squared distance over the nearest points."""
         count = min(neighbours, len(self))
         distance, index = self.tree.query(places, k=list(range(1, count + 1)), workers=-1)
-        spacing = np.maximum(distance.mean(axis=1, keepdims=True), 1e-12)  # all points here: any weights will do
+        spacing = np.maximum(distance.mean(axis=1, keepdims=True), 1e-12)  # 0 where all points coincide with the place
         weight = 1.0 / (distance**2 + (_NEAR * spacing) ** 2)
         weight /= weight.sum(axis=1, keepdims=True)
         blended: Floats = np.einsum("vk,vkc->vc", weight, self.light[index])
         return blended
 
     def mean_light(self, places: Floats, reach: float) -> tuple[Floats, Ints]:
-        """(M,3) the mean light of the points within reach of a place (M,3) and nearest to it, and (M,) how many."""
+        """Average the light of the points nearest to each place (M,3), within `reach`: (M,3), and (M,) their number."""
         away, owner = cKDTree(places).query(self.xyz, distance_upper_bound=reach, workers=-1)
         near = np.isfinite(away)
         owner, light = owner[near], self.light[near]
@@ -53,8 +53,8 @@ class ColouredPoints:
         return (summed / np.maximum(count, 1)[:, None]).astype(np.float32), count
 
 
-def carry_colours(mesh: Mesh, xyz: Floats, rgb: Bytes) -> Mesh:
-    """The mesh with the points' colours: inverse square distance over the nearest points, in linear light.
+def transfer_colours(mesh: Mesh, xyz: Floats, rgb: Bytes) -> Mesh:
+    """Colour a mesh's vertices from coloured points: inverse squared distance over the nearest points, in linear light.
 
     xyz (N,3) in the mesh's frame, rgb (N,3) uint8 sRGB, N ≥ 1. Raises ValueError where the two differ in length.
     """

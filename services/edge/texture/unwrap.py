@@ -1,10 +1,10 @@
-"""A mesh cut into charts that lie flat side by side in a square: UVs, by xatlas.
+"""Unwrap a mesh: cut it into flat charts, pack them into a square, and return texture coordinates (UV), by xatlas.
 
 1. drop    slivers without an area, which no chart can hold
-2. smooth  a copy, since a scan's noise would cut it into thousands of charts; only what is cut where comes from it
+2. smooth  a copy, which only decides where to cut: a scan's noise would cut the mesh into thousands of charts
 3. divide  into patches of neighbours: the time of xatlas grows with the square of a mesh (50,000 triangles of a scanned
            truck take 78 s whole, 3 s in patches, and get no more charts)
-4. unwrap  in a process of its own, killed when it takes too long or is no longer wanted
+4. unwrap  in a child process, which is killed when it takes too long or the job is cancelled
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.mesh.child import ChildError, run_child
+from services.edge.child_process import ChildError, run_child
 from services.edge.mesh.edges import border_edges
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.topology import compact
 
 MOST_FACES = 50_000
-"""Triangles of a mesh that is unwrapped: in seconds, and a picture then holds the detail that vertices would."""
+"""Most triangles that are unwrapped: takes seconds; the texture then holds the detail that more vertices would."""
 
 _PATCH = 2_000  # faces: 500 give a fifth more charts, 5,000 take twice as long
-_PADDING = 2  # texels between charts at the size asked for: one mip down they still are apart
-_WIDER_FROM = 1024  # texels along a side, from which twice as much is no loss: of 512 it would be a third
+_PADDING = 2  # texels between charts: they are still apart in the next mip
+_WIDER_FROM = 1024  # texels along a side from which twice the padding costs little: of 512 it would be a third
 _ROUNDS = 5  # of smoothing: 450 instead of 3,800 charts of a hemisphere whose noise is a third of its edges
-_SHRINK, _GROW = 0.5, -0.53  # Taubin 1995: what the first takes from the volume the second gives back
-_LEAST_AREA = 1e-6  # of a face, of the mean face's: xatlas leaves out what is smaller, and it shows nothing
+_SHRINK, _GROW = 0.5, -0.53  # Taubin smoothing, 1995: the second step restores the volume that the first takes
+_LEAST_AREA = 1e-6  # of the mean face's area: xatlas leaves out smaller faces, and they would show nothing
 _LONGEST_SECONDS = 90.0  # 50,000 triangles in 25,000 pieces take 4 s; a machine may be twenty times as busy
 
 
 class UnwrapError(Exception):
-    """This mesh has no UVs, and why: a sentence for the report."""
+    """A mesh cannot be unwrapped; the message goes into a warning of the report."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unwrapped:
-    """A mesh with a place in a square for every vertex; those on the seams between charts are doubled.
+    """A mesh with texture coordinates; vertices on the seams between charts are duplicated.
 
-    mesh    its rgb as of the vertices that these were
+    mesh    with the rgb of the original vertices
     uv      (V,2) float64 in [0,1], as in glTF: (0,0) is the upper left corner
-    charts  how many there are
+    charts  number of charts
     """
 
     mesh: Mesh
@@ -57,49 +57,51 @@ class Unwrapped:
 
 
 def unwrap(mesh: Mesh, *, side: int, tick: Tick = no_tick, most_seconds: float = _LONGEST_SECONDS) -> Unwrapped:
-    """UVs for a picture of side × side texels, between whose charts some stay free.
+    """Unwrap a mesh for a texture of side × side texels, with a few free texels between its charts.
 
     Any mesh of at most `MOST_FACES` triangles: open, in pieces, of two sheets, non-manifold. Raises UnwrapError where
-    it cannot be done within `most_seconds`. `tick` hears all the while; when it raises, the process ends at once.
+    it cannot be unwrapped within `most_seconds`. `tick` is called all the while; when it raises, the child process is
+    killed at once.
     """
     if len(mesh.faces) > MOST_FACES:
-        raise UnwrapError(f"{len(mesh.faces):,} triangles are more than the {MOST_FACES:,} that are unwrapped")
-    mesh = _with_area(mesh)
+        raise UnwrapError(f"{len(mesh.faces):,} triangles are more than the {MOST_FACES:,} that can be unwrapped")
+    mesh = _drop_slivers(mesh)
     order, ends = _patches(mesh)
     try:
-        found = _by_xatlas(mesh, order, ends, side, tick, most_seconds)
-    except OSError as error:  # a full disk, no process to be had: the job has colours at its vertices all the same
+        found = _run_xatlas(mesh, order, ends, side, tick, most_seconds)
+    except OSError as error:  # the disk is full, or no process can be started: the asset then has vertex colours
         raise UnwrapError(f"xatlas could not be run: {error.strerror or error}") from None
     faces = np.empty_like(mesh.faces)
     faces[order] = found["faces"]
-    # The longer side fills the square, the shorter one leaves a strip: a chart must not be stretched.
+    # Both axes are divided by the longer side, so that charts are not stretched; at the shorter side a strip is free.
     uv = np.clip(found["texel"].astype(np.float64) / max(float(found["size"].max()), 1.0), 0.0, 1.0)
-    return Unwrapped(*_placed(mesh, found["was"].astype(np.int64), faces, uv), int(found["charts"]))
+    return Unwrapped(*_drop_unplaced(mesh, found["was"].astype(np.int64), faces, uv), int(found["charts"]))
 
 
-def _by_xatlas(
+def _run_xatlas(
     mesh: Mesh, order: Ints, ends: Ints, side: int, tick: Tick, most_seconds: float
 ) -> dict[str, NDArray[Any]]:
-    """What the child finds: was, faces in the given order, texel, size, charts."""
+    """Run the child process; return the arrays of its answer: was, faces in the given order, texel, size, charts."""
     with tempfile.TemporaryDirectory(prefix="unwrap-") as name:
         folder = Path(name)
         np.savez(
             folder / "problem.npz",
-            vertices=_smoothed(mesh).astype(np.float32),
+            vertices=_smooth(mesh).astype(np.float32),
             faces=mesh.faces.astype(np.uint32),
             order=order,
             ends=ends,
             side=side,
             padding=_PADDING * (2 if side >= _WIDER_FROM else 1),
         )
-        _run(folder, tick, most_seconds)
+        _run_program(folder, tick, most_seconds)
         with np.load(folder / "answer.npz") as answer:
             return {name: answer[name] for name in answer.files}
 
 
-def _with_area(mesh: Mesh) -> Mesh:
+def _drop_slivers(mesh: Mesh) -> Mesh:
+    """Drop faces without an area. Raises UnwrapError where none is left, and for vertices that are not finite."""
     if not np.isfinite(mesh.vertices).all():
-        raise UnwrapError("it has vertices that are nowhere")
+        raise UnwrapError("it has vertices that are not finite")
     area = np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1)
     mean = float(area.mean()) if len(area) else 0.0
     if not mean > 0:
@@ -107,8 +109,8 @@ def _with_area(mesh: Mesh) -> Mesh:
     return compact(mesh, np.flatnonzero(area > _LEAST_AREA * mean))
 
 
-def _smoothed(mesh: Mesh) -> Floats:
-    """(V,3) positions without the finest bumps, scaled so that a face has an area of about 1; borders stay."""
+def _smooth(mesh: Mesh) -> Floats:
+    """(V,3) positions after Taubin smoothing, scaled so that a face has an area of about 1; borders stay fixed."""
     faces, count = mesh.faces, len(mesh.vertices)
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = np.concatenate([ends, ends[:, ::-1]])
@@ -125,7 +127,7 @@ def _smoothed(mesh: Mesh) -> Floats:
 
 
 def _patches(mesh: Mesh) -> tuple[Ints, Ints]:
-    """The faces in the order of patches of neighbours, and where each patch ends."""
+    """Divide faces into patches of neighbours: the faces' indices patch by patch, and where each patch ends."""
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     done: list[Ints] = []
     waiting = [np.arange(len(middles))]
@@ -140,23 +142,25 @@ def _patches(mesh: Mesh) -> tuple[Ints, Ints]:
     return np.concatenate(done), np.cumsum([len(part) for part in done])
 
 
-def _run(folder: Path, tick: Tick, most_seconds: float) -> None:
-    """The child from start to end. -P: modules beside it must not stand in for Python's own."""
+def _run_program(folder: Path, tick: Tick, most_seconds: float) -> None:
+    """Run unwrap_child.py to its end. -P: modules beside it must not shadow Python's own."""
     program = Path(__file__).with_name("unwrap_child.py")
     try:
-        run_child([sys.executable, "-P", program, folder], "xatlas", folder / "log", tick, most_seconds)
+        run_child([sys.executable, "-P", program, folder], "xatlas", folder / "log", tick, most_seconds=most_seconds)
     except ChildError as error:
         raise UnwrapError(str(error)) from None
 
 
-def _placed(mesh: Mesh, was: Ints, faces: Ints, uv: Floats) -> tuple[Mesh, Floats]:
-    """Faces over vertices that were those of the mesh, without the faces that ended up without a place."""
+def _drop_unplaced(mesh: Mesh, was: Ints, faces: Ints, uv: Floats) -> tuple[Mesh, Floats]:
+    """Drop the faces that have no area in the texture; return the mesh and its UV (V,2).
+
+    was (V,) index in `mesh` of each vertex of `faces`
+    """
     a, b, c = (uv[faces[:, corner]] for corner in range(3))
     ab, ac = b - a, c - a
     placed = np.flatnonzero(ab[:, 0] * ac[:, 1] != ab[:, 1] * ac[:, 0])
     if len(placed) == 0:
-        raise UnwrapError("xatlas found no place for any triangle")
+        raise UnwrapError("xatlas placed none of its triangles")
     used = np.zeros(len(was), bool)
     used[faces[placed]] = True
-    rgb = None if mesh.rgb is None else mesh.rgb[was]
-    return compact(Mesh(mesh.vertices[was], faces, rgb), placed), uv[used]
+    return compact(mesh.with_vertices(was, faces), placed), uv[used]

@@ -1,6 +1,6 @@
-"""The process that unwraps one mesh: `python unwrap_child.py FOLDER`, a program of its own that loads nothing of ours.
+"""Child process that unwraps one mesh with xatlas: `python unwrap_child.py FOLDER`. It imports no other module of ours.
 
-xatlas runs in a child, because its native code cannot be interrupted, and may end the process over a mesh it dislikes.
+xatlas runs in a child process, because its native code cannot be interrupted, and may crash over an unusual mesh.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import numpy as np
 import xatlas
 
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl(2)
-_MOST_BYTES = 4 << 30  # of address space, most of it the threads' own: 50,000 triangles take 250 MB
-# Larger charts than by default (2): where they end is decided by how far they bend, and there are a tenth fewer.
+_MOST_BYTES = 4 << 30  # of address space, most of it reserved by threads: 50,000 triangles take 250 MB
+# Larger charts than with the default of 2: a chart then ends where it bends too far; they are a tenth fewer.
 _MAX_COST = 8.0
 
 
 def main(folder: Path) -> None:
-    """Unwrap the problem in the folder; every failure is a non-zero exit with its reason on stderr."""
+    """Read problem.npz from the folder, unwrap its mesh, write answer.npz. A failure ends in a non-zero exit status
+    with the reason on stderr."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -1,4 +1,4 @@
-"""What a worker offers: its device, its presets with the memory that each may take, and what it must withhold."""
+"""A worker's capabilities: its device, the presets that it offers with their memory, and those that it cannot offer."""
 
 from __future__ import annotations
 
@@ -6,21 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.mesh.ktx2 import Encode
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
-    """Told to gateways, and what requests are checked against.
+class Capabilities:
+    """Capabilities that a worker announces to gateways, and checks requests against.
 
     device          for people: "cpu, 2 cores", "cuda:0 NVIDIA H100"
-    presets         the default first
-    memory_bytes    what fits may take together; 0: nobody counts
-    withheld        presets that exist, but whose smallest fit takes more than that
-    points_version  of the prepared points that it takes; 0: captures only
-    central         address of the worker that fits for it, or ""
-    away            presets that only that one has, which takes no jobs now
-    ktx2            packs textures as KTX2, for targets that ask for it; None: they are refused
+    presets         presets on offer, the default first
+    memory_bytes    memory that all fits together may take; 0: not limited
+    withheld        presets that are not offered, because even their smallest fit takes more than that
+    points_version  version of the prepared points that it takes; 0: it takes captures only
+    central         address of the worker that fits fields for it, or ""
+    unavailable     presets that only central has, while that takes no jobs
+    ktx2            whether it can encode textures as KTX2; otherwise targets that want KTX2 are refused
     """
 
     device: str
@@ -29,26 +28,29 @@ class Offer:
     withheld: tuple[pb.Preset, ...] = ()
     points_version: int = 0
     central: str = ""
-    away: tuple[pb.Preset, ...] = ()
-    ktx2: Encode | None = None
+    unavailable: tuple[pb.Preset, ...] = ()
+    ktx2: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(preset.name for preset in self.presets)
 
     def has(self, preset: str) -> bool:
-        """Whether it is on offer."""
+        """Whether the preset is on offer."""
         return preset in self.names
 
     def trains(self, preset: str) -> bool:
-        """Whether a refined version may follow the preview; False for what is unknown."""
-        return any(each.trained for each in (*self.presets, *self.away) if each.name == preset)
+        """Whether a refined version may follow the preview with this preset; False for an unknown one."""
+        return any(each.trained for each in (*self.presets, *self.unavailable) if each.name == preset)
 
-    def joined(self, central: str, presets: Sequence[pb.Preset], *, takes_jobs: bool) -> Offer:
-        """This offer with that of its central, behind its own; what central can fit need not be withheld."""
+    def with_central(self, central: str, presets: Sequence[pb.Preset], *, takes_jobs: bool) -> Capabilities:
+        """Add the presets of central after this worker's own; a withheld preset that central has is offered too.
+
+        takes_jobs  whether central takes jobs now; if not, its presets are `unavailable`
+        """
         theirs = tuple(each for each in presets if not self.has(each.name))
         names = {each.name for each in theirs}
         withheld = tuple(each for each in self.withheld if each.name not in names)
         if not takes_jobs:
-            return replace(self, central=central, withheld=withheld, away=theirs)
+            return replace(self, central=central, withheld=withheld, unavailable=theirs)
         return replace(self, central=central, withheld=withheld, presets=(*self.presets, *theirs))

@@ -1,4 +1,4 @@
-"""What one run of a job has said so far, and whoever listens: replayed from any point, then live."""
+"""Event log of one run of a job: subscribers get the events from any point on, first replayed, then live."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ from collections.abc import AsyncIterator
 
 from services.edge.api import edge_pb2 as pb
 
-Said = pb.Progress | pb.Published
+Update = pb.Progress | pb.Published
 Ending = pb.Failure | pb.Finished
 
 HEARTBEAT_S = 4.0
-"""Seconds of silence after which a heartbeat is said. The wire promises 5; one is left for a busy interpreter lock."""
+"""Seconds without an event after which a heartbeat is sent. The wire promises 5; 1 s is left for a busy interpreter
+lock."""
 
 _ETA_FROM = 0.05
-"""Fraction below which elapsed / fraction says nothing yet about the time left."""
+"""Fraction of the job below which the time left is not estimated."""
 
 _RECENT_S = 15.0
 _RECENT_FROM_S = 3.0
-"""Seconds of progress whose rate tells the time left, at most and at least. A fit that goes on from a checkpoint jumps
-ahead once, and the rate of the whole run would promise its end within moments."""
+"""Most and least seconds of recent progress from which the time left is estimated. A fit that resumes from a checkpoint
+jumps ahead once; the rate of the whole run would then promise an end within moments."""
 
 
 class EventLog:
-    """Events 1, 2, 3, ... up to one `Failure` or `Finished`. Lives on the event loop; nothing here is thread-safe."""
+    """Events 1, 2, 3, ... up to one `Failure` or `Finished`. Used on the event loop only; not thread-safe."""
 
     def __init__(self, job: str) -> None:
         self._job = job
         self._began = time.monotonic()
         self._work_began = self._began
         self._events: list[pb.Event] = []
-        self._news = asyncio.Event()
+        self._appended = asyncio.Event()
         self._fraction = 0.0
         self._recent: deque[tuple[float, float]] = deque()
         self._stage = pb.STAGE_UNSPECIFIED
@@ -40,23 +41,23 @@ class EventLog:
 
     @property
     def ending(self) -> Ending | None:
-        """How the run ended; None while it lives."""
+        """The terminal event; None while the run lives."""
         return self._ending
 
-    def work_begins(self) -> None:
-        """The run leaves the queue: time left is reckoned from here."""
+    def start_clock(self) -> None:
+        """Start the time from which the time left is estimated: the run has left the queue."""
         self._work_began = time.monotonic()
 
-    def say(self, what: Said) -> None:
-        """Append an event. A fraction that is lower than the last, above 1 or no number is replaced by the last."""
-        match what:
+    def add(self, update: Update) -> None:
+        """Append an event. A fraction that is lower than the last, above 1 or NaN is replaced by the last."""
+        match update:
             case pb.Progress():
-                self._append(progress=self._progress(what))
+                self._append(progress=self._completed(update))
             case pb.Published():
-                self._append(published=what)
+                self._append(published=update)
 
     def end(self, ending: Ending) -> None:
-        """Append the terminal event; a failure without a stage gets the stage last heard of."""
+        """Append the terminal event; a failure without a stage gets the stage of the last progress."""
         self._ending = ending
         match ending:
             case pb.Failure():
@@ -70,7 +71,8 @@ class EventLog:
         return len(self._events)
 
     async def follow(self, after_seq: int = 0) -> AsyncIterator[pb.Event]:
-        """The events after `after_seq` through the terminal one. Any number of followers, none holds up another."""
+        """Yield the events after `after_seq` up to the terminal one. There may be any number of subscribers; a slow one
+        does not delay the others."""
         while True:
             for event in self._events[after_seq:]:
                 yield event
@@ -79,30 +81,31 @@ class EventLog:
                 continue
             if self._ending is not None:
                 return
-            await self._news.wait()
+            await self._appended.wait()
 
-    async def beat(self, every_s: float = HEARTBEAT_S) -> None:
-        """Say a heartbeat whenever nothing else was said for `every_s`, till the end."""
+    async def send_heartbeats(self, every_s: float = HEARTBEAT_S) -> None:
+        """Append a heartbeat whenever there was no event for `every_s`, until the run ends."""
         while self._ending is None:
             try:
                 async with asyncio.timeout(every_s):
-                    await self._news.wait()
+                    await self._appended.wait()
             except TimeoutError:
                 self._append(heartbeat=pb.Heartbeat())
 
-    def _progress(self, told: pb.Progress) -> pb.Progress:
-        if self._fraction < told.fraction <= 1.0:
-            self._fraction = told.fraction
-        self._stage = told.stage
-        progress = pb.Progress()
-        progress.CopyFrom(told)
-        progress.fraction = self._fraction
-        if not told.eta_s and self._fraction >= _ETA_FROM:
-            progress.eta_s = self._left_s(time.monotonic())
-        return progress
+    def _completed(self, progress: pb.Progress) -> pb.Progress:
+        """A copy whose fraction never goes back, with the estimated time left."""
+        if self._fraction < progress.fraction <= 1.0:
+            self._fraction = progress.fraction
+        self._stage = progress.stage
+        completed = pb.Progress()
+        completed.CopyFrom(progress)
+        completed.fraction = self._fraction
+        if not progress.eta_s and self._fraction >= _ETA_FROM:
+            completed.eta_s = self._remaining_s(time.monotonic())
+        return completed
 
-    def _left_s(self, now: float) -> float:
-        """Seconds left, at the recent rate where there is any progress, else at that of the whole run."""
+    def _remaining_s(self, now: float) -> float:
+        """Estimated seconds left: at the recent rate where there was recent progress, else at the whole run's."""
         self._recent.append((now, self._fraction))
         while now - self._recent[0][0] > _RECENT_S and len(self._recent) > 1:
             self._recent.popleft()
@@ -132,9 +135,9 @@ class EventLog:
                 finished=finished,
             )
         )
-        # Whoever waits holds the old Event; whoever comes next waits for the next news.
-        self._news.set()
-        self._news = asyncio.Event()
+        # Wake the subscribers that wait on the old asyncio.Event; later ones wait on the new.
+        self._appended.set()
+        self._appended = asyncio.Event()
 
 
 def _with_stage(failure: pb.Failure, stage: pb.Stage) -> pb.Failure:

@@ -1,4 +1,4 @@
-"""Exceptions of the work → `Failure` on the wire: what the caller may know, and whether asking again can help."""
+"""Convert exceptions of a job to `Failure` messages: what the caller may know, and whether a retry can help."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ DRAINING = pb.Failure(
 
 
 def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
-    """The failure that `error` means. An unforeseen one is logged with its traceback and told without its text."""
+    """Convert an exception to a `Failure`. An unexpected one is logged with traceback; the caller gets no details."""
     match error:
         case EdgeError():
-            return _named(error, scratch)
+            return _from_edge_error(error, scratch)
         case OSError(errno=errno.ENOSPC):
             _log.error("job %s: no space left in the scratch folder", job, exc_info=error)
             return pb.Failure(code="SCRATCH_FULL", message="the worker's disk is full", retryable=True)
@@ -32,24 +32,24 @@ def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
             _log.error("job %s: out of memory", job, exc_info=error)
             return pb.Failure(
                 code="OUT_OF_MEMORY",
-                message="the worker's memory does not hold this capture at this preset",
+                message="the worker has too little memory for this capture with this preset",
                 hints=["choose a coarser preset", "send fewer frames or points"],
             )
         case _:
-            _log.error("job %s: unforeseen %s", job, type(error).__name__, exc_info=error)
+            _log.error("job %s: unexpected %s", job, type(error).__name__, exc_info=error)
             return pb.Failure(code="INTERNAL", message=f"the worker failed; its log has the reason under job {job}")
 
 
-def _named(error: EdgeError, scratch: Path) -> pb.Failure:
+def _from_edge_error(error: EdgeError, scratch: Path) -> pb.Failure:
     return pb.Failure(
         code=error.code,
-        message=_without(scratch, error.message),
-        file=_without(scratch, error.file or ""),
-        hints=[_without(scratch, hint) for hint in error.hints],
+        message=_hide_scratch(scratch, error.message),
+        file=_hide_scratch(scratch, error.file or ""),
+        hints=[_hide_scratch(scratch, hint) for hint in error.hints],
         retryable=error.retryable,
     )
 
 
-def _without(scratch: Path, text: str) -> str:
-    """The text with files named as the caller knows them: where the worker unpacks is nobody's business."""
+def _hide_scratch(scratch: Path, text: str) -> str:
+    """Remove the scratch folder from a text: the caller knows files by their path in the capture."""
     return text.replace(f"{scratch}/", "").replace(str(scratch), "the capture")

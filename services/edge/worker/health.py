@@ -1,4 +1,4 @@
-"""`python -m services.edge.health`: exit 0 when the worker of EDGE_PORT is serving; a container's health check."""
+"""`python -m services.edge.worker.health`: a container's health check; exit 0 when the worker on EDGE_PORT serves."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import sys
 import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from services.edge.settings import EdgeSettings, open_door
-from services.link import OPEN, Caller, Door, name_in
+from services.edge.worker.settings import EdgeSettings, server_security
+from services.grpc_security import NO_SECURITY, ClientCredentials, ServerSecurity, certificate_host
 
-_TIMEOUT_S = 2.0  # less than the container's own
+_TIMEOUT_S = 2.0  # less than the timeout of the container's health check
 
 
-def is_serving(address: str, door: Door = OPEN) -> bool:
-    """Whether the worker behind this door answers SERVING at this address; health asks for no token."""
-    # Its own certificate vouches for itself, under a name that it is for: nobody has to know who signed it.
-    name = [("grpc.ssl_target_name_override", name_in(door.cert))] if door.cert else []
-    with Caller(door.cert).channel(address, name) as channel:
+def is_serving(address: str, security: ServerSecurity = NO_SECURITY) -> bool:
+    """Whether the worker at this address answers SERVING. Needs no token; `security` has the worker's certificate."""
+    # The worker's own certificate is used as the trusted root, under a host name that it is for: no CA is needed.
+    name = [("grpc.ssl_target_name_override", certificate_host(security.cert))] if security.cert else []
+    with ClientCredentials(security.cert).channel(address, name) as channel:
         try:
             stub = health_pb2_grpc.HealthStub(channel)
             answer = stub.Check(health_pb2.HealthCheckRequest(), timeout=_TIMEOUT_S)
@@ -28,4 +28,4 @@ def is_serving(address: str, door: Door = OPEN) -> bool:
 
 if __name__ == "__main__":
     _settings = EdgeSettings()
-    sys.exit(0 if is_serving(f"127.0.0.1:{_settings.port}", open_door(_settings)) else 1)
+    sys.exit(0 if is_serving(f"127.0.0.1:{_settings.port}", server_security(_settings)) else 1)

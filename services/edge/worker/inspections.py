@@ -1,4 +1,4 @@
-"""Read captures on behalf of phones that still wait for their upload's verdict: beside the jobs, but few at once."""
+"""Inspect captures before their upload is accepted, while a phone waits: beside the jobs, a few at once."""
 
 from __future__ import annotations
 
@@ -11,50 +11,53 @@ from pathlib import Path
 import grpc
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.failures import failure_of
-from services.edge.requests import RefusedError
-from services.edge.run import Work
-from services.edge.scratch import Scratch
-from services.edge.upload import receive
+from services.edge.worker.failures import failure_of
+from services.edge.worker.job_request import RefusedError
+from services.edge.worker.job_run import Work
+from services.edge.worker.scratch import Scratch
+from services.edge.worker.upload import receive
 
 AT_ONCE = 4
-"""Inspections at once, each a thread that mostly decodes headers; a phone can ask again, a job would be slowed down."""
+"""Most inspections at once, each a thread that mostly decodes headers: more would slow down the jobs, and a phone can
+try again."""
 
 WITHIN_S = 120.0
-"""Seconds after which a verdict is of no use: the phone's request has timed out long before."""
+"""Timeout of reading a capture, in seconds: the phone's request has timed out long before."""
 
 
 class Inspections:
-    """Verdicts on captures. Lives on the event loop; the reading has threads of its own."""
+    """Inspects captures. Used on the event loop; each capture is read in a thread of its own."""
 
     def __init__(self, work: Work, scratch: Scratch) -> None:
         self._work = work
         self._scratch = scratch
-        self._reading = 0
+        self._active = 0
 
     async def inspect(self, chunks: AsyncIterator[pb.Chunk], capture_bytes: int) -> pb.Inspection:
-        """Receive an archive and read it. Raises RefusedError: RESOURCE_EXHAUSTED, DEADLINE_EXCEEDED, `receive`'s."""
-        if self._reading >= AT_ONCE:
+        """Receive an archive and read it. Raises RefusedError: RESOURCE_EXHAUSTED, DEADLINE_EXCEEDED, and as
+        `receive`."""
+        if self._active >= AT_ONCE:
             status = grpc.StatusCode.RESOURCE_EXHAUSTED
             raise RefusedError(status, "INSPECTIONS_BUSY", f"{AT_ONCE} captures are being inspected already")
         folder = self._scratch.folder(capture_bytes)
-        self._reading += 1
+        self._active += 1
         try:
             await receive(chunks, folder / "capture.zip", expected_bytes=capture_bytes)
         except BaseException:
-            self._left(folder)
+            self._release(folder)
             raise
         return await self._read(folder)
 
     async def _read(self, folder: Path) -> pb.Inspection:
-        """The thread, not the caller, leaves the folder: a caller may go while a file is still being read."""
+        """Read the capture in a thread. The thread's end, not the caller's, releases the folder: a caller may hang up
+        while a file is still being read."""
         loop = asyncio.get_running_loop()
         verdict: asyncio.Future[pb.Inspection] = loop.create_future()
 
         def read() -> None:
             inspection = self._verdict(folder)
-            with suppress(RuntimeError):  # the loop is closed: the worker has left
-                loop.call_soon_threadsafe(self._tell, folder, verdict, inspection)
+            with suppress(RuntimeError):  # the loop is closed: the worker has shut down
+                loop.call_soon_threadsafe(self._deliver, folder, verdict, inspection)
 
         threading.Thread(target=read, name="inspection", daemon=True).start()
         try:
@@ -69,16 +72,16 @@ class Inspections:
         try:
             scratch.mkdir()
             return self._work.inspect(folder / "capture.zip", scratch)
-        except BaseException as error:  # noqa: BLE001 - the caller waits for an answer whatever happens here
+        except BaseException as error:  # noqa: BLE001 - the caller must get an answer whatever happens here
             failure = failure_of(error, job="of an inspection", scratch=scratch)
             failure.stage = pb.VALIDATING
             return pb.Inspection(failure=failure)
 
-    def _tell(self, folder: Path, verdict: asyncio.Future[pb.Inspection], inspection: pb.Inspection) -> None:
-        self._left(folder)
+    def _deliver(self, folder: Path, verdict: asyncio.Future[pb.Inspection], inspection: pb.Inspection) -> None:
+        self._release(folder)
         if not verdict.done():
             verdict.set_result(inspection)
 
-    def _left(self, folder: Path) -> None:
-        self._reading -= 1
+    def _release(self, folder: Path) -> None:
+        self._active -= 1
         self._scratch.drop(folder)

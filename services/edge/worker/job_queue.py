@@ -1,4 +1,4 @@
-"""The jobs of a worker: a few slots, a short queue behind them, and a memory of those that ended lately."""
+"""Job queue of a worker: a few slots, a short queue behind them, and the runs that ended in the last ten minutes."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from dataclasses import dataclass
 import grpc
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.event_log import Ending
-from services.edge.failures import CANCELLED, DRAINING
-from services.edge.requests import JobRequest, RefusedError
-from services.edge.run import Run, Work
-from services.edge.scratch import Scratch
-from services.edge.upload import receive
+from services.edge.worker.event_log import Ending
+from services.edge.worker.failures import CANCELLED, DRAINING
+from services.edge.worker.job_request import ReconstructionRequest, RefusedError
+from services.edge.worker.job_run import JobRun, Work
+from services.edge.worker.scratch import Scratch
+from services.edge.worker.upload import receive
 
 _log = logging.getLogger(__name__)
 
-ENDED_KEPT_S = 600.0
-"""Seconds that an ended run can be read: longer than a gateway takes to restart and find its jobs again."""
+KEEP_ENDED_S = 600.0
+"""Seconds that the events of an ended run can be read: longer than a gateway takes to restart and find its jobs."""
 
-ENDED_KEPT = 100
-"""Ended runs kept at most; at some hundred events of some hundred bytes each, a few megabytes."""
+KEEP_ENDED = 100
+"""Most ended runs that are kept; at some hundred events of some hundred bytes each, a few megabytes."""
 
 GIVE_UP_S = 1.5
-"""Seconds that a stopped run gets to notice, within the two seconds in which the wire promises a free slot."""
+"""Seconds that a run gets to react to a stop: the wire promises a free slot within two seconds."""
 
 
 @dataclass(eq=False, slots=True)
-class _Upload:
-    """A job on its way in: it has its place in the queue, but is not known to Attach."""
+class _PendingUpload:
+    """A job whose archive is being uploaded: it has its place in the queue, but Attach does not know it yet."""
 
     fence: int
     receiving: asyncio.Task[None]
@@ -43,7 +43,7 @@ class _Upload:
         self.receiving.cancel()
 
     async def received(self) -> None:
-        """Wait for the whole archive. Raises what `receive` does, and a refusal even if it came with the last byte."""
+        """Wait for the whole archive. Raises as `receive`, and the refusal even if that came with the last byte."""
         try:
             await self.receiving
         except asyncio.CancelledError:
@@ -53,8 +53,8 @@ class _Upload:
             raise self.refusal
 
 
-class Runs:
-    """Takes jobs, runs them in `slots` threads, first come first served. Lives on the event loop."""
+class JobQueue:
+    """Receives jobs and runs them in `slots` threads, first in, first out. Used on the event loop only."""
 
     def __init__(self, work: Work, scratch: Scratch, *, slots: int, queue: int) -> None:
         self._work = work
@@ -62,38 +62,40 @@ class Runs:
         self._checkpoints = scratch.checkpoints
         self._slots = slots
         self._places = slots + queue
-        self._runs: dict[str, Run] = {}
-        self._uploads: dict[str, _Upload] = {}
-        self._waiting: deque[Run] = deque()
-        self._busy: set[Run] = set()
-        self._ended: deque[Run] = deque()
-        self._beats: set[asyncio.Task[None]] = set()
+        self._runs: dict[str, JobRun] = {}
+        self._uploads: dict[str, _PendingUpload] = {}
+        self._waiting: deque[JobRun] = deque()
+        self._busy: set[JobRun] = set()
+        self._ended: deque[JobRun] = deque()
+        self._heartbeats: set[asyncio.Task[None]] = set()
         self._idle = asyncio.Event()
         self._idle.set()
         self.draining = False
 
     @property
     def free_slots(self) -> int:
-        return max(0, self._slots - self._taken())
+        return max(0, self._slots - self._places_taken())
 
     @property
     def queued(self) -> int:
-        return max(0, self._taken() - self._slots)
+        return max(0, self._places_taken() - self._slots)
 
     @property
-    def live(self) -> list[str]:
-        """The jobs that can be attached to and have not ended."""
+    def live_jobs(self) -> list[str]:
+        """Ids of the jobs that wait or run; uploads are not among them."""
         return sorted(run.request.job for run in (*self._waiting, *self._busy))
 
-    async def take(self, request: JobRequest, chunks: AsyncIterator[pb.Chunk], capture_bytes: int) -> Run:
-        """Receive the archive and queue the job. Once this returns, the job no longer depends on its caller.
+    async def take(self, request: ReconstructionRequest, chunks: AsyncIterator[pb.Chunk], capture_bytes: int) -> JobRun:
+        """Receive a job's archive and queue the job. Once this returns, the job no longer depends on its caller.
 
         Raises RefusedError: UNAVAILABLE, ALREADY_EXISTS, RESOURCE_EXHAUSTED, and those of `receive`.
         """
         self._admit(request)
         folder = self._scratch.folder(capture_bytes)
         archive = folder / "capture.zip"
-        upload = _Upload(request.fence, asyncio.create_task(receive(chunks, archive, expected_bytes=capture_bytes)))
+        upload = _PendingUpload(
+            request.fence, asyncio.create_task(receive(chunks, archive, expected_bytes=capture_bytes))
+        )
         self._uploads[request.job] = upload
         try:
             await upload.received()
@@ -104,14 +106,15 @@ class Runs:
             # A newer upload of the same job may have taken the entry over.
             if self._uploads.get(request.job) is upload:
                 del self._uploads[request.job]
-        return self._enqueue(Run(request, archive, folder, self._checkpoints))
+        return self._enqueue(JobRun(request, archive, folder, self._checkpoints))
 
-    def find(self, job: str) -> Run | None:
-        """A run that lives or ended lately."""
+    def find(self, job: str) -> JobRun | None:
+        """Return the job's run, if it waits, runs or ended lately; else None."""
         return self._runs.get(job)
 
     def cancel(self, job: str) -> bool:
-        """Stop a job wherever it is; False when it is not known or has ended. The slot is free within two seconds."""
+        """Stop a job in its upload, the queue or its slot, which is free within two seconds; False for an unknown or
+        ended job."""
         if (upload := self._uploads.get(job)) is not None:
             upload.refuse(RefusedError(grpc.StatusCode.CANCELLED, "CANCELLED", "the job was cancelled"))
             return True
@@ -121,119 +124,124 @@ class Runs:
         self._stop(run, CANCELLED)
         return True
 
-    async def drain(self, within_s: float, hurry: asyncio.Event) -> None:
-        """Take no more jobs and hand back those that wait; stop those still running after `within_s` or on `hurry`."""
+    async def drain(self, timeout_s: float, hurry: asyncio.Event) -> None:
+        """Refuse new jobs and return those that wait; stop those still running after `timeout_s` or on `hurry`."""
         self.draining = True
         for upload in self._uploads.values():
-            upload.refuse(_unavailable())
+            upload.refuse(_draining())
         for run in tuple(self._waiting):
             self._stop(run, DRAINING)
         idle, hurried = asyncio.create_task(self._idle.wait()), asyncio.create_task(hurry.wait())
-        await asyncio.wait({idle, hurried}, timeout=within_s, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait({idle, hurried}, timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
         hurried.cancel()
         for run in tuple(self._busy):
             self._stop(run, DRAINING)
         await idle
 
-    def _taken(self) -> int:
+    def _places_taken(self) -> int:
         return len(self._waiting) + len(self._busy) + len(self._uploads)
 
-    def _admit(self, request: JobRequest) -> None:
+    def _admit(self, request: ReconstructionRequest) -> None:
+        """Check whether a job can be taken. Raises RefusedError. An upload of the job by an older lease is aborted."""
         if self.draining:
-            raise _unavailable()
+            raise _draining()
         if (upload := self._uploads.get(request.job)) is not None:
             if upload.fence >= request.fence:
-                raise _known(request.job, "is being uploaded")
-            # The older lease's gateway is gone or cut off: its half of an upload is worth nothing.
+                raise _job_known(request.job, "is being uploaded")
+            # The older lease's gateway is down or cut off, and its upload will not be used.
             upload.refuse(RefusedError(grpc.StatusCode.ABORTED, "FENCE_STALE", "a newer lease uploads the job"))
             del self._uploads[request.job]
         self._require_unknown(request)
-        if self._taken() >= self._places:
+        if self._places_taken() >= self._places:
             status = grpc.StatusCode.RESOURCE_EXHAUSTED
             raise RefusedError(status, "QUEUE_FULL", f"all {self._places} places of slots and queue are taken")
 
-    def _require_unknown(self, request: JobRequest) -> None:
+    def _require_unknown(self, request: ReconstructionRequest) -> None:
+        """Refuse a job that runs or has ended here; one that failed may run again under a higher fence."""
         run = self._runs.get(request.job)
         if run is None:
             return
         if run.log.ending is None:
-            raise _known(request.job, "is running")
+            raise _job_known(request.job, "is running")
         if isinstance(run.log.ending, pb.Finished) or run.request.fence >= request.fence:
-            raise _known(request.job, "has ended")
+            raise _job_known(request.job, "has ended")
 
-    def _enqueue(self, run: Run) -> Run:
+    def _enqueue(self, run: JobRun) -> JobRun:
         if self.draining:
             self._scratch.drop(run.folder)
-            raise _unavailable()
+            raise _draining()
         self._runs[run.request.job] = run
         self._waiting.append(run)
         if len(self._busy) == self._slots:
-            run.log.say(pb.Progress(message=f"waiting for a slot, number {len(self._waiting)} in the queue"))
+            run.log.add(pb.Progress(message=f"waiting for a slot, number {len(self._waiting)} in the queue"))
         self._idle.clear()
-        beat = asyncio.create_task(run.log.beat())
-        self._beats.add(beat)
-        beat.add_done_callback(self._beats.discard)
-        self._fill()
+        heartbeat = asyncio.create_task(run.log.send_heartbeats())
+        self._heartbeats.add(heartbeat)
+        heartbeat.add_done_callback(self._heartbeats.discard)
+        self._fill_slots()
         return run
 
-    def _fill(self) -> None:
-        """Give free slots to those who wait."""
+    def _fill_slots(self) -> None:
+        """Start waiting jobs in the free slots."""
         while self._waiting and len(self._busy) < self._slots:
             run = self._waiting.popleft()
             self._busy.add(run)
-            _log.info("job %s begins: preset %s, key %s", run.request.job, run.request.preset, run.request.asset_key)
+            _log.info("job %s starts: preset %s, key %s", run.request.job, run.request.preset, run.request.asset_key)
             self._start(run)
         if not self._waiting and not self._busy:
             self._idle.set()
 
-    def _start(self, run: Run) -> None:
+    def _start(self, run: JobRun) -> None:
         run.start(
             self._work,
-            ended=lambda ending: self._end(run, ending),
-            gone=lambda: self._scratch.drop(run.folder),
+            on_end=lambda ending: self._end(run, ending),
+            cleanup=lambda: self._scratch.drop(run.folder),
         )
 
-    def _stop(self, run: Run, failure: pb.Failure) -> None:
+    def _stop(self, run: JobRun, failure: pb.Failure) -> None:
+        """End a job that waits, ask one that runs to stop, and give up waiting for it after GIVE_UP_S."""
         if run in self._waiting:
             self._waiting.remove(run)
-            run.leave(failure)
+            run.release_checkpoint(failure)
             self._scratch.drop(run.folder)
             self._end(run, failure)
             return
         run.stop(failure)
         asyncio.get_running_loop().call_later(GIVE_UP_S, self._give_up, run, failure)
 
-    def _give_up(self, run: Run, failure: pb.Failure) -> None:
-        """A thread deep in native code cannot be stopped: it loses its slot, and ends unheard at its next word."""
+    def _give_up(self, run: JobRun, failure: pb.Failure) -> None:
+        """Free the slot of a run that has not stopped. Its thread, which is deep in native code, stops at its next
+        progress report; its result is discarded."""
         if run.log.ending is None:
             _log.warning(
-                "job %s did not stop in %.1f s: its thread runs on, its slot is free", run.request.job, GIVE_UP_S
+                "job %s did not stop within %.1f s: its slot is free, its thread still runs", run.request.job, GIVE_UP_S
             )
             self._end(run, failure)
 
-    def _end(self, run: Run, ending: Ending) -> None:
+    def _end(self, run: JobRun, ending: Ending) -> None:
+        """Record a run's ending, free its slot, and start the next job. Only the first ending of a run counts."""
         if run.log.ending is not None:
             return
         run.log.end(ending)
         self._busy.discard(run)
         _log.info("job %s ended: %s", run.request.job, ending.code if isinstance(ending, pb.Failure) else "finished")
         self._ended.append(run)
-        asyncio.get_running_loop().call_later(ENDED_KEPT_S, self._forget, run)
-        if len(self._ended) > ENDED_KEPT:
+        asyncio.get_running_loop().call_later(KEEP_ENDED_S, self._forget, run)
+        if len(self._ended) > KEEP_ENDED:
             self._forget(self._ended[0])
-        self._fill()
+        self._fill_slots()
 
-    def _forget(self, run: Run) -> None:
+    def _forget(self, run: JobRun) -> None:
         if run in self._ended:
             self._ended.remove(run)
-        # The job may run again under a higher fence.
+        # The entry may belong to a newer run: a failed job may run again under a higher fence.
         if self._runs.get(run.request.job) is run:
             del self._runs[run.request.job]
 
 
-def _unavailable() -> RefusedError:
+def _draining() -> RefusedError:
     return RefusedError(grpc.StatusCode.UNAVAILABLE, "WORKER_DRAINING", "the worker is shutting down")
 
 
-def _known(job: str, state: str) -> RefusedError:
+def _job_known(job: str, state: str) -> RefusedError:
     return RefusedError(grpc.StatusCode.ALREADY_EXISTS, "JOB_KNOWN", f"job {job} {state} here: attach to it")

@@ -1,4 +1,4 @@
-"""What a caller asks of the worker, checked on entry; and how the worker says no."""
+"""Validate the header of a job, and the error with which a worker refuses a call."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ from dataclasses import dataclass
 import grpc
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.asset.target import require_encoder, target_of
 from services.edge.errors import EdgeError
-from services.edge.offer import Offer
-from services.edge.target import target_of
+from services.edge.worker.capabilities import Capabilities
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
-"""Job ids, keys, collections: they become object names and log lines, so nothing that a path or a shell could read."""
+"""Job ids, keys, collections: they become object names and log lines, so no character may mean anything to a path or a
+shell."""
 
 _LINE = re.compile(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]*")
-"""No control characters and no line ends; joiners stay, which emoji and Persian are written with."""
+"""One line of text: no control characters and no line ends. Joiners are allowed: emoji and Persian need them."""
 
 LABEL_MAX_CHARS = 200
-"""A label is a caption in a headset; more would not be read."""
+"""Longest label: it is a caption in a headset, and nobody would read more."""
 
 
 LEAST_M, MOST_M = 0.001, 1_000.0
-"""Metres between two points of a thing that a person can have measured: a tick, a street."""
+"""Shortest and longest length in metres that a person can have measured on an object: a tick, a street."""
 
 
 class RefusedError(Exception):
-    """A call that is answered with a status: `details` reads "CODE: sentence"."""
+    """Refusal of a call with a gRPC status; `details` reads "CODE: sentence"."""
 
     def __init__(self, status: grpc.StatusCode, code: str, message: str) -> None:
         super().__init__(f"{code}: {message}")
@@ -36,15 +37,15 @@ class RefusedError(Exception):
 
 
 def invalid(code: str, message: str) -> RefusedError:
-    """The caller's own mistake: asking again will not help."""
+    """Refuse a call as INVALID_ARGUMENT: the caller's own mistake, which a retry does not help."""
     return RefusedError(grpc.StatusCode.INVALID_ARGUMENT, code, message)
 
 
 @dataclass(frozen=True, slots=True)
-class JobRequest:
-    """A valid header: the fields of the wire's `Header`, with `preset` and `label` filled in.
+class ReconstructionRequest:
+    """A validated header: the fields of the wire's `Header`, with the defaults of `preset` and `label` filled in.
 
-    collection  where the asset is to be listed; "": wherever this worker lists what nobody named one for
+    collection  collection that lists the asset; "": this worker's default collection
     """
 
     job: str
@@ -59,10 +60,11 @@ class JobRequest:
     collection: str = ""
 
     @classmethod
-    def of(cls, header: pb.Header, offer: Offer) -> JobRequest:
-        """The first preset on offer is the default.
+    def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
+        """Validate a header. The first preset on offer is the default.
 
-        Raises RefusedError: INVALID_ARGUMENT naming the field, UNAVAILABLE where only an absent central has the preset.
+        Raises RefusedError: INVALID_ARGUMENT naming the field; UNAVAILABLE where only central has the preset and takes
+        no jobs now.
         """
         _require_name("JOB_INVALID", "job", header.job)
         _require_name("KEY_INVALID", "asset_key", header.asset_key)
@@ -76,7 +78,7 @@ class JobRequest:
         _require_offered(preset, offer)
         label = header.label or header.asset_key
         isolate = header.isolate if header.HasField("isolate") else None
-        longest_m = _length("longest_m", header.longest_m) if header.longest_m else None
+        longest_m = _checked_length("longest_m", header.longest_m) if header.longest_m else None
         return cls(
             job=header.job,
             fence=header.fence,
@@ -93,29 +95,31 @@ class JobRequest:
 
 def _require_name(code: str, field: str, value: str) -> None:
     if not _NAME.fullmatch(value):
-        raise invalid(code, f"{field} must be 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
+        raise invalid(
+            code, f"{field} must be 1 to 100 of the characters A-Z a-z 0-9 . _ - and begin with a letter or digit"
+        )
 
 
-def _require_target(name: str, offer: Offer) -> None:
+def _require_target(name: str, offer: Capabilities) -> None:
     try:
-        target_of(name, offer.ktx2)
+        require_encoder(target_of(name), has_encoder=offer.ktx2)
     except EdgeError as error:
         raise invalid(error.code, f"{error.message}; {error.hints[0]}") from None
 
 
-def _length(field: str, value: float) -> float:
-    if not LEAST_M <= value <= MOST_M:  # no number is neither
+def _checked_length(field: str, value: float) -> float:
+    if not LEAST_M <= value <= MOST_M:  # true for NaN too
         raise invalid("LENGTH_INVALID", f"{field} must be {LEAST_M} to {MOST_M} metres")
     return value
 
 
-def _require_offered(preset: str, offer: Offer) -> None:
+def _require_offered(preset: str, offer: Capabilities) -> None:
     names = ", ".join(offer.names)
     if preset in {each.name for each in offer.withheld}:
-        wanted = f"even its smallest fit takes more than the {offer.memory_bytes:,} bytes of this worker"
-        raise invalid("MEMORY_EXCEEDED", f"preset {preset} is not offered: {wanted}; offered are {names}")
-    if preset in {each.name for each in offer.away}:
-        fits = f"central at {offer.central}, which alone offers preset {preset}, takes no jobs now"
-        raise RefusedError(grpc.StatusCode.UNAVAILABLE, "CENTRAL_UNAVAILABLE", fits)
+        needed = f"even its smallest fit needs more than the {offer.memory_bytes:,} bytes of this worker"
+        raise invalid("MEMORY_EXCEEDED", f"preset {preset} is not offered: {needed}; use one of {names}")
+    if preset in {each.name for each in offer.unavailable}:
+        fault = f"preset {preset} is offered only by central at {offer.central}, which takes no jobs now"
+        raise RefusedError(grpc.StatusCode.UNAVAILABLE, "CENTRAL_UNAVAILABLE", fault)
     if preset not in offer.names:
-        raise invalid("PRESET_UNKNOWN", f"there is no such preset; known are {names}")
+        raise invalid("PRESET_UNKNOWN", f"there is no preset {preset}; use one of {names}")

@@ -1,4 +1,4 @@
-"""One run of a job: the work on its own thread, its events on the loop."""
+"""One run of a job: the work runs on a thread of its own, its events are logged on the event loop."""
 
 from __future__ import annotations
 
@@ -11,38 +11,41 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.checkpoints import Checkpoints
 from services.edge.errors import Cancelled
-from services.edge.event_log import Ending, EventLog, Said
-from services.edge.failures import failure_of
-from services.edge.offer import Offer
-from services.edge.requests import JobRequest
+from services.edge.worker.capabilities import Capabilities
+from services.edge.worker.checkpoint_files import CheckpointFiles
+from services.edge.worker.event_log import Ending, EventLog, Update
+from services.edge.worker.failures import failure_of
+from services.edge.worker.job_request import ReconstructionRequest
 
-Say = Callable[[Said], None]
-"""How the work speaks, at every slab of it: raises `Cancelled` once the work is no longer wanted (of this worker:
-`HandedBack`)."""
+Report = Callable[[Update], None]
+"""Callback with which the work reports progress and published bundles, several times a second. Raises `Cancelled` once
+the job is cancelled, `JobReturned` when this worker shuts down."""
 
 PROGRESS_APART_S = 0.25
-"""Seconds between two progress events of one stage. The work may speak per slab; people look four times a second."""
+"""Least seconds between two progress events of one stage: the work reports more often than people can read."""
 
 
-class HandedBack(Cancelled):
-    """The work is no longer wanted of this worker, but it is wanted: the job will run again, here or elsewhere."""
+class JobReturned(Cancelled):
+    """The run is stopped on this worker, but the job is not cancelled: it will run again, here or elsewhere."""
 
 
 class Work(Protocol):
-    """What a worker does with an archive: blocking, on a thread of its own, several at once when there are slots."""
+    """The computation that a worker runs on archives. Methods block; each slot calls them on a thread of its own."""
 
     @property
-    def offer(self) -> Offer:
-        """What it can do."""
+    def offer(self) -> Capabilities:
+        """The presets, device and options that it has now."""
         ...
 
-    def reconstruct(self, archive: Path, request: JobRequest, scratch: Path, checkpoint: Path, say: Say) -> pb.Finished:
-        """Reconstruct and publish, saying `Progress` often and `Published` per bundle; `scratch` is emptied after.
+    def reconstruct(
+        self, archive: Path, request: ReconstructionRequest, scratch: Path, checkpoint: Path, report: Report
+    ) -> pb.Finished:
+        """Reconstruct and publish; report `Progress` often, and `Published` for every bundle.
 
-        checkpoint: a file that outlives a killed worker: there when the job's earlier run left one, written by this one
-        Raises EdgeError with a name for what the caller should know, Cancelled when `say` does.
+        scratch     folder for temporary files, emptied afterwards
+        checkpoint  file that survives a killed worker: it exists where an earlier run of the job wrote it
+        Raises EdgeError for faults that the caller should know, and Cancelled when `report` does.
         """
         ...
 
@@ -51,10 +54,12 @@ class Work(Protocol):
         ...
 
 
-class Run:
-    """A job that this worker has taken: its archive lies in `folder`, which is gone when the run's thread is."""
+class JobRun:
+    """A job that this worker has taken. Its archive lies in `folder`, which is removed when the run's thread ends."""
 
-    def __init__(self, request: JobRequest, archive: Path, folder: Path, checkpoints: Checkpoints) -> None:
+    def __init__(
+        self, request: ReconstructionRequest, archive: Path, folder: Path, checkpoints: CheckpointFiles
+    ) -> None:
         self.request = request
         self.folder = folder
         self.log = EventLog(request.job)
@@ -63,74 +68,78 @@ class Run:
         self._stop_with: pb.Failure | None = None
         self._last: tuple[pb.Progress, float] | None = None
 
-    def start(self, work: Work, ended: Callable[[Ending], None], gone: Callable[[], None]) -> None:
-        """Run `work` on a new thread. On the loop, `ended` hears the ending; on the thread, `gone` is called last.
+    def start(self, work: Work, on_end: Callable[[Ending], None], cleanup: Callable[[], None]) -> None:
+        """Run `work` on a new thread; at its end call `cleanup` on the thread, then `on_end` on the event loop.
 
-        A daemon thread: one that is deep in native code when the worker leaves must not hold the process.
+        It is a daemon thread: one that is deep in native code must not keep the process alive when the worker stops.
         """
         loop = asyncio.get_running_loop()
-        self.log.work_begins()
+        self.log.start_clock()
 
         def compute() -> None:
-            ending = self._ending_of(work, loop)
-            self.leave(ending)
-            gone()
-            _post(loop, ended, ending)
+            ending = self._run(work, loop)
+            self.release_checkpoint(ending)
+            cleanup()
+            _post(loop, on_end, ending)
 
         threading.Thread(target=compute, name=f"job {self.request.job}", daemon=True).start()
 
     def stop(self, failure: pb.Failure) -> None:
-        """Ask the work to stop at its next word, and end with `failure`. The first to ask gives the reason."""
+        """Ask the work to stop at its next report, and end with `failure`; of several calls the first one counts."""
         self._stop_with = self._stop_with or failure
 
-    def leave(self, ending: Ending) -> None:
-        """Nothing is computed here any more: what the job would go on from is kept only if it will."""
-        if not _runs_again(ending):
+    def release_checkpoint(self, ending: Ending) -> None:
+        """Remove the checkpoint at the run's end, unless the job will run again and resume from it."""
+        if not _is_retried(ending):
             self._checkpoints.drop(self.request.job, self.request.fence)
 
-    def _ending_of(self, work: Work, loop: asyncio.AbstractEventLoop) -> Ending:
+    def _run(self, work: Work, loop: asyncio.AbstractEventLoop) -> Ending:
+        """Do the work on the run's thread; every exception becomes a `Failure`."""
         scratch = self.folder / "work"
         try:
             scratch.mkdir()
             checkpoint = self._checkpoints.take(self.request.job, self.request.fence)
             return work.reconstruct(
-                self._archive, self.request, scratch, checkpoint, lambda what: self._say(loop, what)
+                self._archive, self.request, scratch, checkpoint, lambda update: self._report(loop, update)
             )
         except Cancelled as cancelled:
             return self._stop_with or failure_of(cancelled, job=self.request.job, scratch=scratch)
-        except BaseException as error:  # noqa: BLE001 - whatever kills this thread, the caller must hear of an ending
+        except BaseException as error:  # noqa: BLE001 - whatever ends this thread, the caller must get an ending
             return failure_of(error, job=self.request.job, scratch=scratch)
 
-    def _say(self, loop: asyncio.AbstractEventLoop, what: Said) -> None:
-        """Called on the run's thread."""
+    def _report(self, loop: asyncio.AbstractEventLoop, update: Update) -> None:
+        """Post an update to the event loop, from the run's thread. Raises Cancelled or JobReturned after a stop."""
         if self._stop_with is not None:
-            raise HandedBack if _runs_again(self._stop_with) else Cancelled
-        if isinstance(what, pb.Progress) and self._no_news(what):
+            raise JobReturned if _is_retried(self._stop_with) else Cancelled
+        if isinstance(update, pb.Progress) and self._is_redundant(update):
             return
-        _post(loop, self._hear, what)
+        _post(loop, self._record, update)
 
-    def _hear(self, what: Said) -> None:
-        # A run that was given up has its ending already; its thread may still speak once.
+    def _record(self, update: Update) -> None:
+        # A run that was given up has its ending already, but its thread may still report once.
         if self.log.ending is None:
-            self.log.say(what)
+            self.log.add(update)
 
-    def _no_news(self, progress: pb.Progress) -> bool:
-        """Whether it repeats the last, as work does that waits and only asks to be stopped, or follows it too soon."""
+    def _is_redundant(self, progress: pb.Progress) -> bool:
+        """Whether a report repeats the last one, as work does that only waits, or comes too soon after it."""
         now = time.monotonic()
         if self._last is not None:
-            last, said_at = self._last
-            if progress == last or (progress.stage == last.stage and now - said_at < PROGRESS_APART_S):
+            last, reported_at = self._last
+            if progress == last or (progress.stage == last.stage and now - reported_at < PROGRESS_APART_S):
                 return True
         self._last = (progress, now)
         return False
 
 
-def _runs_again(ending: Ending) -> bool:
-    """Whether a gateway will send the job again, to go on from its checkpoint."""
+def _is_retried(ending: Ending) -> bool:
+    """Whether a gateway will send the job again, to resume from its checkpoint."""
     return isinstance(ending, pb.Failure) and ending.retryable
 
 
-def _post(loop: asyncio.AbstractEventLoop, call: Callable[[Any], None], what: Said | Ending) -> None:
-    """From a run's thread to the loop, in order. A closed loop means that the worker has left without this thread."""
+def _post(loop: asyncio.AbstractEventLoop, call: Callable[[Any], None], argument: Update | Ending) -> None:
+    """Call a function on the event loop from a run's thread; the order of calls is kept.
+
+    A closed loop means that the worker has shut down without waiting for this thread.
+    """
     with suppress(RuntimeError):
-        loop.call_soon_threadsafe(call, what)
+        loop.call_soon_threadsafe(call, argument)

@@ -1,4 +1,4 @@
-"""The worker's scratch: one folder per upload or job, gone with it; what a crash left goes with the next start."""
+"""Scratch folder of a worker: one folder per upload or job, removed at its end, or at the next start after a crash."""
 
 from __future__ import annotations
 
@@ -13,54 +13,57 @@ from pathlib import Path
 
 import grpc
 
-from services.edge.checkpoints import Checkpoints
-from services.edge.requests import RefusedError
+from services.edge.worker.checkpoint_files import CheckpointFiles
+from services.edge.worker.job_request import RefusedError
 
 _log = logging.getLogger(__name__)
 
 _LOCK = ".lock"
 
 HEADROOM = 3
-"""Free bytes wanted per byte of archive: the archive, its contents (phones' images barely deflate), and the bundle."""
+"""Free bytes needed per byte of archive: the archive, its contents (phones' images barely deflate), and the bundle."""
 
 
 class Scratch:
-    """Folders under a root that several workers may share: each keeps to a part of its own and holds its lock.
+    """Scratch folders under a root that several workers may share: each locks a part of its own.
 
-    Checkpoints belong to the jobs instead, so that any of the workers may go on with what another began.
+    Checkpoints are shared, so that any worker can resume a job that another one began.
     """
 
     def __init__(self, root: Path) -> None:
         self._root = root
         self._own = root
-        self.checkpoints = Checkpoints(root / "checkpoints")
+        self.checkpoints = CheckpointFiles(root / "checkpoints")
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Own a part of the root for the life of the worker; the parts of workers that died are removed first."""
+    def claim(self) -> Iterator[None]:
+        """Create and lock this worker's part of the root for the block, and remove the parts of workers that died."""
         self._root.mkdir(parents=True, exist_ok=True, mode=0o700)
-        # Under the root's lock, so that nobody takes a part for stale between its creation and its locking.
-        with ExitStack() as held:
+        # Under the root's lock: another worker could take the part for stale between its creation and its locking.
+        with ExitStack() as claimed:
             with _lock(self._root):
                 self._remove_stale()
                 self._own = Path(tempfile.mkdtemp(dir=self._root, prefix="worker-"))
-                held.enter_context(_lock(self._own))
-            held.callback(self.drop, self._own)
+                claimed.enter_context(_lock(self._own))
+            claimed.callback(self.drop, self._own)
             yield
 
     def folder(self, capture_bytes: int) -> Path:
-        """A new empty folder for a capture of that size. Raises RefusedError where the disk cannot take it."""
-        with writing():
+        """Create an empty folder for a capture of that size. Raises RefusedError where the disk has too little room."""
+        with translate_disk_errors():
             free = shutil.disk_usage(self._own).free
             if free < HEADROOM * capture_bytes:
-                raise _full(f"{free:,} bytes are free, {HEADROOM * capture_bytes:,} wanted")
+                raise _scratch_full(
+                    f"the worker's disk has {free:,} bytes free, {HEADROOM * capture_bytes:,} are needed"
+                )
             return Path(tempfile.mkdtemp(dir=self._own, prefix="job-"))
 
     def drop(self, folder: Path) -> None:
-        """Remove a folder, even one that a stopped thread still writes to: what stays goes with the worker."""
+        """Remove a folder. Files that a stopped thread still writes there are removed when the worker ends."""
         shutil.rmtree(folder, ignore_errors=True)
 
     def _remove_stale(self) -> None:
+        """Remove the parts that no living worker has locked."""
         for part in self._root.glob("worker-*"):
             try:
                 with _lock(part, wait=False):
@@ -70,22 +73,25 @@ class Scratch:
 
 
 @contextmanager
-def writing() -> Iterator[None]:
-    """Around writes on behalf of a caller: a failing disk is RefusedError (RESOURCE_EXHAUSTED), for another may do."""
+def translate_disk_errors() -> Iterator[None]:
+    """Turn an OSError of the block into RefusedError RESOURCE_EXHAUSTED: another worker's disk may have room."""
     try:
         yield
     except OSError as error:
-        _log.error("the scratch cannot be written to", exc_info=error)
-        raise _full("the worker's disk takes no more") from None
+        _log.error("the scratch folder cannot be written to", exc_info=error)
+        raise _scratch_full("the worker cannot write to its disk") from None
 
 
-def _full(message: str) -> RefusedError:
+def _scratch_full(message: str) -> RefusedError:
     return RefusedError(grpc.StatusCode.RESOURCE_EXHAUSTED, "SCRATCH_FULL", message)
 
 
 @contextmanager
 def _lock(folder: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold a folder's lock, which the kernel drops with the process, even a killed one. BlockingIOError when taken."""
+    """Lock a folder for the block; the kernel releases the lock when the process ends, even if it is killed.
+
+    wait  whether to wait for the lock; otherwise raises BlockingIOError when it is taken
+    """
     descriptor = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR, 0o600)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))

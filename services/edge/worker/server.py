@@ -1,4 +1,4 @@
-"""The edge worker's gRPC server: statuses, health, drain. What it computes is handed in as `Work`."""
+"""gRPC server of an edge worker: its calls, health checks and shutdown. The computation is passed in as `Work`."""
 
 from __future__ import annotations
 
@@ -16,47 +16,42 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from services import __version__
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
-from services.edge.door import TokenDoor, heard_out
-from services.edge.inspections import Inspections
-from services.edge.requests import JobRequest, RefusedError
-from services.edge.run import Work
-from services.edge.runs import Runs
-from services.edge.scratch import Scratch
-from services.edge.settings import EdgeSettings, open_door
-from services.edge.upload import first_header
-from services.link import Door
+from services.edge.worker.authentication import TokenAuthentication, drain_messages
+from services.edge.worker.inspections import Inspections
+from services.edge.worker.job_queue import JobQueue
+from services.edge.worker.job_request import ReconstructionRequest, RefusedError
+from services.edge.worker.job_run import Work
+from services.edge.worker.scratch import Scratch
+from services.edge.worker.settings import EdgeSettings, server_security
+from services.edge.worker.upload import first_header
+from services.grpc_client import KEEPALIVE, MESSAGE_LIMITS
+from services.grpc_security import ServerSecurity
 from services.strict_settings import SettingsError
 
 _log = logging.getLogger(__name__)
 
 SERVICE = pb.DESCRIPTOR.services_by_name["EdgeReconstruction"].full_name
 
-MESSAGE_BYTES = 8 << 20
-"""Largest message either way: eight of the wire's largest chunks."""
-
 OPTIONS = (
-    ("grpc.max_receive_message_length", MESSAGE_BYTES),
-    ("grpc.max_send_message_length", MESSAGE_BYTES),
-    # A phone's hotspot drops silent connections after about 30 s: ping before, and notice a dead peer within 10 s.
-    ("grpc.keepalive_time_ms", 20_000),
-    ("grpc.keepalive_timeout_ms", 10_000),
+    *MESSAGE_LIMITS,
+    *KEEPALIVE,
     ("grpc.keepalive_permit_without_calls", 1),
-    # Gateways may ping as often, without being sent away with ENHANCE_YOUR_CALM.
+    # Gateways ping every 20 s; a server with gRPC's default limit would disconnect them with ENHANCE_YOUR_CALM.
     ("grpc.http2.min_recv_ping_interval_without_data_ms", 5_000),
-    # A second worker on the same port must fail, not silently take half the calls.
+    # A second worker on the same port must fail to start, not silently take half the calls.
     ("grpc.so_reuseport", 0),
 )
 
-FAREWELL_S = 2.0
-"""Seconds that open streams get to carry their terminal event once every job has ended."""
+STREAM_END_S = 2.0
+"""Seconds that open streams get to deliver their terminal event once every job has ended."""
 
 Context = grpc.aio.ServicerContext[Any, Any]
 
 
 class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
-    """The wire's five calls on a worker's `Runs` and `Inspections`."""
+    """Implements the wire's five calls with a worker's `JobQueue` and `Inspections`."""
 
-    def __init__(self, settings: EdgeSettings, work: Work, runs: Runs, inspections: Inspections) -> None:
+    def __init__(self, settings: EdgeSettings, work: Work, runs: JobQueue, inspections: Inspections) -> None:
         self._settings = settings
         self._work = work
         self._runs = runs
@@ -66,8 +61,8 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
         chunks = aiter(request_iterator)
         try:
             header = await first_header(chunks, limit_bytes=self._settings.max_capture_bytes)
-            request = JobRequest.of(header, self._work.offer)
-            run = await self._runs.take(request, _welcomed(chunks, context), header.capture_bytes)
+            request = ReconstructionRequest.of(header, self._work.offer)
+            run = await self._runs.take(request, _admitting(chunks, context), header.capture_bytes)
         except RefusedError as refused:
             await _refuse(context, refused, chunks)
         async for event in run.log.follow():
@@ -77,7 +72,7 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
         chunks = aiter(request_iterator)
         try:
             header = await first_header(chunks, limit_bytes=self._settings.max_capture_bytes)
-            return await self._inspections.inspect(_welcomed(chunks, context), header.capture_bytes)
+            return await self._inspections.inspect(_admitting(chunks, context), header.capture_bytes)
         except RefusedError as refused:
             await _refuse(context, refused, chunks)
 
@@ -86,8 +81,8 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
         if run is None:
             await context.abort(grpc.StatusCode.NOT_FOUND, "JOB_UNKNOWN: this worker does not know the job")
         if request.after_seq > run.log.last_seq:
-            said = f"this run has said {run.log.last_seq} events, not {request.after_seq}"
-            await context.abort(grpc.StatusCode.OUT_OF_RANGE, f"SEQ_UNKNOWN: {said}")
+            fault = f"this run has {run.log.last_seq} events so far, not {request.after_seq}"
+            await context.abort(grpc.StatusCode.OUT_OF_RANGE, f"SEQ_UNKNOWN: {fault}")
         async for event in run.log.follow(request.after_seq):
             yield event
 
@@ -104,34 +99,34 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
             free_slots=self._runs.free_slots,
             queued=self._runs.queued,
             draining=self._runs.draining,
-            jobs=self._runs.live,
+            jobs=self._runs.live_jobs,
             memory_bytes=offer.memory_bytes,
             points_version=offer.points_version,
             central=offer.central,
         )
 
 
-async def _welcomed(chunks: AsyncIterator[pb.Chunk], context: Context) -> AsyncIterator[pb.Chunk]:
-    """The chunks; whoever reads the first has admitted the upload, which the caller hears as initial metadata."""
+async def _admitting(chunks: AsyncIterator[pb.Chunk], context: Context) -> AsyncIterator[pb.Chunk]:
+    """Yield the chunks of an upload; before the first, admit it by sending the call's initial metadata."""
     await context.send_initial_metadata(())
     async for chunk in chunks:
         yield chunk
 
 
 async def _refuse(context: Context, refused: RefusedError, chunks: AsyncIterator[pb.Chunk]) -> NoReturn:
-    """Answer with the status, after hearing out a caller who did not wait to be admitted."""
-    await heard_out(chunks)
+    """End the call with the refusal's status, after draining the messages of a caller that did not wait for it."""
+    await drain_messages(chunks)
     await context.abort(refused.status, refused.details)
 
 
 def serve(settings: EdgeSettings, work: Work) -> int:
-    """Serve until SIGTERM or SIGINT, drain, and return the process's exit status: 0, or 1 when it could not start.
+    """Serve until SIGTERM or SIGINT, then drain; return the exit status: 0, or 1 when the worker could not start.
 
     A second signal ends the drain at once.
     """
     scratch = Scratch(settings.scratch)
     try:
-        with scratch.held():
+        with scratch.claim():
             asyncio.run(_serve(settings, work, scratch))
     except (AddressError, SettingsError) as error:
         _log.error("%s", error)
@@ -140,21 +135,21 @@ def serve(settings: EdgeSettings, work: Work) -> int:
 
 
 class AddressError(RuntimeError):
-    """The worker cannot listen where it was told to."""
+    """The worker cannot listen on the address of its settings."""
 
 
 class EdgeServer:
-    """The worker's calls, its health and, when asked for, reflection on one port. Built and used on the event loop.
+    """Serves the worker's calls, health checks and, if enabled, reflection on one port. Used on the event loop only.
 
     Raises SettingsError where the settings' certificate, key or token cannot be used.
     """
 
     def __init__(self, settings: EdgeSettings, work: Work, scratch: Scratch) -> None:
         self._settings = settings
-        self._runs = Runs(work, scratch, slots=settings.slots, queue=settings.queue)
-        self._door = open_door(settings)
-        guards = [TokenDoor(self._door.token)] if self._door.token else []
-        self._server = grpc.aio.server(interceptors=guards, options=OPTIONS)
+        self._runs = JobQueue(work, scratch, slots=settings.slots, queue=settings.queue)
+        self._security = server_security(settings)
+        interceptors = [TokenAuthentication(self._security.token)] if self._security.token else []
+        self._server = grpc.aio.server(interceptors=interceptors, options=OPTIONS)
         self._health = health.aio.HealthServicer()
         servicer = EdgeServicer(settings, work, self._runs, Inspections(work, scratch))
         edge_pb2_grpc.add_EdgeReconstructionServicer_to_server(servicer, self._server)  # type: ignore[no-untyped-call]
@@ -163,25 +158,28 @@ class EdgeServer:
             _add_reflection(self._server)
 
     async def start(self) -> int:
-        """Listen; the port. Raises AddressError."""
-        port = _bind(self._server, self._settings, self._door)
+        """Start listening; return the port. Raises AddressError."""
+        port = _bind(self._server, self._settings, self._security)
         await self._health.set(SERVICE, health_pb2.HealthCheckResponse.SERVING)
         await self._server.start()
         return port
 
     async def drain(self, hurry: asyncio.Event) -> None:
-        """Say NOT_SERVING, take no more jobs, give the running ones their time, tell everybody, and stop."""
+        """Shut down: report NOT_SERVING, refuse new jobs, wait `drain_s` for the running ones, end the streams, stop.
+
+        hurry  ends the wait at once when it is set
+        """
         await self._health.enter_graceful_shutdown()
         await self._runs.drain(self._settings.drain_s, hurry)
-        await self._server.stop(FAREWELL_S)
+        await self._server.stop(STREAM_END_S)
 
 
 async def _serve(settings: EdgeSettings, work: Work, scratch: Scratch) -> None:
     server = EdgeServer(settings, work, scratch)
-    with _signals() as (leave, hurry):
+    with _signals() as (stop, hurry):
         _announce(settings, await server.start())
-        await leave.wait()
-        _log.info("draining: running jobs have %.0f s", settings.drain_s)
+        await stop.wait()
+        _log.info("draining: running jobs have %.0f s to finish", settings.drain_s)
         await server.drain(hurry)
     _log.info("drained")
 
@@ -192,37 +190,37 @@ def _add_reflection(server: grpc.aio.Server) -> None:
     reflection.enable_server_reflection((SERVICE, health.SERVICE_NAME, reflection.SERVICE_NAME), server)
 
 
-def _bind(server: grpc.aio.Server, settings: EdgeSettings, door: Door) -> int:
-    """The port; gRPC's own error tells nothing a person could act on."""
+def _bind(server: grpc.aio.Server, settings: EdgeSettings, security: ServerSecurity) -> int:
+    """Bind the server to its address; return the port. Raises AddressError, because gRPC's own error has no reason."""
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    address, credentials = f"{host}:{settings.port}", door.credentials
+    address, credentials = f"{host}:{settings.port}", security.credentials
     try:
         return server.add_secure_port(address, credentials) if credentials else server.add_insecure_port(address)
     except RuntimeError:
-        raise AddressError(f"cannot listen on {address}: set EDGE_HOST or EDGE_PORT") from None
+        raise AddressError(f"cannot listen on {address}: choose another EDGE_HOST or EDGE_PORT") from None
 
 
 def _announce(settings: EdgeSettings, port: int) -> None:
     _log.info("settings: %s", json.dumps(settings.describe()))
     _log.info("listening on %s:%d", settings.host, port)
     if not settings.loopback and not settings.token.get_secret_value():
-        said = "EDGE_HOST=%s: without EDGE_TOKEN there are no access keys, so whoever reaches this port may run jobs"
-        _log.warning(said, settings.host)
+        warning = "EDGE_HOST=%s: no EDGE_TOKEN is set, so anybody who can reach this port may run jobs"
+        _log.warning(warning, settings.host)
 
 
 @contextmanager
 def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
-    """(leave, hurry): set by the first and the second SIGTERM or SIGINT."""
-    leave, hurry = asyncio.Event(), asyncio.Event()
+    """Handle signals in the block: yield two events, set by the first and the second SIGTERM or SIGINT."""
+    stop, hurry = asyncio.Event(), asyncio.Event()
     loop = asyncio.get_running_loop()
 
-    def heard() -> None:
-        (hurry if leave.is_set() else leave).set()
+    def on_signal() -> None:
+        (hurry if stop.is_set() else stop).set()
 
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, heard)
+        loop.add_signal_handler(number, on_signal)
     try:
-        yield leave, hurry
+        yield stop, hurry
     finally:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.remove_signal_handler(number)

@@ -1,4 +1,4 @@
-"""What a stream says within a moment, together: a talkative run then costs a few synced commits a second."""
+"""Groups a run's reports into batches, so that a chatty run causes only a few synced commits per second."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 
-from services.gateway.jobs.reports import Report, coalesced
+from services.gateway.jobs.reports import Report, coalesce
 
 
-async def batched(reports: AsyncGenerator[Report, None], *, apart_s: float) -> AsyncGenerator[list[Report], None]:
-    """All that the stream says, coalesced, in batches at least `apart_s` apart; then raises what the stream raises."""
+async def batch_reports(
+    reports: AsyncGenerator[Report, None], *, interval_s: float
+) -> AsyncGenerator[list[Report], None]:
+    """Yield the stream's reports, coalesced, in batches at least `interval_s` apart; raise what the stream raises."""
     queue: asyncio.Queue[Report | None] = asyncio.Queue()
     pump = asyncio.create_task(_pump(reports, queue))
     try:
@@ -18,10 +20,10 @@ async def batched(reports: AsyncGenerator[Report, None], *, apart_s: float) -> A
             batch: list[Report | None] = [first]
             while not queue.empty():
                 batch.append(queue.get_nowait())
-            yield coalesced(report for report in batch if report is not None)
+            yield coalesce(report for report in batch if report is not None)
             if batch[-1] is None:
                 break
-            await asyncio.wait([pump], timeout=apart_s)
+            await asyncio.wait([pump], timeout=interval_s)
         await pump
     finally:
         pump.cancel()

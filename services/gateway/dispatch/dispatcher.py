@@ -1,4 +1,4 @@
-"""Gives waiting jobs to free workers, speaks for those that run, and takes over those that nobody speaks for."""
+"""Dispatcher: leases queued jobs to free workers, renews the leases of running jobs, takes over orphaned ones."""
 
 from __future__ import annotations
 
@@ -10,140 +10,150 @@ from functools import partial
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.gateway.jobs.conductor import Conductor, Means
+from services.gateway.dispatch.run_supervisor import Dependencies, RunSupervisor
 from services.gateway.jobs.job import Job
+from services.gateway.jobs.state_machine import Change, lease_to_worker, take_over
 from services.gateway.jobs.store import JobStore
-from services.gateway.jobs.transitions import Change, leased, taken_over
-from services.gateway.workers import WorkerStatus
+from services.gateway.worker_types import WorkerStatus
 
-_LOOK_S = 0.5  # between looks at the queue while nothing wakes us: pauses end, workers come back
-_RENEWALS = 3  # per lease: two may fail before the job is lost
+_POLL_S = 0.5  # between checks of the queue without a wake-up: retry pauses end, workers come back
+_RENEWALS = 3  # per lease period: two may fail before the lease is lost
 
 _log = logging.getLogger(__name__)
 
 
 class Dispatcher:
-    """The gateway's hands. holder: this gateway's name in the lease table, the same after a restart."""
+    """Runs the gateway's jobs on its workers, as a background task.
 
-    def __init__(self, means: Means, *, holder: str, lease_s: float) -> None:
-        self._means = means
+    holder   this gateway's id in the lease table, the same after a restart
+    lease_s  how long a lease lasts without renewal
+    """
+
+    def __init__(self, dependencies: Dependencies, *, holder: str, lease_s: float) -> None:
+        self._dependencies = dependencies
         self._holder = holder
         self._lease_s = lease_s
-        self._conductors: dict[str, tuple[Conductor, asyncio.Task[None]]] = {}
+        self._supervisors: dict[str, tuple[RunSupervisor, asyncio.Task[None]]] = {}
         self._wake = asyncio.Event()
 
     def wake(self) -> None:
-        """There may be something to do: a new job, a free slot."""
+        """Check the queue now: there is a new job or a free slot."""
         self._wake.set()
 
     def cancel(self, job: str) -> None:
-        """Stop a run that this gateway speaks for; another gateway's is stopped at its next renewal."""
-        if job in self._conductors:
-            self._conductors[job][0].cancel()
+        """Stop a job's run if this gateway supervises it; another gateway stops its run when it renews the lease."""
+        if job in self._supervisors:
+            self._supervisors[job][0].cancel()
 
     async def run(self) -> None:
-        """Until cancelled. Runs go on without us: their workers do not need to be heard."""
+        """Dispatch jobs until cancelled. Runs continue on their workers without this gateway."""
         try:
-            await self._take_up()
+            await self._recover_own_runs()
             async with asyncio.TaskGroup() as group:
-                group.create_task(self._every(self._lease_s / _RENEWALS, self._renew, asyncio.Event()))
-                group.create_task(self._every(_LOOK_S, self._hand_out, self._wake))
+                group.create_task(self._repeat(self._lease_s / _RENEWALS, self._renew, asyncio.Event()))
+                group.create_task(self._repeat(_POLL_S, self._dispatch, self._wake))
         finally:
-            tasks = [task for _, task in self._conductors.values()]
+            tasks = [task for _, task in self._supervisors.values()]
             for task in tasks:
                 task.cancel()
             if tasks:
                 await asyncio.wait(tasks)
 
-    async def _take_up(self) -> None:
-        """What this gateway ran before its restart is still running, or has to run again: no waiting for leases."""
+    async def _recover_own_runs(self) -> None:
+        """Take over the runs of this gateway before its restart, without waiting for their leases to expire."""
         while True:
             try:
                 return await self._take_over(self._holder)
             except SQLAlchemyError:
-                _log.exception("the jobs database failed")
-                await asyncio.sleep(_LOOK_S)
+                _log.exception("the jobs database failed; trying again")
+                await asyncio.sleep(_POLL_S)
 
-    async def _every(self, seconds: float, do: Callable[[], Awaitable[None]], wake: asyncio.Event) -> None:
-        """Do it now and then, and at once when woken; what fails is tried again."""
+    async def _repeat(self, seconds: float, do: Callable[[], Awaitable[None]], wake: asyncio.Event) -> None:
+        """Call `do` every `seconds`, and at once when `wake` is set. Exceptions are logged; the loop goes on."""
         while True:
             wake.clear()
             try:
                 await do()
-            except Exception:  # noqa: BLE001 - whatever failed, jobs must go on being handed out
-                _log.exception("the dispatcher stumbled")
+            except Exception:  # noqa: BLE001 - whatever failed, the dispatcher must go on
+                _log.exception("the dispatcher failed; trying again")
             try:
                 await asyncio.wait_for(wake.wait(), seconds)
             except TimeoutError:
                 continue
 
-    async def _hand_out(self) -> None:
-        """Lease waiting jobs to workers as long as there are both."""
-        if not await self._means.desk.read(JobStore.waiting, time.time()):
+    async def _dispatch(self) -> None:
+        """Lease queued jobs to workers until the queue or the free slots are used up."""
+        if not await self._dependencies.job_store.read(JobStore.has_waiting, time.time()):
             return
-        workers = await self._means.edge.workers()
-        while ready := self._ready(workers):
+        workers = await self._dependencies.workers.poll()
+        while ready := self._free_workers(workers):
             now = time.time()
             presets = {preset.name for worker in ready for preset in worker.presets}
-            transition = partial(_leased_to, ready, holder=self._holder, now=now, lease_s=self._lease_s)
-            job = await self._means.desk.write(JobStore.claim, now, presets, transition)
+            transition = partial(_lease_to_first, ready, holder=self._holder, now=now, lease_s=self._lease_s)
+            job = await self._dependencies.job_store.write(JobStore.claim, now, presets, transition)
             if job is None:
                 return
             self._start(job, running=False)
 
-    def _ready(self, workers: Sequence[WorkerStatus]) -> list[WorkerStatus]:
-        """Those with a free slot, the shortest queue first. What we gave one since it was asked counts as taken."""
+    def _free_workers(self, workers: Sequence[WorkerStatus]) -> list[WorkerStatus]:
+        """Return the workers with a free slot, shortest queue first.
+
+        Jobs that were given to a worker after it reported its status count as used slots.
+        """
 
         def free(worker: WorkerStatus) -> int:
-            ours = {job for job, (conductor, _) in self._conductors.items() if conductor.worker == worker.address}
-            return worker.free_slots - len(ours - worker.jobs)
+            own_runs = {
+                job for job, (supervisor, _) in self._supervisors.items() if supervisor.worker == worker.address
+            }
+            return worker.free_slots - len(own_runs - worker.jobs)
 
         ready = [worker for worker in workers if not worker.draining and free(worker) > 0]
         return sorted(ready, key=lambda worker: (worker.queued, -free(worker)))
 
     async def _renew(self) -> None:
-        """Prolong our leases, let go of those we lost, pass on cancellations, look for runs left alone by others."""
-        ours = dict(self._conductors)
-        if ours:
+        """Renew this gateway's leases, drop lost ones, pass on cancellations, take over orphaned runs of others."""
+        own_runs = dict(self._supervisors)
+        if own_runs:
             until = time.time() + self._lease_s
-            fences = [(job, conductor.fence) for job, (conductor, _) in ours.items()]
-            lost, unwanted = await self._means.desk.write(JobStore.renew, self._holder, until, fences)
-            for job in lost:  # or ended meanwhile, and perhaps leased anew: only the task that we asked about must go
-                ours[job][1].cancel()
-            for job in unwanted:
+            fences = [(job, supervisor.fence) for job, (supervisor, _) in own_runs.items()]
+            job_store = self._dependencies.job_store
+            lost_jobs, cancelled_jobs = await job_store.write(JobStore.renew, self._holder, until, fences)
+            for job in lost_jobs:  # perhaps ended meanwhile, or leased again: so cancel only the task of the old lease
+                own_runs[job][1].cancel()
+            for job in cancelled_jobs:
                 self.cancel(job)
         await self._take_over("")
 
     async def _take_over(self, holder: str) -> None:
-        """Speak for runs whose lease has run out, and for all that `holder` held."""
+        """Take over running jobs whose lease has expired, and all those whose lease belongs to `holder`."""
         while True:
             now = time.time()
-            transition = partial(taken_over, holder=self._holder, now=now, lease_s=self._lease_s)
-            ours = tuple(self._conductors)
-            job = await self._means.desk.write(JobStore.claim_orphan, now, holder, ours, transition)
+            transition = partial(take_over, holder=self._holder, now=now, lease_s=self._lease_s)
+            own_runs = tuple(self._supervisors)
+            job = await self._dependencies.job_store.write(JobStore.claim_orphan, now, holder, own_runs, transition)
             if job is None:
                 return
-            _log.info("job %s: looking for its run on %s", job.id, job.lease.worker)
+            _log.info("job %s: reattaching to its run on %s", job.id, job.lease.worker)
             self._start(job, running=True)
 
     def _start(self, job: Job, *, running: bool) -> None:
-        conductor = Conductor(self._means, job)
-        task = asyncio.create_task(conductor.conduct(running=running), name=f"conduct {job.id}")
-        self._conductors[job.id] = (conductor, task)
-        task.add_done_callback(partial(self._done, job.id))
+        supervisor = RunSupervisor(self._dependencies, job)
+        task = asyncio.create_task(supervisor.supervise(running=running), name=f"supervise {job.id}")
+        self._supervisors[job.id] = (supervisor, task)
+        task.add_done_callback(partial(self._on_run_ended, job.id))
         if job.lease.cancel:
-            conductor.cancel()
+            supervisor.cancel()
 
-    def _done(self, job: str, task: asyncio.Task[None]) -> None:
-        if self._conductors.get(job, (None, None))[1] is task:
-            del self._conductors[job]
+    def _on_run_ended(self, job: str, task: asyncio.Task[None]) -> None:
+        if self._supervisors.get(job, (None, None))[1] is task:
+            del self._supervisors[job]
         if not task.cancelled() and (error := task.exception()):
-            # Its lease runs out, and whoever sees that first looks for the run again.
-            _log.error("job %s: its conductor failed", job, exc_info=error)
+            # Its lease expires, and the first gateway to notice takes the run over.
+            _log.error("job %s: its run supervisor failed; it is taken over when its lease ends", job, exc_info=error)
         self.wake()
 
 
-def _leased_to(ready: Sequence[WorkerStatus], job: Job, *, holder: str, now: float, lease_s: float) -> Change:
-    """Give a job to the first of these workers that offers its preset; one of them does."""
+def _lease_to_first(ready: Sequence[WorkerStatus], job: Job, *, holder: str, now: float, lease_s: float) -> Change:
+    """Lease a job to the first of these workers that offers its preset; at least one does."""
     worker = next(worker for worker in ready if worker.offers(job.order.preset))
-    return leased(job, holder=holder, worker=worker.address, now=now, lease_s=lease_s)
+    return lease_to_worker(job, holder=holder, worker=worker.address, now=now, lease_s=lease_s)

@@ -1,9 +1,9 @@
-"""A stored capture as a stream: a few megabytes in memory, whatever the capture's size."""
+"""Object names of stored captures, and reading one as a stream with only a few megabytes in memory."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 
 from services.storage.store import Store
 
@@ -11,22 +11,22 @@ _READ_BYTES = 4 << 20  # one request to an S3 server; its latency is then small 
 
 
 def capture_name(capture: str) -> str:
-    """Object name of a capture's archive."""
+    """Return the object name of a capture's archive."""
     return f"captures/{capture}.zip"
 
 
 def receipt_name(capture: str) -> str:
-    """Object name of what the client was told of a capture."""
+    """Return the object name of a capture's receipt: the JSON answer to its upload."""
     return f"captures/{capture}.json"
 
 
 async def capture_bytes(store: Store, capture: str) -> int:
-    """Size of a capture's archive. Raises FileNotFoundError, ValueError for an impossible id, OSError."""
+    """Return the size of a capture's archive in bytes. Raises FileNotFoundError, ValueError (invalid id), OSError."""
     return (await asyncio.to_thread(store.head, capture_name(capture))).size
 
 
-async def capture_chunks(store: Store, capture: str, size: int, chunk_bytes: int) -> AsyncIterator[bytes]:
-    """The archive in pieces of at most `chunk_bytes`. Raises OSError."""
+async def capture_chunks(store: Store, capture: str, size: int, chunk_bytes: int) -> AsyncGenerator[bytes, None]:
+    """Yield the archive in chunks of at most `chunk_bytes`. Raises OSError."""
     name = capture_name(capture)
     for start in range(0, size, _READ_BYTES):
         block = await asyncio.to_thread(store.get, name, start=start, length=_READ_BYTES)

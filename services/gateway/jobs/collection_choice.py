@@ -1,44 +1,45 @@
-"""Which collection a job's asset is listed in."""
+"""Choice of the collection that lists a job's asset."""
 
 from __future__ import annotations
 
 import json
 
 from services.gateway.errors import Problem
-from services.gateway.jobs.source import receipt_name
-from services.storage.catalogue import entry, valid_key
+from services.gateway.jobs.capture_objects import receipt_name
+from services.storage.catalogue.entry import read_entry, valid_key
 from services.storage.store import Store
 
 
 def require_collection(name: str, hint: str) -> str:
-    """The name itself. Raises Problem COLLECTION_INVALID."""
+    """Return the name unchanged. Raises Problem COLLECTION_INVALID for an invalid name."""
     if not valid_key(name):
-        detail = "a collection's name has 1 to 100 of A-Z a-z 0-9 . _ - and begins with a letter or digit"
+        detail = "a collection's name must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
         raise Problem(422, "COLLECTION_INVALID", detail, hints=(hint,))
     return name
 
 
-def collection_for(store: Store, *, named: str, capture: str, key: str) -> str:
-    """What the job names, else what its upload named, else where the asset is already; "" leaves it to the worker.
+def choose_collection(store: Store, *, named: str, capture: str, key: str) -> str:
+    """Return the collection that the job names, else the one that its upload named, else the one with the asset.
 
-    A key means one asset in the whole store. Under a name of another collection it would become a new version of what
-    somebody else has there, so that is refused. Raises Problem COLLECTION_INVALID, KEY_ELSEWHERE; OSError.
+    "" leaves the choice to the worker. A key is unique in the whole store: an asset of another collection with the same
+    key would get a new version by this job, so that is refused. Raises Problem COLLECTION_INVALID, KEY_ELSEWHERE;
+    OSError.
     """
     if named:
-        require_collection(named, "name another in `collection`, or none")
-    wanted = named or _uploaded_for(store, capture)
+        require_collection(named, "change `collection`, or leave it empty")
+    collection = named or _upload_collection(store, capture)
     try:
-        there = entry(store, key).collections
+        listed_in = read_entry(store, key).collections
     except FileNotFoundError:
-        return wanted
-    if wanted and wanted not in there:
-        detail = f"there is an asset {key} already, in collection {there[0]}, not in {wanted}"
-        raise Problem(409, "KEY_ELSEWHERE", detail, hints=("choose another key", f"or name collection {there[0]}"))
-    return wanted or there[0]
+        return collection
+    if collection and collection not in listed_in:
+        detail = f"an asset with the key {key} exists already, in collection {listed_in[0]}, not in {collection}"
+        raise Problem(409, "KEY_ELSEWHERE", detail, hints=("choose another key", f"or use collection {listed_in[0]}"))
+    return collection or listed_in[0]
 
 
-def _uploaded_for(store: Store, capture: str) -> str:
-    """What the upload of a capture named; "" too for one that is older than collections."""
+def _upload_collection(store: Store, capture: str) -> str:
+    """Return the collection that the capture's upload named; "" where it named none, or is older than collections."""
     try:
         return str(json.loads(store.get(receipt_name(capture))).get("collection", ""))
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""The nouns of a job: what was asked, where it stands, who works on it."""
+"""Data classes of a job: the client's order, its state, its lease, its events."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Json = Mapping[str, Any]
 
 
 class State(StrEnum):
-    """Where a job stands. The last three are terminal."""
+    """State of a job. The last three are final."""
 
     QUEUED = "QUEUED"
     RUNNING = "RUNNING"
@@ -26,30 +26,30 @@ TERMINAL = frozenset({State.SUCCEEDED, State.FAILED, State.CANCELLED})
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a client asked for; never changes."""
+    """What the client ordered; it never changes."""
 
     capture: str
     preset: str
     asset_key: str
     label: str = ""
     target: str = ""
-    isolate: bool | None = None  # None: where photos were taken around one thing
-    longest_m: float | None = None  # between the farthest points of the thing, where the person knows it
-    collection: str = ""  # where the asset is listed; "": wherever the worker lists what nobody named one for
+    isolate: bool | None = None  # remove the surroundings; None: only if the photos were taken around one object
+    longest_m: float | None = None  # metres between the object's farthest points, where the user knows it
+    collection: str = ""  # collection that lists the asset; "": the worker's default
 
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """Who works on a job.
+    """Lease of a job: which gateway supervises it, on which worker, until when.
 
-    holder      the gateway that speaks for the job; only the bearer of the current `fence` may write
+    holder      id of the gateway that supervises the job; only the owner of the current `fence` may write
     worker      address of the worker that runs it
-    fence       grows with every lease
-    attempts    runs begun, not counting those that a worker turned away
-    until       seconds since the epoch: when others may take the job over
-    not_before  seconds since the epoch: a job that waits for its next attempt
-    run_seq     the last event of this run that is in our tables; a new connection asks for those after it
-    cancel      somebody wants it stopped
+    fence       fencing token: grows with every lease
+    attempts    runs started, not counting those that a worker refused
+    until       seconds since the epoch: afterwards other gateways may take the job over
+    not_before  seconds since the epoch: earliest start of the next attempt
+    run_seq     number of the run's last event in our tables; a new connection asks for those after it
+    cancel      whether cancellation was requested
     """
 
     holder: str = ""
@@ -64,9 +64,9 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A job as a client sees it, and its lease. Times are seconds since the epoch, durations seconds.
+    """A job and its lease. Times are seconds since the epoch, durations are seconds.
 
-    fraction    of the whole job, [0,1], never goes back, not even when a run begins anew
+    fraction    progress of the whole job, [0,1]; never decreases, not even when a run is repeated
     elapsed_s   since the job was accepted, as of `updated`; survives every restart because `created` does
     last_event  sequence number of its newest event
     """
@@ -90,17 +90,17 @@ class Job:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing will happen to it any more."""
+        """Whether the job has reached a final state."""
         return self.state in TERMINAL
 
     def elapsed_at(self, now: float) -> float:
-        """Seconds since it was accepted, standing still once it ended, whatever the wall clock does."""
+        """Return the seconds since the job was accepted; constant once it has ended, whatever the wall clock does."""
         return self.elapsed_s if self.ended else max(self.elapsed_s, now - self.created)
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened to a job: `seq` is 1, 2, 3, ...; `kind` is progress, published or state."""
+    """An event of a job. seq: 1, 2, 3, ...; kind: progress, published or state; at: seconds since the epoch"""
 
     job: str
     seq: int

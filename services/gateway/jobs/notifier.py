@@ -1,4 +1,4 @@
-"""Who waits for news of which job, within this process."""
+"""Notifies coroutines of this process that wait for changes of a job."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
-class Hub:
-    """`with hub.listen(job) as news: await news.wait()`; a `notify` wakes every listener. Loop thread only."""
+class JobNotifier:
+    """Wakes listeners of a job: `with notifier.listen(job) as news: await news.wait()`. Event loop thread only."""
 
     def __init__(self) -> None:
         self._listeners: defaultdict[str, set[asyncio.Event]] = defaultdict(set)
 
     @contextmanager
     def listen(self, job: str) -> Iterator[asyncio.Event]:
-        """An event that is set at each news of the job; the listener clears it before it looks."""
+        """Yield an asyncio.Event that is set at every change of the job; clear it before reading the job."""
         news = asyncio.Event()
         self._listeners[job].add(news)
         try:
@@ -27,11 +27,11 @@ class Hub:
                 del self._listeners[job]
 
     def notify(self, job: str) -> None:
-        """Something was written about the job."""
+        """Wake the job's listeners."""
         for news in self._listeners.get(job, ()):
             news.set()
 
     @property
-    def listening(self) -> int:
-        """How many listeners there are, over all jobs."""
+    def listener_count(self) -> int:
+        """Number of listeners, over all jobs."""
         return sum(map(len, self._listeners.values()))

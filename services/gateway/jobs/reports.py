@@ -1,4 +1,4 @@
-"""What a worker reports of a run, in the gateway's own words."""
+"""Reports of a worker about a run, as the gateway's own types (not protobuf)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 CANCELLED = "CANCELLED"
-"""Code of the failure that a cancelled run ends with."""
-
+"""Error code of a run that was cancelled."""
 
 DRAINING = "WORKER_DRAINING"
-"""Code of the failure with which a worker that shuts down hands its runs back."""
+"""Error code of a run that its worker returned because the worker is shutting down."""
 
 
 @dataclass(frozen=True, slots=True)
-class Progressed:
-    """How far the run is: `fraction` of the whole job in [0,1], `eta_s` seconds left (0: unknown)."""
+class RunProgress:
+    """Progress of the run. fraction: of the whole job, [0,1]; eta_s: seconds left, 0 if unknown"""
 
     seq: int
     stage: str
@@ -26,15 +25,15 @@ class Progressed:
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
-    """The run is alive and has nothing to say."""
+class RunHeartbeat:
+    """The run is alive; nothing new."""
 
     seq: int
 
 
 @dataclass(frozen=True, slots=True)
-class Published:
-    """A version of the asset is on the store; `state` is preview or refined, `collection` where it is listed."""
+class VersionPublished:
+    """A version of the asset was published. state: preview or refined; collection: the one that lists it"""
 
     seq: int
     key: str
@@ -45,8 +44,8 @@ class Published:
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
-    """The run ended without what was asked."""
+class RunFailed:
+    """The run has failed."""
 
     seq: int
     code: str
@@ -58,30 +57,29 @@ class Failed:
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
-    """The run ended well: `seconds` by stage."""
+class RunFinished:
+    """The run has succeeded. seconds: by stage"""
 
     seq: int
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
-Report = Progressed | Beat | Published | Failed | Finished
-Last = Failed | Finished
+Report = RunProgress | RunHeartbeat | VersionPublished | RunFailed | RunFinished
 
 
-def coalesced(reports: Iterable[Report]) -> list[Report]:
-    """The same story in fewer words: of progress within one stage only the latest, and no beat that is followed."""
-    told: list[Report] = []
+def coalesce(reports: Iterable[Report]) -> list[Report]:
+    """Drop outdated reports: keep only the latest progress of each stage, and no heartbeat before another report."""
+    merged: list[Report] = []
     for report in reports:
-        if told and _supersedes(report, told[-1]):
-            told[-1] = report
+        if merged and _supersedes(report, merged[-1]):
+            merged[-1] = report
         else:
-            told.append(report)
-    return told
+            merged.append(report)
+    return merged
 
 
 def _supersedes(new: Report, old: Report) -> bool:
-    if isinstance(old, Beat):
+    if isinstance(old, RunHeartbeat):
         return True
-    return isinstance(new, Progressed) and isinstance(old, Progressed) and new.stage == old.stage
+    return isinstance(new, RunProgress) and isinstance(old, RunProgress) and new.stage == old.stage

@@ -1,4 +1,4 @@
-"""Between rows and nouns."""
+"""Conversion between database rows and the data classes Job and Event."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from services.gateway.jobs.job import Event, Job, Lease, Order, State
 from services.gateway.jobs.tables import events, jobs, leases
 
 WHOLE_JOB = sa.select(jobs, *[column.label(f"lease_{column.name}") for column in leases.c]).join(leases)
-"""Select of everything a Job needs."""
+"""SELECT of a job joined with its lease: all columns of a Job."""
 
 _LEASE_FIELDS = tuple(field.name for field in fields(Lease))
 
 
-def job_of(row: sa.Row[Any]) -> Job:
-    """A row of WHOLE_JOB as a Job."""
+def job_from_row(row: sa.Row[Any]) -> Job:
+    """Convert a row of WHOLE_JOB to a Job."""
     values = dict(row._mapping)
     lease = {name: values.pop(f"lease_{name}") for name in _LEASE_FIELDS}
     del values["lease_job"]
@@ -33,7 +33,7 @@ def job_of(row: sa.Row[Any]) -> Job:
 
 
 def job_values(job: Job) -> dict[str, Any]:
-    """The row of `jobs`."""
+    """Return the job's column values for the table `jobs`."""
     values = {column.name: getattr(job, column.name) for column in jobs.c}
     return {
         **values,
@@ -47,15 +47,15 @@ def job_values(job: Job) -> dict[str, Any]:
 
 
 def lease_values(job: Job) -> dict[str, Any]:
-    """The row of `leases`."""
+    """Return the lease's column values for the table `leases`."""
     return {"job": job.id, **asdict(job.lease)}
 
 
-def event_of(row: sa.Row[Any]) -> Event:
-    """A row of `events` as an Event."""
+def event_from_row(row: sa.Row[Any]) -> Event:
+    """Convert a row of `events` to an Event."""
     return Event(row.job, row.seq, row.kind, row.at, row.data)
 
 
 def event_values(event: Event) -> dict[str, Any]:
-    """The row of `events`."""
+    """Return the event's column values for the table `events`."""
     return {column.name: getattr(event, column.name) for column in events.c if column.name != "id"}

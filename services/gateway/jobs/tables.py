@@ -1,7 +1,7 @@
-"""The tables, and an engine that keeps what it has committed through a power cut.
+"""Database tables of the jobs, and the SQLAlchemy engine. A commit survives a power cut.
 
-SQLite by default: write-ahead log, so that readers never wait for the writer; every commit synced; writers take the
-lock when they begin, because a transaction that reads first and then wants to write fails at once instead of waiting.
+SQLite by default: a write-ahead log, so that readers never wait for the writer; every commit is synced; writers lock at
+BEGIN, because a transaction that reads first and writes later fails at once instead of waiting for the lock.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ leases = sa.Table(
 events = sa.Table(
     "events",
     metadata,
-    # One number line over all jobs: a process learns what others wrote by asking for what is beyond the last it saw.
+    # One sequence for all jobs: a process finds what others wrote by querying ids above the last that it has seen.
     sa.Column("id", sa.Integer, primary_key=True, autoincrement=True),
     sa.Column("job", sa.ForeignKey("jobs.id"), nullable=False),
     sa.Column("seq", sa.Integer, nullable=False),
@@ -69,11 +69,11 @@ idempotency = sa.Table(
     sa.Column("job", sa.ForeignKey("jobs.id"), nullable=False),
 )
 
-_BUSY_MS = 10_000  # another process may hold the lock for a synced commit; 10 s of them is a fault
+_BUSY_MS = 10_000  # wait for the lock: other processes hold it for a synced commit; longer than 10 s is a fault
 
 
 def open_engine(url: str) -> Engine:
-    """An engine with every table present. Raises sqlalchemy.exc.SQLAlchemyError when the database cannot be used."""
+    """Open the database and create missing tables. Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used."""
     engine = sa.create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
     if engine.dialect.name == "sqlite":
         sa.event.listen(engine, "connect", _prepare)
@@ -83,12 +83,12 @@ def open_engine(url: str) -> Engine:
 
 
 def for_writing(engine: Engine) -> Engine:
-    """The same engine, whose transactions take SQLite's write lock when they begin."""
+    """Return the engine with transactions that take SQLite's write lock at BEGIN."""
     return engine.execution_options(writes=True)
 
 
 def _prepare(connection: Any, _: Any) -> None:
-    connection.isolation_level = None  # the driver must not begin transactions behind our back
+    connection.isolation_level = None  # the driver must not begin transactions by itself: `_begin` does
     cursor = connection.cursor()
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={_BUSY_MS}"):
         cursor.execute(f"PRAGMA {pragma}")

@@ -1,4 +1,4 @@
-"""/v1/assets: what was published, by key."""
+"""/v1/assets: list published assets, read one by its key, remove and restore it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
 from services.gateway.errors import Problem
-from services.gateway.jobs.place import require_collection
-from services.gateway.routes.objects import ANYBODY, home_of, in_thread, store_of, url_of
-from services.gateway.routes.ranges import matches
+from services.gateway.jobs.collection_choice import require_collection
+from services.gateway.routes.http_ranges import etag_matches
+from services.gateway.routes.store_access import ANY_ORIGIN, gateway_url, in_thread, object_url, store_of
 from services.gateway.schemas import problems
-from services.storage.catalogue import Entry, entry, list_keys, valid_key
-from services.storage.removal import remove, restore
-from services.storage.signing import Keys
+from services.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
+from services.storage.catalogue.removal import remove, restore
+from services.storage.catalogue.signing import Keys
 from services.storage.store import NO_CACHE, Store
 
 router = APIRouter(prefix="/v1", tags=["assets"])
@@ -28,13 +28,14 @@ router = APIRouter(prefix="/v1", tags=["assets"])
 _QR_SCALE, _QR_BORDER = 8, 4  # pixels per module; the quiet zone that ISO/IEC 18004 asks for
 
 Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
-Of = Annotated[str, Query(max_length=200, description="Only if the asset is in this collection; empty: wherever.")]
+InCollection = Annotated[
+    str, Query(max_length=200, description="Do it only if the asset is in this collection; empty: in any case.")
+]
 
 
 class AssetSummary(BaseModel):
-    """One asset in a list; `preview` is the address of a picture, `self` that of the whole entry.
-
-    `collections` are where it is listed.
+    """One asset in a list. `preview` is the URL of a picture, `self` the URL of the whole entry, `view` the URL of its
+    viewer page; `collections` names the collections that list it.
     """
 
     key: str
@@ -49,14 +50,14 @@ class AssetSummary(BaseModel):
 
 
 class AssetPage(BaseModel):
-    """Assets by key; `next` is the `after` of the next page, or null."""
+    """A page of assets, sorted by key. `next` is the value of `after` for the next page; null on the last page."""
 
     assets: list[AssetSummary]
     next: str | None
 
 
-class AssetMark(BaseModel):
-    """Whether an asset is out of sight."""
+class AssetRemovalView(BaseModel):
+    """Whether an asset is removed (hidden). `updated`: when it was last published, removed or restored."""
 
     key: str
     version: int
@@ -65,14 +66,15 @@ class AssetMark(BaseModel):
 
 
 @router.get("/assets", response_model=AssetPage, responses=problems(422, 503))
-async def page(
+async def list_assets(
     request: Request,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
-    after: Annotated[str, Query(max_length=100, description="The `next` of the page before.")] = "",
+    after: Annotated[str, Query(max_length=100, description="`next` of the previous page; empty: first page.")] = "",
 ) -> AssetPage:
-    """The assets there are."""
+    """List assets, sorted by key, without removed ones."""
     if after and not valid_key(after):
-        raise Problem(422, "KEY_INVALID", "`after` is no asset key", hints=("use the `next` of the page before",))
+        hints = ("use the `next` of the previous page",)
+        raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
     store = store_of(request)
     entries = await in_thread(lambda: _entries(store, after, limit))
     last = entries[-1].key if len(entries) == limit else None
@@ -80,31 +82,31 @@ async def page(
 
 
 @router.get("/assets/{key}", responses={200: {"content": {"application/json": {}}}, **problems(404, 410, 422, 503)})
-async def asset(key: Key, request: Request) -> Response:
-    """The catalogue entry of an asset with the address of every file; 304 under a known ETag."""
+async def get_asset(key: Key, request: Request) -> Response:
+    """Get an asset's catalogue entry, with the URL of every file. Answers 304 for an ETag in If-None-Match."""
     found = await _entry(request, key)
     document = json.loads(json.dumps(found.document))
     for file in [document["manifest"], document["preview"], *document["lods"], *document["files"]]:
         if file is not None:
-            file["url"] = url_of(request, file["name"])
+            file["url"] = object_url(request, file["name"])
     body = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
     etag = hashlib.sha256(body).hexdigest()[:32]
-    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **ANYBODY}
-    if matches(request.headers.get("if-none-match"), etag):
+    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **ANY_ORIGIN}
+    if etag_matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
 
 
 @router.get("/assets/{key}/lod/{level}", status_code=307, responses=problems(404, 410, 422, 503))
-async def lod(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Request) -> Response:
-    """To the file of a level of detail, 0 being the finest, of the current version."""
+async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Request) -> Response:
+    """Redirect to the GLB file of a level of detail of the current version; 0 is the finest."""
     levels = (await _entry(request, key)).document["lods"]
     name = next((each["name"] for each in levels if each["level"] == level), None)
     if name is None:
         known = ", ".join(str(each["level"]) for each in levels)
         hints = (f"ask for one of: {known}",)
-        raise Problem(404, "LOD_UNKNOWN", f"asset {key} has no level {level}; there are {known}", hints=hints)
-    return RedirectResponse(url_of(request, name), 307, {"Cache-Control": NO_CACHE, **ANYBODY})
+        raise Problem(404, "LOD_UNKNOWN", f"asset {key} has no level of detail {level}; it has {known}", hints=hints)
+    return RedirectResponse(object_url(request, name), 307, {"Cache-Control": NO_CACHE, **ANY_ORIGIN})
 
 
 @router.get(
@@ -112,74 +114,76 @@ async def lod(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Reque
     response_class=Response,
     responses={200: {"content": {"image/svg+xml": {}}}, **problems(404, 410, 422, 503)},
 )
-async def qr(key: Key, request: Request) -> Response:
-    """The address of the asset's viewer as a QR code, to hand it from a screen to a headset."""
+async def get_qr_code(key: Key, request: Request) -> Response:
+    """Get the URL of the asset's viewer page as a QR code (SVG), to open it on a headset."""
     await _entry(request, key)
-    return Response(_qr_svg(urljoin(home_of(request), f"view/{key}")), media_type="image/svg+xml")
+    return Response(_qr_svg(urljoin(gateway_url(request), f"view/{key}")), media_type="image/svg+xml")
 
 
-@router.post("/assets/{key}/remove", response_model=AssetMark, responses=problems(404, 422, 503))
-async def take_away(key: Key, request: Request, collection: Of = "") -> AssetMark:
-    """Take an asset out of sight. Its files stay: a restoration or a new version brings it back."""
-    return await _marked(request, key, remove, collection)
+@router.post("/assets/{key}/remove", response_model=AssetRemovalView, responses=problems(404, 422, 503))
+async def remove_asset(key: Key, request: Request, collection: InCollection = "") -> AssetRemovalView:
+    """Remove (hide) an asset. Its files are kept: restoring it, or publishing a new version, brings it back."""
+    return await _set_removed(request, key, remove, collection)
 
 
-@router.post("/assets/{key}/restore", response_model=AssetMark, responses=problems(404, 422, 503))
-async def bring_back(key: Key, request: Request, collection: Of = "") -> AssetMark:
-    """Bring a removed asset back as it was."""
-    return await _marked(request, key, restore, collection)
+@router.post("/assets/{key}/restore", response_model=AssetRemovalView, responses=problems(404, 422, 503))
+async def restore_asset(key: Key, request: Request, collection: InCollection = "") -> AssetRemovalView:
+    """Restore a removed asset as it was."""
+    return await _set_removed(request, key, restore, collection)
 
 
 async def _entry(request: Request, key: str) -> Entry:
-    """The key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, ASSET_REMOVED, STORE_UNAVAILABLE."""
+    """Read the key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, ASSET_REMOVED, STORE_UNAVAILABLE."""
     _check_key(key)
     store = store_of(request)
     try:
-        found = await in_thread(lambda: entry(store, key))
+        found = await in_thread(lambda: read_entry(store, key))
     except FileNotFoundError:
         raise _unknown(key) from None
     if found.removed:
-        hints = (f"POST /v1/assets/{key}/restore brings it back",)
-        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANYBODY))
+        hints = (f"POST /v1/assets/{key}/restore restores it",)
+        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANY_ORIGIN))
     return found
 
 
-async def _marked(request: Request, key: str, mark: Callable[[Store, str, Keys], Entry], collection: str) -> AssetMark:
+async def _set_removed(
+    request: Request, key: str, change: Callable[[Store, str, Keys], Entry], collection: str
+) -> AssetRemovalView:
     _check_key(key)
     store, keys = store_of(request), request.app.state.keys
     try:
         if collection:
-            _require_in(await in_thread(lambda: entry(store, key)), collection)
-        found = await in_thread(lambda: mark(store, key, keys))
+            _check_collection(await in_thread(lambda: read_entry(store, key)), collection)
+        found = await in_thread(lambda: change(store, key, keys))
     except FileNotFoundError:
         raise _unknown(key) from None
-    return AssetMark(key=key, version=found.version, removed=found.removed, updated=found.document["updated"])
+    return AssetRemovalView(key=key, version=found.version, removed=found.removed, updated=found.document["updated"])
 
 
 def _check_key(key: str) -> None:
     if not valid_key(key):
-        detail = "an asset key has 1 to 100 letters, digits and ._- and begins with no sign"
-        raise Problem(422, "KEY_INVALID", detail, hints=("check the address",))
+        detail = "an asset key must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
+        raise Problem(422, "KEY_INVALID", detail, hints=("check the key in the URL",))
 
 
-def _require_in(found: Entry, collection: str) -> None:
-    """That it is the caller's own asset, not one of the same key elsewhere. Raises Problem."""
-    require_collection(collection, "name another in `collection`, or none")
+def _check_collection(found: Entry, collection: str) -> None:
+    """Raises Problem where the asset is not in this collection: another collection may have an asset with this key."""
+    require_collection(collection, "change `collection`, or leave it out")
     if collection not in found.collections:
         detail = f"there is no asset {found.key} in collection {collection}"
-        raise Problem(404, "ASSET_UNKNOWN", detail, hints=(f"it is in: {', '.join(found.collections)}",))
+        raise Problem(404, "ASSET_UNKNOWN", detail, hints=(f"this asset is in: {', '.join(found.collections)}",))
 
 
 def _unknown(key: str) -> Problem:
-    hints = ("its first job may still be under way",)
+    hints = ("check the key", "its first job may still be running")
     return Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints)
 
 
 def _entries(store: Store, after: str, limit: int) -> list[Entry]:
-    """As many as are wanted, where there are so many, without those that were removed."""
+    """Read at most `limit` entries with keys behind `after`, skipping removed assets."""
     found: list[Entry] = []
     while len(found) < limit and (keys := list_keys(store, after=after, limit=limit - len(found))):
-        found += [each for each in (entry(store, key) for key in keys) if not each.removed]
+        found += [each for each in (read_entry(store, key) for key in keys) if not each.removed]
         after = keys[-1]
     return found
 
@@ -193,7 +197,7 @@ def _summary(request: Request, found: Entry) -> AssetSummary:
         updated=found.document["updated"],
         label=found.document["label"] or found.key,
         collections=found.collections,
-        preview=url_of(request, preview["name"]) if preview else "",
+        preview=object_url(request, preview["name"]) if preview else "",
         self=f"/v1/assets/{found.key}",
         view=f"/view/{found.key}",
     )

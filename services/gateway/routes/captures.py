@@ -1,4 +1,4 @@
-"""/v1/captures: what phones upload. The body is read by hand, as it comes, so the schema is told by hand too."""
+"""/v1/captures: upload of captures. The body is streamed by our own code, so its OpenAPI schema is written here too."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ router = APIRouter(prefix="/v1", tags=["captures"])
 
 
 class FileVerdict(BaseModel):
-    """What became of one file: "ok", or why it was left out; bytes and sha256 as stored; stripped: what was removed."""
+    """Result for one uploaded file. `verdict` is "ok", or why the file was left out; `bytes` and `sha256` are those of
+    the stored file; `stripped` names the metadata that were removed.
+    """
 
     file: str
     bytes: int
@@ -22,9 +24,8 @@ class FileVerdict(BaseModel):
 
 
 class CaptureView(BaseModel):
-    """A stored capture. `inspected` tells whether a worker has read it; otherwise kind and format are not known yet.
-
-    `collection` is what the upload named, for jobs that name none.
+    """A stored capture. `inspected`: whether a worker has read it; if not, kind, format, frames and points are not
+    known yet. `collection` is the one that the upload named; jobs that name none use it.
     """
 
     model_config = ConfigDict(
@@ -91,18 +92,19 @@ _BODY = {
     responses=problems(400, 408, 413, 415, 422, 503, 507),
     openapi_extra=_BODY,
 )
-async def upload(request: Request) -> CaptureView:
-    """Upload a capture: photos, a film, a point cloud, or the export of a scanner app, as files or as one zip.
+async def upload_capture(request: Request) -> CaptureView:
+    """Upload a capture: photos, a video, a point cloud, or the export of a scanner app, as files or as one zip.
 
-    Every file is checked; places, serial numbers and names are removed. It is on the store before this answers.
+    Every file is checked, and locations, serial numbers and names of persons are removed from it. The answer is sent
+    after the capture has been stored.
     """
     return CaptureView.model_validate(await _uploads(request).accept(request))
 
 
 def _uploads(request: Request) -> Uploads:
-    """One for the app, made at the first upload: its limits belong to the running event loop."""
+    """Return the app's `Uploads`, created at the first upload because its limiters belong to the running event loop."""
     state = request.app.state
     if not hasattr(state, "uploads"):
-        state.uploads = Uploads(state.settings, state.store, state.edge)
+        state.uploads = Uploads(state.settings, state.store, state.workers)
     uploads: Uploads = state.uploads
     return uploads

@@ -1,4 +1,4 @@
-"""/v1/collections: signed catalogues of many assets, as they stand on the store, and a search in them by label."""
+"""/v1/collections: signed catalogues of assets as they are on the store, search by label; /v1/keys: public keys."""
 
 from __future__ import annotations
 
@@ -15,27 +15,32 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel
 
 from services.gateway.errors import Problem
-from services.gateway.jobs.place import require_collection
-from services.gateway.routes.objects import ANYBODY, in_thread, store_of, url_of
-from services.gateway.routes.ranges import matches
+from services.gateway.jobs.collection_choice import require_collection
+from services.gateway.routes.http_ranges import etag_matches
+from services.gateway.routes.store_access import ANY_ORIGIN, in_thread, object_url, store_of
 from services.gateway.schemas import problems
-from services.storage.catalogue import valid_key
-from services.storage.collection import Index, Row, index_name, load_shard, opened, read_index
-from services.storage.reading import Rows, again_if_moved, row_in
+from services.storage.catalogue.collection import Index, Row, index_name, load_shard, parse_envelope, read_index
+from services.storage.catalogue.entry import valid_key
+from services.storage.catalogue.reader import LoadRows, find_row, retry_if_shard_missing
 from services.storage.store import NO_CACHE, Store
 
 router = APIRouter(prefix="/v1", tags=["collections"])
 
-_KEPT_SHARDS = 64  # parsed, by content, 0.7 MB each at most: every search walks all shards of its collection
+_CACHED_SHARDS = 64  # parsed shards in memory, 0.7 MB each at most: every search reads all shards of its collection
 
 _T = TypeVar("_T")
 
-Name = Annotated[str, Path(max_length=200, description="The collection's name; `default` where nobody named another.")]
+Name = Annotated[
+    str,
+    Path(max_length=200, description="The collection's name; `default` is the one of assets for which none was named."),
+]
 Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
 
 
 class RowView(BaseModel):
-    """An asset of a collection; `manifest` is the address of everything about it, `self` that of its entry."""
+    """An asset of a collection. `manifest` is the URL of its manifest (all its data), `self` the URL of its catalogue
+    entry, `preview` the URL of a picture or "", `view` the URL of its viewer page.
+    """
 
     key: str
     label: str
@@ -51,7 +56,9 @@ class RowView(BaseModel):
 
 
 class RowPage(BaseModel):
-    """Assets by key; `next` is the `after` of the next page, or null; `version` is the collection's."""
+    """A page of assets, sorted by key. `version` is the collection's; `next` is the value of `after` for the next page,
+    null on the last one.
+    """
 
     collection: str
     version: int
@@ -60,7 +67,7 @@ class RowPage(BaseModel):
 
 
 class PlaceView(BaseModel):
-    """An asset's place in a collection; `version` is the collection's, `shard` the object that lists the asset."""
+    """An asset in a collection. `version` is the collection's, `shard` the URL of the object that lists the asset."""
 
     collection: str
     version: int
@@ -69,114 +76,118 @@ class PlaceView(BaseModel):
 
 
 class KeyView(BaseModel):
-    """A public key: its id, and its 32 raw bytes as base64."""
+    """An Ed25519 public key: `key` is its id, `ed25519` its 32 raw bytes as base64."""
 
     key: str
     ed25519: str
 
 
 class KeyPage(BaseModel):
-    """The public keys whose collections this gateway believes; none: it believes any."""
+    """The public keys whose signatures this gateway accepts; if empty, it does not check signatures."""
 
     keys: list[KeyView]
 
 
-def kept_rows(store: Store) -> Rows:
-    """The rows of the store's shards, those asked for last without reading them again: none changes under its hash."""
-    return lru_cache(maxsize=_KEPT_SHARDS)(partial(load_shard, store))
+def row_cache(store: Store) -> LoadRows:
+    """Return a function that reads the rows of a shard and caches them: shards never change, being named by hash."""
+    return lru_cache(maxsize=_CACHED_SHARDS)(partial(load_shard, store))
 
 
 @router.get("/collections/{name}", responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)})
-async def envelope(name: Name, request: Request) -> Response:
-    """The signed index as it stands on the store, and `base`, below which its objects are; 304 under a known ETag."""
-    require_collection(name, "check the address")
+async def get_collection(name: Name, request: Request) -> Response:
+    """Get a collection's signed index, as it is on the store, and `base`, the URL prefix of its objects.
+
+    Answers 304 for an ETag in If-None-Match.
+    """
+    require_collection(name, "check the name in the URL")
     store = store_of(request)
     try:
-        text, signatures = await in_thread(lambda: opened(store.get(index_name(name)), name))
+        text, signatures = await in_thread(lambda: parse_envelope(store.get(index_name(name)), name))
     except FileNotFoundError:
         raise _unknown(name) from None
-    # The base is not signed, and need not be: whatever is read below it is checked by its hash.
-    document = {"signed": text, "signatures": signatures, "base": _base(request)}
+    # `base` needs no signature: clients check everything that they read below it by its hash.
+    document = {"signed": text, "signatures": signatures, "base": _objects_url(request)}
     body = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
     etag = hashlib.sha256(body).hexdigest()[:32]
-    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **ANYBODY}
-    if matches(request.headers.get("if-none-match"), etag):
+    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **ANY_ORIGIN}
+    if etag_matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
 
 
 @router.get("/collections/{name}/assets", response_model=RowPage, responses=problems(404, 422, 503))
-async def search(
+async def search_collection(
     name: Name,
     request: Request,
     label: Annotated[
-        str, Query(max_length=200, description="Part of the label, or one of the labels; case does not count.")
+        str, Query(max_length=200, description="Part of the label, or one of the labels; case is ignored.")
     ] = "",
-    after: Annotated[str, Query(max_length=100, description="The `next` of the page before.")] = "",
+    after: Annotated[str, Query(max_length=100, description="`next` of the previous page; empty: first page.")] = "",
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
 ) -> RowPage:
-    """The assets of a collection, without those that were removed."""
-    require_collection(name, "check the address")
+    """Search a collection's assets by label, without removed ones. Without `label`, list all."""
+    require_collection(name, "check the name in the URL")
     if after and not valid_key(after):
-        raise Problem(422, "KEY_INVALID", "`after` is no asset key", hints=("use the `next` of the page before",))
-    rows_of: Rows = request.app.state.rows_of
+        hints = ("use the `next` of the previous page",)
+        raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
+    load_rows: LoadRows = request.app.state.load_rows
 
-    def matching(index: Index) -> tuple[int, list[Row]]:
-        return index.version, _matching(index, rows_of, label, after, limit)
+    def find_matches(index: Index) -> tuple[int, list[Row]]:
+        return index.version, _matching_rows(index, load_rows, label, after, limit)
 
-    version, rows = await _read(request, name, matching)
+    version, rows = await _read(request, name, find_matches)
     last = rows[-1].key if len(rows) == limit else None
-    views = [_view(request, row) for row in rows]
+    views = [_row_view(request, row) for row in rows]
     return RowPage(collection=name, version=version, assets=views, next=last)
 
 
 @router.get("/collections/{name}/assets/{key}", response_model=PlaceView, responses=problems(404, 410, 422, 503))
-async def place(name: Name, key: Key, request: Request) -> PlaceView:
-    """One asset of a collection, and where the collection lists it."""
-    require_collection(name, "check the address")
+async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceView:
+    """Get one asset of a collection, and the shard that lists it."""
+    require_collection(name, "check the name in the URL")
     if not valid_key(key):
-        raise Problem(422, "KEY_INVALID", "this is no asset key", hints=("check the address",))
-    rows_of: Rows = request.app.state.rows_of
+        raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
+    load_rows: LoadRows = request.app.state.load_rows
 
-    version, found = await _read(request, name, lambda index: (index.version, row_in(index, key, rows_of)))
+    version, found = await _read(request, name, lambda index: (index.version, find_row(index, key, load_rows)))
     if found is None:
         raise Problem(404, "ASSET_UNKNOWN", f"there is no asset {key} in collection {name}", hints=("check the key",))
     shard, row = found
     if row.removed:
-        hints = (f"POST /v1/assets/{key}/restore brings it back",)
-        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANYBODY))
-    asset = _view(request, row)
-    return PlaceView(collection=name, version=version, shard=url_of(request, shard.name), asset=asset)
+        hints = (f"POST /v1/assets/{key}/restore restores it",)
+        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANY_ORIGIN))
+    asset = _row_view(request, row)
+    return PlaceView(collection=name, version=version, shard=object_url(request, shard.name), asset=asset)
 
 
 @router.get("/keys", response_model=KeyPage)
-async def public_keys(request: Request) -> KeyPage:
-    """Whose signatures under collections to believe: for clients to keep from their first visit on."""
-    believed = request.app.state.keys.believed
-    return KeyPage(keys=[KeyView(key=each.id, ed25519=base64.b64encode(each.raw).decode()) for each in believed])
+async def list_public_keys(request: Request) -> KeyPage:
+    """List the public keys that verify collections; clients store them at their first visit (trust on first use)."""
+    keys = request.app.state.keys.verification_keys
+    return KeyPage(keys=[KeyView(key=each.id, ed25519=base64.b64encode(each.raw).decode()) for each in keys])
 
 
 async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:
-    """What `take` reads of a collection. Raises Problem COLLECTION_UNKNOWN, and those of `in_thread`."""
-    store, believed = store_of(request), request.app.state.keys.believed
+    """Call `take` with a collection's verified index. Raises Problem COLLECTION_UNKNOWN, and those of `in_thread`."""
+    store, keys = store_of(request), request.app.state.keys.verification_keys
 
     def attempt() -> _T:
-        return take(read_index(store.get(index_name(name)), name, believed))
+        return take(read_index(store.get(index_name(name)), name, keys))
 
     try:
-        return await in_thread(lambda: again_if_moved(attempt))
+        return await in_thread(lambda: retry_if_shard_missing(attempt))
     except FileNotFoundError:
         raise _unknown(name) from None
 
 
-def _matching(index: Index, rows: Rows, label: str, after: str, limit: int) -> list[Row]:
-    """At most `limit` rows behind `after` that match."""
+def _matching_rows(index: Index, rows: LoadRows, label: str, after: str, limit: int) -> list[Row]:
+    """Return at most `limit` rows with keys behind `after` that match the label, without removed assets."""
     shards = (shard for shard in index.shards if shard.last > after)
     behind = (row for row in chain.from_iterable(map(rows, shards)) if row.key > after)
     return list(islice((row for row in behind if not row.removed and row.matches(label)), limit))
 
 
-def _view(request: Request, row: Row) -> RowView:
+def _row_view(request: Request, row: Row) -> RowView:
     return RowView(
         key=row.key,
         label=row.label or row.key,
@@ -184,18 +195,18 @@ def _view(request: Request, row: Row) -> RowView:
         version=row.version,
         state=row.state,
         updated=datetime.fromtimestamp(row.updated, UTC),
-        manifest=url_of(request, row.manifest_name),
+        manifest=object_url(request, row.manifest_name),
         manifest_sha256=row.manifest,
-        preview=url_of(request, row.preview_name) if row.preview else "",
+        preview=object_url(request, row.preview_name) if row.preview else "",
         self=f"/v1/assets/{row.key}",
         view=f"/view/{row.key}",
     )
 
 
-def _base(request: Request) -> str:
-    return url_of(request, "x").removesuffix("x")
+def _objects_url(request: Request) -> str:
+    return object_url(request, "x").removesuffix("x")
 
 
 def _unknown(name: str) -> Problem:
-    hints = ("publishing its first asset makes it",)
+    hints = ("check the name", "publishing its first asset creates it")
     return Problem(404, "COLLECTION_UNKNOWN", f"there is no collection {name}", hints=hints)

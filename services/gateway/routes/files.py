@@ -1,4 +1,4 @@
-"""/v1/files: the files of assets and their catalogues, where the store is a folder of ours."""
+"""/v1/files: serves the files of assets and catalogues, with range requests, where the store is a local folder."""
 
 from __future__ import annotations
 
@@ -11,54 +11,55 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import StreamingResponse
 
 from services.gateway.errors import Problem
-from services.gateway.routes.objects import ANYBODY, in_thread, store_of
-from services.gateway.routes.ranges import UnsatisfiableError, matches, wanted_range
+from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
+from services.gateway.routes.store_access import ANY_ORIGIN, in_thread, store_of
 from services.gateway.schemas import problems
 from services.storage.local import LocalStore
 from services.storage.store import Head
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 
-# Captures are people's rooms; they leave this service only towards a worker.
-_PUBLIC = ("assets/", "catalog/", "collections/")
-_READ_BYTES = 256 << 10  # from the disk at once
+# As in the bucket's policy: files that are addressed by their hash, and signed collections. Captures are private (they
+# show people's rooms): only workers get them. So are entries under catalog/: /v1/assets returns their public part.
+_PUBLIC = ("assets/", "collections/")
+_READ_BYTES = 256 << 10  # per read from the disk
 
 
 @router.head("/files/{name:path}", include_in_schema=False)
 @router.get("/files/{name:path}", response_class=Response, responses=problems(404, 416, 503))
-async def file(name: str, request: Request) -> Response:
-    """A file of an asset, immutable under its name, in whole or in part."""
+async def get_file(name: str, request: Request) -> Response:
+    """Get a file of an asset, or a part of it with a Range header. Files under `assets/` never change."""
     store = store_of(request)
     if not isinstance(store, LocalStore) or not name.startswith(_PUBLIC):
-        raise _no_file()
+        raise _unknown_file()
     try:
         head = await in_thread(lambda: store.head(name))
     except (FileNotFoundError, ValueError):
-        raise _no_file() from None
+        raise _unknown_file() from None
     if not name.startswith("assets/"):
         return await _small_file(store, head, request)
     return await _large_file(store, head, request)
 
 
 async def _small_file(store: LocalStore, head: Head, request: Request) -> Response:
-    """A document that may be replaced at any time: read at once, so that its length and content belong together."""
+    """Answer with a document that may be replaced at any time: read as a whole, so that length and content match."""
     body = await in_thread(lambda: store.get(head.name))
     etag = hashlib.sha256(body).hexdigest()
-    if matches(request.headers.get("if-none-match"), etag):
+    if etag_matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=_file_headers(head, etag))
     return Response(body, headers=_file_headers(head, etag), media_type=head.content_type)
 
 
 async def _large_file(store: LocalStore, head: Head, request: Request) -> Response:
     headers = {**_file_headers(head, head.etag), "Accept-Ranges": "bytes"}
-    if matches(request.headers.get("if-none-match"), head.etag):
+    if etag_matches(request.headers.get("if-none-match"), head.etag):
         return Response(status_code=304, headers=headers)
-    given = request.headers
+    request_headers = request.headers
     try:
-        part = wanted_range(given.get("range"), given.get("if-range"), head.etag, head.size)
+        part = parse_range(request_headers.get("range"), request_headers.get("if-range"), head.etag, head.size)
     except UnsatisfiableError as error:
-        content_range = {"Content-Range": f"bytes */{head.size}", **ANYBODY}
-        hints = (f"begin below byte {head.size}",)
+        content_range = {"Content-Range": f"bytes */{head.size}", **ANY_ORIGIN}
+        hints = (f"ask for a range that begins below byte {head.size}",)
         raise Problem(416, "RANGE_UNSATISFIABLE", str(error), hints=hints, headers=content_range) from None
     start, end = part or (0, head.size)
     headers["Content-Length"] = str(end - start)
@@ -79,9 +80,9 @@ async def _blocks(path: pathlib.Path, start: int, end: int) -> AsyncIterator[byt
 
 
 def _file_headers(head: Head, etag: str) -> dict[str, str]:
-    return {"ETag": f'"{etag}"', "Cache-Control": head.cache_control, **ANYBODY}
+    return {"ETag": f'"{etag}"', "Cache-Control": head.cache_control, **ANY_ORIGIN}
 
 
-def _no_file() -> Problem:
-    hints = ("GET /v1/assets/{key} tells the names of an asset's files",)
-    return Problem(404, "FILE_UNKNOWN", "there is no such file here", hints=hints, headers=dict(ANYBODY))
+def _unknown_file() -> Problem:
+    hints = ("GET /v1/assets/{key} lists the URLs of an asset's files",)
+    return Problem(404, "FILE_UNKNOWN", "there is no such file", hints=hints, headers=dict(ANY_ORIGIN))

@@ -1,4 +1,4 @@
-"""/livez, /readyz and /metrics: for those who run the gateway."""
+"""/livez, /readyz and /metrics: health checks and Prometheus metrics for operators."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from collections.abc import Awaitable
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from services.gateway.edge import EdgePool
 from services.gateway.jobs.store import JobStore
 from services.gateway.schemas import Check, Readiness
+from services.gateway.worker_client import WorkerPool
 
 router = APIRouter(tags=["health"])
 
-_CHECK_S = 2.0  # an orchestrator asks every few seconds and gives up after about as many
+_CHECK_S = 2.0  # timeout of one check: orchestrators ask every few seconds and wait about as long
 
 
 @router.get("/livez", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def livez() -> Response:
-    """Whether the process answers."""
+    """Liveness check: answers "ok" as long as the process is alive."""
     return Response("ok\n", media_type="text/plain")
 
 
 @router.get("/readyz", response_model=Readiness, responses={503: {"model": Readiness}})
 async def readyz(request: Request, response: Response) -> Readiness:
-    """Whether a job would be taken and done: the store, the database and at least one worker answer."""
+    """Readiness check: 200 if the store, the database and at least one worker answer (jobs can run), else 503."""
     state = request.app.state
     names = ("store", "database", "workers")
     found = await asyncio.gather(
         _check(asyncio.to_thread(state.store.list, "catalog/", limit=1)),
-        _check(state.desk.read(JobStore.counts)),
-        _workers(state.edge),
+        _check(state.job_store.read(JobStore.count_by_state)),
+        _workers(state.workers),
     )
     checks = dict(zip(names, found, strict=True))
     ready = all(check.ok for check in found)
@@ -41,9 +41,11 @@ async def readyz(request: Request, response: Response) -> Readiness:
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def metrics(request: Request) -> Response:
-    """Counters for Prometheus."""
-    desk = request.app.state.desk
-    page = request.app.state.metrics.page(await desk.read(JobStore.counts), desk.hub.listening)
+    """Get metrics in Prometheus' text format."""
+    job_store = request.app.state.job_store
+    page = request.app.state.metrics.render(
+        await job_store.read(JobStore.count_by_state), job_store.notifier.listener_count
+    )
     return Response(page, headers={"Content-Type": CONTENT_TYPE_LATEST})
 
 
@@ -53,14 +55,14 @@ async def _check(question: Awaitable[object]) -> Check:
             await question
     except TimeoutError:
         return Check(ok=False, detail=f"no answer within {_CHECK_S:g} s")
-    except Exception as error:  # noqa: BLE001 - whatever it is, the gateway is not ready, and says of which kind
+    except Exception as error:  # noqa: BLE001 - whatever it is, the gateway is not ready; its type is reported
         return Check(ok=False, detail=type(error).__name__)
     return Check(ok=True, detail="answers")
 
 
-async def _workers(edge: EdgePool) -> Check:
+async def _workers(workers: WorkerPool) -> Check:
 
-    found = await edge.workers()
+    found = await workers.poll()
     free = sum(worker.free_slots for worker in found if not worker.draining)
-    detail = f"{len(found)} of {len(edge.addresses)} workers answer, {free} slots are free"
+    detail = f"{len(found)} of {len(workers.addresses)} workers answer, {free} slots are free"
     return Check(ok=bool(found), detail=detail)

@@ -1,4 +1,4 @@
-"""Conditional and range requests (RFC 9110, 13 and 14), as far as immutable files need them."""
+"""HTTP conditional and range requests (RFC 9110, sections 13 and 14), as far as immutable files need them."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ _TAG = re.compile(r'(?:W/)?"([^"]*)"')
 
 
 class UnsatisfiableError(ValueError):
-    """The range begins behind the end."""
+    """The range begins behind the end of the file."""
 
 
-def matches(if_none_match: str | None, etag: str) -> bool:
-    """Whether the client has the representation of this (unquoted) etag already: 304."""
+def etag_matches(if_none_match: str | None, etag: str) -> bool:
+    """Return whether If-None-Match contains this (unquoted) etag, so that the answer is 304."""
     if if_none_match is None:
         return False
     return if_none_match.strip() == "*" or etag in _TAG.findall(if_none_match)
 
 
-def wanted_range(header: str | None, if_range: str | None, etag: str, size: int) -> tuple[int, int] | None:
-    """First and end byte of a single range, or None where the whole is to be sent.
+def parse_range(header: str | None, if_range: str | None, etag: str, size: int) -> tuple[int, int] | None:
+    """Parse a Range header into its first and end byte; None where the whole file must be sent.
 
-    So it is for several ranges, for what is no range, and when `if_range` names another representation (a date does).
-    Raises UnsatisfiableError.
+    That is so for several ranges, for an invalid header, and when `if_range` is another etag or a date. Raises
+    UnsatisfiableError.
     """
     found = _RANGE.fullmatch(header.strip()) if header else None
     if found is None or (if_range is not None and if_range.strip() != f'"{etag}"'):
@@ -31,7 +31,7 @@ def wanted_range(header: str | None, if_range: str | None, etag: str, size: int)
     first, last = found.groups()
     if not first and not last:
         return None
-    if not first:  # the last so many
+    if not first:  # a suffix range: the last so many bytes
         start, end = max(0, size - int(last)), size
     else:
         start, end = int(first), min(size, int(last) + 1) if last else size

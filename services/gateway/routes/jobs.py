@@ -1,4 +1,4 @@
-"""/v1/jobs: start a job, look at it, follow it, stop it. /v1/presets: what it may name."""
+"""/v1/jobs: create, read, follow (server-sent events) and cancel jobs. /v1/presets: the presets that jobs may name."""
 
 from __future__ import annotations
 
@@ -14,75 +14,75 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from services.gateway.errors import Problem
-from services.gateway.jobs.desk import Desk
+from services.gateway.jobs.async_store import AsyncJobStore
+from services.gateway.jobs.capture_objects import capture_bytes
+from services.gateway.jobs.collection_choice import choose_collection
 from services.gateway.jobs.job import Event, Job, Order
-from services.gateway.jobs.place import collection_for
-from services.gateway.jobs.source import capture_bytes
+from services.gateway.jobs.state_machine import request_cancel
 from services.gateway.jobs.store import JOB_ID, JobStore
-from services.gateway.jobs.transitions import cancel_requested
 from services.gateway.metrics import Metrics
-from services.gateway.routes.objects import in_thread, store_of
+from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobPage, JobRequest, JobView, Presets, PresetView, problems
-from services.gateway.workers import Preset
-from services.storage.catalogue import valid_key
+from services.gateway.worker_types import WorkerPreset
+from services.storage.catalogue.entry import valid_key
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
-_HEARTBEAT_S = 10.0  # between words on an event stream: proxies cut silent connections after 30 to 60 s
-_RECONNECT_MS = 1000  # what a browser waits before it reconnects
-_SEND_TIMEOUT_S = 30.0  # a phone that reads nothing for so long is gone
+_HEARTBEAT_S = 10.0  # longest silence on an event stream: proxies cut silent connections after 30 to 60 s
+_RECONNECT_MS = 1000  # how long browsers wait before they reconnect
+_SEND_TIMEOUT_S = 30.0  # a client that reads nothing for so long is considered gone
 
 IdempotencyKey = Annotated[
     str,
     Header(
         max_length=200,
         pattern=r"^[\x21-\x7e]*$",
-        description="Makes a repeated request find the job that the first one made.",
+        description="A unique text per job: a repeated request with the same key returns the job of the first one.",
     ),
 ]
 
 
 @router.post("/jobs", status_code=202, response_model=JobView, responses=problems(400, 404, 409, 413, 415, 422, 503))
-async def create(
+async def create_job(
     body: JobRequest, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
 ) -> JobView:
-    """Queue a reconstruction of a capture. It is on disk before this answers."""
-    desk: Desk = request.app.state.desk
+    """Create a job that reconstructs a capture. The answer is sent after the job has been stored."""
+    job_store: AsyncJobStore = request.app.state.job_store
     body_sha256 = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
-    job = await desk.read(JobStore.by_key, idempotency_key, body_sha256)
+    job = await job_store.read(JobStore.find_by_key, idempotency_key, body_sha256)
     if job is None:
-        order = await _checked(body, request)
-        job = await desk.write(JobStore.create, order, key=idempotency_key, body_sha256=body_sha256)
+        order = await _make_order(body, request)
+        job = await job_store.write(JobStore.create, order, key=idempotency_key, body_sha256=body_sha256)
         request.app.state.dispatcher.wake()
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return JobView.of(job, time.time())
 
 
 @router.get("/jobs", response_model=JobPage, responses=problems(422))
-async def page(
+async def list_jobs(
     request: Request,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     after: Annotated[
-        str, Query(pattern=f"^({JOB_ID.pattern})?$", description="Only jobs older than this one: a page's `next`.")
+        str, Query(pattern=f"^({JOB_ID.pattern})?$", description="`next` of the previous page: only older jobs.")
     ] = "",
 ) -> JobPage:
-    """Jobs, newest first."""
+    """List jobs, newest first."""
     now = time.time()
-    found = await request.app.state.desk.read(JobStore.page, limit=limit + 1, after=after)
+    found = await request.app.state.job_store.read(JobStore.page, limit=limit + 1, after=after)
     jobs = [JobView.of(job, now) for job in found[:limit]]
     return JobPage(jobs=jobs, next=jobs[-1].id if len(found) > limit else None)
 
 
 @router.get("/jobs/{job}", response_model=JobView, responses=problems(404))
-async def look(job: str, request: Request) -> JobView:
-    """Where a job stands."""
-    return JobView.of(await request.app.state.desk.read(JobStore.get, job), time.time())
+async def get_job(job: str, request: Request) -> JobView:
+    """Get a job's state, progress and result."""
+    return JobView.of(await request.app.state.job_store.read(JobStore.get, job), time.time())
 
 
 @router.post("/jobs/{job}/cancel", status_code=202, response_model=JobView, responses=problems(404))
-async def cancel(job: str, request: Request) -> JobView:
-    """Stop a job: at once while it waits, within seconds while it runs. Nothing happens to one that has ended."""
-    changed: Job = await request.app.state.desk.change(job, partial(cancel_requested, now=time.time()))
+async def cancel_job(job: str, request: Request) -> JobView:
+    """Cancel a job: at once while it is queued, within seconds while it is running. No effect on one that has ended."""
+    changed: Job = await request.app.state.job_store.change(job, partial(request_cancel, now=time.time()))
     if not changed.ended:
         request.app.state.dispatcher.cancel(job)
     return JobView.of(changed, time.time())
@@ -93,8 +93,8 @@ async def cancel(job: str, request: Request) -> JobView:
     response_class=EventSourceResponse,
     responses={
         200: {
-            "description": "Events `progress`, `published`, `state` and `heartbeat`; the data is JSON, the stream ends "
-            "behind the job's last state",
+            "description": "Server-sent events `progress`, `published`, `state` and `heartbeat` with JSON data; the "
+            "stream ends after the job's final `state`",
             "content": {
                 "text/event-stream": {
                     "schema": {"type": "string"},
@@ -106,54 +106,56 @@ async def cancel(job: str, request: Request) -> JobView:
         **problems(404, 422),
     },
 )
-async def events(
+async def follow_job(
     job: str,
     request: Request,
-    after: Annotated[int | None, Query(ge=0, description="Only events beyond this number.")] = None,
+    after: Annotated[int | None, Query(ge=0, description="Only events with a higher number (`id`).")] = None,
     last_event_id: Annotated[
-        str, Header(pattern=r"^[0-9]{0,15}$", description="What a browser sends when it reconnects.")
+        str, Header(pattern=r"^[0-9]{0,15}$", description="Same as `after`; browsers send it when they reconnect.")
     ] = "",
 ) -> EventSourceResponse:
-    """Follow a job: what happened so far, then what happens, until it has ended."""
-    desk: Desk = request.app.state.desk
-    await desk.read(JobStore.get, job)  # an unknown job is a 404, not an empty stream
+    """Follow a job as server-sent events: first all events so far, then new ones, until the job has ended."""
+    job_store: AsyncJobStore = request.app.state.job_store
+    await job_store.read(JobStore.get, job)  # an unknown job is a 404, not an empty stream
     start = int(last_event_id) if last_event_id else after or 0
     return EventSourceResponse(
-        _told(desk, request.app.state.metrics, job, start),
-        ping=3600,  # ours carry the job's state and are events that a page can see
+        _event_stream(job_store, request.app.state.metrics, job, start),
+        ping=3600,  # in effect off: our own heartbeats carry the job's state and are visible to pages
         send_timeout=_SEND_TIMEOUT_S,
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
 
 
 @router.get("/presets", response_model=Presets)
-async def presets(request: Request) -> Presets:
-    """What the workers offer, and what it takes of them."""
+async def list_presets(request: Request) -> Presets:
+    """List the presets that the workers offer, the memory that each takes, and the default."""
     known = await _known_presets(request)
     return Presets(presets=[PresetView.of(preset) for preset in known.values()], default=next(iter(known)))
 
 
-async def _told(desk: Desk, metrics: Metrics, job_id: str, seen: int) -> AsyncIterator[ServerSentEvent]:
+async def _event_stream(
+    job_store: AsyncJobStore, metrics: Metrics, job_id: str, last_seq: int
+) -> AsyncIterator[ServerSentEvent]:
     replaying = True
-    with desk.hub.listen(job_id) as news:
+    with job_store.notifier.listen(job_id) as news:
         while True:
             news.clear()
-            job, fresh = await desk.read(JobStore.since, job_id, seen)
+            job, fresh = await job_store.read(JobStore.job_and_events, job_id, last_seq)
             for event in fresh:
                 yield _sse(event)
                 if not replaying:
-                    metrics.sent(time.time() - event.at)
-                seen = event.seq
-            if job.last_event > seen:
+                    metrics.observe_event_lag(time.time() - event.at)
+                last_seq = event.seq
+            if job.last_event > last_seq:
                 continue
             if job.ended:
                 return
             replaying = False
-            if not await _within(news, _HEARTBEAT_S):
+            if not await _wait(news, _HEARTBEAT_S):
                 yield _heartbeat(job)
 
 
-async def _within(news: asyncio.Event, seconds: float) -> bool:
+async def _wait(news: asyncio.Event, seconds: float) -> bool:
     try:
         return await asyncio.wait_for(news.wait(), seconds)
     except TimeoutError:
@@ -176,14 +178,14 @@ def _heartbeat(job: Job) -> ServerSentEvent:
     return ServerSentEvent(json.dumps(data), event="heartbeat")
 
 
-async def _checked(body: JobRequest, request: Request) -> Order:
-    """The job's order. Raises Problem for what cannot become a job."""
+async def _make_order(body: JobRequest, request: Request) -> Order:
+    """Validate a job request and return the job's order. Raises Problem."""
     if not valid_key(body.asset_key):
         raise Problem(
             422,
             "KEY_INVALID",
-            "an asset key has 1 to 100 letters, digits, '.', '_' or '-', and begins with a letter or digit",
-            hints=("put names for people into label",),
+            "an asset key must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit",
+            hints=("put a name for people into `label`",),
         )
     preset = await _known_preset(body.preset, request)
     store = store_of(request)
@@ -194,29 +196,29 @@ async def _checked(body: JobRequest, request: Request) -> Order:
             404,
             "CAPTURE_UNKNOWN",
             f"there is no capture '{body.capture}'",
-            hints=("upload it with POST /v1/captures",),
+            hints=("upload it first, with POST /v1/captures",),
         ) from None
     except OSError as error:
         raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
-    asked = partial(collection_for, named=body.collection, capture=body.capture, key=body.asset_key)
-    return body.order(preset, await in_thread(lambda: asked(store)))
+    choose = partial(choose_collection, named=body.collection, capture=body.capture, key=body.asset_key)
+    return body.order(preset, await in_thread(lambda: choose(store)))
 
 
 async def _known_preset(preset: str, request: Request) -> str:
-    """The preset, or the default for "". Raises Problem PRESET_UNKNOWN for one that no worker offers."""
+    """Return the preset, or the default for "". Raises Problem PRESET_UNKNOWN for one that no worker offers."""
     known = await _known_presets(request)
     if preset and preset not in known:
-        known = await _known_presets(request, ask=True)  # a worker that started since may offer more
+        known = await _known_presets(request, refresh=True)  # a worker that started since then may offer more
     if preset and preset not in known:
         names = ", ".join(known)
-        detail = f"there is no preset '{preset}'; known are: {names}"
+        detail = f"there is no preset '{preset}'; the presets are: {names}"
         raise Problem(422, "PRESET_UNKNOWN", detail, hints=(f"use one of: {names}",))
     return preset or next(iter(known))
 
 
-async def _known_presets(request: Request, *, ask: bool = False) -> Mapping[str, Preset]:
-    """What workers offer, by name, the default first; what the settings say while none has been heard of."""
-    edge = request.app.state.edge
-    if ask or not edge.presets:
-        await edge.workers()
-    return edge.presets or {name: Preset(name) for name in request.app.state.settings.presets}
+async def _known_presets(request: Request, *, refresh: bool = False) -> Mapping[str, WorkerPreset]:
+    """Return the workers' presets by name, the default first; those in the settings until a worker has answered."""
+    workers = request.app.state.workers
+    if refresh or not workers.presets:
+        await workers.poll()
+    return workers.presets or {name: WorkerPreset(name) for name in request.app.state.settings.presets}

@@ -1,4 +1,4 @@
-"""What the routes that serve the store's objects share: the store, its failures, and the addresses of its objects."""
+"""Helpers of routes that serve objects of the store: run store calls in threads, translate errors, build URLs."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ import anyio.to_thread
 from fastapi import Request
 
 from services.gateway.errors import Problem
-from services.storage.faults import CatalogueFault
+from services.storage.catalogue.faults import CatalogueFault
 from services.storage.store import Store
 
-ANYBODY = {"Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": "ETag, Content-Range, Accept-Ranges"}
-"""Headers of what pages of any origin may read."""
+ANY_ORIGIN = {"Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": "ETag, Content-Range, Accept-Ranges"}
+"""CORS headers of answers that pages of any origin may read."""
 
 _T = TypeVar("_T")
 
 
 async def in_thread(work: Callable[[], _T]) -> _T:
-    """Off the event loop, with the store's failures told as problems. Raises Problem, FileNotFoundError."""
+    """Run blocking store calls in a thread, and turn the store's errors into problems.
+
+    Raises Problem, FileNotFoundError.
+    """
     try:
         return await anyio.to_thread.run_sync(work)
     except FileNotFoundError:
@@ -34,17 +37,17 @@ async def in_thread(work: Callable[[], _T]) -> _T:
 
 
 def store_of(request: Request) -> Store:
-    """The gateway's store."""
+    """Return the gateway's store."""
     store: Store = request.app.state.store
     return store
 
 
-def home_of(request: Request) -> str:
-    """How clients reach this gateway, with a slash at the end."""
+def gateway_url(request: Request) -> str:
+    """Return the URL by which clients reach this gateway, with a slash at the end."""
     public: str = request.app.state.settings.public_url
     return (public or str(request.base_url)).rstrip("/") + "/"
 
 
-def url_of(request: Request, name: str) -> str:
-    """The whole address of an object: a local store gives only a path."""
-    return urljoin(home_of(request), store_of(request).url(name))
+def object_url(request: Request, name: str) -> str:
+    """Return the absolute URL of an object (a local store gives only a path)."""
+    return urljoin(gateway_url(request), store_of(request).url(name))

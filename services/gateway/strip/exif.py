@@ -1,7 +1,7 @@
-"""EXIF without person and place: a TIFF structure (TIFF 6.0, Exif 2.32) rebuilt from the tags that are needed.
+"""Strip EXIF (TIFF 6.0, Exif 2.32) of location and personal data: rebuild the block from an allow list of tags.
 
-What stays is listed, not what goes: a maker's new private tag is gone before anybody hears of it. The rebuilt block is
-padded with zeros to the old length, so it goes back into its container in place.
+An allow list, so that a maker's new private tags are removed too. The rebuilt block is padded with zeros to the old
+length, so that it replaces the old one in place.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import struct
 from dataclasses import dataclass, field
 
 _EXIF_IFD = 0x8769
-# Orientation, size, resolution, make and model: how to read the picture, and which lens model it may have.
-_KEPT_IMAGE = {
+# Image size, orientation, resolution, make and model: needed to decode the image, and to guess its lens.
+_ALLOWED_IMAGE_TAGS = {
     0x0100,
     0x0101,
     0x0102,
@@ -27,8 +27,8 @@ _KEPT_IMAGE = {
     0x0132,
     0x0213,
 }
-# Exposure (order and brightness of a series), times of day without zone, focal lengths, sizes, the lens' kind.
-_KEPT_EXIF = (
+# Exposure (order and brightness of a series), times without time zone, focal lengths, sizes, lens type.
+_ALLOWED_EXIF_TAGS = (
     {0x829A, 0x829D, 0x8822, 0x8827, 0x9000, 0x9003, 0x9004, 0x9101, 0xA000, 0xA001, 0xA002, 0xA003}
     | set(range(0x9201, 0x920B))  # shutter, aperture, brightness, bias, distance, metering, light, flash, focal length
     | {0x9290, 0x9291, 0x9292, 0xA20E, 0xA20F, 0xA210, 0xA217}
@@ -59,12 +59,13 @@ _NAMES = {
     0xA435: "LensSerialNumber",
     0xC62F: "CameraSerialNumber",
 }
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}  # bytes per TIFF field type
-_MOST_ENTRIES = 1000  # in one directory; cameras write about 60
+# TIFF field type -> bytes of one value.
+_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
+_MOST_ENTRIES = 1000  # of one directory; cameras write about 60
 
 
 class BrokenExifError(ValueError):
-    """The block's offsets or counts make no sense."""
+    """The EXIF block's offsets or counts are invalid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,67 +83,70 @@ class _Directory:
     next_offset: int = 0
 
 
-def cleaned_exif(block: bytes) -> tuple[bytes, tuple[str, ...]]:
-    """The block with only harmless tags, as long as before, and the names of those removed; a broken one as zeros."""
+def clean_exif(block: bytes) -> tuple[bytes, tuple[str, ...]]:
+    """Remove all tags that are not allowed. Returns a block of the same length, and the names of the removed tags.
+
+    A damaged block is replaced by zeros.
+    """
     try:
-        rebuilt, removed = _rebuilt(block)
+        clean, removed = _rebuild(block)
     except (BrokenExifError, struct.error):
         return bytes(len(block)), ("Exif",)
     if not removed:
         return block, ()
-    if len(rebuilt) > len(block):  # values that shared their bytes no longer do
+    if len(clean) > len(block):  # happens if values shared bytes, which they no longer do
         return bytes(len(block)), (*removed, "Exif")
-    return rebuilt.ljust(len(block), b"\0"), removed
+    return clean.ljust(len(block), b"\0"), removed
 
 
 def tag_name(tag: int) -> str:
-    """The name of a tag in a report."""
+    """Return the name of a tag for the list of removed metadata."""
     return _NAMES.get(tag, f"Tag{tag:#06x}")
 
 
 def field_bytes(kind: int, count: int) -> int:
-    """Size of a field's value. Raises BrokenExifError for a type that TIFF does not have."""
-    if kind not in _SIZES:
+    """Return the size of a field's value in bytes. Raises BrokenExifError for an unknown type."""
+    if kind not in _TYPE_BYTES:
         raise BrokenExifError(f"field type {kind}")
-    return _SIZES[kind] * count
+    return _TYPE_BYTES[kind] * count
 
 
 def byte_order(block: bytes) -> str:
-    """`<` or `>`. Raises BrokenExifError for what is no TIFF structure."""
+    """Return the byte order, `<` or `>`. Raises BrokenExifError where the block has no TIFF header."""
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(bytes(block[:4]))
     if order is None:
         raise BrokenExifError("no TIFF header")
     return order
 
 
-def _rebuilt(block: bytes) -> tuple[bytes, tuple[str, ...]]:
+def _rebuild(block: bytes) -> tuple[bytes, tuple[str, ...]]:
     order = byte_order(block)
-    image = _directory(block, order, struct.unpack_from(order + "I", block, 4)[0], _KEPT_IMAGE | {_EXIF_IFD})
+    image = _directory(block, order, struct.unpack_from(order + "I", block, 4)[0], _ALLOWED_IMAGE_TAGS | {_EXIF_IFD})
     exif = _Directory()
     fields = []
     for each in image.fields:
         if each.tag == _EXIF_IFD:
-            exif = _directory(block, order, struct.unpack(order + "I", each.value)[0], _KEPT_EXIF)
+            exif = _directory(block, order, struct.unpack(order + "I", each.value)[0], _ALLOWED_EXIF_TAGS)
         else:
             fields.append(each)
     removed = image.removed + exif.removed + (["Thumbnail"] if image.next_offset else [])
-    return _written(order, fields, exif.fields), tuple(dict.fromkeys(removed))
+    return _write_tiff(order, fields, exif.fields), tuple(dict.fromkeys(removed))
 
 
-def _directory(block: bytes, order: str, offset: int, kept: set[int]) -> _Directory:
+def _directory(block: bytes, order: str, offset: int, allowed: set[int]) -> _Directory:
     count = struct.unpack_from(order + "H", block, offset)[0]
     if count > _MOST_ENTRIES:
         raise BrokenExifError(f"{count} entries")
     found, total = _Directory(), 0
     for at in range(offset + 2, offset + 2 + 12 * count, 12):
         tag, kind, number, pointer = struct.unpack_from(order + "HHII", block, at)
-        if tag not in kept:
+        if tag not in allowed:
             found.removed.append(tag_name(tag))
             continue
         size = field_bytes(kind, number)
         start = at + 8 if size <= 4 else pointer
         total += size
-        if start + size > len(block) or total > len(block):  # values that overlap must not add up to gigabytes
+        if start + size > len(block) or total > len(block):  # overlapping values could add up to gigabytes
             raise BrokenExifError(f"{tag_name(tag)} ends outside of the block")
         found.fields.append(_Field(tag, kind, number, bytes(block[start : start + size])))
     end = offset + 2 + 12 * count
@@ -150,21 +154,23 @@ def _directory(block: bytes, order: str, offset: int, kept: set[int]) -> _Direct
     return found
 
 
-def _written(order: str, image: list[_Field], exif: list[_Field]) -> bytes:
-    """A TIFF structure of one image directory and, behind it, its Exif directory."""
+def _write_tiff(order: str, image: list[_Field], exif: list[_Field]) -> bytes:
+    """Serialise a TIFF structure: one image directory, followed by its Exif directory."""
     header = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
-    exif_at = 8 + len(_packed(order, [*image, _pointer(order, 0)], 8))
+    exif_at = 8 + len(_pack_directory(order, [*image, _pointer(order, 0)], 8))
     if not exif:
-        return header + _packed(order, image, 8)
-    return header + _packed(order, [*image, _pointer(order, exif_at)], 8) + _packed(order, exif, exif_at)
+        return header + _pack_directory(order, image, 8)
+    return (
+        header + _pack_directory(order, [*image, _pointer(order, exif_at)], 8) + _pack_directory(order, exif, exif_at)
+    )
 
 
 def _pointer(order: str, offset: int) -> _Field:
     return _Field(_EXIF_IFD, 4, 1, struct.pack(order + "I", offset))
 
 
-def _packed(order: str, fields: list[_Field], offset: int) -> bytes:
-    """One directory that will lie at `offset`, with the values that do not fit into their entries behind it."""
+def _pack_directory(order: str, fields: list[_Field], offset: int) -> bytes:
+    """Serialise a directory at `offset`, followed by the values that do not fit into its entries."""
     fields = sorted(fields, key=lambda each: each.tag)
     entries, values = struct.pack(order + "H", len(fields)), b""
     values_at = offset + 2 + 12 * len(fields) + 4

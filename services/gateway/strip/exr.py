@@ -1,56 +1,65 @@
-"""OpenEXR: the header's attributes of person and place become zeros; its size is read from the data window."""
+"""Strip OpenEXR files: overwrite header attributes that identify persons and places with zeros; read the image size."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
 
-from services.gateway.uploads.cleaned import MOST_PARTS, Buffer, Cleaned, UnreadableError, blank, is_blank, unique
+from services.gateway.strip.in_place import (
+    MOST_PARTS,
+    Buffer,
+    CleanResult,
+    UnreadableError,
+    blank,
+    is_blank,
+    unique_names,
+)
 
-_REMOVED = {b"owner", b"comments", b"longitude", b"latitude", b"altitude", b"utcOffset", b"cameraSerialNumber"}
-_REMOVED |= {b"lensSerialNumber", b"cameraUuid", b"cameraLabel", b"xmp"}
-_LONGEST_NAME = 256  # 255 bytes and the zero
+_REMOVED_ATTRIBUTES = {b"owner", b"comments", b"longitude", b"latitude", b"altitude", b"utcOffset", b"xmp"}
+_REMOVED_ATTRIBUTES |= {b"cameraSerialNumber", b"lensSerialNumber", b"cameraUuid", b"cameraLabel"}
+_LONGEST_NAME = 256  # 255 bytes and the terminating zero
 
 
-def clean(data: Buffer) -> Cleaned:
-    """Metadata in place. Raises UnreadableError."""
+def clean(data: Buffer) -> CleanResult:
+    """Strip the metadata in place. Raises UnreadableError."""
     removed: list[str] = []
     for name, start, stop in _attributes(data):
-        if name in _REMOVED and not is_blank(data, start, stop):
+        if name in _REMOVED_ATTRIBUTES and not is_blank(data, start, stop):
             blank(data, start, stop)
             removed.append(name.decode())
-    return Cleaned(unique(removed), len(data))
+    return CleanResult(unique_names(removed), len(data))
 
 
 def size(data: Buffer) -> tuple[int, int]:
-    """(width, height). Raises UnreadableError."""
+    """Return (width, height) in pixels, from the data window. Raises UnreadableError."""
     for name, start, stop in _attributes(data):
         if name == b"dataWindow" and stop - start == 16:
-            left, top, right, bottom = struct.unpack_from("<4i", data, start)
-            return right - left + 1, bottom - top + 1
-    raise UnreadableError("the EXR does not say how big it is")
+            x_min, y_min, x_max, y_max = struct.unpack_from("<4i", data, start)
+            return x_max - x_min + 1, y_max - y_min + 1
+    raise UnreadableError("the EXR image has no size (dataWindow) in its header")
 
 
 def _attributes(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
-    """(name, first and end byte of the value) of the first part's header."""
+    """Yield (name, first byte, end byte of the value) of each attribute in the first part's header."""
     at = 8
     for _ in range(MOST_PARTS):
-        name, at = _word(data, at)
+        name, at = _read_string(data, at)
         if not name:
             return
-        _, at = _word(data, at)  # the type
+        _, at = _read_string(data, at)  # the type
         if at + 4 > len(data):
-            raise UnreadableError("the EXR is cut short")
+            raise UnreadableError("the EXR image is cut short")
         length = struct.unpack_from("<i", data, at)[0]
         if length < 0 or at + 4 + length > len(data):
-            raise UnreadableError(f"the EXR is cut short within its attribute {name!r}")
+            raise UnreadableError(f"the EXR image is cut short within its attribute {name!r}")
         yield name, at + 4, at + 4 + length
         at += 4 + length
-    raise UnreadableError("the EXR's header does not end")
+    raise UnreadableError("the EXR image's header has no end")
 
 
-def _word(data: Buffer, at: int) -> tuple[bytes, int]:
+def _read_string(data: Buffer, at: int) -> tuple[bytes, int]:
+    """Read a zero-terminated string; returns it and the offset behind it. Raises UnreadableError."""
     end = data.find(b"\0", at, at + _LONGEST_NAME)
     if end < 0:
-        raise UnreadableError("the EXR's header is damaged or cut short")
+        raise UnreadableError("the EXR image's header is damaged or cut short")
     return bytes(data[at:end]), end + 1

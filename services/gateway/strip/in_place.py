@@ -1,7 +1,7 @@
-"""What the format modules (jpeg, png, webp, heif, tiff, exr, video, matroska) have in common.
+"""Helpers to strip metadata in place, for the formats' modules (jpeg, png, webp, heif, tiff, exr, mp4, matroska).
 
-Each has `clean(data) -> Cleaned`. It works in place on a writable memory map and moves no byte, so that a 20 MB photo
-costs no memory, offsets elsewhere in the file stay true, and the pixels are the same bits by construction.
+Each of those has `clean(data) -> CleanResult`, which works on a writable memory map and moves no byte. So a 20 MB photo
+costs no memory, offsets in the file stay valid, and the pixels stay bit-identical.
 """
 
 from __future__ import annotations
@@ -15,57 +15,62 @@ Buffer = bytearray | mmap.mmap
 
 
 class UnreadableError(Exception):
-    """The file is damaged or not what its first bytes say; the sentence tells where."""
+    """The file is damaged, or not of the type that its first bytes claim. The message says where."""
 
 
 @dataclass(frozen=True, slots=True)
-class Cleaned:
-    """removed: names of what was taken out, in order, each once; length: bytes to keep from the start of the file."""
+class CleanResult:
+    """Result of stripping a file.
+
+    removed  names of the removed metadata, in order, each once
+    length   bytes to keep from the start of the file
+    """
 
     removed: tuple[str, ...]
     length: int
 
 
-_BLOCK_BYTES = 1 << 20  # handled at once, so that a file of gigabytes costs no memory
-_MOST_METADATA = 4 << 20  # bytes of one block of metadata; the largest real ones are maker notes of some 100 kB
-MOST_PARTS = 100_000  # segments, chunks or boxes of one file; a film of an hour in fragments has some 10,000
+_BLOCK_BYTES = 1 << 20  # per step, so that a file of gigabytes costs no memory
+_MOST_METADATA = 4 << 20  # bytes of one block of metadata; the largest real ones are maker notes of about 100 kB
+MOST_PARTS = 100_000  # segments, chunks or boxes of one file; a fragmented video of an hour has about 10,000
 
 
 def blank(data: Buffer, start: int, end: int) -> None:
-    """Overwrite with zeros."""
+    """Overwrite a range with zeros."""
     for at in range(start, end, _BLOCK_BYTES):
         stop = min(at + _BLOCK_BYTES, end)
         data[at:stop] = bytes(stop - at)
 
 
 def is_blank(data: Buffer, start: int, end: int) -> bool:
-    """Whether there are only zeros."""
+    """Return whether a range has only zeros."""
     blocks = (data[at : min(at + _BLOCK_BYTES, end)] for at in range(start, end, _BLOCK_BYTES))
     return not any(block.strip(b"\0") for block in blocks)
 
 
 def blank_all(data: Buffer, ranges: Iterable[tuple[int, int]]) -> None:
-    """Overwrite ranges with zeros, each byte once however often a hostile index names it."""
+    """Overwrite ranges with zeros; each byte only once, even if a hostile index lists it many times."""
     done = 0
     for start, end in sorted(ranges):
         blank(data, max(start, done), min(end, len(data)))
         done = max(done, end)
 
 
-def metadata(data: Buffer, start: int, end: int) -> bytes:
-    """A block to be looked into. Raises UnreadableError for one too big to be what it says."""
+def read_metadata(data: Buffer, start: int, end: int) -> bytes:
+    """Copy a block of metadata to be parsed. Raises UnreadableError for one that is too large."""
     if end - start > _MOST_METADATA:
-        raise UnreadableError(f"the file has {end - start:,} bytes of metadata in one piece")
+        raise UnreadableError(f"the file has a block of metadata that is too large: {end - start:,} bytes")
     return bytes(data[start:end])
 
 
 def checksum(data: Buffer, start: int, end: int) -> int:
-    """CRC-32 of a range, block by block."""
+    """Return the CRC-32 of a range, computed block by block."""
     value = 0
     for at in range(start, end, _BLOCK_BYTES):
         value = zlib.crc32(data[at : min(at + _BLOCK_BYTES, end)], value)
     return value
 
 
-def unique(names: list[str]) -> tuple[str, ...]:
+def unique_names(names: list[str]) -> tuple[str, ...]:
+    """Return the names in order, each once."""
     return tuple(dict.fromkeys(names))

@@ -1,8 +1,8 @@
-"""mp4 and mov: all that a film does not need to be seen becomes free space, tracks that are no picture or sound too.
+"""Strip mp4 and mov files: turn metadata boxes, and tracks that are neither video nor audio, into free space.
 
-Phones write the place into `moov/udta/©xyz` or `moov/meta` (com.apple.quicktime.location.ISO6709); action cameras,
+Phones write the location into `moov/udta/©xyz` or `moov/meta` (com.apple.quicktime.location.ISO6709); action cameras,
 drones and Street View write it once a second into a metadata or subtitle track. Size and rotation are elsewhere.
-What stays is listed, not what goes. No byte moves, and of the media data only samples of removed tracks change.
+Works with allow lists and moves no byte; of the media data, only samples of removed tracks are changed.
 """
 
 from __future__ import annotations
@@ -12,13 +12,21 @@ import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from services.gateway.uploads.boxes import Box, boxes, find, release
-from services.gateway.uploads.cleaned import Buffer, Cleaned, UnreadableError, blank, blank_all, is_blank, unique
+from services.gateway.strip.in_place import (
+    Buffer,
+    CleanResult,
+    UnreadableError,
+    blank,
+    blank_all,
+    is_blank,
+    unique_names,
+)
+from services.gateway.strip.iso_boxes import Box, boxes, find, free_box
 
 _UNUSED = {b"free", b"skip", b"wide"}
-# Boxes that stay, by where they are (ISO/IEC 14496-12, QuickTime File Format); what is not a key is not looked into.
-_TOP = {b"ftyp", b"styp", b"moov", b"moof", b"mdat", b"mfra", b"sidx", b"ssix", b"pdin"}
-_WITHIN = {
+# Boxes that stay, by parent (ISO/IEC 14496-12, QuickTime File Format). Boxes that are no key here are not opened.
+_ALLOWED_TOP = {b"ftyp", b"styp", b"moov", b"moof", b"mdat", b"mfra", b"sidx", b"ssix", b"pdin"}
+_ALLOWED_WITHIN = {
     b"moov": {b"mvhd", b"trak", b"mvex", b"iods", b"ctab", b"clip", b"pssh"},
     b"trak": {b"tkhd", b"edts", b"tref", b"trgr", b"mdia", b"tapt", b"clip", b"matt", b"load"},
     b"mdia": {b"mdhd", b"hdlr", b"minf", b"elng"},
@@ -27,9 +35,9 @@ _WITHIN = {
     b"traf": {b"tfhd", b"tfdt", b"trun", b"sbgp", b"sgpd", b"subs", b"saiz", b"saio", b"senc"},
 }
 _PICTURES = {b"vide", b"auxv", b"pict"}
-_KEPT_TRACKS = _PICTURES | {b"soun", b"tmcd"}
-_MOST_TRACKS = 32  # of metadata; phones write up to eight
-_MOST_ENTRIES = 1_000_000  # of one table: nine hours at 30 Hz
+_ALLOWED_TRACKS = _PICTURES | {b"soun", b"tmcd"}
+_MOST_TRACKS = 32  # metadata tracks; phones write up to eight
+_MOST_ENTRIES = 1_000_000  # of one sample table: nine hours at 30 Hz
 _KEY = re.compile(rb"com\.[A-Za-z0-9.-]+")
 
 Range = tuple[int, int]
@@ -37,44 +45,53 @@ Range = tuple[int, int]
 
 
 @dataclass(slots=True)
-class _Film:
-    """media: where samples may be; gone: numbers of removed tracks; pictures: tracks that show something."""
+class _Mp4Film:
+    """State while a file is stripped.
+
+    media           ranges where samples may be
+    removed_tracks  their numbers
+    pictures        number of video tracks
+    """
 
     data: Buffer
     media: Sequence[Range]
     removed: list[str] = field(default_factory=list)
-    gone: list[int] = field(default_factory=list)
+    removed_tracks: list[int] = field(default_factory=list)
     pictures: int = 0
 
 
-def clean(data: Buffer) -> Cleaned:
-    """Metadata in place. Raises UnreadableError."""
-    top = _top(data)
+def clean(data: Buffer) -> CleanResult:
+    """Strip the metadata in place. Raises UnreadableError."""
+    top = _top_boxes(data)
     if not any(box.kind == b"moov" for box in top):
-        raise UnreadableError("the film has no index: it is cut short, or its recording was interrupted")
-    film = _Film(data, [(box.body, box.end) for box in top if box.kind == b"mdat"])
+        raise UnreadableError("the video has no index: it is cut short, or its recording was interrupted")
+    film = _Mp4Film(data, [(box.body, box.end) for box in top if box.kind == b"mdat"])
     try:
-        _clean_among(film, sorted(top, key=lambda box: box.kind != b"moov"), _TOP)  # fragments refer to its tracks
+        # moov first, because fragments refer to its tracks.
+        _clean_boxes(film, sorted(top, key=lambda box: box.kind != b"moov"), _ALLOWED_TOP)
     except struct.error:
-        raise UnreadableError("the film's index is damaged") from None
+        raise UnreadableError("the video's index is damaged") from None
     if not film.pictures:
-        raise UnreadableError("the film has no pictures in it")
-    return Cleaned(unique(film.removed), len(data))
+        raise UnreadableError("the file has no video track")
+    return CleanResult(unique_names(film.removed), len(data))
 
 
 def clean_sequence(data: Buffer, index: Box, media: Sequence[Range]) -> list[str]:
-    """The index of a film that is inside another kind of file, whose samples are in `media`; what was removed."""
-    film = _Film(data, media)
-    _clean_among(film, [index], {b"moov"})
+    """Strip the index (moov box) of a video inside another file format; returns the names of removed metadata.
+
+    media  ranges where its samples are
+    """
+    film = _Mp4Film(data, media)
+    _clean_boxes(film, [index], {b"moov"})
     return film.removed
 
 
-def _top(data: Buffer) -> list[Box]:
-    """The boxes of the file. Where only the end of the media data is missing, what there is of it can be seen."""
+def _top_boxes(data: Buffer) -> list[Box]:
+    """Return the file's top-level boxes. A file whose media data are cut short is accepted, being partly playable."""
     found: list[Box] = []
     try:
         for box in boxes(data, 0, len(data)):
-            found.append(box)  # noqa: PERF402 - those before the broken one are needed
+            found.append(box)  # noqa: PERF402 - the boxes before a broken one are needed
     except UnreadableError:
         at = found[-1].end if found else 0
         if data[at + 4 : at + 8] != b"mdat" or not any(box.kind == b"moov" for box in found):
@@ -83,39 +100,39 @@ def _top(data: Buffer) -> list[Box]:
     return found
 
 
-def _clean_among(film: _Film, among: Iterable[Box], kept: set[bytes]) -> None:
-    """Boxes side by side, and those within them."""
-    for box in among:
+def _clean_boxes(film: _Mp4Film, boxes_found: Iterable[Box], allowed: set[bytes]) -> None:
+    """Strip consecutive boxes and the boxes within them."""
+    for box in boxes_found:
         if box.kind in _UNUSED:
             blank(film.data, box.body, box.end)
-        elif box.kind not in kept:
+        elif box.kind not in allowed:
             _remove(film, box)
-        elif box.kind == b"trak" and _handler(film.data, box) not in _KEPT_TRACKS:
+        elif box.kind == b"trak" and _handler(film.data, box) not in _ALLOWED_TRACKS:
             _remove_track(film, box)
-        elif box.kind == b"traf" and _track_number(film.data, box, b"tfhd", 4) in film.gone:
-            raise UnreadableError("the film is in fragments and has a track of metadata: export it as an ordinary mp4")
-        elif box.kind in _WITHIN:
+        elif box.kind == b"traf" and _track_number(film.data, box, b"tfhd", 4) in film.removed_tracks:
+            raise UnreadableError("the video is fragmented and has a metadata track: export it as an ordinary mp4")
+        elif box.kind in _ALLOWED_WITHIN:
             film.pictures += box.kind == b"trak" and _handler(film.data, box) in _PICTURES
-            _clean_among(film, list(boxes(film.data, box.body, box.end)), _WITHIN[box.kind])
+            _clean_boxes(film, list(boxes(film.data, box.body, box.end)), _ALLOWED_WITHIN[box.kind])
 
 
-def _remove(film: _Film, box: Box) -> None:
+def _remove(film: _Mp4Film, box: Box) -> None:
     if not is_blank(film.data, box.body, box.end):
         film.removed += _names(film.data, box)
-    release(film.data, box)
+    free_box(film.data, box)
 
 
-def _remove_track(film: _Film, track: Box) -> None:
+def _remove_track(film: _Mp4Film, track: Box) -> None:
     film.removed.append(f"track {_handler(film.data, track).decode('latin-1')}")
-    film.gone.append(_track_number(film.data, track, b"tkhd", 12))
-    if len(film.gone) > _MOST_TRACKS:
-        raise UnreadableError(f"the film has more than {_MOST_TRACKS} tracks of metadata")
-    blank_all(film.data, _within(_samples(film.data, track), film.media))
-    release(film.data, track)
+    film.removed_tracks.append(_track_number(film.data, track, b"tkhd", 12))
+    if len(film.removed_tracks) > _MOST_TRACKS:
+        raise UnreadableError(f"the video has too many metadata tracks: more than {_MOST_TRACKS}")
+    blank_all(film.data, _clip_to_media(_samples(film.data, track), film.media))
+    free_box(film.data, track)
 
 
-def _within(ranges: Iterable[Range], media: Sequence[Range]) -> Iterator[Range]:
-    """What of the ranges is media data: an index that lies must not have itself overwritten."""
+def _clip_to_media(ranges: Iterable[Range], media: Sequence[Range]) -> Iterator[Range]:
+    """Intersect ranges with the media data, so that a hostile index cannot have other parts overwritten."""
     for start, end in ranges:
         for first, last in media:
             if max(start, first) < min(end, last):
@@ -123,7 +140,7 @@ def _within(ranges: Iterable[Range], media: Sequence[Range]) -> Iterator[Range]:
 
 
 def _names(data: Buffer, box: Box) -> list[str]:
-    """What is in a metadata box, as far as a report can name it."""
+    """Return names of the contents of a metadata box, for the list of removed metadata."""
     if box.kind == b"udta":
         try:
             kinds = [child.kind for child in boxes(data, box.body, box.end) if any(child.kind)]
@@ -135,13 +152,13 @@ def _names(data: Buffer, box: Box) -> list[str]:
 
 
 def _handler(data: Buffer, track: Box) -> bytes:
-    """The track's kind; a track that does not tell counts as a picture, which decoders will refuse by themselves."""
+    """Return the track's handler type. A track without one counts as video, which decoders will then refuse."""
     found = find(data, track, b"mdia", b"hdlr")
     return bytes(data[found.body + 8 : found.body + 12]) if found else b"vide"
 
 
 def _track_number(data: Buffer, parent: Box, header: bytes, at: int) -> int:
-    """The track that a box belongs to, from its header; -1 where it has none. `at`: behind the header's times."""
+    """Return the track number in a box's header, -1 where it has none. at: its offset in a version 0 header"""
     found = find(data, parent, header)
     if found is None:
         return -1
@@ -150,7 +167,7 @@ def _track_number(data: Buffer, parent: Box, header: bytes, at: int) -> int:
 
 
 def _samples(data: Buffer, track: Box) -> Iterator[Range]:
-    """Every chunk of the track's samples (ISO/IEC 14496-12, 8.7)."""
+    """Yield the byte range of every chunk of the track's samples (ISO/IEC 14496-12, 8.7)."""
     table = find(data, track, b"mdia", b"minf", b"stbl")
     if table is None:
         return
@@ -178,7 +195,7 @@ def _sizes(data: Buffer, body: int) -> tuple[int, ...]:
 
 
 def _samples_per_chunk(data: Buffer, body: int, chunks: int) -> list[int]:
-    """The table's runs, spread out: one count per chunk."""
+    """Expand the run-length coded sample-to-chunk table to one sample count per chunk."""
     flat = struct.unpack_from(f">{3 * _count(data, body + 4, 12)}I", data, body + 8)
     firsts, counts = flat[::3], flat[1::3]
     ends = [*firsts[1:], chunks + 1]
@@ -191,15 +208,15 @@ def _samples_per_chunk(data: Buffer, body: int, chunks: int) -> list[int]:
 
 
 def _integers(data: Buffer, at: int, kind: str) -> tuple[int, ...]:
-    """A table that begins with the number of its entries."""
+    """Read a table that begins with the number of its entries."""
     count = _count(data, at, struct.calcsize(">" + kind))
     table: tuple[int, ...] = struct.unpack_from(f">{count}{kind}", data, at + 4)
     return table
 
 
 def _count(data: Buffer, at: int, size: int) -> int:
-    """A believable number of entries of `size` bytes: a lie must not cost memory."""
+    """Read a number of entries of `size` bytes each. Raises UnreadableError where the file cannot have so many."""
     count = int(struct.unpack_from(">I", data, at)[0])
     if count > _MOST_ENTRIES or count * size > len(data):
-        raise UnreadableError(f"the film's index is damaged: {count:,} entries in one table")
+        raise UnreadableError(f"the video's index is damaged: {count:,} entries in one table")
     return count

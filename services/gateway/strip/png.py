@@ -1,4 +1,4 @@
-"""PNG (W3C, third edition): chunks that say how to decode stay, eXIf is rebuilt, all others become empty shells."""
+"""Strip PNG files (W3C, third edition): keep chunks needed to decode, rebuild eXIf, blank all other chunks."""
 
 from __future__ import annotations
 
@@ -6,37 +6,45 @@ import struct
 import zlib
 from collections.abc import Iterator
 
-from services.gateway.uploads.cleaned import MOST_PARTS, Buffer, Cleaned, UnreadableError, checksum, metadata, unique
-from services.gateway.uploads.exif import cleaned_exif
+from services.gateway.strip.exif import clean_exif
+from services.gateway.strip.in_place import (
+    MOST_PARTS,
+    Buffer,
+    CleanResult,
+    UnreadableError,
+    checksum,
+    read_metadata,
+    unique_names,
+)
 
-_KEPT = {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"mDCV", b"cLLI"}
-_KEPT |= {b"sBIT", b"bKGD", b"hIST", b"pHYs", b"acTL", b"fcTL", b"fdAT"}
-_SHELL = b"naDa"  # an ancillary, private chunk that nobody knows: every decoder must skip it
+_ALLOWED_CHUNKS = {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP"}
+_ALLOWED_CHUNKS |= {b"mDCV", b"cLLI", b"sBIT", b"bKGD", b"hIST", b"pHYs", b"acTL", b"fcTL", b"fdAT"}
+_BLANK_CHUNK = b"naDa"  # an unknown ancillary, private chunk type, which every decoder must skip
 _NAMES = {b"tEXt": "Text", b"zTXt": "Text", b"iTXt": "Text", b"tIME": "Time"}
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
-_INFLATE_BYTES = 1 << 16  # at once: the check of a 100-megapixel picture costs this much memory
+_INFLATE_BYTES = 1 << 16  # per step: checking a 100-megapixel image costs this much memory
 
 
-def clean(data: Buffer) -> Cleaned:
-    """Metadata in place; what lies behind the last chunk is cut off."""
+def clean(data: Buffer) -> CleanResult:
+    """Strip the metadata in place. Data behind the last chunk are to be cut off. Raises UnreadableError."""
     removed: list[str] = []
     end = len(data)
     for kind, start, stop in _chunks(data):
         end = stop + 4
         if kind == b"eXIf":
-            block, names = cleaned_exif(metadata(data, start, stop))
+            block, names = clean_exif(read_metadata(data, start, stop))
             _rewrite(data, kind, start, block)
             removed += names
-        elif kind not in _KEPT and kind != _SHELL:
-            _rewrite(data, _SHELL, start, bytes(len(metadata(data, start, stop))))
+        elif kind not in _ALLOWED_CHUNKS and kind != _BLANK_CHUNK:
+            _rewrite(data, _BLANK_CHUNK, start, bytes(len(read_metadata(data, start, stop))))
             removed.append(_NAMES.get(kind, kind.decode("latin-1")))
     if end < len(data):
         removed.append("Trailer")
-    return Cleaned(unique(removed), end)
+    return CleanResult(unique_names(removed), end)
 
 
 def check_pixels(data: Buffer) -> None:
-    """Inflate the picture, without keeping it, and count. Raises UnreadableError when bytes are missing or damaged."""
+    """Inflate the image block by block and count its bytes. Raises UnreadableError if some are missing or damaged."""
     inflater, size = zlib.decompressobj(), 0
     expected = _raw_bytes(data)
     try:
@@ -45,11 +53,11 @@ def check_pixels(data: Buffer) -> None:
                 size += len(inflater.decompress(packed, _INFLATE_BYTES))
                 packed = inflater.unconsumed_tail
                 if size > 2 * expected + _INFLATE_BYTES:  # filters and interlacing add some bytes per row
-                    raise UnreadableError("the PNG holds more pixels than its header says")
+                    raise UnreadableError("the PNG has more pixels than its header says")
     except zlib.error as error:
         raise UnreadableError(f"the PNG's pixels are damaged: {error}") from None
     if size < expected:
-        raise UnreadableError(f"the PNG is cut short: {size:,} of {expected:,} bytes of pixels are there")
+        raise UnreadableError(f"the PNG is cut short: it has {size:,} of {expected:,} bytes of pixels")
 
 
 def _pixel_blocks(data: Buffer) -> Iterator[bytes]:
@@ -60,13 +68,13 @@ def _pixel_blocks(data: Buffer) -> Iterator[bytes]:
 
 
 def _raw_bytes(data: Buffer) -> int:
-    """Bytes of the unfiltered rows, at least: of an interlaced picture they are a few more."""
+    """Return the least number of bytes of the unfiltered rows; an interlaced image has a few more."""
     width, height, depth, colour = struct.unpack_from(">IIBB", data, 16)
     return int(height * ((width * depth * _CHANNELS.get(colour, 1) + 7) // 8))
 
 
 def _chunks(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
-    """(type, first and end byte of its content), IEND last. Raises UnreadableError."""
+    """Yield (type, first byte, end byte of its content) of each chunk, IEND last. Raises UnreadableError."""
     at = 8
     for _ in range(MOST_PARTS):
         if at + 12 > len(data):
@@ -81,7 +89,7 @@ def _chunks(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
         if kind == b"IEND":
             return
         at = stop + 4
-    raise UnreadableError("the PNG is cut short: it has no end")
+    raise UnreadableError("the PNG is cut short: it has no IEND chunk")
 
 
 def _rewrite(data: Buffer, kind: bytes, start: int, content: bytes) -> None:

@@ -1,29 +1,29 @@
-"""WebP (RFC 9649): the EXIF chunk is rebuilt, XMP and unknown chunks become zeros."""
+"""Strip WebP files (RFC 9649): rebuild the EXIF chunk, overwrite XMP and unknown chunks with zeros."""
 
 from __future__ import annotations
 
 import struct
 
-from services.gateway.uploads.cleaned import (
+from services.gateway.strip.exif import clean_exif
+from services.gateway.strip.in_place import (
     MOST_PARTS,
     Buffer,
-    Cleaned,
+    CleanResult,
     UnreadableError,
     blank,
     is_blank,
-    metadata,
-    unique,
+    read_metadata,
+    unique_names,
 )
-from services.gateway.uploads.exif import cleaned_exif
 
-_KEPT = {b"VP8 ", b"VP8L", b"VP8X", b"ALPH", b"ANIM", b"ANMF", b"ICCP"}
+_ALLOWED_CHUNKS = {b"VP8 ", b"VP8L", b"VP8X", b"ALPH", b"ANIM", b"ANMF", b"ICCP"}
 
 
-def clean(data: Buffer) -> Cleaned:
-    """Metadata in place; what lies behind the RIFF container is cut off. Raises UnreadableError."""
+def clean(data: Buffer) -> CleanResult:
+    """Strip the metadata in place. Data behind the RIFF container are to be cut off. Raises UnreadableError."""
     end = 8 + struct.unpack_from("<I", data, 4)[0]
     if end > len(data):
-        raise UnreadableError(f"the WebP is cut short: {len(data):,} of {end:,} bytes are there")
+        raise UnreadableError(f"the WebP is cut short: it has {len(data):,} of {end:,} bytes")
     removed: list[str] = []
     at = 12
     for _ in range(MOST_PARTS):
@@ -35,17 +35,17 @@ def clean(data: Buffer) -> Cleaned:
             raise UnreadableError(f"the WebP's chunk {kind!r} ends outside of the file")
         if kind == b"EXIF":
             removed += _clean_exif(data, start, stop)
-        elif kind not in _KEPT and not is_blank(data, start, stop):
+        elif kind not in _ALLOWED_CHUNKS and not is_blank(data, start, stop):
             blank(data, start, stop)
             removed.append(kind.decode("latin-1").strip())
         at = stop + length % 2
     if end < len(data):
         removed.append("Trailer")
-    return Cleaned(unique(removed), end)
+    return CleanResult(unique_names(removed), end)
 
 
 def _clean_exif(data: Buffer, start: int, stop: int) -> tuple[str, ...]:
-    if data[start : start + 6] == b"Exif\0\0":  # some writers keep JPEG's prefix
+    if data[start : start + 6] == b"Exif\0\0":  # some programs write JPEG's prefix here too
         start += 6
-    data[start:stop], removed = cleaned_exif(metadata(data, start, stop))
+    data[start:stop], removed = clean_exif(read_metadata(data, start, stop))
     return removed

@@ -1,4 +1,4 @@
-"""From a request to a stored capture: receive, unpack, validate, pack, ask a worker, store. All of it or nothing."""
+"""Upload of a capture: receive, unpack, validate, pack, have a worker inspect it, store. All of it or nothing."""
 
 from __future__ import annotations
 
@@ -20,86 +20,87 @@ import anyio.to_thread
 from anyio import CapacityLimiter
 from starlette.requests import Request
 
-from services.gateway.edge import EdgePool, Inspection
 from services.gateway.errors import Problem
-from services.gateway.jobs.place import require_collection
-from services.gateway.jobs.source import capture_name, receipt_name
+from services.gateway.jobs.capture_objects import capture_name, receipt_name
+from services.gateway.jobs.collection_choice import require_collection
 from services.gateway.settings import GatewaySettings
-from services.gateway.uploads.receive import Received, UploadLimits, receive, too_many_files
-from services.gateway.uploads.validate import Verdict, validate
-from services.storage.archives import ArchiveError, Limits, is_zip, pack, unpack
+from services.gateway.uploads.receive import ReceivedUpload, UploadLimits, receive, too_many_files
+from services.gateway.uploads.validate import FileReport, validate
+from services.gateway.worker_client import Inspection, WorkerPool
+from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
 from services.storage.store import Store
 
-# Disk writes wait more than they compute; decoding pictures is all computing, and holds one decoded picture per thread.
+# Threads: writing to disk is mostly waiting; decoding images is mostly computing, with one decoded image per thread.
 _WRITERS, _CHECKERS = 8, 2
-_COPIES = 3  # what an upload takes on the disk at worst: as it came, unpacked, packed
-_ABANDONED_S = 24 * 3600.0  # a staging folder that old was left by a gateway that died
+_COPIES = 3  # of an upload on the disk at worst: as received, unpacked, packed
+_ABANDONED_S = 24 * 3600.0  # a staging folder of this age was left by a gateway that crashed
 
-_ZIPS = (".zip", ".r3d")  # names that promise an archive: other bytes under them are a broken one
+_ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
-class _Checked:
-    """A packed capture and what is known of it."""
+class _PackedCapture:
+    """A validated and packed capture, with its hash, its names, and the result for each file."""
 
     archive: Path
     sha256: str
     name: str
     collection: str
-    verdicts: Sequence[Verdict]
+    verdicts: Sequence[FileReport]
 
 
 class Uploads:
-    """Takes uploads, many at once: bytes on their way through `_WRITERS` threads, pictures through `_CHECKERS`.
+    """Accepts uploads, many at once: `_WRITERS` threads write to disk, `_CHECKERS` threads validate files.
 
-    Made on the event loop that serves the requests.
+    Must be created on the event loop that serves the requests.
     """
 
-    def __init__(self, settings: GatewaySettings, store: Store, edge: EdgePool) -> None:
+    def __init__(self, settings: GatewaySettings, store: Store, workers: WorkerPool) -> None:
         self._limits = UploadLimits(settings.max_upload_bytes, settings.max_files)
         self._store = store
-        self._edge = edge
+        self._workers = workers
         self._staging = settings.data_dir / "uploads"
         self._writers, self._checkers = CapacityLimiter(_WRITERS), CapacityLimiter(_CHECKERS)
         self._staging.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(self._staging)
 
     async def accept(self, request: Request) -> dict[str, Any]:
-        """The receipt of a stored capture. Raises Problem; whatever goes wrong, nothing of the upload is left."""
-        self._check_declared(request)
+        """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind."""
+        self._check_free_space(request)
         folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._staging))
         try:
             received = await receive(request, folder / "in", self._limits, self._write)
-            checked = await self._in_checker(lambda: _checked(received, folder, self._limits))
-            inspection = await self._edge.inspect(checked.archive)
+            packed = await self._run_checker(lambda: _check_and_pack(received, folder, self._limits))
+            inspection = await self._workers.inspect(packed.archive)
             if inspection is not None and inspection.failure is not None:
                 raise inspection.failure
-            return await self._stored(checked, inspection)
+            return await self._store_capture(packed, inspection)
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise _no_room() from None
+                raise _storage_full() from None
             raise
         finally:
-            # Not on the loop: thousands of files take a while. Shielded: a client that leaves must not leave its files.
+            # In a thread, because deleting thousands of files takes a while; shielded, so that a client's disconnect
+            # does not stop it.
             await asyncio.shield(asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True))
 
-    def _check_declared(self, request: Request) -> None:
-        """Refuse before the first byte what is known to be too much."""
+    def _check_free_space(self, request: Request) -> None:
+        """Refuse an upload whose Content-Length does not fit on the disk, before reading it."""
         length = request.headers.get("content-length", "")
         declared = int(length) if length.isascii() and length.isdigit() else 0
         if declared * _COPIES > shutil.disk_usage(self._staging).free:
-            raise _no_room()
+            raise _storage_full()
 
-    async def _stored(self, checked: _Checked, inspection: Inspection | None) -> dict[str, Any]:
-        """The archive, then its receipt: a receipt on the store means that the capture is there."""
+    async def _store_capture(self, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
+        """Store the archive, then its receipt: a receipt on the store means that the capture is complete."""
         capture = f"cap_{int(time.time() * 1000):012x}{secrets.token_hex(8)}"
-        receipt = _receipt(capture, checked, inspection)
+        receipt = _receipt(capture, packed, inspection)
         name = capture_name(capture)
         try:
-            await self._write(lambda: self._put(name, checked.archive, "application/zip"))
-            await self._write(lambda: self._put(receipt_name(capture), _encoded(receipt), "application/json"))
+            await self._write(lambda: self._put(name, packed.archive, "application/zip"))
+            await self._write(lambda: self._put(receipt_name(capture), _json_bytes(receipt), "application/json"))
         except BaseException:
             await asyncio.shield(asyncio.to_thread(self._remove, capture))
             raise
@@ -111,80 +112,87 @@ class Uploads:
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise
-            raise Problem(503, "STORE_UNAVAILABLE", "the capture could not be stored", retryable=True) from error
+            detail = "the capture could not be written to the store"
+            raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
 
     def _remove(self, capture: str) -> None:
         for name in (capture_name(capture), receipt_name(capture)):
             try:
                 self._store.delete(name)
             except OSError:
-                continue  # the store is gone; what it may hold is unreferenced, for no client knows this capture's id
+                continue  # the store cannot be reached; a leftover is harmless, because no client knows this id
 
     async def _write(self, work: Callable[[], None]) -> None:
         await anyio.to_thread.run_sync(work, limiter=self._writers)
 
-    async def _in_checker(self, work: Callable[[], _T]) -> _T:
+    async def _run_checker(self, work: Callable[[], _T]) -> _T:
         return await anyio.to_thread.run_sync(work, limiter=self._checkers)
 
 
-def _checked(received: Received, folder: Path, limits: UploadLimits) -> _Checked:
-    """Unpack if need be, validate and clean every file, pack. Raises Problem."""
+def _check_and_pack(received: ReceivedUpload, folder: Path, limits: UploadLimits) -> _PackedCapture:
+    """Unpack an archive, validate every file, strip its metadata, and pack all as one zip. Raises Problem."""
     if not received.files:
-        raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose some files",))
+        raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose at least one file",))
     if collection := received.fields.get("collection", ""):
-        require_collection(collection, "name another in the field `collection`, or none")
+        require_collection(collection, "change the field `collection`, or leave it out")
     source, names = received.folder, received.files
     if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
-        blamed = names[0] if received.named else ""
-        source, names = folder / "files", _unpacked(source / names[0], folder / "files", limits, blamed)
+        client_name = names[0] if received.has_client_names else ""
+        source, names = folder / "files", _unpack(source / names[0], folder / "files", limits, client_name)
     verdicts = validate(source, names)
     archive = folder / "capture.zip"
     pack(source, archive)
     with archive.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return _Checked(archive, sha256, received.fields.get("name", "")[:200], collection, verdicts)
+    return _PackedCapture(archive, sha256, received.fields.get("name", "")[:200], collection, verdicts)
 
 
-def _unpacked(archive: Path, into: Path, limits: UploadLimits, blamed: str) -> list[str]:
-    """The names of the files that were in the archive; `blamed` is how the client knows it. Raises Problem."""
+def _unpack(archive: Path, into: Path, limits: UploadLimits, client_name: str) -> list[str]:
+    """Unpack an uploaded archive and return the names of its files. client_name: the archive's name, for errors
+
+    Raises Problem.
+    """
     try:
-        files = unpack(archive, into, Limits(total_bytes=2 * limits.total_bytes))
+        files = unpack(archive, into, ArchiveLimits(total_bytes=2 * limits.total_bytes))
     except ArchiveError as error:
-        raise Problem(422, error.code, error.message, file=error.file or blamed, hints=error.hints) from None
+        raise Problem(422, error.code, error.message, file=error.file or client_name, hints=error.hints) from None
     if not files:
-        raise Problem(422, "CAPTURE_EMPTY", "the archive has no files", file=blamed, hints=("zip the files again",))
+        raise Problem(
+            422, "CAPTURE_EMPTY", "the archive has no files", file=client_name, hints=("zip the files again",)
+        )
     if len(files) > limits.files:
         raise too_many_files(limits)
     archive.unlink()
     return [file.relative_to(into).as_posix() for file in files]
 
 
-def _receipt(capture: str, checked: _Checked, inspection: Inspection | None) -> dict[str, Any]:
-    """What the client gets and the store keeps."""
+def _receipt(capture: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
+    """Return the receipt: the answer to the upload, which is also stored."""
     facts = inspection or Inspection("", "", 0, 0, (), None)
     return {
         "capture": capture,
-        "name": checked.name,
-        "collection": checked.collection,
+        "name": packed.name,
+        "collection": packed.collection,
         "created": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
-        "bytes": checked.archive.stat().st_size,
-        "sha256": checked.sha256,
+        "bytes": packed.archive.stat().st_size,
+        "sha256": packed.sha256,
         "inspected": inspection is not None,
         "kind": facts.kind,
         "format": facts.format,
         "frames": facts.frames,
         "points": facts.points,
         "warnings": list(facts.warnings),
-        "files": [verdict.document() for verdict in checked.verdicts],
+        "files": [verdict.document() for verdict in packed.verdicts],
     }
 
 
-def _encoded(receipt: dict[str, Any]) -> bytes:
+def _json_bytes(receipt: dict[str, Any]) -> bytes:
     return json.dumps(receipt, ensure_ascii=False, separators=(",", ":")).encode()
 
 
-def _no_room() -> Problem:
-    return Problem(507, "STORAGE_FULL", "there is no room for the upload", retryable=True, hints=("try again later",))
+def _storage_full() -> Problem:
+    detail = "the server's disk has no space for the upload"
+    return Problem(507, "STORAGE_FULL", detail, retryable=True, hints=("try again later",))
 
 
 def _remove_abandoned(staging: Path) -> None:

@@ -1,4 +1,4 @@
-"""File names from browsers and apps: a path like `depth/0001.png` stays, whatever could lead elsewhere does not."""
+"""Sanitize file names from browsers and apps: a path like `depth/0001.png` stays, path traversal is impossible."""
 
 from __future__ import annotations
 
@@ -6,38 +6,39 @@ import re
 import unicodedata
 from pathlib import PurePosixPath
 
-_ODD = re.compile(r"[^\w .,()+@=\u0080-\U0010ffff-]")  # ASCII that some file system or shell gives a meaning
-_SEGMENT_BYTES = 150  # of the 255 that file systems take: room for a number that makes the name unique
+# ASCII characters with a special meaning in some file system or shell.
+_UNSAFE_CHARACTERS = re.compile(r"[^\w .,()+@=\u0080-\U0010ffff-]")
+_SEGMENT_BYTES = 150  # of the 255 that file systems allow: leaves space for a number that makes the name unique
 _MOST_SEGMENTS = 8
-_DROPPED = {"__MACOSX", "Thumbs.db", "desktop.ini"}
+_JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 
 
-def safe_name(given: str) -> str:
-    """A relative path in the upload, or "" for a file that nobody meant to send (`.DS_Store`, `Thumbs.db`)."""
-    segments = [part for part in re.split(r"[/\\]+", unicodedata.normalize("NFC", given)) if part.strip(". ")]
-    if not segments or any(part in _DROPPED for part in segments) or segments[-1].startswith("."):
+def safe_name(name: str) -> str:
+    """Return a safe relative path for an uploaded file; "" for `.DS_Store`, `Thumbs.db` and such, to be skipped."""
+    segments = [part for part in re.split(r"[/\\]+", unicodedata.normalize("NFC", name)) if part.strip(". ")]
+    if not segments or any(part in _JUNK_NAMES for part in segments) or segments[-1].startswith("."):
         return ""
     return "/".join(_safe_segment(part) for part in segments[-_MOST_SEGMENTS:])
 
 
 def _safe_segment(part: str) -> str:
     printable = "".join(letter if letter.isprintable() else "_" for letter in part)
-    plain = _ODD.sub("_", printable).strip(". ")
+    plain = _UNSAFE_CHARACTERS.sub("_", printable).strip(". ")
     stem, dot, suffix = plain.rpartition(".")
     stem, ending = (stem, dot + suffix) if dot and len(suffix) < 10 else (plain, "")
-    cut = stem.encode()[: _SEGMENT_BYTES - len(ending.encode())].decode(errors="ignore")
-    return (cut + ending) or "_"
+    short_stem = stem.encode()[: _SEGMENT_BYTES - len(ending.encode())].decode(errors="ignore")
+    return (short_stem + ending) or "_"
 
 
-def unique_name(name: str, taken: dict[str, int]) -> str:
-    """The name, numbered if it is taken: a phone's camera calls every picture `image.jpg`. Case does not count.
+def unique_name(name: str, used: dict[str, int]) -> str:
+    """Return the name, with a number if it is used already: phones' cameras call every picture `image.jpg`.
 
-    `taken` holds, by name, the number to try next; the answer is entered there.
+    Case is ignored. used: lower-case name -> number to try next; the result is added to it
     """
-    path, wanted = PurePosixPath(name), name.casefold()
-    while name.casefold() in taken:
-        number = taken[wanted]
-        taken[wanted] += 1
+    path, key = PurePosixPath(name), name.casefold()
+    while name.casefold() in used:
+        number = used[key]
+        used[key] += 1
         name = str(path.with_name(f"{path.stem}-{number}{path.suffix}"))
-    taken[name.casefold()] = 2
+    used[name.casefold()] = 2
     return name

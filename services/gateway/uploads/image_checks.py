@@ -1,4 +1,4 @@
-"""Is a picture whole, and small enough to be decoded by anybody? Asked of its header first, of its pixels only then."""
+"""Check that an image is complete and not too large to be decoded: first by its header, then by decoding it."""
 
 from __future__ import annotations
 
@@ -10,43 +10,51 @@ from types import ModuleType
 
 from PIL import Image, UnidentifiedImageError
 
-from services.gateway.uploads import exr, jpeg, png
-from services.gateway.uploads.cleaned import Buffer, UnreadableError
+from services.gateway.strip import exr, jpeg, png
+from services.gateway.strip.in_place import Buffer, UnreadableError
 from services.gateway.uploads.sniff import Kind
 
-MOST_PIXELS = 100_000_000  # phones' largest are 200 megapixels binned to 12 or 50; a decoded one is 300 MB
-_MOST_DECODED = 24_000_000  # pixels that may be held decoded here: 72 MB, on two threads
-_MOST_SIDE = 65_535  # what JPEG can say
+MAX_PIXELS = 100_000_000  # 300 MB decoded; phones' largest sensors have 200 megapixels, binned to 12 or 50
+_MAX_DECODED_PIXELS = 24_000_000  # larger images are not decoded fully: 72 MB each, on two threads
+_MAX_SIDE = 65_535  # pixels: JPEG's limit
+# Pillow's formats that are decoded here. A JPEG file of several pictures, "MPO", is opened as a JPEG, because Pillow
+# knows the name MPO only in a process that has opened a JPEG before.
+_FORMATS = ("JPEG", "WEBP", "TIFF", "HEIF")
 
 
 class TooLargeError(Exception):
-    """More pixels than anybody should be made to decode."""
+    """The image has too many pixels."""
 
 
 def check_image(kind: Kind, path: Path, data: Buffer) -> None:
-    """Raises TooLargeError or UnreadableError. `data` maps the file at `path`."""
+    """Check an image's size and content. data: memory map of the file at `path`
+
+    Raises TooLargeError, UnreadableError.
+    """
     width, height = _size(kind, path, data)
     if width < 1 or height < 1:
-        raise UnreadableError(f"the picture has {width:,} × {height:,} pixels")
-    if width * height > MOST_PIXELS or max(width, height) > _MOST_SIDE:
-        raise TooLargeError(f"{width:,} × {height:,} pixels are more than {MOST_PIXELS // 1_000_000} megapixels")
+        raise UnreadableError(f"the image's size is wrong: {width:,} × {height:,} pixels")
+    if width * height > MAX_PIXELS or max(width, height) > _MAX_SIDE:
+        limit = f"{MAX_PIXELS // 1_000_000} megapixels"
+        raise TooLargeError(f"the image has {width:,} × {height:,} pixels; at most {limit} are allowed")
     if kind is Kind.PNG:
         png.check_pixels(data)
     elif kind is Kind.JPEG:
         _check_jpeg(path, data, width * height)
-    elif kind in (Kind.WEBP, Kind.TIFF) and width * height <= _MOST_DECODED:
+    elif kind in (Kind.WEBP, Kind.TIFF) and width * height <= _MAX_DECODED_PIXELS:
         _decode(path, draft=False)
 
 
 def _size(kind: Kind, path: Path, data: Buffer) -> tuple[int, int]:
-    if kind is Kind.PNG:  # read here because Pillow reads text chunks on its way
+    """Return (width, height) from the image's header. Raises UnreadableError."""
+    if kind is Kind.PNG:  # read here, because Pillow would parse text chunks too
         if len(data) < 33 or data[12:16] != b"IHDR":
-            raise UnreadableError("this is no PNG, whatever its name says")
+            raise UnreadableError("this is not a PNG image, although its name says so")
         width, height = struct.unpack_from(">II", data, 16)
         return width, height
     if kind is Kind.EXR:
         if data[:4] != b"v/1\x01":
-            raise UnreadableError("this is no EXR, whatever its name says")
+            raise UnreadableError("this is not an EXR image, although its name says so")
         return exr.size(data)
     return _pillow_size(path)
 
@@ -54,33 +62,36 @@ def _size(kind: Kind, path: Path, data: Buffer) -> tuple[int, int]:
 def _pillow_size(path: Path) -> tuple[int, int]:
     pillow = _pillow()
     try:
-        with pillow.open(path, formats=("JPEG", "MPO", "WEBP", "TIFF", "HEIF")) as image:
+        with pillow.open(path, formats=_FORMATS) as image:
             return int(image.width), int(image.height)
     except UnidentifiedImageError:
-        raise UnreadableError("this is no picture that can be read, whatever its name says") from None
+        raise UnreadableError("this is not an image that can be read, although its name says so") from None
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged headers
-        raise UnreadableError(f"the picture's header is damaged: {error}") from None
+        raise UnreadableError(f"the image's header is damaged: {error}") from None
 
 
 def _check_jpeg(path: Path, data: Buffer, pixels: int) -> None:
-    """Decode at an eighth of the size: every byte is read, a 64th of the memory used, unless it is progressive."""
-    if pixels <= _MOST_DECODED or not jpeg.is_progressive(data):
+    """Decode a JPEG at an eighth of its size, which reads every byte and needs a 64th of the memory.
+
+    A progressive JPEG needs more memory, so a large one is not decoded.
+    """
+    if pixels <= _MAX_DECODED_PIXELS or not jpeg.is_progressive(data):
         _decode(path, draft=True)
 
 
 def _decode(path: Path, *, draft: bool) -> None:
     try:
-        with _pillow().open(path) as image:
+        with _pillow().open(path, formats=_FORMATS) as image:
             if draft:
                 image.draft(None, (max(1, image.width // 8), max(1, image.height // 8)))
             image.load()
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged pixels
-        raise UnreadableError(f"the picture is damaged or cut short: {error}") from None
+        raise UnreadableError(f"the image is damaged or cut short: {error}") from None
 
 
 @cache
 def _pillow() -> ModuleType:
-    """Pillow's Image with HEIF and without its own size limit, which only warns up to twice its number."""
+    """Return Pillow's Image module with HEIF support, and without its size limit (ours, above, is stricter)."""
     import pillow_heif
 
     pillow_heif.register_heif_opener()
@@ -88,8 +99,8 @@ def _pillow() -> ModuleType:
     return Image
 
 
-def mapped(path: Path) -> mmap.mmap:
-    """The file as a writable buffer, in memory only where it is touched. Raises UnreadableError for an empty file."""
+def map_file(path: Path) -> mmap.mmap:
+    """Memory-map a file, writable: only accessed parts are in memory. Raises UnreadableError for an empty file."""
     with path.open("r+b") as file:
         try:
             return mmap.mmap(file.fileno(), 0)

@@ -1,4 +1,4 @@
-"""The body of an upload, streamed to disk as it comes: multipart/form-data, or one raw zip."""
+"""Streams the body of an upload to disk: multipart/form-data, or one raw zip."""
 
 from __future__ import annotations
 
@@ -14,44 +14,43 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from services.gateway.errors import Problem
-from services.gateway.uploads.names import safe_name, unique_name
+from services.gateway.uploads.file_names import safe_name, unique_name
 
-_BATCH_BYTES = (
-    256 << 10
-)  # handed to a thread at once: 32 uploads hold 8 MB, and a thread's switch costs 1 % of the write
-_IDLE_S = 60.0  # a phone that sends nothing for so long has gone; mobile networks pause for some seconds
-_FIELD_BYTES = 1024  # of a text field
-_MOST_FIELDS = 20
-_FEWER = ("send fewer frames, for example every second one",)
+# Bytes per write in a thread: 32 uploads hold 8 MB, and switching threads costs 1 % of the write.
+_BATCH_BYTES = 256 << 10
+_IDLE_S = 60.0  # timeout without a byte: mobile networks pause for some seconds only
+_FIELD_BYTES = 1024  # most bytes of a text field
+_MOST_FIELDS = 20  # text fields of a form
+_SEND_FEWER = ("send fewer frames, for example every second one",)
 
 InThread = Callable[[Callable[[], None]], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
 class UploadLimits:
-    """bytes of all files together, and the number of files."""
+    """Limits of an upload: total_bytes of all files together, and the number of files."""
 
     total_bytes: int
     files: int
 
 
 @dataclass(slots=True)
-class Received:
-    """Files by their safe relative names, below `folder`; text fields by name.
+class ReceivedUpload:
+    """The received files, by their safe relative names below `folder`, and text fields by name.
 
-    named  whether the names are the client's: a raw body has none
+    has_client_names  whether the files' names are those of the client: the file of a raw body has none
     """
 
     folder: Path
     files: list[str] = field(default_factory=list)
     fields: dict[str, str] = field(default_factory=dict)
     size: int = 0
-    named: bool = True
+    has_client_names: bool = True
 
 
-async def receive(request: Request, folder: Path, limits: UploadLimits, in_thread: InThread) -> Received:
-    """Write the request's files below `folder`. Raises Problem 400, 408, 413 or 415; ClientDisconnect."""
-    sink = _sink(request, Received(folder), limits)
+async def receive(request: Request, folder: Path, limits: UploadLimits, in_thread: InThread) -> ReceivedUpload:
+    """Write the files in the request's body below `folder`. Raises Problem 400, 408, 413, 415; ClientDisconnect."""
+    sink = _sink(request, ReceivedUpload(folder), limits)
     try:
         async for batch in _batches(request):
             await in_thread(functools.partial(sink.write, batch))
@@ -62,7 +61,7 @@ async def receive(request: Request, folder: Path, limits: UploadLimits, in_threa
 
 
 async def _batches(request: Request) -> AsyncIterator[bytes]:
-    """The body in pieces worth a thread's while. Raises Problem 408 for a client that falls silent."""
+    """Yield the body in batches of at least `_BATCH_BYTES`. Raises Problem 408 when the client stops sending."""
     batch = bytearray()
     stream = aiter(request.stream())
     while True:
@@ -72,7 +71,8 @@ async def _batches(request: Request) -> AsyncIterator[bytes]:
         except StopAsyncIteration:
             break
         except TimeoutError:
-            raise Problem(408, "UPLOAD_SILENT", f"nothing came for {_IDLE_S:.0f} s", retryable=True) from None
+            detail = f"the client sent nothing for {_IDLE_S:.0f} s"
+            raise Problem(408, "UPLOAD_SILENT", detail, retryable=True) from None
         if len(batch) >= _BATCH_BYTES:
             yield bytes(batch)
             batch.clear()
@@ -80,39 +80,40 @@ async def _batches(request: Request) -> AsyncIterator[bytes]:
         yield bytes(batch)
 
 
-def _sink(request: Request, received: Received, limits: UploadLimits) -> _Raw | _Multipart:
+def _sink(request: Request, received: ReceivedUpload, limits: UploadLimits) -> _RawBody | _MultipartBody:
+    """Return the writer for the request's Content-Type. Raises Problem 415."""
     kind, options = parse_options_header(request.headers.get("content-type"))
     if kind == b"multipart/form-data" and options.get(b"boundary"):
-        return _Multipart(options[b"boundary"], received, limits)
+        return _MultipartBody(options[b"boundary"], received, limits)
     if kind in (b"application/zip", b"application/x-zip-compressed", b"application/octet-stream"):
-        return _Raw(received, limits)
+        return _RawBody(received, limits)
     raise Problem(
         415,
         "UPLOAD_MEDIA_TYPE",
-        "an upload is multipart/form-data with a boundary, or one application/zip",
+        "the Content-Type of an upload must be multipart/form-data with a boundary, or application/zip",
         hints=("send the files as fields named 'files'",),
     )
 
 
-class _Files:
-    """Writes one file after the other and keeps to the limits."""
+class _UploadFiles:
+    """Writes the files of an upload one after the other, and enforces the limits."""
 
-    def __init__(self, received: Received, limits: UploadLimits) -> None:
+    def __init__(self, received: ReceivedUpload, limits: UploadLimits) -> None:
         self.received = received
         self._limits = limits
-        self._taken: dict[str, int] = {}
+        self._used_names: dict[str, int] = {}
         self._file: BinaryIO | None = None
 
     def open(self, name: str) -> None:
         if len(self.received.files) >= self._limits.files:
             raise too_many_files(self._limits)
-        name = unique_name(name, self._taken)
+        name = unique_name(name, self._used_names)
         path = self.received.folder / name
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb")
         except (FileExistsError, NotADirectoryError, IsADirectoryError):
-            hints = ("rename one of them",)
+            hints = ("rename the file or the folder",)
             raise Problem(
                 400, "UPLOAD_NAMES", "a file and a folder have the same name", file=name, hints=hints
             ) from None
@@ -121,8 +122,8 @@ class _Files:
     def write(self, data: bytes) -> None:
         self.received.size += len(data)
         if self.received.size > self._limits.total_bytes:
-            detail = f"an upload may have {self._limits.total_bytes:,} bytes"
-            raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=_FEWER)
+            detail = f"the upload is too large; at most {self._limits.total_bytes:,} bytes are allowed"
+            raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=_SEND_FEWER)
         if self._file is not None:
             self._file.write(data)
 
@@ -132,13 +133,13 @@ class _Files:
             self._file = None
 
 
-class _Raw:
-    """The whole body is one zip."""
+class _RawBody:
+    """Receives a body that is one zip."""
 
-    def __init__(self, received: Received, limits: UploadLimits) -> None:
+    def __init__(self, received: ReceivedUpload, limits: UploadLimits) -> None:
         self.received = received
-        self.received.named = False
-        self._files = _Files(received, limits)
+        self.received.has_client_names = False
+        self._files = _UploadFiles(received, limits)
 
     def write(self, data: bytes) -> None:
         if not self.received.files:
@@ -152,12 +153,12 @@ class _Raw:
         self._files.close()
 
 
-class _Multipart:
-    """A form: parts with a file name are files, the others are text fields."""
+class _MultipartBody:
+    """Receives a multipart form: parts with a file name are files, the others are text fields."""
 
-    def __init__(self, boundary: bytes, received: Received, limits: UploadLimits) -> None:
+    def __init__(self, boundary: bytes, received: ReceivedUpload, limits: UploadLimits) -> None:
         self.received = received
-        self._files = _Files(received, limits)
+        self._files = _UploadFiles(received, limits)
         self._limits = limits
         self._parts, self._most_parts = 0, limits.files + _MOST_FIELDS
         self._headers: dict[str, bytes] = {}
@@ -165,7 +166,7 @@ class _Multipart:
         self._text: bytearray | None = None
         self._text_name = ""
         self._ended = False
-        self._parser = self._made_parser(boundary)
+        self._parser = self._make_parser(boundary)
 
     def write(self, data: bytes) -> None:
         try:
@@ -181,7 +182,7 @@ class _Multipart:
     def close(self) -> None:
         self._files.close()
 
-    def _made_parser(self, boundary: bytes) -> MultipartParser:
+    def _make_parser(self, boundary: bytes) -> MultipartParser:
         try:
             return MultipartParser(
                 boundary,
@@ -222,7 +223,7 @@ class _Multipart:
             self._text, self._text_name = bytearray(), options.get(b"name", b"").decode("utf-8", "replace")
             return
         name = safe_name(options[b"filename"].decode("utf-8", "replace"))
-        if name:  # nameless: a field of the form without a file, or one that nobody meant to send
+        if name:  # empty: a form field without a file, or a file to be skipped such as .DS_Store
             self._files.open(name)
 
     def _on_part_data(self, data: bytes, start: int, end: int) -> None:
@@ -231,8 +232,8 @@ class _Multipart:
             return
         self._text += data[start:end]
         if len(self._text) > _FIELD_BYTES:
-            detail = f"a text field may have {_FIELD_BYTES:,} bytes"
-            raise Problem(413, "UPLOAD_FIELD_TOO_LARGE", detail, hints=("send files with their names",))
+            detail = f"a text field of the form is too large; at most {_FIELD_BYTES:,} bytes are allowed"
+            raise Problem(413, "UPLOAD_FIELD_TOO_LARGE", detail, hints=("send files with a file name",))
 
     def _on_part_end(self) -> None:
         if self._text is not None:
@@ -245,15 +246,16 @@ class _Multipart:
 
 
 def too_many_files(limits: UploadLimits) -> Problem:
-    """What an upload of more files is told, however they came."""
-    return Problem(413, "UPLOAD_TOO_MANY_FILES", f"an upload may have {limits.files:,} files", hints=_FEWER)
+    """Return the problem for an upload with too many files, in a form or in a zip."""
+    detail = f"the upload has too many files; at most {limits.files:,} are allowed"
+    return Problem(413, "UPLOAD_TOO_MANY_FILES", detail, hints=_SEND_FEWER)
 
 
 def _malformed() -> Problem:
     return Problem(
         400,
         "UPLOAD_MALFORMED",
-        "the form is malformed or ends too early",
+        "the multipart form is malformed or incomplete",
         retryable=True,
-        hints=("the connection may have broken: send it again",),
+        hints=("send it again; the connection may have been interrupted",),
     )

@@ -1,15 +1,15 @@
-"""What a file is, from its first bytes; its name only decides where bytes cannot."""
+"""Detect a file's type by its first bytes (magic number), and by its name only where the bytes do not tell."""
 
 from __future__ import annotations
 
 from enum import Enum
 from pathlib import PurePosixPath
 
-HEAD_BYTES = 64  # enough for every magic number here
+HEAD_BYTES = 64  # enough for every magic number below
 
 
 class Kind(Enum):
-    """What an upload may consist of. `DATA` is read by the worker; `UNKNOWN` is nothing that a capture has."""
+    """Type of an uploaded file. DATA is checked by the worker only; UNKNOWN does not belong to a capture."""
 
     JPEG = "jpeg"
     PNG = "png"
@@ -43,19 +43,21 @@ _MAGIC = (
     (b"\x28\xb5\x2f\xfd", Kind.ARCHIVE),
 )
 _HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"avif", b"avis"}
-_OLD_MOVIE = {b"moov", b"mdat", b"wide", b"free", b"skip"}  # QuickTime before it had `ftyp`
+_OLD_MOVIE = {b"moov", b"mdat", b"wide", b"free", b"skip"}  # first boxes of old QuickTime files without `ftyp`
 _IMAGE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".exr"}
 _VIDEO_SUFFIXES = {".mp4", ".mov", ".m4v"}
 _MATROSKA_SUFFIXES = {".webm", ".mkv"}
-# Clouds and meshes; Record3D's depth and confidence; Android's DEPTH16 and glTF's buffers; arrays; poses, intrinsics.
+# Point clouds and meshes; Record3D's depth and confidence; Android's DEPTH16 and glTF's buffers; arrays; poses,
+# intrinsics.
 _DATA_SUFFIXES = {".ply", ".pcd", ".xyz", ".pts", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf", ".mtl"}
 _DATA_SUFFIXES |= {".depth", ".conf", ".bin", ".npy", ".json", ".csv", ".txt", ".log", ".yaml", ".yml", ".xml", ".md"}
 
 
 def sniff(name: str, head: bytes) -> Kind:
-    """The kind of the file `name` (a path in the upload) that begins with `head`, HEAD_BYTES of it.
+    """Return the type of a file. name: its path in the upload; head: its first HEAD_BYTES
 
-    A picture's or film's name on other bytes gives that kind all the same: whoever reads it then says what is wrong.
+    A file with the extension of an image or a video has that type whatever its bytes are: the check of that type then
+    reports what is wrong.
     """
     for magic, kind in _MAGIC:
         if head.startswith(magic):
@@ -75,7 +77,7 @@ def sniff(name: str, head: bytes) -> Kind:
 
 
 def _is_text(head: bytes) -> bool:
-    """Text in UTF-8, cut anywhere, without control characters: `metadata`, LICENSE, a list of poses."""
+    """Return whether the bytes begin a UTF-8 text without control characters: `metadata`, LICENSE, a list of poses."""
     text = head.decode("utf-8", errors="ignore")
     return len(text.encode()) >= len(head) - 3 and all(
         letter.isprintable() or letter in "\r\n\t\ufeff" for letter in text

@@ -1,4 +1,4 @@
-"""How documents that move are replaced: under the etag they were read with, again until nobody came between."""
+"""Compare-and-swap of mutable JSON documents: write only if the etag is unchanged since the read, else retry."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from services.storage.store import NO_CACHE, ConditionFailed, Store
 
 _T = TypeVar("_T")
 
-_RACE_S = 60.0  # how long to keep trying against other publishers of the same document
-_PAUSE_S = 0.02  # first pause after a lost race; doubles with jitter up to a second
+_RACE_S = 60.0  # how long to retry against other writers of the same document
+_PAUSE_S = 0.02  # first pause after a conflict; doubles with jitter up to a second
 
 
 def read_mutable(store: Store, name: str) -> tuple[bytes | None, str | None]:
-    """A document and the etag to replace it under; None and None where there is none.
+    """Read a document and its etag, to be passed to `put_mutable`; (None, None) where it does not exist.
 
-    The tag is read first: if a writer comes between, the tag is the older one and a put under it is refused.
+    The etag is read first: if somebody writes between the two reads, the etag is the older one and the put is refused.
     """
     try:
         etag = store.head(name).etag
@@ -31,7 +31,7 @@ def read_mutable(store: Store, name: str) -> tuple[bytes | None, str | None]:
 
 
 def put_mutable(store: Store, name: str, data: bytes, etag: str | None) -> None:
-    """Replace the document read under `etag`, or create it where there was none. Raises ConditionFailed."""
+    """Replace a document if its etag is still `etag`; create it if `etag` is None. Raises ConditionFailed."""
     store.put(
         name,
         data,
@@ -42,24 +42,24 @@ def put_mutable(store: Store, name: str, data: bytes, etag: str | None) -> None:
     )
 
 
-def until_won(attempt: Callable[[], _T]) -> _T:
-    """Repeat read-and-replace until nobody came between. Raises OSError after a minute of lost races."""
+def retry_on_conflict(attempt: Callable[[], _T]) -> _T:
+    """Call `attempt` until it raises no ConditionFailed. Raises OSError after a minute of conflicts."""
     pause, deadline = _PAUSE_S, time.monotonic() + _RACE_S
     while True:
         try:
             return attempt()
-        except ConditionFailed as lost:
+        except ConditionFailed as conflict:
             if time.monotonic() > deadline:
-                raise OSError(f"too many publishers at once: {lost}") from None
+                raise OSError(f"too many processes write the same document: {conflict}; try again") from None
             time.sleep(pause * random.uniform(0.5, 1.5))
             pause = min(2 * pause, 1.0)
 
 
-def encoded(document: Mapping[str, Json]) -> bytes:
-    """JSON in one way only: what is equal has equal bytes."""
+def canonical_json(document: Mapping[str, Json]) -> bytes:
+    """Encode as canonical JSON (sorted keys, no spaces): equal documents give equal bytes."""
     return json.dumps(document, sort_keys=True, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
 
 
 def now_iso() -> str:
-    """The time in UTC, to the second: 2026-01-31T12:00:00Z."""
+    """Return the present time in UTC, to the second: 2026-01-31T12:00:00Z."""
     return datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")

@@ -1,4 +1,4 @@
-"""The catalogue: one small mutable document per asset key that says which immutable files are current."""
+"""Catalogue entries: one small mutable JSON document per asset key that lists the asset's current files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEFAULT_COLLECTION = "default"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The catalogue document of `key` as it was under `etag`."""
+    """The catalogue document of an asset key, and the etag it was read with."""
 
     key: str
     etag: str
@@ -35,7 +35,7 @@ class Entry:
 
     @property
     def manifest(self) -> str:
-        """Object name of the current manifest."""
+        """Object name of the current version's manifest."""
         return str(self.document["manifest"]["name"])
 
     @property
@@ -44,57 +44,60 @@ class Entry:
 
     @property
     def removed(self) -> bool:
-        """Whether the asset was taken out of sight; its files stay for a restoration."""
+        """Whether the asset was removed (hidden). Its files stay, so that it can be restored."""
         return bool(self.document.get("removed"))
 
     @property
     def collections(self) -> list[str]:
-        """Where the asset is listed; an entry older than collections belongs to the default one."""
+        """Collections that list the asset; the default one for entries written before collections existed."""
         return list(self.document.get("collections", (DEFAULT_COLLECTION,)))
 
 
 def valid_key(key: str) -> bool:
-    """Whether a client may name an asset so: 1 to 100 letters, digits and ._- that begin with a letter or digit."""
+    """Return whether this is a valid asset key: 1 to 100 letters, digits and ._- that begin with a letter or digit."""
     return _KEY.fullmatch(key) is not None
 
 
 def check_key(key: str) -> str:
-    """The key itself. Raises ValueError for one that `valid_key` refuses."""
+    """Return the key unchanged. Raises ValueError for one that `valid_key` refuses."""
     if not valid_key(key):
-        raise ValueError(f"{key!r} is no asset key: use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
+        raise ValueError(
+            f"{key!r} is not a valid asset key: use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
+        )
     return key
 
 
 def check_collection(name: str) -> str:
-    """The name itself. Raises ValueError for one that `valid_key` refuses: collections are named by the same rules."""
+    """Return the name unchanged. Raises ValueError for an invalid collection name: the rules are those of keys."""
     if not valid_key(name):
         raise ValueError(
-            f"{name!r} is no collection: use 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
+            f"{name!r} is not a valid collection name: use 1 to 100 of A-Z a-z 0-9 . _ - "
+            "and begin with a letter or digit"
         )
     return name
 
 
 def entry_name(key: str) -> str:
-    """Object name of a key's catalogue document."""
+    """Return the object name of a key's catalogue entry."""
     return f"{_PREFIX}{check_key(key)}{_SUFFIX}"
 
 
 def alias_name(key: str) -> str:
-    """Object name of a key's moving alias: `{"version", "manifest"}`, for clients that want nothing else."""
+    """Return the object name of a key's alias `{"version", "manifest"}`, which always names the current version."""
     return f"alias/{check_key(key)}/latest.json"
 
 
-def entry(store: Store, key: str) -> Entry:
-    """The catalogue entry of a key. Raises FileNotFoundError when nothing was published under it."""
+def read_entry(store: Store, key: str) -> Entry:
+    """Read the catalogue entry of a key. Raises FileNotFoundError when nothing was published under it."""
     name = entry_name(key)
-    # The tag is read before the content: if a writer comes between, the tag is the older one and a conditional put
-    # under it is refused. The other order would let it overwrite what was never read.
+    # The etag is read before the content: if somebody writes in between, the etag is the older one and a conditional
+    # put with it is refused. The other order would overwrite what was never read.
     etag = store.head(name).etag
     return Entry(key, etag, json.loads(store.get(name)))
 
 
 def list_keys(store: Store, *, after: str = "", limit: int = 100) -> list[str]:
-    """Keys that have an asset, in the order of the store's names, behind the key `after`."""
+    """List at most `limit` asset keys that sort behind `after`, in the order of their object names."""
     heads = store.list(_PREFIX, after=entry_name(after) if after else "", limit=limit)
     return [_key_of(head) for head in heads]
 

@@ -1,4 +1,4 @@
-"""What is wrong with a catalogue or with what it names: each fault has a class that a program can test."""
+"""Errors found when a catalogue or the files that it lists are read and verified, each with a code."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ SIGNING_KEY_MISSING = "SIGNING_KEY_MISSING"
 
 
 class CatalogueFault(OSError):  # noqa: N818 - a fault of what was read, not of this program
-    """Something on the store is not what it was when it was signed; nothing is built upon it.
+    """An object on the store is missing, damaged, or not the one that was signed.
 
-    An OSError, because to a caller the store has failed; `code` is one of this file's constants, `name` an object's.
+    An OSError, because for the caller the store has failed. code: one of this file's constants; name: of the object
     """
 
     def __init__(self, code: str, name: str, message: str, *, hint: str = "") -> None:

@@ -1,8 +1,8 @@
-"""publish(): put a bundle under an asset key so that every reader, at every moment, finds a whole asset.
+"""publish(): write a bundle to the store as the new version of an asset, so that readers always find a complete asset.
 
-Order: files, manifest, catalogue entry, moving alias, the collection's shard, its index, its Unity catalogues. Whatever
-is written refers only to what was written before it, so a crash between any two steps leaves unreferenced files at
-worst, and the next run completes the work.
+Order: files, manifest, catalogue entry, alias, the collection's shard, its index, its Unity catalogues. Each object
+refers only to objects written before it. So a crash between two steps leaves unreferenced files at worst, and the next
+run completes the work.
 """
 
 from __future__ import annotations
@@ -13,36 +13,36 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from services.storage.bundle import Bundle, Json, content_name, content_type, sha256_hex
-from services.storage.catalogue import (
+from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
+from services.storage.catalogue.entry import (
     DEFAULT_COLLECTION,
     Entry,
     alias_name,
     check_collection,
     check_key,
-    entry,
     entry_name,
+    read_entry,
 )
-from services.storage.collect import enter
-from services.storage.signing import NO_KEYS, Keys
+from services.storage.catalogue.signing import NO_KEYS, Keys
+from services.storage.catalogue.unity_update import update_unity_catalogues
+from services.storage.catalogue.update import update_collections
 from services.storage.store import Store
-from services.storage.unity.keep import keep
-from services.storage.writing import encoded, now_iso, put_mutable, until_won
 
 SCHEMA = 1
-_FROM_MANIFEST = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "label", "labels", "origin")
+_MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "label", "labels", "origin")
 
 
 class StaleFence(Exception):  # noqa: N818 - not a fault: the job has moved to another worker
-    """The job was leased again since this publisher began; its result is void."""
+    """The job was leased again since this worker began: its fencing token is outdated, its result is discarded."""
 
 
 class KeyElsewhere(Exception):  # noqa: N818 - a fault of who chose the key, not of this program
-    """The key means an asset of another collection, and this publisher may not take it along."""
+    """The key belongs to an asset of another collection, and the caller may not list it in a second one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Asset:
-    """What was published: version counts from 1 under its key; manifest is an object name."""
+class PublishedAsset:
+    """A published version of an asset: version counts from 1 for each key; manifest is an object name."""
 
     key: str
     version: int
@@ -51,8 +51,8 @@ class Asset:
 
 
 @dataclass(frozen=True, slots=True)
-class _Stored:
-    """A file of the bundle on the store."""
+class _StoredFile:
+    """A file of the bundle that was written to the store."""
 
     file: str
     name: str
@@ -64,25 +64,27 @@ class _Stored:
 
 
 @dataclass(frozen=True, slots=True)
-class _Order:
-    """On whose behalf something is published, and where it is listed."""
+class _PublishRequest:
+    """The job for which a bundle is published, its fencing token, and the collection that will list the asset."""
 
     job: str
     fence: int
     collection: str
-    joins: bool
+    allow_other_collections: bool
 
-    def require_room(self, present: Entry | None) -> None:
-        """Raises KeyElsewhere."""
-        if present and not self.joins and self.collection not in present.collections:
-            place = f"in collection {present.collections[0]}, not in {self.collection}"
-            raise KeyElsewhere(f"there is an asset {present.key} already, {place}")
+    def check_not_elsewhere(self, present: Entry | None) -> None:
+        """Raises KeyElsewhere where the key is an asset of another collection, unless that is allowed."""
+        if present and not self.allow_other_collections and self.collection not in present.collections:
+            where = f"in collection {present.collections[0]}, not in {self.collection}"
+            raise KeyElsewhere(f"an asset with the key {present.key} exists already, {where}; choose another key")
 
 
 class Publish(Protocol):
-    """`publish` with its keys chosen, and without joining: what a worker is given."""
+    """`publish` with the signing keys bound, and never listing an asset of another collection: for workers."""
 
-    def __call__(self, bundle: Bundle, store: Store, *, key: str, job: str, fence: int, collection: str) -> Asset: ...
+    def __call__(
+        self, bundle: Bundle, store: Store, *, key: str, job: str, fence: int, collection: str
+    ) -> PublishedAsset: ...
 
 
 def publish(
@@ -94,49 +96,50 @@ def publish(
     fence: int = 0,
     collection: str = DEFAULT_COLLECTION,
     keys: Keys = NO_KEYS,
-    joins: bool = True,
-) -> Asset:
+    allow_other_collections: bool = True,
+) -> PublishedAsset:
     """Publish a bundle under `key`, make it the current version, and list it in `collection`, signed with `keys`.
 
-    Publishing the same (job, state) twice adds no version and answers with the first; without a job the content
-    decides. A new version of a removed asset brings it back. With `joins` an asset of another collection is listed here
-    too. Raises StaleFence when a publisher of the same job had a higher fence, KeyElsewhere, ValueError for an invalid
-    key or collection, OSError when the store fails, of which CatalogueFault is one; after that, publish again.
+    Publishing the same (job, state) twice adds no version and returns the first; without a job the content is compared
+    instead. A new version of a removed asset restores it.
+    allow_other_collections  whether an asset of another collection may be listed in this one too
+    Raises StaleFence where the same job has published with a higher fence, KeyElsewhere, ValueError for an invalid key
+    or collection, OSError (CatalogueFault too) where the store fails; after that, publish again.
     """
-    order = _Order(job, fence, check_collection(collection), joins)
+    request = _PublishRequest(job, fence, check_collection(collection), allow_other_collections)
     present = _entry_or_none(store, check_key(key))
-    order.require_room(present)
-    settled = _settled(present, bundle.state, job, fence)
+    request.check_not_elsewhere(present)
+    existing = _existing_version(present, bundle.state, job, fence)
     is_listed = present is not None and collection in present.collections
-    if settled is not None and settled["fence"] >= fence and is_listed:
-        asset = _asset(key, settled)
+    if existing is not None and existing["fence"] >= fence and is_listed:
+        asset = _published_asset(key, existing)
     else:
         files = [_put_content(store, key, file, data) for file, data in sorted(bundle.files.items())]
         manifest = _put_manifest(store, key, bundle, files)
-        asset = _enter(store, key, bundle, files, manifest, order)
+        asset = _add_version(store, key, bundle, files, manifest, request)
     _move_alias(store, asset)
-    enter(store, key, keys)
-    keep(store, key)
+    update_collections(store, key, keys)
+    update_unity_catalogues(store, key)
     return asset
 
 
-def _put_content(store: Store, key: str, file: str, data: bytes) -> _Stored:
+def _put_content(store: Store, key: str, file: str, data: bytes) -> _StoredFile:
     sha256 = sha256_hex(data)
-    stored = _Stored(file, f"assets/{key}/{content_name(file, sha256)}", sha256, len(data))
-    if not _has(store, stored):
+    stored = _StoredFile(file, f"assets/{key}/{content_name(file, sha256)}", sha256, len(data))
+    if not _is_stored(store, stored):
         store.put(stored.name, data, content_type=content_type(file))
     return stored
 
 
-def _has(store: Store, stored: _Stored) -> bool:
+def _is_stored(store: Store, stored: _StoredFile) -> bool:
     try:
         return store.head(stored.name).size == stored.size
     except FileNotFoundError:
         return False
 
 
-def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[_Stored]) -> _Stored:
-    """No times and no version in it: the same bundle always gives the same manifest, so a repeated run adds nothing."""
+def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[_StoredFile]) -> _StoredFile:
+    """Write the manifest. It has no times and no version, so that publishing the same bundle again adds nothing."""
     document = {
         **bundle.manifest,
         "schema": SCHEMA,
@@ -145,68 +148,72 @@ def _put_manifest(store: Store, key: str, bundle: Bundle, files: list[_Stored]) 
         "lods": _lods(bundle.manifest, files),
         "files": [file.document() for file in files],
     }
-    return _put_content(store, key, "manifest.json", encoded(document))
+    return _put_content(store, key, "manifest.json", canonical_json(document))
 
 
-def _enter(store: Store, key: str, bundle: Bundle, files: list[_Stored], manifest: _Stored, order: _Order) -> Asset:
-    """Add a version to the catalogue entry; among concurrent publishers every one gets a version of its own."""
+def _add_version(
+    store: Store, key: str, bundle: Bundle, files: list[_StoredFile], manifest: _StoredFile, request: _PublishRequest
+) -> PublishedAsset:
+    """Add a version to the catalogue entry. Concurrent publishers each get a version number of their own."""
 
-    def attempt() -> Asset:
+    def attempt() -> PublishedAsset:
         present = _entry_or_none(store, key)
-        order.require_room(present)
+        request.check_not_elsewhere(present)
         versions = present.versions if present else []
-        record = _settled(present, bundle.state, order.job, order.fence, manifest.name)
+        record = _existing_version(present, bundle.state, request.job, request.fence, manifest.name)
         if present and record:
-            document = {**present.document, "versions": _with_fence(versions, record, order.fence)}
+            document = {**present.document, "versions": _raise_fence(versions, record, request.fence)}
         else:
-            record = _new_record(versions, bundle.state, manifest.name, order)
-            document = _document(key, bundle, files, manifest, record, versions)
-        listed = present.collections if present else []
-        document["collections"] = list(dict.fromkeys((*listed, order.collection)))
-        put_mutable(store, entry_name(key), encoded(document), present.etag if present else None)
-        return _asset(key, record)
+            record = _new_record(versions, bundle.state, manifest.name, request)
+            document = _entry_document(key, bundle, files, manifest, record, versions)
+        present_collections = present.collections if present else []
+        document["collections"] = list(dict.fromkeys((*present_collections, request.collection)))
+        put_mutable(store, entry_name(key), canonical_json(document), present.etag if present else None)
+        return _published_asset(key, record)
 
-    return until_won(attempt)
+    return retry_on_conflict(attempt)
 
 
-def _settled(present: Entry | None, state: str, job: str, fence: int, manifest: str = "") -> dict[str, Any] | None:
-    """The version that makes this publication superfluous, if there is one. Raises StaleFence."""
+def _existing_version(
+    present: Entry | None, state: str, job: str, fence: int, manifest: str = ""
+) -> dict[str, Any] | None:
+    """Return the published version that this bundle would only repeat, or None. Raises StaleFence."""
     versions = present.versions if present else []
     if not job:
         return next((each for each in versions[-1:] if each["manifest"] == manifest), None)
-    mine = [each for each in versions if each["job"] == job]
-    newest = max((int(each["fence"]) for each in mine), default=fence)
+    job_versions = [each for each in versions if each["job"] == job]
+    newest = max((int(each["fence"]) for each in job_versions), default=fence)
     if newest > fence:
-        raise StaleFence(f"job {job} has published under fence {newest}; fence {fence} is void")
-    # A preview that comes behind its own refined version would take the asset a step back, so that one answers for it.
-    return next((each for wanted in (state, "refined") for each in mine if each["state"] == wanted), None)
+        raise StaleFence(f"job {job} was leased again: it has published with fence {newest}, this is fence {fence}")
+    # A preview that arrives after its own refined version must not replace it: return the refined version instead.
+    return next((each for wanted in (state, "refined") for each in job_versions if each["state"] == wanted), None)
 
 
-def _with_fence(versions: list[dict[str, Any]], record: dict[str, Any], fence: int) -> list[dict[str, Any]]:
-    """The versions with a higher fence noted, so that the job's earlier worker is refused from now on."""
+def _raise_fence(versions: list[dict[str, Any]], record: dict[str, Any], fence: int) -> list[dict[str, Any]]:
+    """Return the versions with `record`'s fence raised, so that the job's earlier worker is refused from now on."""
     return [{**each, "fence": fence} if each["version"] == record["version"] else each for each in versions]
 
 
-def _new_record(versions: list[dict[str, Any]], state: str, manifest: str, order: _Order) -> dict[str, Any]:
+def _new_record(versions: list[dict[str, Any]], state: str, manifest: str, request: _PublishRequest) -> dict[str, Any]:
     return {
         "version": 1 + max((int(each["version"]) for each in versions), default=0),
         "state": state,
-        "job": order.job,
-        "fence": order.fence,
+        "job": request.job,
+        "fence": request.fence,
         "manifest": manifest,
         "created": now_iso(),
     }
 
 
-def _document(
+def _entry_document(
     key: str,
     bundle: Bundle,
-    files: list[_Stored],
-    manifest: _Stored,
+    files: list[_StoredFile],
+    manifest: _StoredFile,
     record: dict[str, Any],
     versions: list[dict[str, Any]],
 ) -> dict[str, Json]:
-    """The catalogue entry that makes `record` the current version behind `versions`."""
+    """Return the catalogue entry with `record` appended to `versions` as the current one."""
     return {
         "schema": SCHEMA,
         "key": key,
@@ -217,17 +224,17 @@ def _document(
         "lods": _lods(bundle.manifest, files),
         "preview": next((file.document() for file in files if file.file == "preview.png"), None),
         "files": [file.document() for file in files],
-        **{field: bundle.manifest.get(field) for field in _FROM_MANIFEST},
+        **{field: bundle.manifest.get(field) for field in _MANIFEST_FIELDS},
         "versions": [*versions, record],
     }
 
 
-def _asset(key: str, record: Mapping[str, Json]) -> Asset:
-    return Asset(key, int(record["version"]), str(record["state"]), str(record["manifest"]))
+def _published_asset(key: str, record: Mapping[str, Json]) -> PublishedAsset:
+    return PublishedAsset(key, int(record["version"]), str(record["state"]), str(record["manifest"]))
 
 
-def _move_alias(store: Store, asset: Asset) -> None:
-    """Point the alias at the asset, never backwards: a slow publisher must not undo a faster one."""
+def _move_alias(store: Store, asset: PublishedAsset) -> None:
+    """Point the alias at this version, unless it names a newer one: a slow publisher must not undo a faster one."""
     name = alias_name(asset.key)
 
     def attempt() -> None:
@@ -237,20 +244,20 @@ def _move_alias(store: Store, asset: Asset) -> None:
                 return
         except FileNotFoundError:
             etag = None
-        put_mutable(store, name, encoded({"version": asset.version, "manifest": asset.manifest}), etag)
+        put_mutable(store, name, canonical_json({"version": asset.version, "manifest": asset.manifest}), etag)
 
-    until_won(attempt)
+    retry_on_conflict(attempt)
 
 
 def _entry_or_none(store: Store, key: str) -> Entry | None:
     try:
-        return entry(store, key)
+        return read_entry(store, key)
     except FileNotFoundError:
         return None
 
 
-def _lods(manifest: Mapping[str, Json], files: list[_Stored]) -> list[dict[str, Any]]:
-    """The manifest's levels of detail with the place of each file, finest first."""
-    places = {file.file: file.document() for file in files}
-    levels = ({**level, **places[level["file"]]} for level in manifest.get("lods", ()))
+def _lods(manifest: Mapping[str, Json], files: list[_StoredFile]) -> list[dict[str, Any]]:
+    """Return the manifest's levels of detail with each file's object name, hash and size, finest first."""
+    documents = {file.file: file.document() for file in files}
+    levels = ({**level, **documents[level["file"]]} for level in manifest.get("lods", ()))
     return sorted(levels, key=lambda level: int(level["level"]))

@@ -1,4 +1,4 @@
-"""Reading a collection that others write at the same time: an asset's row and files, and what if a shard has gone."""
+"""Read a collection while others write it: find an asset's row, parse its manifest, retry if a shard was replaced."""
 
 from __future__ import annotations
 
@@ -9,37 +9,39 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from services.storage.bundle import sha256_hex
-from services.storage.collection import Index, Row, Shard
-from services.storage.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
+from services.storage.catalogue.collection import Index, Row, Shard
+from services.storage.catalogue.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
 from services.storage.store import Store
 
-Rows = Callable[[Shard], Iterable[Row]]
-"""The rows of a shard."""
+LoadRows = Callable[[Shard], Iterable[Row]]
+"""Reads the rows of a shard."""
 
 _T = TypeVar("_T")
 
 DOCUMENT_BYTES = 16 << 20
-"""More than any shard or manifest has; readers of what nobody has signed stop there."""
+"""Limit when reading a shard or manifest from an untrusted server; real ones are smaller."""
 
-_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")  # becomes a file in somebody's folder
-_TRIES = 3  # a shard goes once 32 newer ones have come; the index of that moment knows another
-
-
+_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")  # a safe file name: `pull` writes it into the user's folder
+_TRIES = 3  # a shard is deleted after 32 newer ones; the index of that moment lists another
 _PREFIX = "collections/"
 
 
-def collections(store: Store) -> Iterator[str]:
-    """The names of the collections on a store, in its order; one question for each."""
+def collection_names(store: Store) -> Iterator[str]:
+    """Yield the names of the collections on a store, in its order, with one list request for each."""
     after = _PREFIX
     while heads := store.list(_PREFIX, after=after, limit=1):
         name = heads[0].name.removeprefix(_PREFIX).partition("/")[0]
         yield name
-        after = f"{_PREFIX}{name}0"  # "0" comes next after "/": behind all that this one has
+        after = f"{_PREFIX}{name}0"  # "0" sorts next after "/": skips all objects of this collection
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
-    """A file of an asset: its plain name in the bundle, its object name, its hash (hex) and its bytes."""
+class AssetFile:
+    """A file that a manifest lists.
+
+    file    plain name in the bundle; name: object name
+    sha256  hex; size: bytes
+    """
 
     file: str
     name: str
@@ -47,49 +49,55 @@ class Piece:
     size: int
 
 
-def pieces_of(data: bytes, row: Row) -> list[Piece]:
-    """The files that a manifest lists, if it is the one that the row means. Raises CatalogueFault MANIFEST_CHANGED."""
+def parse_manifest(data: bytes, row: Row) -> list[AssetFile]:
+    """Check a manifest's hash against the asset's row and return the files that it lists.
+
+    Raises CatalogueFault MANIFEST_CHANGED.
+    """
     if sha256_hex(data) != row.manifest:
-        message = f"its {len(data):,} bytes do not have the hash of the catalogue"
+        message = f"its {len(data):,} bytes do not have the hash that the catalogue lists"
         raise CatalogueFault(MANIFEST_CHANGED, row.manifest_name, message)
     try:
-        pieces = [
-            _piece(each["file"], each["name"], each["sha256"], each["bytes"]) for each in json.loads(data)["files"]
+        files = [
+            _asset_file(each["file"], each["name"], each["sha256"], each["bytes"]) for each in json.loads(data)["files"]
         ]
     except (ValueError, KeyError, TypeError) as error:
-        raise CatalogueFault(MANIFEST_CHANGED, row.manifest_name, f"it lists no files: {error}") from None
-    if len({piece.file for piece in pieces}) < len(pieces):
+        raise CatalogueFault(MANIFEST_CHANGED, row.manifest_name, f"it lists no valid files: {error}") from None
+    if len({each.file for each in files}) < len(files):
         raise CatalogueFault(MANIFEST_CHANGED, row.manifest_name, "it lists a file twice")
-    return pieces
+    return files
 
 
-def _piece(file: str, name: str, sha256: str, size: int) -> Piece:
-    """Raises ValueError, TypeError. The hash becomes a name on a reader's disk too."""
-    if not _FILE.fullmatch(file) or file == "manifest.json":  # which is the manifest itself, wherever it is put
-        raise ValueError(f"{file!r:.120} is no plain file name")
+def _asset_file(file: str, name: str, sha256: str, size: int) -> AssetFile:
+    """Check one file of a manifest. Raises ValueError, TypeError.
+
+    Name and hash become file names on a reader's disk, so both must be harmless.
+    """
+    if not _FILE.fullmatch(file) or file == "manifest.json":  # the manifest itself has this name
+        raise ValueError(f"{file!r:.120} is not a plain file name")
     if len(bytes.fromhex(sha256)) != 32:
         raise ValueError(f"{file} has no sha256")
-    return Piece(file, str(name), sha256.lower(), int(size))
+    return AssetFile(file, str(name), sha256.lower(), int(size))
 
 
-def row_in(index: Index, key: str, rows: Rows) -> tuple[Shard, Row] | None:
-    """The row of an asset, and the shard that has it; None where the collection does not list the key."""
+def find_row(index: Index, key: str, rows: LoadRows) -> tuple[Shard, Row] | None:
+    """Find the row of an asset and the shard that has it; None where the collection does not list the key."""
     if not index.shards:
         return None
-    shard = index.shards[index.place(key)]
+    shard = index.shards[index.shard_number(key)]
     row = next((row for row in rows(shard) if row.key == key), None)
     return (shard, row) if row else None
 
 
-def again_if_moved(attempt: Callable[[], _T]) -> _T:
-    """What an attempt reads, which begins with the index; again where a shard of that index is there no more.
+def retry_if_shard_missing(attempt: Callable[[], _T]) -> _T:
+    """Call `attempt`, which reads an index and then its shards; retry when a shard was deleted in between.
 
-    Raises CatalogueFault SHARD_MISSING where that goes on.
+    Raises CatalogueFault SHARD_MISSING after three attempts.
     """
-    for left in reversed(range(_TRIES)):
+    for tries_left in reversed(range(_TRIES)):
         try:
             return attempt()
         except CatalogueFault as fault:
-            if fault.code != SHARD_MISSING or not left:
+            if fault.code != SHARD_MISSING or not tries_left:
                 raise
     raise AssertionError("the last try returns or raises")

@@ -1,7 +1,7 @@
-"""Keeping a collection's Unity catalogues: an asset's locations are brought up to its catalogue entry, in all forms.
+"""Update a collection's Unity Addressables catalogues (JSON and binary forms) after an asset has changed.
 
-The JSON form is read back and replaced under its etag; the others and the hashes are made from the same table and put
-behind it. Whoever finds afterwards that the JSON has moved on writes them anew, so that the last to finish has written
+The JSON form is read and replaced by compare-and-swap. The binary forms and the hashes are made from the same table and
+written after it. A writer who then finds that the JSON has changed starts again, so that the last to finish has written
 the newest.
 """
 
@@ -11,37 +11,37 @@ import logging
 from collections.abc import Iterator
 
 from services.storage.bundle import content_type
-from services.storage.catalogue import Entry, entry, list_keys
+from services.storage.catalogue.compare_and_swap import read_mutable, retry_on_conflict
+from services.storage.catalogue.entry import Entry, list_keys, read_entry
 from services.storage.store import NO_CACHE, ConditionFailed, Store
 from services.storage.unity.json_reader import read_json_catalogue
+from services.storage.unity.locations import build_listing, parse_assets
 from services.storage.unity.nouns import Asset, Catalogue, LodFile
-from services.storage.unity.plan import assets, locations
-from services.storage.unity.publication import file_names, publication
-from services.storage.writing import read_mutable, until_won
+from services.storage.unity.publication import catalogue_files, catalogue_names
 
 _log = logging.getLogger(__name__)
 
-_PAGE = 1000  # keys at once, which is what S3 lists in one request
+_PAGE = 1000  # keys per list request, the most that S3 allows
 
 
-def keep(store: Store, key: str) -> None:
-    """Bring the Unity catalogues of every collection that the asset belongs to up to its entry.
+def update_unity_catalogues(store: Store, key: str) -> None:
+    """Update the asset in the Unity catalogues of every collection that lists it.
 
-    Writes nothing where all is as it should be. A removed asset is left out, and one that Unity would misread, which is
-    logged. Raises FileNotFoundError where nothing was published under the key, OSError when the store fails.
+    Writes nothing where nothing has changed. Leaves out a removed asset, and (with a warning in the log) one that Unity
+    would misread. Raises FileNotFoundError where nothing was published under the key, OSError where the store fails.
     """
-    for collection in entry(store, key).collections:
-        until_won(lambda collection=collection: _replace(store, key, collection))  # type: ignore[misc]
+    for collection in read_entry(store, key).collections:
+        retry_on_conflict(lambda collection=collection: _replace(store, key, collection))  # type: ignore[misc]
 
 
 def _replace(store: Store, key: str, collection: str) -> None:
-    """One attempt. Raises ConditionFailed where somebody came between."""
-    first = file_names(collection)[0].catalogue
+    """Make one attempt to write the catalogues. Raises ConditionFailed where somebody else wrote them meanwhile."""
+    first = catalogue_names(collection)[0].catalogue
     data, etag = read_mutable(store, first)
-    known = {asset.key: asset for asset in _known(store, collection, data)}
-    known.pop(key, None)
-    known |= {asset.key: asset for asset in _wanted(entry(store, key))}
-    (_, table), *others = publication(Catalogue(collection, tuple(known.values())), collection)
+    assets = {asset.key: asset for asset in _read_assets(store, collection, data)}
+    assets.pop(key, None)
+    assets |= {asset.key: asset for asset in _unity_asset(read_entry(store, key))}
+    (_, table), *others = catalogue_files(Catalogue(collection, tuple(assets.values())), collection)
     if table != data:
         head = store.put(
             first,
@@ -53,47 +53,48 @@ def _replace(store: Store, key: str, collection: str) -> None:
         )
         etag = head.etag
     for name, content in others:
-        if not _holds(store, name, content):
+        if not _has_content(store, name, content):
             store.put(name, content, content_type=content_type(name), cache_control=NO_CACHE)
     if store.head(first).etag != etag:
         raise ConditionFailed(f"{first} has changed")
 
 
-def _holds(store: Store, name: str, content: bytes) -> bool:
+def _has_content(store: Store, name: str, content: bytes) -> bool:
     try:
         return store.head(name).size == len(content) and store.get(name) == content
     except FileNotFoundError:
         return False
 
 
-def _known(store: Store, collection: str, data: bytes | None) -> tuple[Asset, ...]:
-    """What the catalogue lists; from the entries where there is none, or where it is damaged."""
+def _read_assets(store: Store, collection: str, data: bytes | None) -> tuple[Asset, ...]:
+    """Return the assets in the catalogue `data`; where it is missing or damaged, those in the catalogue entries."""
     if data is not None:
         try:
-            return assets(read_json_catalogue(data))
+            return parse_assets(read_json_catalogue(data))
         except ValueError as fault:
-            _log.warning("the Unity catalogue of collection %s is made anew: %s", collection, fault)
-    return tuple(asset for found in _members(store, collection) for asset in _wanted(found))
+            _log.warning("the Unity catalogue of collection %s cannot be read and is rebuilt: %s", collection, fault)
+    return tuple(asset for found in _entries_of(store, collection) for asset in _unity_asset(found))
 
 
-def _members(store: Store, collection: str) -> Iterator[Entry]:
+def _entries_of(store: Store, collection: str) -> Iterator[Entry]:
+    """Yield the catalogue entries of all assets in a collection."""
     after = ""
     while page := list_keys(store, after=after, limit=_PAGE):
-        entries = (entry(store, key) for key in page)
+        entries = (read_entry(store, key) for key in page)
         yield from (found for found in entries if collection in found.collections)
         after = page[-1]
 
 
-def _wanted(found: Entry) -> tuple[Asset, ...]:
-    """The asset as Unity is to see it, if it is to see it."""
+def _unity_asset(found: Entry) -> tuple[Asset, ...]:
+    """Return the asset as Unity's catalogues list it; () if it is removed, has no LODs, or Unity would misread it."""
     lods = found.document["lods"]
     if found.removed or not lods:
         return ()
     files = tuple(LodFile(lod["level"], lod["name"], lod["sha256"], lod["bytes"]) for lod in lods)
     asset = Asset(found.key, found.version, tuple(sorted(set(found.document.get("labels") or ()))), files)
     try:
-        locations(Catalogue("", (asset,)))
+        build_listing(Catalogue("", (asset,)))
     except ValueError as fault:
-        _log.warning("asset %s is left out of Unity's catalogues: %s", found.key, fault)
+        _log.warning("asset %s is left out of the Unity catalogues: %s", found.key, fault)
         return ()
     return (asset,)

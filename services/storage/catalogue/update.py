@@ -1,7 +1,7 @@
-"""Keeping collections: the row of an asset is brought up to its catalogue entry, the index after the shard.
+"""Update collections after an asset has changed: write a shard with the asset's new row, then the signed index.
 
-Every step reads the entry after the index and replaces the index only as it was read. So whoever wins last has seen
-the newest entry, and a run that was cut short anywhere is completed by the next.
+Every attempt reads the catalogue entry after the index, and replaces the index by compare-and-swap. So the last writer
+to succeed has seen the newest entry, and the next run completes one that was interrupted.
 """
 
 from __future__ import annotations
@@ -11,96 +11,99 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from services.storage.bundle import sha256_hex
-from services.storage.catalogue import entry, list_keys
-from services.storage.collection import (
-    RETIRED,
+from services.storage.catalogue.collection import (
+    RETIRED_SHARDS,
     SHARD_ROWS,
     Index,
     Row,
     Shard,
+    describe_shard,
     index_name,
-    listed,
     load_shard,
-    opened,
+    parse_envelope,
     read_index,
     row_of,
-    sealed,
     shard_data,
     shard_name,
+    sign_index,
 )
-from services.storage.faults import (
+from services.storage.catalogue.compare_and_swap import now_iso, put_mutable, read_mutable, retry_on_conflict
+from services.storage.catalogue.entry import list_keys, read_entry
+from services.storage.catalogue.faults import (
     CATALOGUE_TRUNCATED,
     SHARD_MISSING,
     SIGNATURE_MISSING,
     SIGNING_KEY_MISSING,
     CatalogueFault,
 )
-from services.storage.signing import NO_KEYS, Keys
+from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import ConditionFailed, Store
-from services.storage.writing import now_iso, put_mutable, read_mutable, until_won
 
-_PAGE = 1000  # keys at once, which is what S3 lists in one request
+_PAGE = 1000  # keys per list request, the most that S3 allows
 
 
-def enter(store: Store, key: str, keys: Keys = NO_KEYS) -> None:
-    """Bring the rows of an asset up to its catalogue entry, in every collection that the entry names.
+def update_collections(store: Store, key: str, keys: Keys = NO_KEYS) -> None:
+    """Update the asset's row in every collection that its catalogue entry names.
 
-    Writes nothing where all is as it should be. Raises FileNotFoundError where nothing was published under the key,
-    CatalogueFault for a collection that cannot be built upon or that this process cannot sign.
+    Writes nothing where nothing has changed. Raises FileNotFoundError where nothing was published under the key,
+    CatalogueFault for a collection that is damaged, has no valid signature, or that this process cannot sign.
     """
-    for collection in entry(store, key).collections:
-        _enter(store, collection, key, keys)
+    for collection in read_entry(store, key).collections:
+        _update_collection(store, collection, key, keys)
 
 
 def rebuild(store: Store, collection: str, keys: Keys = NO_KEYS) -> Index:
-    """Write a collection anew from the catalogue entries, and sign it: for assets older than the collection, for other
-    signing keys, and where it was damaged. What stands on the store is believed.
+    """Write a collection anew from the catalogue entries, and sign it.
 
-    Raises FileNotFoundError where there is no such collection and no asset for it.
+    For assets published before collections existed, after a change of signing keys, or where the collection is damaged.
+    The entries on the store are trusted without a check. Raises FileNotFoundError where there is neither such a
+    collection nor an asset for it.
     """
 
     def attempt() -> Index:
         data, etag = read_mutable(store, index_name(collection))
-        present = _present_or_none(data, collection)
+        present = _index_or_none(data, collection)
         rows = _all_rows(store, collection)
         if not rows and data is None:
-            raise FileNotFoundError(f"no asset belongs to a collection {collection}")
+            raise FileNotFoundError(f"there is no collection {collection}, and no asset belongs to it")
         _check_unchanged(store, collection, etag)
-        # Seconds since 1970 exceed what a count of changes comes to: clients take the new count even where the old
-        # one was lost.
+        # Seconds since 1970 exceed any count of changes: so clients accept the new version even where the old count
+        # was lost.
         version = max(present.version + 1 if present else 1, int(time.time()))
         parts = [rows[start : start + SHARD_ROWS] for start in range(0, len(rows), SHARD_ROWS)]
         retired = (*present.retired, *(shard.sha256 for shard in present.shards)) if present else ()
-        made = _made(store, collection, parts, version)
-        return _replace(store, Index(collection, version, now_iso(), tuple(made), retired), made, keys, etag)
+        new_shards = _write_shards(store, collection, parts, version)
+        return _replace_index(
+            store, Index(collection, version, now_iso(), tuple(new_shards), retired), new_shards, keys, etag
+        )
 
-    return until_won(attempt)
+    return retry_on_conflict(attempt)
 
 
-def _enter(store: Store, collection: str, key: str, keys: Keys) -> None:
+def _update_collection(store: Store, collection: str, key: str, keys: Keys) -> None:
     def attempt() -> None:
         data, etag = read_mutable(store, index_name(collection))
-        present = _checked(data, collection, keys)
-        row = row_of(entry(store, key))
-        place, rows = present.place(key), _rows(store, present, key, etag)
+        present = _read_current_index(data, collection, keys)
+        row = row_of(read_entry(store, key))
+        number, rows = present.shard_number(key), _load_rows(store, present, key, etag)
         others = [each for each in rows if each.key != key]
         if row in rows:
             return
         _check_unchanged(store, collection, etag)
-        parts = _parts(sorted([*others, row], key=lambda each: each.key))
-        made = _made(store, collection, parts, present.version + 1)
-        gone = [shard.sha256 for shard in present.shards[place : place + 1]]
-        shards = (*present.shards[:place], *made, *present.shards[place + 1 :])
-        index = Index(collection, present.version + 1, now_iso(), shards, (*present.retired, *gone))
-        _replace(store, index, made, keys, etag)
+        parts = _split_rows(sorted([*others, row], key=lambda each: each.key))
+        new_shards = _write_shards(store, collection, parts, present.version + 1)
+        replaced = [shard.sha256 for shard in present.shards[number : number + 1]]
+        shards = (*present.shards[:number], *new_shards, *present.shards[number + 1 :])
+        index = Index(collection, present.version + 1, now_iso(), shards, (*present.retired, *replaced))
+        _replace_index(store, index, new_shards, keys, etag)
 
-    until_won(attempt)
+    retry_on_conflict(attempt)
 
 
 def _check_unchanged(store: Store, collection: str, etag: str | None) -> None:
-    """That the tag is still the index's, so that it was when the content was read. Raises ConditionFailed.
+    """Raises ConditionFailed where the index's etag is no longer `etag`.
 
-    Shards are made for the version behind that content; a rival at the same version may make the very same ones.
+    Called before shards are written for the next version: another writer of that version may make identical ones.
     """
     try:
         now = store.head(index_name(collection)).etag
@@ -110,39 +113,44 @@ def _check_unchanged(store: Store, collection: str, etag: str | None) -> None:
         raise ConditionFailed(f"{index_name(collection)} has changed")
 
 
-def _checked(data: bytes | None, collection: str, keys: Keys) -> Index:
-    """The index to build upon: empty where there is none. Raises CatalogueFault, also where it was signed and would
-    not be any more.
+def _read_current_index(data: bytes | None, collection: str, keys: Keys) -> Index:
+    """Verify and parse the present index; an empty one where there is none.
+
+    Raises CatalogueFault, also where the index is signed and this process has no key to sign the next one.
     """
     if data is None:
         return Index(collection, 0, "", ())
-    if not keys.signers and opened(data, collection)[1]:
-        message = "it is signed, and this process has no key to sign it anew"
+    if not keys.signers and parse_envelope(data, collection)[1]:
+        message = "it is signed, and this process has no key to sign the new version"
         raise CatalogueFault(SIGNING_KEY_MISSING, index_name(collection), message, hint="set STORAGE_SIGNING_KEY")
     try:
-        return read_index(data, collection, keys.believed if keys.signers else ())
+        return read_index(data, collection, keys.verification_keys if keys.signers else ())
     except CatalogueFault as fault:
-        # Not signed by itself: whoever can write to the store could strip the signature and have us sign what is left.
+        # Never sign an unsigned index without being asked: an attacker with write access to the store could strip the
+        # signature, change the content, and get it signed here.
         if fault.code in (SIGNATURE_MISSING, CATALOGUE_TRUNCATED):
             hint = f"if you trust the store: capture2vr catalogue rebuild --collection {collection}"
             raise CatalogueFault(fault.code, fault.name, fault.message, hint=hint) from None
         raise
 
 
-def _present_or_none(data: bytes | None, collection: str) -> Index | None:
-    """What the index says, whoever has signed it; None where there is none, or nothing can be read from it."""
+def _index_or_none(data: bytes | None, collection: str) -> Index | None:
+    """Parse an index without checking its signature; None where there is none, or it cannot be read."""
     try:
         return read_index(data, collection) if data is not None else None
     except CatalogueFault:
         return None
 
 
-def _rows(store: Store, present: Index, key: str, etag: str | None) -> tuple[Row, ...]:
-    """The rows beside which a key stands. Raises ConditionFailed where they went because the index was replaced."""
+def _load_rows(store: Store, present: Index, key: str, etag: str | None) -> tuple[Row, ...]:
+    """Return the rows of the shard that has the key, or would take it.
+
+    Raises ConditionFailed where the shard was deleted because another writer has replaced the index.
+    """
     if not present.shards:
         return ()
     try:
-        return load_shard(store, present.shards[present.place(key)])
+        return load_shard(store, present.shards[present.shard_number(key)])
     except CatalogueFault as fault:
         if fault.code == SHARD_MISSING:
             _check_unchanged(store, present.collection, etag)
@@ -153,57 +161,63 @@ def _all_rows(store: Store, collection: str) -> list[Row]:
     rows: list[Row] = []
     after = ""
     while page := list_keys(store, after=after, limit=_PAGE):
-        entries = (entry(store, key) for key in page)
+        entries = (read_entry(store, key) for key in page)
         rows += [row_of(each) for each in entries if collection in each.collections]
         after = page[-1]
     return sorted(rows, key=lambda row: row.key)
 
 
-def _parts(rows: Sequence[Row]) -> list[Sequence[Row]]:
-    """One shard, or two halves. None is ever merged with its neighbour: rows stay, those of removed assets too."""
+def _split_rows(rows: Sequence[Row]) -> list[Sequence[Row]]:
+    """Split rows into two halves where they exceed one shard.
+
+    Shards are never merged: rows stay, those of removed assets too.
+    """
     if len(rows) <= SHARD_ROWS:
         return [rows]
     half = len(rows) // 2
     return [rows[:half], rows[half:]]
 
 
-def _made(store: Store, collection: str, parts: Sequence[Sequence[Row]], version: int) -> list[Shard]:
-    """Shards that are on the store, and not yet in the index."""
+def _write_shards(store: Store, collection: str, parts: Sequence[Sequence[Row]], version: int) -> list[Shard]:
+    """Write shards to the store, and return the records that the index will list."""
     shards = []
     for rows in parts:
         data = shard_data(rows, version)
-        shards.append(listed(collection, rows, data))
+        shards.append(describe_shard(collection, rows, data))
         store.put(shard_name(collection, sha256_hex(data)), data, content_type="application/json")
     return shards
 
 
-def _replace(store: Store, index: Index, made: Sequence[Shard], keys: Keys, etag: str | None) -> Index:
-    """Make `index` the current one. Raises ConditionFailed where another came between; `made` is then taken away."""
-    over = max(0, len(index.retired) - RETIRED)
-    # Before the index forgets their names: no index, this or a rival's, ever lists a retired shard again.
+def _replace_index(store: Store, index: Index, new_shards: Sequence[Shard], keys: Keys, etag: str | None) -> Index:
+    """Write `index` in place of the one that was read with `etag`, deleting the oldest retired shards.
+
+    Raises ConditionFailed where somebody else wrote it meanwhile; `new_shards` are then deleted.
+    """
+    over = max(0, len(index.retired) - RETIRED_SHARDS)
+    # Deleted before the index forgets their names. That is safe: no index ever lists a retired shard again.
     _delete(store, index.collection, index.retired[:over])
     index = Index(index.collection, index.version, index.updated, index.shards, index.retired[over:])
     try:
-        put_mutable(store, index_name(index.collection), sealed(index, keys.signers), etag)
+        put_mutable(store, index_name(index.collection), sign_index(index, keys.signers), etag)
     except ConditionFailed:
-        _take_back(store, index.version, index.collection, made)
+        _delete_unlisted(store, index.version, index.collection, new_shards)
         raise
     return index
 
 
-def _take_back(store: Store, version: int, collection: str, made: Sequence[Shard]) -> None:
-    """Delete what was made for a version that another has won, unless the winner lists the very same.
+def _delete_unlisted(store: Store, version: int, collection: str, new_shards: Sequence[Shard]) -> None:
+    """Delete the shards of a version that another writer has written, unless its index lists identical ones.
 
-    A version is won only once, so from then on nobody begins to list them. An answer that was lost on the way looks
-    like a lost race too; then the index lists ours.
+    Each version is written only once, so no later index will list them. A put whose answer was lost looks like a
+    conflict too; then the index on the store is ours and lists them.
     """
-    winner = _present_or_none(read_mutable(store, index_name(collection))[0], collection)
+    winner = _index_or_none(read_mutable(store, index_name(collection))[0], collection)
     if winner is not None and winner.version >= version:
         known = {*(shard.sha256 for shard in winner.shards), *winner.retired}
-        _delete(store, collection, [shard.sha256 for shard in made if shard.sha256 not in known])
+        _delete(store, collection, [shard.sha256 for shard in new_shards if shard.sha256 not in known])
 
 
 def _delete(store: Store, collection: str, hashes: Sequence[str]) -> None:
     for sha256 in hashes:
-        with suppress(OSError):  # a store that refuses to delete costs space, not a publication
+        with suppress(OSError):  # a failed deletion costs only space; it must not fail the publication
             store.delete(shard_name(collection, sha256))

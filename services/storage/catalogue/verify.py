@@ -1,4 +1,4 @@
-"""verify(): follow the hashes from a collection's signed index down to the last file, as a client would."""
+"""verify(): check a collection's signature and every hash, from the index down to the last file, as a client would."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from services.storage.collection import Index, Row, Shard, index_name, read_index, read_shard
-from services.storage.faults import (
+from services.storage.catalogue.collection import Index, Row, Shard, index_name, read_index, read_shard
+from services.storage.catalogue.faults import (
     CATALOGUE_MISSING,
     FILE_CHANGED,
     FILE_MISSING,
@@ -17,58 +17,60 @@ from services.storage.faults import (
     SHARD_MISSING,
     CatalogueFault,
 )
-from services.storage.reading import Piece, pieces_of
-from services.storage.signing import Public
+from services.storage.catalogue.reader import AssetFile, parse_manifest
+from services.storage.catalogue.signing import PublicKey
 from services.storage.store import Store
 
 Fetch = Callable[[str], Iterable[bytes]]
-"""The bytes of an object by its name, in blocks. Raises FileNotFoundError. Called from several threads."""
+"""Downloads an object by name and yields its bytes in blocks. Raises FileNotFoundError. Called from several threads."""
 
 _T = TypeVar("_T")
 
-_AT_ONCE = 8  # downloads; a gateway promises 32
-_BLOCK_BYTES = 8 << 20  # of a file at once: the largest bundles have some 100 MB
+_AT_ONCE = 8  # simultaneous downloads; a gateway promises 32
+_BLOCK_BYTES = 8 << 20  # per read: the largest bundles have about 100 MB
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
-    """One class of objects: how many were looked at, their bytes, and what is wrong with them.
+class CheckResult:
+    """Result for one kind of objects: how many were checked, their bytes, and the faults found.
 
-    what  index | shards | manifests | files
-    said  about the index: its version and shards
+    kind     index | shards | manifests | files
+    summary  of the index: its version and its time; "" for the others
     """
 
-    what: str
+    kind: str
     count: int
     bytes: int
     faults: tuple[CatalogueFault, ...]
-    said: str = ""
+    summary: str = ""
 
 
-def verify(fetch: Fetch, collection: str, believed: tuple[Public, ...], *, at_least: int = 0) -> Iterator[Checked]:
-    """Index, shards, manifests, files, in this order; ends behind the first class that has faults.
+def verify(
+    fetch: Fetch, collection: str, verification_keys: tuple[PublicKey, ...], *, at_least: int = 0
+) -> Iterator[CheckResult]:
+    """Check index, shards, manifests and files, in this order, stopping after the first kind that has faults.
 
-    What comes behind such a class could not be trusted anyway. Files of removed assets count: they can come back.
+    What a faulty object lists could not be trusted anyway. Files of removed assets are checked too: they may come back.
     """
-    index, seen = _checked_index(fetch, collection, believed, at_least)
-    yield seen
+    index, result = _check_index(fetch, collection, verification_keys, at_least)
+    yield result
     if index is None:
         return
-    shards, seen = _checked_all("shards", index.shards, lambda shard: _rows(fetch, shard))
-    yield seen
-    if seen.faults:
+    shards, result = _check_all("shards", index.shards, lambda shard: _check_shard(fetch, shard))
+    yield result
+    if result.faults:
         return
     rows = [row for part in shards for row in part]
-    manifests, seen = _checked_all("manifests", rows, lambda row: _files(fetch, row))
-    yield seen
-    if seen.faults:
+    manifests, result = _check_all("manifests", rows, lambda row: _check_manifest(fetch, row))
+    yield result
+    if result.faults:
         return
     unique = {file.name: file for part in manifests for file in part}
-    yield _checked_all("files", unique.values(), lambda file: _file(fetch, file))[1]
+    yield _check_all("files", unique.values(), lambda file: _check_file(fetch, file))[1]
 
 
 def fetch_from(store: Store) -> Fetch:
-    """The objects of a store."""
+    """Return a `Fetch` that reads from a store."""
 
     def fetch(name: str) -> Iterator[bytes]:
         start = 0
@@ -79,20 +81,20 @@ def fetch_from(store: Store) -> Fetch:
     return fetch
 
 
-def _checked_index(
-    fetch: Fetch, collection: str, believed: tuple[Public, ...], at_least: int
-) -> tuple[Index | None, Checked]:
+def _check_index(
+    fetch: Fetch, collection: str, verification_keys: tuple[PublicKey, ...], at_least: int
+) -> tuple[Index | None, CheckResult]:
     name, data = index_name(collection), b""
     try:
-        data = _whole(fetch, name, CATALOGUE_MISSING)
-        index = read_index(data, collection, believed, at_least=at_least)
+        data = _read_object(fetch, name, CATALOGUE_MISSING)
+        index = read_index(data, collection, verification_keys, at_least=at_least)
     except CatalogueFault as fault:
-        return None, Checked("index", 1, len(data), (fault,))
-    return index, Checked("index", 1, len(data), (), f"version {index.version}, updated {index.updated}")
+        return None, CheckResult("index", 1, len(data), (fault,))
+    return index, CheckResult("index", 1, len(data), (), f"version {index.version}, updated {index.updated}")
 
 
-def _checked_all(what: str, each: Iterable[Any], check: Callable[[Any], tuple[_T, int]]) -> tuple[list[_T], Checked]:
-    """Every object of a class through `check`, which gives what it holds and its bytes."""
+def _check_all(kind: str, each: Iterable[Any], check: Callable[[Any], tuple[_T, int]]) -> tuple[list[_T], CheckResult]:
+    """Run `check`, which returns an object's content and its size in bytes, on every object of a kind, in parallel."""
 
     def attempt(one: Any) -> tuple[_T, int] | CatalogueFault:
         try:
@@ -104,38 +106,40 @@ def _checked_all(what: str, each: Iterable[Any], check: Callable[[Any], tuple[_T
         results = list(pool.map(attempt, each))
     good = [result for result in results if not isinstance(result, CatalogueFault)]
     faults = tuple(result for result in results if isinstance(result, CatalogueFault))
-    return [found for found, _ in good], Checked(what, len(results), sum(size for _, size in good), faults)
+    return [found for found, _ in good], CheckResult(kind, len(results), sum(size for _, size in good), faults)
 
 
-def _rows(fetch: Fetch, shard: Shard) -> tuple[tuple[Row, ...], int]:
-    data = _whole(fetch, shard.name, SHARD_MISSING)
+def _check_shard(fetch: Fetch, shard: Shard) -> tuple[tuple[Row, ...], int]:
+    data = _read_object(fetch, shard.name, SHARD_MISSING)
     return read_shard(data, shard), len(data)
 
 
-def _files(fetch: Fetch, row: Row) -> tuple[list[Piece], int]:
-    """What a manifest lists, once it is the one that the row means."""
-    data = _whole(fetch, row.manifest_name, MANIFEST_MISSING)
-    return pieces_of(data, row), len(data)
+def _check_manifest(fetch: Fetch, row: Row) -> tuple[list[AssetFile], int]:
+    """Check a manifest's hash; return the files that it lists, and its size in bytes."""
+    data = _read_object(fetch, row.manifest_name, MANIFEST_MISSING)
+    return parse_manifest(data, row), len(data)
 
 
-def _file(fetch: Fetch, file: Piece) -> tuple[str, int]:
+def _check_file(fetch: Fetch, file: AssetFile) -> tuple[str, int]:
     digest, size = hashlib.sha256(), 0
     try:
         for block in fetch(file.name):
             digest.update(block)
             size += len(block)
-    except (FileNotFoundError, ValueError):  # ValueError: a name that no store takes
-        raise CatalogueFault(FILE_MISSING, file.name, "the manifest lists it, and it is not there") from None
+    except (FileNotFoundError, ValueError):  # ValueError: an invalid object name
+        raise CatalogueFault(FILE_MISSING, file.name, "the manifest lists it, but it is missing") from None
     if size != file.size:
         raise CatalogueFault(FILE_CHANGED, file.name, f"it has {size:,} bytes, the manifest says {file.size:,}")
     if digest.hexdigest() != file.sha256:
-        raise CatalogueFault(FILE_CHANGED, file.name, f"its {size:,} bytes do not have the hash of the manifest")
+        raise CatalogueFault(
+            FILE_CHANGED, file.name, f"its {size:,} bytes do not have the hash that the manifest lists"
+        )
     return file.name, size
 
 
-def _whole(fetch: Fetch, name: str, code: str) -> bytes:
-    """A small object. Raises CatalogueFault of this class where it is absent."""
+def _read_object(fetch: Fetch, name: str, code: str) -> bytes:
+    """Read a small object into memory. Raises CatalogueFault with this code where it is missing."""
     try:
         return b"".join(fetch(name))
     except FileNotFoundError:
-        raise CatalogueFault(code, name, "it is not there") from None
+        raise CatalogueFault(code, name, "it is missing") from None

@@ -1,8 +1,8 @@
-"""The binary forms, which Unity packages from 1.21.3 on read: v1 until 1.29, v2 until 3.1, v3 from 4.0.
+"""Writer of Unity Addressables' binary catalogues for packages from 1.21.3: v1 until 1.29, v2 until 3.1, v3 from 4.0.
 
-Records of little-endian uint32 refer to each other by their offset in the file. Arrays and strings have their size in
-bytes in front and are referred to past it. The forms differ in how types are named and in how strings may be split
-into parts that others share; none is split here, which all three allow.
+Records of little-endian uint32 refer to each other by their offset in the file. Arrays and strings are preceded by
+their size in bytes; references point behind it. The versions differ in how types are named and in how strings may be
+split into shared parts; this writer splits none, which all three allow.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ Version = Literal[1, 2, 3]
 _MAGIC = 0x0DE38942
 _NONE = 0xFFFFFFFF
 _UTF16_FLAG = 0x80000000
-_LIMIT = 0x3FFFFFFF  # bytes; the two bits above mark strings
+_LIMIT = 0x3FFFFFFF  # bytes of a file: the two bits above are flags of string references
 _HEADER = struct.Struct("<8I")
 _REDIRECTS = 32  # what Unity writes for "no limit"
 _NO_SEPARATOR = 0
 
 
 def binary_catalogue(listing: Listing, *, version: Version) -> bytes:
-    """The listing in a binary form; files must stand before what is built of them. Equal listings give equal bytes.
+    """Serialise a listing in a binary form. Equal listings give equal bytes.
 
-    Raises ValueError for more than 1 GiB.
+    Locations must come after those that they depend on. Raises ValueError for more than 1 GiB.
     """
-    file = _File(version)
+    file = _BinaryFile(version)
     header = file.reserve(_HEADER.size)
     keys = file.reserve(4 + 8 * len(listing.keys)) + 4
     document = (
@@ -63,15 +63,15 @@ def binary_catalogue(listing: Listing, *, version: Version) -> bytes:
     return file.content()
 
 
-class _File:
-    """A file that grows at its end. Equal pieces are written once: most strings and types repeat."""
+class _BinaryFile:
+    """A binary file under construction. Equal records and strings are written only once, because most repeat."""
 
     def __init__(self, version: Version) -> None:
         self.version = version
         self._data = bytearray()
         self._records: dict[bytes, int] = {}
         self._blocks: dict[bytes, int] = {}
-        self._texts: dict[str, int] = {"": _NONE}  # an empty string has no place: Unity stumbles over size 0
+        self._texts: dict[str, int] = {"": _NONE}  # empty strings are not stored: Unity's reader fails on size 0
         self._types: dict[TypeName, int] = {}
 
     def reserve(self, size: int) -> int:
@@ -94,7 +94,7 @@ class _File:
         return self._block(struct.pack(f"<{len(values)}I", *values))
 
     def text(self, text: str) -> int:
-        """A reference to a string."""
+        """Write a string, and return the reference to it."""
         known = self._texts.get(text)
         if known is None:
             encoding, flag = ("ascii", 0) if text.isascii() else ("utf-16-le", _UTF16_FLAG)
@@ -102,7 +102,10 @@ class _File:
         return known
 
     def type(self, type_name: TypeName) -> int:
-        """v3 has simple assembly names, and none for the core library: it runs on other runtimes than Mono too."""
+        """Write a type's name, and return its offset.
+
+        v3 has short assembly names, and none for the core library, because it supports other runtimes than Mono too.
+        """
         known = self._types.get(type_name)
         if known is None:
             assembly = type_name.assembly if self.version == 3 else assembly_name(type_name)
@@ -111,7 +114,7 @@ class _File:
 
     def content(self) -> bytes:
         if len(self._data) > _LIMIT:
-            raise ValueError(f"a catalogue of {len(self._data)} bytes; Unity reads at most {_LIMIT}")
+            raise ValueError(f"the catalogue has {len(self._data)} bytes; Unity reads at most {_LIMIT}")
         return bytes(self._data)
 
     def _block(self, data: bytes) -> int:
@@ -123,8 +126,8 @@ class _File:
         return known
 
 
-def _locations(file: _File, listing: Listing) -> list[int]:
-    """Where each location is. Files come before what is built of them, so their places are known in time."""
+def _locations(file: _BinaryFile, listing: Listing) -> list[int]:
+    """Write the locations, and return their offsets. Files come before the assets that refer to their offsets."""
     offsets: list[int] = []
     for location in listing.locations:
         dependencies = file.array(offsets[each] for each in location.dependencies) if location.dependencies else _NONE
@@ -135,7 +138,7 @@ def _locations(file: _File, listing: Listing) -> list[int]:
                 file.text(location.internal_id),
                 file.text(location.provider),
                 dependencies,
-                0,  # the hash of the dependencies, for which Unity takes their offset
+                0,  # hash of the dependencies: Unity uses their offset instead
                 _data(file, location),
                 file.type(location.type),
             )
@@ -143,7 +146,7 @@ def _locations(file: _File, listing: Listing) -> list[int]:
     return offsets
 
 
-def _data(file: _File, location: Location) -> int:
+def _data(file: _BinaryFile, location: Location) -> int:
     if location.data is None:
         return _NONE
     if isinstance(location.data, str):
@@ -151,16 +154,16 @@ def _data(file: _File, location: Location) -> int:
     return file.record("<2I", file.type(BUNDLE_OPTIONS), _options(file, location.data))
 
 
-def _options(file: _File, options: BundleOptions) -> int:
+def _options(file: _BinaryFile, options: BundleOptions) -> int:
     transfer = file.record("<hBBi", 0, _REDIRECTS, 0, 0)  # timeout, redirects, retries, flags: Unity's defaults
     content_hash = file.record("<16s", bytes.fromhex(options.hash))
     return file.record("<5I", content_hash, file.text(options.name), options.crc, options.size, transfer)
 
 
-def _string_object(file: _File, text: str) -> int:
+def _string_object(file: _BinaryFile, text: str) -> int:
     string = file.record("<IH2x", file.text(text), _NO_SEPARATOR) if text else _NONE
     return file.record("<2I", file.type(STRING), string)
 
 
-def _provider(file: _File, provider: TypeName) -> int:
+def _provider(file: _BinaryFile, provider: TypeName) -> int:
     return file.record("<3I", file.text(provider.name), file.type(provider), file.text(""))

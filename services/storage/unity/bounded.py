@@ -1,4 +1,4 @@
-"""Reading numbers and texts out of bytes that anybody may have made: nothing beyond the end, nothing twice."""
+"""Bounds-checked reading of numbers and strings from untrusted bytes."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import struct
 from typing import Any
 
 
-class Bounded:
-    """Bytes with a name for the errors. Every fault is a ValueError that says where it is.
+class BoundedReader:
+    """Untrusted bytes, and a name for error messages. Every error is a ValueError with the offset.
 
-    A reader may follow references into the same bytes again and again. `spend` keeps what that can cost below what the
-    bytes themselves are: without it a megabyte of arrays laid across each other unpacks to gigabytes.
+    `spend` limits how much is read in total to the size of the bytes. Without it, a hostile file of one megabyte whose
+    arrays overlap each other would unpack to gigabytes.
     """
 
     def __init__(self, what: str, data: bytes) -> None:
         self.what = what
         self.size = len(data)
         self._data = data
-        self._left = len(data)
+        self._bytes_left = len(data)
 
     def unpack(self, layout: str, offset: int) -> tuple[Any, ...]:
         self.check(offset, struct.calcsize(layout))
@@ -31,7 +31,7 @@ class Bounded:
 
     def int32s(self, offset: int, count: int) -> tuple[int, ...]:
         if not 0 <= count <= self.size // 4:
-            raise ValueError(f"{self.what}: {count} numbers at {offset} are not there ({self.size} bytes)")
+            raise ValueError(f"{self.what}: {count} numbers at {offset} lie beyond the end ({self.size} bytes)")
         return self.unpack(f"<{count}i", offset)
 
     def take(self, offset: int, size: int) -> bytes:
@@ -42,14 +42,14 @@ class Bounded:
         try:
             return self.take(offset, size).decode(encoding)
         except UnicodeDecodeError:
-            raise ValueError(f"{self.what}: the {size} bytes at {offset} are no {encoding} text") from None
+            raise ValueError(f"{self.what}: the {size} bytes at {offset} are not {encoding} text") from None
 
     def check(self, offset: int, size: int) -> None:
         if offset < 0 or not 0 <= size <= self.size - offset:
             raise ValueError(f"{self.what}: {size} bytes at {offset} lie beyond the end ({self.size} bytes)")
 
     def spend(self, size: int, offset: int) -> None:
-        """Account for `size` bytes that are kept. Raises ValueError when they add up to more than there are."""
-        self._left -= size
-        if self._left < 0:
-            raise ValueError(f"{self.what}: what is at {offset} overlaps with what was read before")
+        """Count `size` more bytes as read. Raises ValueError when the sum exceeds the size of the data."""
+        self._bytes_left -= size
+        if self._bytes_left < 0:
+            raise ValueError(f"{self.what}: the data at {offset} overlaps with data that was read before")

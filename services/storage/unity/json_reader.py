@@ -1,6 +1,7 @@
-"""Reading the JSON form, for checks. Written from the format's description, not from the writer.
+"""Reader of Unity Addressables' JSON catalogue (ContentCatalogData), for updates and checks.
 
-Ids compressed with prefixes, which this program never writes, are refused.
+Written from the format's description, not from the writer. Refuses ids that are compressed with prefixes, which this
+program never writes.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from services.storage.unity.bounded import Bounded
+from services.storage.unity.bounded import BoundedReader
 from services.storage.unity.listing import BundleOptions, Listing, Location, TypeName
 
-_Data = str | BundleOptions | None
+_LocationData = str | BundleOptions | None
 _Key = str | int
 _T = TypeVar("_T")
 
@@ -23,20 +24,20 @@ _OPTIONS_CLASS = "AssetBundleRequestOptions"
 
 
 def read_json_catalogue(data: bytes) -> Listing:
-    """What a JSON catalogue says. Raises ValueError that names the faulty part, whatever the bytes are."""
-    document = _object("the catalogue", _parsed("the catalogue", data))
+    """Parse a JSON catalogue from untrusted bytes. Raises ValueError that names the faulty part."""
+    document = _object("the catalogue", _parse_json("the catalogue", data))
     if document.get("m_InternalIdPrefixes"):
-        raise ValueError("m_InternalIdPrefixes: compressed ids are not supported; build without them")
+        raise ValueError("m_InternalIdPrefixes: compressed ids are not supported; build the catalogue without them")
     keys, buckets = _keys_and_buckets(document)
     locations = _locations(document, keys, buckets)
     for indices in buckets:
         _check_indices(indices, len(locations))
-    named = {key: indices for key, indices in zip(keys, buckets, strict=True) if isinstance(key, str)}
-    return Listing(0, _string("m_LocatorId", document.get("m_LocatorId")), locations, named)
+    text_keys = {key: indices for key, indices in zip(keys, buckets, strict=True) if isinstance(key, str)}
+    return Listing(0, _string("m_LocatorId", document.get("m_LocatorId")), locations, text_keys)
 
 
 def _keys_and_buckets(document: Mapping[str, Any]) -> tuple[list[_Key], list[tuple[int, ...]]]:
-    table, texts = _blob(document, "m_BucketDataString"), _blob(document, "m_KeyDataString")
+    table, texts = _read_blob(document, "m_BucketDataString"), _read_blob(document, "m_KeyDataString")
     count = table.count(0)
     if texts.count(0) != count:
         raise ValueError(f"m_KeyDataString: {texts.count(0)} keys for {count} buckets")
@@ -49,26 +50,26 @@ def _keys_and_buckets(document: Mapping[str, Any]) -> tuple[list[_Key], list[tup
         buckets.append(table.int32s(at + 8, length))
         at += 8 + 4 * length
     if len(set(keys)) < len(keys):
-        raise ValueError("m_KeyDataString: a key stands there twice")
+        raise ValueError("m_KeyDataString: two keys are the same")
     return keys, buckets
 
 
 def _locations(document: Mapping[str, Any], keys: list[_Key], buckets: list[tuple[int, ...]]) -> tuple[Location, ...]:
     ids, providers = (_strings(document, name) for name in ("m_InternalIds", "m_ProviderIds"))
     types = [_type(each) for each in _list(document, "m_resourceTypes")]
-    table = _blob(document, "m_EntryDataString")
-    extra = _Extra(_blob(document, "m_ExtraDataString"))
+    table = _read_blob(document, "m_EntryDataString")
+    extra = _ExtraData(_read_blob(document, "m_ExtraDataString"))
     found = []
     for index in range(table.count(0)):
         row = table.unpack("<7i", 4 + 28 * index)
         id_index, provider, dependency_key, _, data_offset, primary_key, type_index = row
-        dependencies = () if dependency_key < 0 else _at("dependencies", buckets, dependency_key)
+        dependencies = () if dependency_key < 0 else _get_item("dependencies", buckets, dependency_key)
         found.append(
             Location(
-                str(_at("primary key", keys, primary_key)),
-                _at("id", ids, id_index),
-                _at("provider", providers, provider),
-                _at("type", types, type_index),
+                str(_get_item("primary key", keys, primary_key)),
+                _get_item("id", ids, id_index),
+                _get_item("provider", providers, provider),
+                _get_item("type", types, type_index),
                 None if data_offset < 0 else extra.at(data_offset),
                 dependencies,
             )
@@ -76,19 +77,19 @@ def _locations(document: Mapping[str, Any], keys: list[_Key], buckets: list[tupl
     return tuple(found)
 
 
-class _Extra:
-    """The locations' data. Those at the same place are the same object."""
+class _ExtraData:
+    """The locations' data, parsed once for each offset."""
 
-    def __init__(self, table: Bounded) -> None:
+    def __init__(self, table: BoundedReader) -> None:
         self._table = table
-        self._known: dict[int, _Data] = {}
+        self._known: dict[int, _LocationData] = {}
 
-    def at(self, offset: int) -> _Data:
+    def at(self, offset: int) -> _LocationData:
         if offset not in self._known:
             self._known[offset] = self._read(offset)
         return self._known[offset]
 
-    def _read(self, offset: int) -> _Data:
+    def _read(self, offset: int) -> _LocationData:
         (kind,) = self._table.unpack("<B", offset)
         if kind in (0, 1):
             return _text_key(self._table, offset, kind)
@@ -108,18 +109,18 @@ class _Extra:
         (length,) = self._table.unpack("<i", at)
         text = self._table.text(at + 4, length, "utf-16-le")
         self._table.spend(at + 4 + length - offset, offset)
-        return _bundle_options(_object("m_ExtraDataString", _parsed("m_ExtraDataString", text)))
+        return _bundle_options(_object("m_ExtraDataString", _parse_json("m_ExtraDataString", text)))
 
 
 def _bundle_options(fields: Mapping[str, Any]) -> BundleOptions:
     content_hash, name = (_string(field, fields.get(field, "")) for field in ("m_Hash", "m_BundleName"))
     crc, size = (fields.get(field, 0) for field in ("m_Crc", "m_BundleSize"))
     if type(crc) is not int or type(size) is not int:
-        raise ValueError("m_ExtraDataString: m_Crc or m_BundleSize is no whole number")
+        raise ValueError("m_ExtraDataString: m_Crc or m_BundleSize is not an integer")
     return BundleOptions(content_hash, crc, name, size)
 
 
-def _key(table: Bounded, offset: int) -> _Key:
+def _key(table: BoundedReader, offset: int) -> _Key:
     (kind,) = table.unpack("<B", offset)
     if kind in (0, 1):
         return _text_key(table, offset, kind)
@@ -129,7 +130,7 @@ def _key(table: Bounded, offset: int) -> _Key:
     return int(table.unpack(layout, offset + 1)[0])
 
 
-def _text_key(table: Bounded, offset: int, kind: int) -> str:
+def _text_key(table: BoundedReader, offset: int, kind: int) -> str:
     (length,) = table.unpack("<i", offset + 1)
     text = table.text(offset + 5, length, ("ascii", "utf-16-le")[kind])
     table.spend(5 + length, offset)
@@ -143,14 +144,14 @@ def _type(document: Any) -> TypeName:
     return TypeName("" if assembly in _CORE_LIBRARIES else assembly, name)
 
 
-def _blob(document: Mapping[str, Any], name: str) -> Bounded:
+def _read_blob(document: Mapping[str, Any], name: str) -> BoundedReader:
     try:
-        return Bounded(name, b64decode(_string(name, document.get(name)), validate=True))
+        return BoundedReader(name, b64decode(_string(name, document.get(name)), validate=True))
     except binascii.Error as fault:
         raise ValueError(f"{name} is no base64: {fault}") from None
 
 
-def _at(what: str, values: Sequence[_T], index: int) -> _T:
+def _get_item(what: str, values: Sequence[_T], index: int) -> _T:
     if not 0 <= index < len(values):
         raise ValueError(f"m_EntryDataString: {what} {index} of {len(values)}")
     return values[index]
@@ -167,29 +168,29 @@ def _strings(document: Mapping[str, Any], name: str) -> list[str]:
 
 def _string(name: str, value: Any) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"{name}: a {type(value).__name__} where a string should be")
+        raise ValueError(f"{name} is a {type(value).__name__}, not a string")
     try:
         value.encode()
-    except UnicodeEncodeError:  # JSON can spell half a surrogate pair, which nobody can print
-        raise ValueError(f"{name}: a string that is no Unicode text") from None
+    except UnicodeEncodeError:  # JSON can encode half a surrogate pair, which cannot be printed
+        raise ValueError(f"{name}: a string is not valid Unicode") from None
     return value
 
 
 def _list(document: Mapping[str, Any], name: str) -> list[Any]:
     value = document.get(name)
     if not isinstance(value, list):
-        raise ValueError(f"{name} is no list")
+        raise ValueError(f"{name} is not a list")
     return value
 
 
 def _object(name: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, dict):
-        raise ValueError(f"{name} is no JSON object")
+        raise ValueError(f"{name} is not a JSON object")
     return value
 
 
-def _parsed(what: str, text: bytes | str) -> Any:
+def _parse_json(what: str, text: bytes | str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as fault:
-        raise ValueError(f"{what} is no JSON: {fault}") from None
+        raise ValueError(f"{what} is not JSON: {fault}") from None

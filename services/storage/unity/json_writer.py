@@ -1,7 +1,7 @@
-"""The JSON form (ContentCatalogData), which Unity packages up to 1.29 read by default and later ones on request.
+"""Writer of Unity Addressables' JSON catalogue (ContentCatalogData): default of packages up to 1.29, optional later.
 
 Four tables of little-endian int32 in base64: keys as typed objects, a bucket of locations for each key, seven numbers
-for each location, and the locations' data. Strings and types stand beside them as JSON and are named by their index.
+for each location, and the locations' data. They refer to strings and types, which are JSON arrays, by index.
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ from services.storage.unity.listing import (
     assembly_name,
 )
 
-_ASCII, _UTF16, _INT32, _JSON = b"\0", b"\1", b"\4", b"\7"  # kinds of typed objects
+_ASCII, _UTF16, _INT32, _JSON = b"\0", b"\1", b"\4", b"\7"  # type codes of serialised objects
 _NONE = -1
-_encode = json.JSONEncoder(
-    ensure_ascii=False, separators=(",", ":")
-).encode  # made once, which takes longer than using it
+# Created once, because creating the encoder takes longer than using it.
+_encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
 _OPTIONS = _JSON + b"".join(
     bytes([len(name)]) + name.encode() for name in (assembly_name(BUNDLE_OPTIONS), BUNDLE_OPTIONS.name)
 )
@@ -38,7 +37,7 @@ _Buckets = list[tuple[str | int, tuple[int, ...]]]
 
 
 def json_catalogue(listing: Listing) -> bytes:
-    """The listing as UTF-8 JSON. Equal listings give equal bytes."""
+    """Serialise a listing as UTF-8 JSON. Equal listings give equal bytes."""
     providers = list(dict.fromkeys(location.provider for location in listing.locations))
     types = list(dict.fromkeys(location.type for location in listing.locations))
     buckets = _buckets(listing)
@@ -61,9 +60,10 @@ def json_catalogue(listing: Listing) -> bytes:
 
 
 def _buckets(listing: Listing) -> _Buckets:
-    """The keys, and for every set of several dependencies one more: a location can name only one key as its own.
+    """Return the keys with their locations, plus one extra key for each location with several dependencies.
 
-    These keys are numbers, as Unity's own were for years, so that no label can ever be one.
+    The extra key is needed because a location can name only one key for its dependencies. It is a number, as Unity's
+    own were for years, so that no label can collide with it.
     """
     sets = [(index, location.dependencies) for index, location in enumerate(listing.locations)]
     return [*listing.keys.items(), *(each for each in sets if len(each[1]) > 1)]
@@ -105,13 +105,16 @@ def _dependency_key(listing: Listing, index: int, key_index: dict[str | int, int
 
 
 def _dependency_hash(listing: Listing, location: Location) -> int:
-    """Unity groups loads by it, and early packages by nothing else; so it differs from asset to asset and version."""
+    """Return the hash of a location's dependencies, different for each asset and version.
+
+    Unity groups loads by it; early packages use nothing else.
+    """
     names = "\n".join(listing.locations[each].internal_id for each in location.dependencies)
     return zlib.crc32(names.encode()) - 2**31 if names else 0
 
 
 def _data_table(listing: Listing) -> tuple[bytes, list[int]]:
-    """The data of all locations one behind the other, and where each begins."""
+    """Concatenate the data of all locations, and return it with the offset of each."""
     table, offsets = bytearray(), []
     for location in listing.locations:
         offsets.append(_NONE if location.data is None else len(table))
@@ -123,7 +126,7 @@ def _data_table(listing: Listing) -> tuple[bytes, list[int]]:
 
 
 def _options(options: BundleOptions) -> bytes:
-    """Fields that are left out take Unity's defaults."""
+    """Serialise a file's load options. Unity uses its defaults for fields that are left out."""
     fields = {"m_Hash": options.hash, "m_Crc": options.crc, "m_BundleName": options.name, "m_BundleSize": options.size}
     text = _encode(fields).encode("utf-16-le")
     return _OPTIONS + struct.pack("<i", len(text)) + text

@@ -1,4 +1,4 @@
-"""A catalogue as Unity sees it: locations, each with a provider that loads it, and the keys that lead to them."""
+"""Content of a Unity Addressables catalogue: locations, each with the provider that loads it, and keys to find them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class TypeName:
-    """A .NET class. The assembly has its simple name, and none if it is the core library, which varies by runtime."""
+    """Name of a .NET class. assembly: its short name; "" for the core library, whose name depends on the runtime"""
 
     assembly: str
     name: str
@@ -16,7 +16,10 @@ class TypeName:
 
 @dataclass(frozen=True, slots=True)
 class BundleOptions:
-    """The part of Unity's AssetBundleRequestOptions that is in use: 32 hexadecimal digits, 0, a name, bytes."""
+    """The fields of Unity's AssetBundleRequestOptions that are used.
+
+    hash  32 hexadecimal digits; crc: 0; name: of the file; size: bytes
+    """
 
     hash: str
     crc: int
@@ -26,7 +29,7 @@ class BundleOptions:
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """One thing that Unity can load. Dependencies are indices into the listing's locations."""
+    """Something that Unity can load. Dependencies are indices into the listing's locations."""
 
     key: str
     internal_id: str
@@ -38,10 +41,10 @@ class Location:
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """Everything that a catalogue says.
+    """The whole content of a catalogue.
 
     form   0 for JSON, else the version of the binary form
-    keys   lead to indices of locations
+    keys   key -> indices of its locations
     """
 
     form: int
@@ -64,7 +67,7 @@ SCENE_PROVIDER = TypeName("Unity.ResourceManager", "UnityEngine.ResourceManageme
 
 
 def assembly_name(type_name: TypeName) -> str:
-    """The assembly's full name, which all but the newest form carry."""
+    """Return the assembly's full name, as all forms but v3 store it."""
     if not type_name.assembly:
         return "mscorlib, Version=4.0.0.0, Culture=neutral, PublicKeyToken=b77a5c561934e089"
     return f"{type_name.assembly}, Version=0.0.0.0, Culture=neutral, PublicKeyToken=null"

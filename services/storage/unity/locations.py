@@ -1,7 +1,7 @@
-"""From assets to the table of locations, and back.
+"""Convert assets to the table of locations of a Unity Addressables catalogue, and back.
 
 Every LOD file is a location that `GlbFileProvider` downloads; every asset is one that `GlbPrefabProvider` builds from
-its files. All four forms of a catalogue say the same, so this table is made once and each writer only lays it out.
+its files. All four forms of a catalogue have the same content: the table is made once, and each writer serialises it.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from services.storage.unity.listing import (
     Listing,
     Location,
 )
-from services.storage.unity.nouns import BASE_URL, LABEL_LIMIT, Asset, Catalogue, LodFile, check
+from services.storage.unity.nouns import BASE_URL, LABEL_LIMIT, Asset, Catalogue, LodFile, check_catalogue
 
 _PREFIX = "captures/"
-_HASH_DIGITS = 32  # Unity's Hash128; the whole SHA-256 is in the file's name
+_HASH_DIGITS = 32  # hex digits of Unity's Hash128; the whole SHA-256 is in the file's name
 _LEVEL = re.compile(r"lod([0-9]{1,9})")
 _VERSION = re.compile(r'\{"version":([0-9]{1,9})\}')  # nine digits: more versions than an asset ever has
 
 
-def locations(catalogue: Catalogue) -> Listing:
-    """The table for a catalogue: assets in the order of their keys, each behind its files, from the finest on.
+def build_listing(catalogue: Catalogue) -> Listing:
+    """Build the table of locations of a catalogue: assets sorted by key, each after its files, finest first.
 
-    Raises ValueError for what `check` refuses, and where a label or an asset takes the key of another location.
+    Raises ValueError for what `check_catalogue` refuses, and where a label or an asset has the key of another location.
     """
     found: list[Location] = []
     labelled: defaultdict[str, list[int]] = defaultdict(list)
-    for asset in sorted(check(catalogue).assets, key=lambda asset: asset.key):
+    for asset in sorted(check_catalogue(catalogue).assets, key=lambda asset: asset.key):
         files = sorted(asset.files, key=lambda file: file.level)
         first = len(found)
         found += [_file_location(asset, file, catalogue.base_url) for file in files]
@@ -45,7 +45,7 @@ def locations(catalogue: Catalogue) -> Listing:
     keys = _primary_keys(found)
     for label in sorted(labelled):
         if label in keys:
-            raise ValueError(f"the label {label!r} is the key of a location; choose another")
+            raise ValueError(f"the label {label!r} is also the key of a location; choose another label")
         keys[label] = tuple(labelled[label])
     return Listing(0, catalogue.locator_id, tuple(found), keys)
 
@@ -60,25 +60,26 @@ def _file_location(asset: Asset, file: LodFile, base_url: str) -> Location:
 def _prefab_location(asset: Asset, files: range) -> Location:
     key = f"{_PREFIX}{asset.key}"
     data = f'{{"version":{asset.version}}}'
-    # Addressables hands out what it has loaded under an id for as long as anybody holds it. So each version has its
-    # own; files have theirs by the hash in their names.
+    # Addressables returns the same loaded object for the same id as long as it is referenced. So each version needs an
+    # id of its own; files have one through the hash in their names.
     return Location(key, f"{key}@{asset.version}", PREFAB_PROVIDER.name, GAME_OBJECT, data, tuple(files))
 
 
 def _primary_keys(found: Sequence[Location]) -> dict[str, tuple[int, ...]]:
-    """The locations' own keys. Raises ValueError unless they and the ids are different.
+    """Map each location's key to its index. Raises ValueError unless all keys and all ids are unique.
 
-    A catalogue that spells a long key or id once and uses it for everything would unpack to thousands of times itself.
+    A hostile catalogue that stores one long key or id and uses it everywhere would unpack to thousands of times its
+    size.
     """
     for what, texts in (("key", [each.key for each in found]), ("id", [each.internal_id for each in found])):
         if len(set(texts)) < len(texts):
             twice = next(text for text, times in Counter(texts).items() if times > 1)
-            raise ValueError(f"two locations have the {what} {twice!r:.200}")
+            raise ValueError(f"two locations have the same {what}: {twice!r:.200}")
     return {location.key: (index,) for index, location in enumerate(found)}
 
 
-def assets(listing: Listing, *, base_url: str = BASE_URL) -> tuple[Asset, ...]:
-    """The assets that a listing was written for. Raises ValueError for one that this program cannot have written."""
+def parse_assets(listing: Listing, *, base_url: str = BASE_URL) -> tuple[Asset, ...]:
+    """Recover the assets from a listing. Raises ValueError for a listing that this program cannot have written."""
     _primary_keys(listing.locations)
     labels = _labels(listing)
     claimed: set[int] = set()
@@ -87,14 +88,16 @@ def assets(listing: Listing, *, base_url: str = BASE_URL) -> tuple[Asset, ...]:
         for index, location in enumerate(listing.locations)
         if location.provider == PREFAB_PROVIDER.name
     ]
-    # Whatever else could be wrong with it shows here: the same assets must give the same listing again.
-    if locations(Catalogue(listing.locator_id, tuple(found), base_url)) != replace(listing, form=0):
-        raise ValueError(f"catalogue {listing.locator_id!r:.200} is not one of ours, or its base URL is not {base_url}")
+    # The final check, which catches everything else: the assets must give the same listing again.
+    if build_listing(Catalogue(listing.locator_id, tuple(found), base_url)) != replace(listing, form=0):
+        raise ValueError(
+            f"catalogue {listing.locator_id!r:.200} was not written by capture2vr, or its base URL is not {base_url}"
+        )
     return tuple(found)
 
 
 def _labels(listing: Listing) -> dict[int, list[str]]:
-    """The labels of each asset's location; refused as soon as one leads to something else than assets."""
+    """Return the labels of each asset's location. Raises ValueError for a label of anything but an asset."""
     labels: defaultdict[int, list[str]] = defaultdict(list)
     for key, indices in listing.keys.items():
         if len(indices) == 1 and listing.locations[indices[0]].key == key:
@@ -120,7 +123,7 @@ def _file(location: Location, base_url: str) -> LodFile:
     options, url = location.data, location.internal_id.removeprefix(f"{base_url}/")
     level = _LEVEL.fullmatch(options.name) if isinstance(options, BundleOptions) else None
     if not isinstance(options, BundleOptions) or level is None:
-        raise ValueError(f"{location.key!r:.200} is no LOD file")
+        raise ValueError(f"{location.key!r:.200} is not a LOD file")
     return LodFile(int(level[1]), url, url.removesuffix(".glb")[-64:], options.size)
 
 

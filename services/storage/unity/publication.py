@@ -1,4 +1,4 @@
-"""Which files a collection's catalogues are, and in which order they go out."""
+"""The files of a collection's Unity catalogues: their object names, contents, and the order in which to write them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from services.storage.store import check_name
 from services.storage.unity.binary_writer import binary_catalogue
 from services.storage.unity.json_writer import json_catalogue
 from services.storage.unity.listing import Listing
+from services.storage.unity.locations import build_listing
 from services.storage.unity.nouns import Catalogue
-from services.storage.unity.plan import locations
 
 _WRITERS: dict[int, Callable[[Listing], bytes]] = {
     0: json_catalogue,
@@ -23,41 +23,42 @@ _WRITERS: dict[int, Callable[[Listing], bytes]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Names:
-    """Object names of one catalogue and of its hash; form is 0 for JSON, else the binary version."""
+class CatalogueNames:
+    """Object names of one catalogue and of its hash file. form: 0 for JSON, else the version of the binary form"""
 
     form: int
     catalogue: str
     hash: str
 
 
-def file_names(collection: str) -> tuple[Names, ...]:
-    """The four catalogues of a collection. Raises ValueError for a collection that no object can be named after.
+def catalogue_names(collection: str) -> tuple[CatalogueNames, ...]:
+    """Return the names of a collection's four catalogues. Raises ValueError for an invalid collection name.
 
-    Unity replaces a catalogue's extension by `.hash`, so each has a stem of its own: with a common hash, a change of
-    one form would make clients of the others load a catalogue again that did not change.
+    Each has a stem of its own, because Unity replaces the extension by `.hash`: with a common hash file, a change of
+    one form would make clients of the others download an unchanged catalogue again.
     """
     stems = {form: f"collections/{collection}/unity/catalog" + (f"_v{form}" if form else "") for form in _WRITERS}
     return tuple(
-        Names(form, check_name(stem + (".bin" if form else ".json")), f"{stem}.hash") for form, stem in stems.items()
+        CatalogueNames(form, check_name(stem + (".bin" if form else ".json")), f"{stem}.hash")
+        for form, stem in stems.items()
     )
 
 
 def catalogue_hash(data: bytes) -> bytes:
-    """What goes into a catalogue's `.hash`: Unity compares it with the one it has and loads anew when it differs."""
+    """Return the content of a catalogue's `.hash` file; Unity downloads the catalogue again when it has changed."""
     return hashlib.sha256(data).hexdigest()[:32].encode()
 
 
-def publication(catalogue: Catalogue, collection: str) -> list[tuple[str, bytes]]:
-    """Object names and contents in the order in which they must be put, after the GLB files that they refer to.
+def catalogue_files(catalogue: Catalogue, collection: str) -> list[tuple[str, bytes]]:
+    """Return object names and contents in the order in which to write them, after the GLB files that they refer to.
 
-    Each catalogue goes before its hash: a client that sees a new hash finds the new catalogue. If the writer dies
-    between the two, clients keep what they have, and the next run completes the work. Raises ValueError for assets
-    that Unity would misread.
+    Each catalogue comes before its hash: a client that sees a new hash finds the new catalogue. After a crash between
+    the two, clients keep the old catalogue, and the next run completes the work. Raises ValueError for assets that
+    Unity would misread.
     """
-    listing = locations(catalogue)
+    listing = build_listing(catalogue)
     files: list[tuple[str, bytes]] = []
-    for names in file_names(collection):
+    for names in catalogue_names(collection):
         data = _WRITERS[names.form](listing)
         files += (names.catalogue, data), (names.hash, catalogue_hash(data))
     return files

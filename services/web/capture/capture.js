@@ -1,8 +1,8 @@
 // /: choose, name, send, watch, see it turn, hand it to the headset.
 import { heading, mayHaveCompass, startCompass } from './compass.js';
-import { guide, noteHeading } from './guide.js';
-import { showUnseen, showUsed } from './used.js';
-import { Problem, followJob, getJson, keyFrom, postJson, uploadCapture } from './api.js';
+import { guide, noteHeading } from './guidance.js';
+import { showUnseen, showUsed } from './photo-verdicts.js';
+import { Problem, followJob, getJson, keyFrom, postJson, uploadCapture } from '../shared/api.js';
 
 const STAGES = [
   ['VALIDATING', 'Checking'],
@@ -240,7 +240,7 @@ async function showResult(now, published) {
   at('link').textContent = view;
   at('qr').src = `/v1/assets/${encodeURIComponent(now.asset_key)}/qr.svg`;
   // Only now: a phone that merely uploads never loads the 3D library.
-  const { turn } = await import('./turntable.js');
+  const { turn } = await import('./preview.js');
   const entry = await getJson(`/v1/assets/${encodeURIComponent(now.asset_key)}`);
   await showCertificate(entry);
   await turn(at('preview'), entry);

@@ -1,6 +1,6 @@
 // Guidance while photos are chosen: how many, which would do harm, and how far round the thing they go.
-import { change, isCopy } from './look.js';
-import { look } from './looking.js';
+import { change, isCopy } from './photo-quality.js';
+import { look } from './photo-quality-queue.js';
 
 const ADVISED = [15, 30]; // photos
 const FEWEST = 3; // that anything can be made of

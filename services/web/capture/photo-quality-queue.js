@@ -1,5 +1,5 @@
 // Photos are looked at in a worker, or beside the page where a browser cannot draw in one.
-import { lookAt } from './look.js';
+import { lookAt } from './photo-quality.js';
 
 const waiting = new Map(); // number of a question → what to do with its answer
 let asked = 0;
@@ -7,7 +7,7 @@ let worker = null;
 let mayWork = typeof Worker !== 'undefined' && typeof OffscreenCanvas !== 'undefined';
 let before = Promise.resolve();
 
-/** What look.js tells of a file, or null for one that this browser cannot show. */
+/** What photo-quality.js tells of a file, or null for one that this browser cannot show. */
 export function look(file) {
   if (!mayWork) return lookHere(file);
   worker ??= started();
@@ -18,7 +18,7 @@ export function look(file) {
 }
 
 function started() {
-  const made = new Worker('/web/looker.js', { type: 'module' });
+  const made = new Worker('/web/capture/photo-quality-worker.js', { type: 'module' });
   made.addEventListener('message', ({ data: { number, look: found } }) => {
     waiting.get(number)?.resolve(found);
     waiting.delete(number);

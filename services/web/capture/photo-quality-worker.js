@@ -1,5 +1,5 @@
 // The worker that looks at photos, one at a time, so that a person can go on while it does.
-import { lookAt } from './look.js';
+import { lookAt } from './photo-quality.js';
 
 let before = Promise.resolve(); // a decoded photo takes 50 MB: never two
 

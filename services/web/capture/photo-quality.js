@@ -1,5 +1,5 @@
 // What a photo is worth, seen on a small copy of it. The measures and limits are those of the worker, which leaves out
-// what the page warns of (services/edge/photos/screen.py); only too much light is judged here alone.
+// what the page warns of (services/edge/photos/screening.py); only too much light is judged here alone.
 
 const LONGEST = 480; // pixels of the copy that is judged
 const THUMBNAIL = 96; // pixels of the picture in the list

@@ -1,7 +1,7 @@
 // A small preview that turns by itself and by hand.
-import { OrbitControls } from './three-0.187.0.orbit-controls.js';
-import { Model } from './model.js';
-import { frame, makeStage } from './stage.js';
+import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
+import { Model } from '../graphics/model.js';
+import { frame, makeStage } from '../graphics/scene.js';
 
 const TURN_S = 15;
 let stage = null; // a page has one preview, and browsers ration WebGL contexts

@@ -1,6 +1,6 @@
 // One thing on the page of a collection: its picture, name, labels and state, and a box to choose it by.
-import { manifestOf } from './catalogue.js';
-import { bytesOf } from './vault.js';
+import { manifestOf } from '../shared/signed-catalogue.js';
+import { bytesOf } from '../shared/verified-cache.js';
 
 const PICTURES = ['thumbnail.webp', 'preview.png']; // the first that there is
 const TURNING = 'turning.webp';

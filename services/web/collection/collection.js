@@ -1,8 +1,8 @@
 // /browse/{name}: the pictures of all things of a collection, a page at a time, to search, to open, and to choose from.
 import { cardOf } from './card.js';
-import { newest, rowsOf } from './catalogue.js';
-import { keepShell } from './offline.js';
-import { counted } from './words.js';
+import { newest, rowsOf } from '../shared/signed-catalogue.js';
+import { keepShell } from '../shared/register-service-worker.js';
+import { counted } from '../shared/messages.js';
 
 const PER_PAGE = 48; // divides into rows of 2, 3, 4 and 6
 const MOST = 24; // things in one scene, as the viewer has it

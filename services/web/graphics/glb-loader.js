@@ -1,9 +1,9 @@
 // From a file's bytes to something that can be drawn without holding up the page: meshes are unpacked by workers and pictures
 // by the browser, the coarsest levels first, and the finer ones whenever the page has nothing else to do.
 import { ktx2 } from './ktx2.js';
-import { GLTFLoader } from './three-0.187.0.gltf-loader.js';
-import { MeshoptDecoder } from './three-0.187.0.meshopt-decoder.js';
-import { bytesOf } from './vault.js';
+import { GLTFLoader } from '../vendor/three-0.187.0.gltf-loader.js';
+import { MeshoptDecoder } from '../vendor/three-0.187.0.meshopt-decoder.js';
+import { bytesOf } from '../shared/verified-cache.js';
 
 const WORKERS = 2; // a headset has few cores to spare
 const AT_ONCE = 2; // one comes over the network while another is unpacked

@@ -1,5 +1,5 @@
 // Getting the graphics card ready for something before it is drawn, so that no frame has to wait for it.
-import * as THREE from './three-0.187.0.module.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
 
 const FENCE_MS = 2000; // a card that has not come by then is drawn on all the same
 const FENCE_POLL_MS = 8;

@@ -1,6 +1,6 @@
 // Beside the page: KTX2 pictures into blocks that a graphics card knows, with all their mips. Basis Universal's wrapper makes functions
 // out of text, which the page's security policy forbids; this file comes with a policy of its own, which allows just that.
-importScripts('./three-0.187.0.basis-transcoder.js');
+importScripts('../vendor/three-0.187.0.basis-transcoder.js');
 
 let basis = null;
 

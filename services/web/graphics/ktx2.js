@@ -1,12 +1,12 @@
 // Pictures that stay packed on the graphics card (KTX2 by Basis Universal): workers turn them into what this card knows. What they
 // need is half a megabyte, and is loaded once a file asks for it.
-import * as THREE from './three-0.187.0.module.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
 
 const WORKERS = 2; // as for meshes
 const ASKED = 'KHR_texture_basisu';
 const WORKER = new URL('./ktx2-worker.js', import.meta.url);
-const WRAPPER = new URL('./three-0.187.0.basis-transcoder.js', import.meta.url);
-const TRANSCODER = new URL('./three-0.187.0.basis-transcoder.wasm', import.meta.url);
+const WRAPPER = new URL('../vendor/three-0.187.0.basis-transcoder.js', import.meta.url);
+const TRANSCODER = new URL('../vendor/three-0.187.0.basis-transcoder.wasm', import.meta.url);
 
 // What cards know, by WebGL's name, the transcoder's and three's. BC7 comes first: drivers that tell of it and of ETC too mostly
 // unpack ETC themselves, into four times the memory.
@@ -44,7 +44,7 @@ export function ktx2(renderer) {
 async function hired() {
   try {
     // The page itself asks for all three files, though its workers need them: what it has loaded is kept for visits without
-    // a server (offline.js). Compiled once, for all workers.
+    // a server (register-service-worker.js). Compiled once, for all workers.
     const [module] = await Promise.all([WebAssembly.compileStreaming(fetch(TRANSCODER)), fetch(WRAPPER), fetch(WORKER)]);
     return await Promise.all(Array.from({ length: WORKERS }, () => started(module)));
   } catch (error) {

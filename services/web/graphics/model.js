@@ -1,7 +1,7 @@
 // One version of an asset: its levels of detail as they come, the one that is shown, and the memory of those that are not.
-import * as THREE from './three-0.187.0.module.js';
-import { decoded } from './decode.js';
-import { dispose } from './stage.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { decoded } from './glb-loader.js';
+import { dispose } from './scene.js';
 
 const RETRY_MS = 2000; // doubles from try to try
 const RETRY_MOST_MS = 60_000;

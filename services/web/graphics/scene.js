@@ -1,5 +1,5 @@
 // What both pages draw on: a renderer, light, a camera that sees the whole of a thing, and freeing memory.
-import * as THREE from './three-0.187.0.module.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
 
 /** A renderer, a scene with soft light, and a camera that fit `canvas`. */
 export function makeStage(canvas) {

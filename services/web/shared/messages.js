@@ -78,7 +78,7 @@ export function showQuickLook(entry) {
   link.hidden = !file || !link.relList.supports?.('ar');
   if (link.hidden || link.href === file.url) return;
   link.href = file.url;
-  link.querySelector('img').src = entry.preview?.url || '/web/icon.svg';
+  link.querySelector('img').src = entry.preview?.url || '/web/shared/icon.svg';
 }
 
 /** A sentence for a while, or until the next one. */

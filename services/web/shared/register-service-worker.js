@@ -6,7 +6,7 @@ export async function keepShell() {
   if (!navigator.serviceWorker) return;
   const first = !navigator.serviceWorker.controller;
   try {
-    await navigator.serviceWorker.register('/web/sw.js', { scope: '/' });
+    await navigator.serviceWorker.register('/web/shared/service-worker.js', { scope: '/' });
     const { active } = await navigator.serviceWorker.ready;
     if (!first) return;
     await new Promise((resolve) => setTimeout(resolve, SETTLED_MS));

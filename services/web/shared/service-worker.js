@@ -1,6 +1,6 @@
 // The service worker: pages, modules and catalogue entries as they were last, for when the server cannot be reached.
 // The network comes first, so that nobody sees an old version while there is a new one; modules that name their version
-// come from the device. Files of assets are not its business: vault.js keeps them by their hash.
+// come from the device. Files of assets are not its business: verified-cache.js keeps them by their hash.
 const NAME = 'shell-1';
 const VERSIONED = /-\d+\.\d+\.\d+\./;
 const ENTRY = /^\/v1\/(assets\/[^/]+|collections\/[^/]+|keys)$/;

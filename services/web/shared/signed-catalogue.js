@@ -1,7 +1,7 @@
 // What a server says of its assets, checked against the signed collection: docs/catalogues.md has the chain from one
 // signature down to the last file. Where a server signs nothing, it is believed as it is.
 import { getJson, Problem } from './api.js';
-import { bytesOf } from './vault.js';
+import { bytesOf } from './verified-cache.js';
 
 const KEYS = 'capture2vr:keys';
 const SEEN = 'capture2vr:seen:';

@@ -1,7 +1,7 @@
 // Moving things on the page: by mouse, by one finger or two, and by keys. Off, the same gestures move the camera.
-import * as THREE from './three-0.187.0.module.js';
-import { met } from './pick.js';
-import { SCALES } from './placement.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { met } from './hit-test.js';
+import { SCALES } from './saved-placement.js';
 
 const STEP_M = 0.05;
 const TURN = Math.PI / 12;

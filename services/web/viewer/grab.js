@@ -1,6 +1,6 @@
 // What hands do to the things that they hold: one hand carries and turns, two hands also scale. Pointers are hands too.
-import * as THREE from './three-0.187.0.module.js';
-import { SCALES } from './placement.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { SCALES } from './saved-placement.js';
 
 const APART_M = 0.02; // two hands that touch would scale by the noise of tracking
 

@@ -1,5 +1,5 @@
 // Which thing a hand or a ray means.
-import * as THREE from './three-0.187.0.module.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
 
 const REACH_M = 0.06; // a hand this near to a thing's box takes it without pointing
 

@@ -1,6 +1,6 @@
 // Each frame: which level of detail each thing gets, and whether there is anything new to draw.
-import * as THREE from './three-0.187.0.module.js';
-import { planned } from './plan.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { planned } from './layout-and-lod.js';
 
 const SCENE_TRIANGLES = 1_000_000; // what a Quest 3 draws in time with room to spare; every thing is one draw call
 const STILL_MS = 300; // after the last change: what was handed to the card comes with the next frame

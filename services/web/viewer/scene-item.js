@@ -1,8 +1,8 @@
 // One thing in a scene: where it stands, what is shown there, and how far away it is. Versions come and go; the place stays.
-import * as THREE from './three-0.187.0.module.js';
-import { forget, remember, remembered } from './placement.js';
-import { Model } from './model.js';
-import { dispose } from './stage.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { forget, remember, remembered } from './saved-placement.js';
+import { Model } from '../graphics/model.js';
+import { dispose } from '../graphics/scene.js';
 
 const HALF_VIEW = Math.tan(Math.PI / 8); // half the height of a view of 45 degrees, one metre ahead
 const NEAR_M = 0.01; // whoever stands inside a thing sees all of it

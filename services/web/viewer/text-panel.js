@@ -1,10 +1,10 @@
 // A few words that stand in the room: a page's text does not reach into a headset.
-import * as THREE from './three-0.187.0.module.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
 
 const [WIDTH_PX, LINE_PX] = [1024, 64];
 const WIDTH_M = 0.9;
 
-/** A sign of these lines, as a mesh that faces +Z; `dispose` of stage.js frees it. */
+/** A sign of these lines, as a mesh that faces +Z; `dispose` of scene.js frees it. */
 export function signOf(lines) {
   const canvas = document.createElement('canvas');
   [canvas.width, canvas.height] = [WIDTH_PX, LINE_PX * (lines.length + 1)];

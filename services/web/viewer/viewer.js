@@ -1,19 +1,19 @@
 // /view/{key} and /view?key=a&key=b: things on a screen or in a headset, side by side where there are several.
-import * as THREE from './three-0.187.0.module.js';
-import { OrbitControls } from './three-0.187.0.orbit-controls.js';
-import { getJson } from './api.js';
-import { makeArranger } from './arrange.js';
-import { checked } from './catalogue.js';
-import { drawing } from './drawing.js';
-import { makeGrasp } from './grasp.js';
-import { makeHands } from './hands.js';
-import { offerSessions } from './headset.js';
-import { keepShell } from './offline.js';
-import { Piece } from './piece.js';
-import { sideBySide } from './plan.js';
-import { breath, prepare } from './prepare.js';
-import { frame, hintsOf, makeStage } from './stage.js';
-import { caption, notice, showQuickLook, showThings, tell } from './words.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
+import { getJson } from '../shared/api.js';
+import { makeArranger } from './drag.js';
+import { checked } from '../shared/signed-catalogue.js';
+import { drawing } from './render-loop.js';
+import { makeGrasp } from './grab.js';
+import { makeHands } from './xr-input.js';
+import { offerSessions } from './xr-session.js';
+import { keepShell } from '../shared/register-service-worker.js';
+import { Piece } from './scene-item.js';
+import { sideBySide } from './layout-and-lod.js';
+import { breath, prepare } from '../graphics/gpu-warmup.js';
+import { frame, hintsOf, makeStage } from '../graphics/scene.js';
+import { caption, notice, showQuickLook, showThings, tell } from '../shared/messages.js';
 
 const POLL_MS = 3000; // while a refined version may come
 const CALM_MS = 15_000; // once everything is refined

@@ -1,6 +1,6 @@
 // Controllers and hands in the headset: what they look like, what they take hold of, and what their buttons do.
-import * as THREE from './three-0.187.0.module.js';
-import { met, metBox, within } from './pick.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { met, metBox, within } from './hit-test.js';
 
 const RAY_M = 2; // of a ray that meets nothing
 const RESET_MS = 1500; // a pinch or trigger held on nothing: longer than anyone searches for a thing
@@ -15,7 +15,7 @@ const INK = 0xdfe5f0; // of rays and hands: seen against the floor and against a
 
 /**
  * Two inputs in the scene. Returns {tick(seconds), letGo()}; tick is called in each frame of a session.
- * pieces(): what there is to take; grasp: of grasp.js; onReset(): asked for by B, by Y, or by a long pinch on nothing;
+ * pieces(): what there is to take; grasp: of grab.js; onReset(): asked for by B, by Y, or by a long pinch on nothing;
  * ownHands(): whether the wearer's hands must be drawn, because passthrough does not show them.
  */
 export function makeHands(renderer, scene, { pieces, grasp, onReset, ownHands }) {

@@ -1,7 +1,7 @@
 // The session in a headset: two buttons that begin it, VR and passthrough, and where the scene stands in the room.
-import * as THREE from './three-0.187.0.module.js';
-import { dispose } from './stage.js';
-import { signOf } from './sign.js';
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { dispose } from '../graphics/scene.js';
+import { signOf } from './text-panel.js';
 
 const AHEAD_M = 1.5; // arm's length and a step: the whole of a person-sized thing is in view
 const EYE_SHARE = 0.75; // small things are lifted so that their middle is at this share of the eyes' height

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.edge.appearance import packed, textured
 from services.edge.arrays import no_tick
-from services.edge.asset import Subject
+from services.edge.asset.levels import add_textures, pack_glb
+from services.edge.asset.manifest import AssetSubject
+from services.edge.asset.target import TARGETS, Target
 from services.edge.capture.nouns import Intrinsics
-from services.edge.mesh import Mesh, Textured, texture
-from services.edge.mesh.unwrap import UnwrapError
-from services.edge.points import Points
-from services.edge.points.nouns import Shot
-from services.edge.target import TARGETS, Target
-from tests import surfaces
-from tests.edge.glb_reader import Glb
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.points.nouns import Points, TextureView
+from services.edge.texture import texture_mesh
+from services.edge.texture.unwrap import UnwrapError
+from tests.referees.glb_reader import Glb
+from tests.support import surfaces
 
 SIDE = 400  # pixels of the picture
 
@@ -35,14 +35,14 @@ def sheet() -> Mesh:
     return Mesh(2 * made.vertices + np.array([1, 1, 0]), made.faces)
 
 
-def points(count: int, *, coloured: bool = True, shots: tuple[Shot, ...] = ()) -> Points:
+def points(count: int, *, coloured: bool = True, views: tuple[TextureView, ...] = ()) -> Points:
     xyz = np.random.default_rng(0).uniform(0, 2, (count, 3)) * [1, 1, 0]
     return Points(
-        xyz, print_of(xyz) if coloured else None, np.ones(count, np.float32), 0.5, "metric", None, shots=shots
+        xyz, print_of(xyz) if coloured else None, np.ones(count, np.float32), 0.5, "metric", None, texture_views=views
     )
 
 
-def shot() -> Shot:
+def shot() -> TextureView:
     """From 2.4 units above the sheet's middle, looking down: its picture covers it, and 0.2 around it."""
     at = (np.arange(SIDE) + 0.5) / SIDE * 2.4 - 0.2
     x, y = np.meshgrid(at, 2 - at)
@@ -50,7 +50,7 @@ def shot() -> Shot:
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = 1, 1, 2.4
     camera = Intrinsics(SIDE, SIDE, SIDE / 2 - 0.5, SIDE / 2 - 0.5, SIDE, SIDE)
-    return Shot(camera.scaled_to(100, 100), pose, lambda: rgb, lambda: np.full((100, 100), 2.4, np.float32))
+    return TextureView(camera.scaled_to(100, 100), pose, lambda: rgb, lambda: np.full((100, 100), 2.4, np.float32))
 
 
 def to_asset() -> np.ndarray:
@@ -61,19 +61,19 @@ def to_asset() -> np.ndarray:
     return placed
 
 
-def asset_of(known: Points, target: Target = TARGETS["quest3"]) -> tuple[Mesh | Textured, tuple[str, ...]]:
+def asset_of(known: Points, target: Target = TARGETS["quest3"]) -> tuple[Mesh | TexturedMesh, tuple[str, ...]]:
     """The only level, and what is said of it."""
     unasked: Any = None
-    subject = Subject(unasked, unasked, "", "", target, known, known, unasked, known.xyz, unasked)
+    subject = AssetSubject(unasked, unasked, "", "", target, known, known, unasked, known.xyz, unasked)
     mesh, placed = sheet(), to_asset()
     level = Mesh(mesh.vertices @ placed[:3, :3].T + placed[:3, 3], mesh.faces, print_of(mesh.vertices))
-    (asset,), warnings = textured([level], placed, subject, no_tick)
+    (asset,), warnings = add_textures([level], placed, subject, None, no_tick)
     return asset, warnings
 
 
-def share_right(asset: Mesh | Textured) -> float:
+def share_right(asset: Mesh | TexturedMesh) -> float:
     """Of the texels at the vertices, off the lines of the print."""
-    assert isinstance(asset, Textured)
+    assert isinstance(asset, TexturedMesh)
     picture = np.asarray(Image.open(io.BytesIO(asset.jpeg))).astype(int)
     at = np.floor(asset.uv * asset.side).astype(int).clip(0, asset.side - 1)
     capture = np.linalg.inv(to_asset())
@@ -90,28 +90,28 @@ def test_points_colour_a_texture_in_the_asset_frame() -> None:
 
 
 def test_pictures_colour_it_where_the_points_are_few() -> None:
-    known = points(150, shots=(shot(),))  # for 81 vertices
+    known = points(150, views=(shot(),))  # for 81 vertices
     asset, _ = asset_of(known)
     assert share_right(asset) == 1
-    assert isinstance(asset, Textured)
+    assert isinstance(asset, TexturedMesh)
     assert asset.side == 1024  # 111,000 pixels lie on it
-    assert isinstance(asset_of(replace(known, shots=()))[0], Mesh)
+    assert isinstance(asset_of(replace(known, texture_views=()))[0], Mesh)
 
 
 @pytest.mark.parametrize(("name", "most"), [("quest2", 1024), ("web", 1024)])
 def test_no_texture_is_larger_than_its_target_allows(name: str, most: int) -> None:
     fine = replace(shot(), load_rgb=lambda: np.zeros((4 * SIDE, 4 * SIDE, 3), np.uint8))
-    asset, _ = asset_of(points(200, shots=(fine,)), replace(TARGETS[name], last_bytes=0))
-    assert isinstance(asset, Textured)
+    asset, _ = asset_of(points(200, views=(fine,)), replace(TARGETS[name], last_bytes=0))
+    assert isinstance(asset, TexturedMesh)
     assert asset.side == most
 
 
 def test_the_last_level_keeps_within_its_bytes() -> None:
     small = replace(TARGETS["quest3"], last_bytes=20_000)
-    asset, _ = asset_of(points(200, shots=(shot(),)), small)
-    assert isinstance(asset, Textured)
+    asset, _ = asset_of(points(200, views=(shot(),)), small)
+    assert isinstance(asset, TexturedMesh)
     assert asset.side < 1024
-    assert len(packed(asset, small)) <= 20_000
+    assert len(pack_glb(asset, small)) <= 20_000
 
 
 def test_without_colours_or_for_other_programs_there_is_no_texture() -> None:
@@ -121,16 +121,16 @@ def test_without_colours_or_for_other_programs_there_is_no_texture() -> None:
 
 def test_a_target_may_ask_for_colours_as_they_were_captured() -> None:
     asset, _ = asset_of(points(20_000))
-    unlit = Glb.of(packed(asset, replace(TARGETS["quest3"], unlit=True)))
+    unlit = Glb.of(pack_glb(asset, replace(TARGETS["quest3"], unlit=True)))
     assert "KHR_materials_unlit" in unlit.document["extensionsUsed"]
-    assert "KHR_materials_unlit" not in Glb.of(packed(asset, TARGETS["quest3"])).document["extensionsUsed"]
+    assert "KHR_materials_unlit" not in Glb.of(pack_glb(asset, TARGETS["quest3"])).document["extensionsUsed"]
 
 
 def test_a_texture_that_cannot_be_made_costs_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise UnwrapError("xatlas ended with status -11")
 
-    monkeypatch.setattr(texture, "unwrap", fail)
+    monkeypatch.setattr(texture_mesh, "unwrap", fail)
     asset, (warning,) = asset_of(points(20_000))
     assert isinstance(asset, Mesh)
     assert asset.rgb is not None

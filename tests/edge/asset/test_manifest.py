@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from services.edge.asset import asset_frame, rotation_between
-from services.edge.points import Points
+from services.edge.asset.manifest import asset_frame, rotation_between
+from services.edge.points.nouns import Points
 
 directions = (
     arrays(np.float64, 3, elements=st.floats(-1, 1))

@@ -14,13 +14,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.capture import read_capture
+from services.edge.capture.detect import read_capture
 from services.edge.capture.images import MAX_PIXELS, header_size
 from services.edge.errors import CaptureError
-from tests.edge import captures
+from tests.support import captures
 
 XYZ, RGB, NORMALS = captures.sphere()
 LINE = np.outer(np.linspace(0, 1, 300), [1.0, 2.0, 3.0]).astype(np.float32)
@@ -391,7 +391,7 @@ def lose_one(frame: dict) -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "says"),
-    [(spoil_one, "images/2.jpg: has a pose that mirrors"), (lose_one, "1 images missing: images/gone.jpg")],
+    [(spoil_one, "images/2.jpg: has a camera pose that is mirrored"), (lose_one, "1 images missing: images/gone.jpg")],
 )
 def test_one_bad_photo_among_posed_ones_is_a_warning(spoil: Callable[[dict], None], says: str, tmp_path: Path) -> None:
     folder = captures.write_nerfstudio(tmp_path)
@@ -478,7 +478,7 @@ def reads_or_names(folder: Path) -> None:
 
 
 @given(data=st.data(), kind=st.sampled_from(sorted(VALID)))
-@settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=250)
 def test_damaged_clouds_are_read_or_named(data: st.DataObject, kind: str) -> None:
     """Truncations, overwritten bytes, and inserted bytes of valid files raise nothing but CaptureError."""
     valid = VALID[kind]
@@ -494,7 +494,7 @@ def test_damaged_clouds_are_read_or_named(data: st.DataObject, kind: str) -> Non
 @given(
     data=st.binary(max_size=400), magic=st.sampled_from([b"", b"ply\n", b"LASF", b"glTF", b"\x93NUMPY", b"OFF\n", b"{"])
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_random_bytes_are_named(data: bytes, magic: bytes) -> None:
     with TemporaryDirectory() as folder:
         (Path(folder) / "scan").write_bytes(magic + data)

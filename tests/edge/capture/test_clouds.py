@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.edge.capture import read_capture
+from services.edge.capture.detect import read_capture
 from services.edge.capture.pcd import lzf_decompress
-from services.edge.capture.surface import SAMPLES
+from services.edge.capture.sample_surface import SAMPLES
 from services.edge.capture.tables import MAX_POINTS
-from tests.edge import captures
+from services.edge.errors import Cancelled
+from tests.support import captures
+from tests.support.patience import CANCEL_S
 
 XYZ, RGB, NORMALS = captures.sphere()
 
@@ -72,6 +76,21 @@ def test_las_is_z_up_and_keeps_its_colours(suffix: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(capture.cloud.rgb, RGB)
 
 
+def test_a_cancel_is_heard_while_a_laz_is_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    captures.save_las(tmp_path / "scan.laz", XYZ, RGB)
+    (tmp_path / "scratch").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+
+    def cancel(_: float) -> None:
+        raise Cancelled
+
+    began = time.monotonic()
+    with pytest.raises(Cancelled):
+        read_capture(tmp_path / "scan.laz", tick=cancel)
+    assert time.monotonic() - began < CANCEL_S
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
 def test_georeferenced_las_is_moved_near_the_origin(tmp_path: Path) -> None:
     far = np.array([691_000.0, 5_336_000.0, 500.0])
     captures.save_las(tmp_path / "utm.las", XYZ + far, RGB)
@@ -104,7 +123,6 @@ def test_a_few_bad_points_are_dropped_with_a_warning(tmp_path: Path) -> None:
 
 
 @given(data=st.binary(max_size=600) | st.lists(st.sampled_from([b"abc", b"abcabcabc", b"\0" * 300])).map(b"".join))
-@settings(deadline=None)
 def test_lzf_round_trip(data: bytes) -> None:
     assert lzf_decompress(captures.lzf_compress(data), len(data)) == data
 
@@ -161,6 +179,23 @@ def test_quads_and_triangles_mix_in_one_ply(tmp_path: Path) -> None:
     assert cloud is not None
     assert np.mean(cloud.xyz[:, 0] > 2) == pytest.approx(0.2, abs=0.01)
     assert np.mean(cloud.xyz[:, 0] < 1) == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize("strips", [2, 0])
+def test_lists_between_vertices_and_faces_are_skipped(tmp_path: Path, strips: int) -> None:
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty double x\nproperty double y\n"
+        f"property double z\nelement tristrips {strips}\nproperty list int int vertex_indices\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float64)
+    between = b"".join(np.array([length, *range(length)], "<i4").tobytes() for length in (3, 2)[:strips])
+    face = b"\3" + np.array([0, 1, 2], "<i4").tobytes()
+    (tmp_path / "strips.ply").write_bytes(head.encode() + corners.tobytes() + between + face)
+    cloud = read_capture(tmp_path / "strips.ply").cloud
+    assert cloud is not None
+    assert len(cloud.xyz) > 1_000, "points on the triangle, not its three corners"
+    assert (cloud.xyz[:, :2].sum(axis=1) <= 1 + 1e-9).all()
 
 
 def test_a_texture_colours_the_points_of_its_surface(tmp_path: Path) -> None:

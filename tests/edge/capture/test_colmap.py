@@ -18,7 +18,7 @@ from services.edge.capture import colmap
 from services.edge.capture.files import open_folder
 from services.edge.capture.nouns import Capture
 from services.edge.errors import CaptureError
-from tests.edge import captures
+from tests.support import captures
 
 FX, FY, CX, CY = captures.colour_camera()
 WIDTH, HEIGHT = captures.WIDTH * captures.COLOUR_SCALE, captures.HEIGHT * captures.COLOUR_SCALE
@@ -289,7 +289,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {form: write(tmp_path_factory.mktemp(form), form) for form in FORMS}
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(form=st.sampled_from(FORMS), file=st.sampled_from(["cameras", "images"]), data=st.data())
 def test_broken_bytes_are_an_answer(project: dict[str, Path], form: str, file: str, data: st.DataObject) -> None:
     path = next(project[form].glob(f"{file}.*"))

@@ -20,14 +20,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.edge.capture import read_capture, streams, viewing
-from services.edge.capture.keyframes import MOST, STILL, Follower, Look, key_frames
+from services.edge.capture import film_scan, video_streams
+from services.edge.capture.detect import read_capture
+from services.edge.capture.keyframes import MAX_KEY_FRAMES, MIN_PATH, PathTracker, ScannedFrame, key_frames
 from services.edge.capture.nouns import Capture, Photo
 from services.edge.capture.video import VideoFrames
 from services.edge.errors import Cancelled, CaptureError
-from services.edge.photos.align import align
-from services.edge.photos.screen import screen
-from tests.edge.walkaround import render_walkaround
+from services.edge.photos.screening import screen
+from services.edge.photos.structure_from_motion import align
+from tests.support.walkaround import render_walkaround
 
 WIDTH, HEIGHT, RATE = 320, 240, 30
 STEP = 6  # pixels from picture to picture: 0.019 of the width, 60 pictures are a way of 1.1
@@ -201,8 +202,8 @@ def scratched(path: Path, keep: float) -> None:
     [
         ("H.264, index first", cut, "is damaged at 1."),
         ("H.264 in pieces", cut, "is damaged at 1."),
-        ("Matroska", cut, "breaks off at 1."),
-        ("VP9", cut, "breaks off at 1."),
+        ("Matroska", cut, "is cut off at 1."),
+        ("VP9", cut, "is cut off at 1."),
         ("H.264, index first", scratched, "is damaged at 1."),
     ],
 )
@@ -245,10 +246,8 @@ STILLS: dict[str, Callable[[], list[np.ndarray]]] = {
 @pytest.mark.parametrize("still", STILLS)
 def test_nothing_that_moves_has_its_name(still: str, tmp_path: Path) -> None:
     path = encode(tmp_path / "a.mp4", STILLS[still](), group=60)
-    began = time.monotonic()
     with pytest.raises(CaptureError, match=r"in (20|8) s hardly anything moves") as caught:
         read_capture(path)
-    assert time.monotonic() - began < 20
     assert (caught.value.code, caught.value.file) == ("CAPTURE_LOW_OVERLAP", "a.mp4")
     assert "walk around the thing" in caught.value.hints[0]
 
@@ -275,28 +274,29 @@ WAYS = st.lists(st.floats(0, 0.05), min_size=1, max_size=300)
 
 @given(steps=WAYS, blur=st.lists(st.floats(0, 1), min_size=300, max_size=300))
 def test_key_frames_are_few_in_order_and_spread(steps: list[float], blur: list[float]) -> None:
-    looks = [Look(at, *pair) for at, pair in enumerate(zip(blur, np.cumsum(steps).tolist(), strict=False))]
-    chosen = key_frames(looks)
-    stamps = [look.stamp for look in chosen]
+    frames = [ScannedFrame(at, *pair) for at, pair in enumerate(zip(blur, np.cumsum(steps).tolist(), strict=False))]
+    chosen = key_frames(frames)
+    stamps = [frame.stamp for frame in chosen]
     assert stamps == sorted(set(stamps))
-    assert len(chosen) <= MOST
-    assert bool(chosen) == (looks[-1].way >= STILL)
+    assert len(chosen) <= MAX_KEY_FRAMES
+    length = frames[-1].path
+    assert bool(chosen) == (length >= MIN_PATH)
     if chosen:
-        stretch = looks[-1].way / min(MOST, max(16, round(looks[-1].way / 0.05)))
+        stretch = length / min(MAX_KEY_FRAMES, max(16, round(length / 0.05)))
         widest = max(steps)
-        ways = [look.way for look in chosen]
-        assert max(np.diff(ways), default=0) <= 1.6 * stretch + 2 * widest + 1e-9
-        assert ways[0] <= stretch + widest
-        assert ways[-1] >= looks[-1].way - stretch - widest
+        paths = [frame.path for frame in chosen]
+        assert max(np.diff(paths), default=0) <= 1.6 * stretch + 2 * widest + 1e-9
+        assert paths[0] <= stretch + widest
+        assert paths[-1] >= length - stretch - widest
 
 
 @pytest.mark.parametrize("speed", [1, 3, 8])
-def test_the_way_is_what_the_camera_went(speed: int) -> None:
-    follower = Follower()
-    ways = [follower.follow(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)) for rgb in VIEWS[::speed]]
-    went = (len(ways) - 1) * speed * STEP / WIDTH
-    assert ways == sorted(ways)
-    assert ways[-1] == pytest.approx(went, rel=0.1)
+def test_the_path_is_as_long_as_the_camera_went(speed: int) -> None:
+    tracker = PathTracker()
+    paths = [tracker.track(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)) for rgb in VIEWS[::speed]]
+    went = (len(paths) - 1) * speed * STEP / WIDTH
+    assert paths == sorted(paths)
+    assert paths[-1] == pytest.approx(went, rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -304,7 +304,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return encode(tmp_path_factory.mktemp("film") / "a.mp4", VIEWS[:30], group=7)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(wanted=st.lists(st.integers(0, 31), min_size=1, max_size=12))
 def test_frames_come_in_any_order(film: Path, wanted: list[int]) -> None:
     video = VideoFrames(film, "a.mp4")
@@ -331,14 +331,14 @@ def test_damage_among_the_frames_is_not_decoded_again_and_again(tmp_path: Path) 
     video = VideoFrames(path, "a.mp4")
     missing = [index for index in range(240) if not there(video, index)]
     assert 1 <= len(missing) < 60
-    began = time.monotonic()
+    began = time.process_time()
     assert not any(there(video, index) for index in missing * 100)
-    assert time.monotonic() - began < 1
+    assert time.process_time() - began < 1
 
 
 def test_of_a_long_film_the_beginning_of_each_group_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where frames shown before a key frame refer to what was left out before it."""
-    monkeypatch.setattr(viewing, "_BUDGET", 0.35 * len(VIEWS) * WIDTH * HEIGHT)
+    monkeypatch.setattr(film_scan, "_BUDGET", 0.35 * len(VIEWS) * WIDTH * HEIGHT)
     capture = read_capture(encode(tmp_path / "a.mp4", VIEWS, codec="libx265", group=10))
     starts = [round(second(photo) * RATE) for photo in capture.photos]
     assert 3 <= len(starts) < 24
@@ -347,13 +347,13 @@ def test_of_a_long_film_the_beginning_of_each_group_is_seen(tmp_path: Path, monk
 
 
 def test_the_time_for_decoding_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ticks: Iterator[float] = itertools.count(0, viewing.DEADLINE_S / 50)
+    ticks: Iterator[float] = itertools.count(0, film_scan.DEADLINE_S / 50)
     path = encode(tmp_path / "a.mp4", [view(number / 2) for number in range(120)])
-    monkeypatch.setattr(viewing.time, "monotonic", lambda: next(ticks))
+    monkeypatch.setattr(film_scan.time, "monotonic", lambda: next(ticks))
     capture = read_capture(path)
-    assert "only the first 1 s of 4 s were looked at" in capture.warnings[0]
+    assert "only the first 1 s of 4 s were decoded" in capture.warnings[0]
     assert max(map(second, capture.photos)) < 2
-    monkeypatch.setattr(viewing, "DEADLINE_S", 0.0)
+    monkeypatch.setattr(film_scan, "DEADLINE_S", 0.0)
     with pytest.raises(CaptureError, match="takes too long to decode") as caught:
         read_capture(path)
     assert caught.value.code == "CAPTURE_TOO_LARGE"
@@ -414,7 +414,7 @@ def test_what_is_no_film_has_its_name(kind: str, tmp_path: Path) -> None:
 def test_stray_recordings_open_nothing_but_videos(tmp_path: Path) -> None:
     """FFmpeg would read a playlist under any name, and whatever it lists."""
     (tmp_path / "rgb.mp4").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n/etc/passwd\n")
-    with pytest.raises(CaptureError, match="is no mp4, mov or webm video"):
+    with pytest.raises(CaptureError, match="is not an mp4, mov or webm video"):
         VideoFrames(tmp_path / "rgb.mp4", "rgb.mp4").size()
 
 
@@ -422,13 +422,13 @@ def test_stray_recordings_open_nothing_but_videos(tmp_path: Path) -> None:
     ("limit", "value", "code"), [("MAX_PIXELS", 1000, "IMAGE_TOO_LARGE"), ("MAX_FRAMES", 9, "CAPTURE_TOO_LARGE")]
 )
 def test_limits_have_names(limit: str, value: int, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams, limit, value)
+    monkeypatch.setattr(video_streams, limit, value)
     with pytest.raises(CaptureError) as caught:
         read_capture(encode(tmp_path / "a.mp4", VIEWS[:10]))
     assert (caught.value.code, caught.value.file) == (code, "a.mp4")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_damaged_films_are_read_or_named(film: Path, data: st.DataObject) -> None:
     """Cut, or overwritten anywhere: photos that load or have a name for why not."""

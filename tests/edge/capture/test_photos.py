@@ -22,7 +22,7 @@ from services.edge.capture import photos
 from services.edge.capture.files import Folder, open_folder
 from services.edge.capture.nouns import Photo
 from services.edge.errors import CaptureError
-from tests.edge.test_capture_bad import png_header
+from tests.edge.capture.test_bad_captures import png_header
 
 pillow_heif.register_heif_opener()
 RGB = np.random.default_rng(3).integers(0, 256, (6, 8, 3), np.uint8).repeat(8, axis=0).repeat(8, axis=1)  # 64 x 48
@@ -109,7 +109,7 @@ def test_another_lens_or_size_is_another_camera(photo_of: Any, other: dict[str, 
     assert photo_of(encoded(), "a.jpg").camera != photo_of(encoded(**other), "b.jpg").camera
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     width=st.integers(8, 300),  # linear from end to end, narrower ones have another mean when they are scaled
     height=st.integers(8, 300),
@@ -187,7 +187,7 @@ def test_focal_length_of_the_sensor(photo_of: Any, camera: dict[int, Any], focal
     assert found == (None if focal is None else pytest.approx(focal))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(block=st.binary(max_size=200))
 def test_damaged_tags_cost_only_themselves(block: bytes) -> None:
     with TemporaryDirectory() as root:
@@ -196,7 +196,7 @@ def test_damaged_tags_cost_only_themselves(block: bytes) -> None:
         assert photo.load().shape == (48, 64, 3)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(kind=st.sampled_from(list(SUFFIXES)), data=st.data())
 def test_broken_bytes_are_an_answer(kind: str, data: st.DataObject) -> None:
     """Cut, or overwritten anywhere: a photo of the size that it told, or an error that names the file."""
@@ -262,7 +262,7 @@ def test_a_raw_picture_is_not_its_preview(photo_of: Any) -> None:
 
 
 def test_two_photos_are_too_few_and_three_a_capture(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="holds 2 photos; at least 3") as caught:
+    with pytest.raises(CaptureError, match="has only 2 photos; at least 3") as caught:
         photos.read(folder_of(tmp_path, a=encoded(), b=encoded()))
     assert caught.value.code == "CAPTURE_LOW_OVERLAP"
     assert len(photos.read(folder_of(tmp_path, c=encoded())).photos) == 3

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.capture import Capture, read_capture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture
 from services.edge.errors import CaptureError
-from tests.edge import captures
-from tests.edge.test_film import HEIGHT, VIEWS, WIDTH, encode
+from tests.edge.capture.test_film import HEIGHT, VIEWS, WIDTH, encode
+from tests.support import captures
 
 FRAMES = 40  # of the video
 
@@ -222,7 +223,7 @@ def test_one_lost_frame_of_a_video_is_a_warning(tmp_path: Path) -> None:
     odometry(lambda rows: [row for row in rows if f", {index:06}," not in row])(folder)
     capture = read_capture(folder)
     assert len(capture.photos) == used - 1
-    assert f"{name}: is frame {index}, which odometry.csv leaves out" in capture.warnings[0]
+    assert f"{name}: is frame {index}, which has no row in odometry.csv" in capture.warnings[0]
 
 
 def test_polycam_images_without_cameras_are_photos(tmp_path: Path) -> None:

@@ -13,12 +13,12 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from services.edge.capture.colours import rgb8, unpack_rgb
-from services.edge.capture.depth import known_depth
+from services.edge.capture.depth import zero_invalid_depth
 from services.edge.capture.files import number_order
+from services.edge.capture.frame_records import checked_intrinsics
 from services.edge.capture.images import header_size
 from services.edge.capture.nouns import Intrinsics
 from services.edge.capture.poses import checked_pose, pose_from_quaternion
-from services.edge.capture.shots import checked_intrinsics
 from services.edge.errors import CaptureError
 
 QUATERNIONS = arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: 0.6 < np.linalg.norm(q) < 1.9)
@@ -102,7 +102,7 @@ def test_colours_of_every_range() -> None:
 
 def test_unknown_depth_is_zero() -> None:
     depth = np.array([[np.nan, -1, 0, 2.5, np.inf, 65.535, 5_000]], np.float32)
-    np.testing.assert_allclose(known_depth(depth), [[0, 0, 0, 2.5, 0, 65.535, 0]])
+    np.testing.assert_allclose(zero_invalid_depth(depth), [[0, 0, 0, 2.5, 0, 65.535, 0]])
 
 
 def test_numbers_in_names_are_in_order() -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from services.edge.capture import Cloud, read_capture
-from services.edge.capture.surface import SAMPLES
-from tests.edge import captures
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Cloud
+from services.edge.capture.sample_surface import SAMPLES
+from tests.support import captures
 
 pytestmark = pytest.mark.data
 

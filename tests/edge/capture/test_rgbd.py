@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.capture import Capture, read_capture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture
 from services.edge.capture.video import VideoFrames
 from services.edge.errors import CaptureError
-from tests.edge import captures
+from tests.support import captures
 
 _HALF_STEP_M = 0.0008  # half a millimetre along a ray that leaves the axis by up to 35 degrees, and rounding
 

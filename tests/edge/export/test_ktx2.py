@@ -16,22 +16,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.cli.errors import BadInput
-from services.cli.run import Wanted, run_capture
+from services.cli.run import RunOptions, run_capture
 from services.edge.api import edge_pb2 as pb
 from services.edge.errors import Cancelled, EdgeError
+from services.edge.export.glb import to_glb
+from services.edge.export.ktx2 import VERSION, Ktx2Encoder, Ktx2Error, Ktx2Header
 from services.edge.field.device import find_device
-from services.edge.memory import Memory
-from services.edge.mesh import to_glb
-from services.edge.mesh.ktx2 import VERSION, Ktx2Encoder, Ktx2Error, Ktx2Header
-from services.edge.requests import JobRequest, RefusedError
+from services.edge.jobs.available_presets import known_presets
+from services.edge.jobs.reconstruct_job import Reconstructor
 from services.edge.srgb import to_linear, to_srgb
-from services.edge.stock import known_presets
-from services.edge.work import RealWork
+from services.edge.worker.job_request import ReconstructionRequest, RefusedError
+from services.edge.worker.memory_budget import MemoryBudget
 from services.storage.memory import MemoryStore
-from tests.edge.glb_reader import Glb
-from tests.edge.test_glb import PACKINGS, PICTURED
-from tests.gltf.validator import Validator, validator  # noqa: F401 - a fixture is used by its name
-from tests.ktx2.encoder import ktx2, unpacked  # noqa: F401 - a fixture is used by its name
+from tests.edge.export.test_glb import PACKINGS, PICTURED
+from tests.referees.glb_reader import Glb
+from tests.referees.gltf.validator import Validator, validator  # noqa: F401 - a fixture is used by its name
+from tests.referees.ktx2.encoder import ktx2, unpacked  # noqa: F401 - a fixture is used by its name
+from tests.support.patience import CANCEL_S
 
 
 def photo_like(side: int, seed: int = 0) -> np.ndarray:
@@ -65,7 +66,7 @@ def test_equal_pictures_give_equal_bytes_and_the_colours_come_back(
     assert len(content) < picture.size / 4
 
 
-@settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=3, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 7), st.integers(0, 2**32 - 1))
 def test_any_side_has_all_its_mips(ktx2: Ktx2Encoder, power: int, seed: int) -> None:  # noqa: F811
     side = 1 << power
@@ -97,7 +98,7 @@ def test_cancelling_kills_node(ktx2: Ktx2Encoder) -> None:  # noqa: F811
     began = time.monotonic()
     with pytest.raises(Cancelled):
         ktx2(noise, stop)
-    assert time.monotonic() - began < 3  # the whole takes more
+    assert time.monotonic() - began < CANCEL_S
     assert len(seen) == 1
     assert not seen[0].is_running()
 
@@ -125,7 +126,7 @@ def test_an_encoder_that_fails_is_an_error_with_its_reason(ktx2: Ktx2Encoder, tm
 
 
 def test_a_picture_that_it_does_not_take_is_an_error(ktx2: Ktx2Encoder) -> None:  # noqa: F811
-    with pytest.raises(Ktx2Error, match="ktx2-encoder ended with status 1: it "):
+    with pytest.raises(Ktx2Error, match=r"ktx2-encoder ended with status 1: .*it returned no data"):
         ktx2(np.zeros((0, 4, 3), np.uint8))
 
 
@@ -133,8 +134,8 @@ def test_a_picture_that_it_does_not_take_is_an_error(ktx2: Ktx2Encoder) -> None:
     ("version", "node", "why"),
     [
         (None, True, "npm has not installed ktx2-encoder in"),
-        ("0.5.9", True, f"has ktx2-encoder 0.5.9 rather than {VERSION}"),
-        (VERSION, False, "no program `node` on the PATH"),
+        ("0.5.9", True, f"has ktx2-encoder 0.5.9, version {VERSION} is needed"),
+        (VERSION, False, "`node` is not on the PATH"),
     ],
 )
 def test_what_is_missing_is_named_with_what_to_do(
@@ -159,21 +160,21 @@ def test_run_looks_for_the_encoder_before_it_reads_the_capture(monkeypatch: pyte
         monkeypatch.setenv("EDGE_KTX2", folder)
         with pytest.raises(BadInput, match=why):
             run_capture(
-                capture, tmp_path / "out", Wanted(target="web-ktx2"), preset="draft", device="cpu", resolution=0
+                capture, tmp_path / "out", RunOptions(target="web-ktx2"), preset="draft", device="cpu", resolution=0
             )
 
 
 def test_a_worker_with_an_encoder_takes_such_jobs(ktx2: Ktx2Encoder) -> None:  # noqa: F811
     header = pb.Header(job="job_1", asset_key="dress", target="web-ktx2")
-    work = RealWork(MemoryStore(), known_presets(None), find_device("cpu"), Memory(1 << 40), ktx2=ktx2)
-    assert JobRequest.of(header, work.offer).target == "web-ktx2"
+    work = Reconstructor(MemoryStore(), known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), encode=ktx2)
+    assert ReconstructionRequest.of(header, work.offer).target == "web-ktx2"
     with pytest.raises(RefusedError, match="KTX2_UNAVAILABLE"):
-        JobRequest.of(header, replace(work.offer, ktx2=None))
+        ReconstructionRequest.of(header, replace(work.offer, ktx2=False))
 
 
 @pytest.mark.parametrize("content", [b"", b"\xabKTX 20\xbb\r\n\x1a\n", b"\xff\xd8" + bytes(100)])
 def test_what_is_no_ktx2_is_said(content: bytes) -> None:
-    with pytest.raises(ValueError, match="no KTX2 file"):
+    with pytest.raises(ValueError, match="not a KTX2 file"):
         Ktx2Header.of(content)
 
 

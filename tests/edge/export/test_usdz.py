@@ -14,16 +14,16 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.mesh.blocks import MOST_FACES, face_picture
+from services.edge.export.colour_atlas import MOST_FACES, face_picture
+from services.edge.export.shading import shaded
+from services.edge.export.usdz import to_usdz
 from services.edge.mesh.normals import split_flips, vertex_normals
-from services.edge.mesh.nouns import Mesh, Textured
-from services.edge.mesh.shaded import shaded
-from services.edge.mesh.usdz import to_usdz
+from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.srgb import to_linear, to_srgb
-from tests import surfaces
-from tests.edge.painted import quarters
-from tests.usd.reader import Reading, UsdCore
-from tests.usd.reader import usd_core as usd_core
+from tests.referees.usd.reader import Reading, UsdCore
+from tests.referees.usd.reader import usd_core as usd_core
+from tests.support import surfaces
+from tests.support.painted import quarters
 
 TRIANGLE = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
 SHEET = surfaces.patch(lambda u, v: [u, v, 0.2 * np.sin(5 * u) * np.cos(4 * v)], 24, 24)
@@ -47,7 +47,7 @@ def coloured(mesh: Mesh, seed: int = 0) -> Mesh:
     return replace(mesh, rgb=np.random.default_rng(seed).integers(0, 256, (len(mesh.vertices), 3)).astype(np.uint8))
 
 
-def wallpaper(mesh: Mesh) -> Textured:
+def wallpaper(mesh: Mesh) -> TexturedMesh:
     """The mesh with the quarters projected along Z, cut down the middle as an unwrapping would: two charts."""
     left = mesh.vertices[mesh.faces].mean(axis=1)[:, 0] < 0
     faces = np.where(left[:, None], mesh.faces, mesh.faces + len(mesh.vertices))
@@ -56,10 +56,10 @@ def wallpaper(mesh: Mesh) -> Textured:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     across = (vertices - low)[:, :2] / (high - low)[:2]
     uv = np.stack([across[:, 0], 1 - across[:, 1]], axis=1)
-    return Textured(Mesh(vertices, corners.reshape(-1, 3)), uv, quarters(), 64)
+    return TexturedMesh(Mesh(vertices, corners.reshape(-1, 3)), uv, quarters(), 64)
 
 
-def read(usd_core: UsdCore, folder: Path, *subjects: Mesh | Textured) -> list[Reading]:
+def read(usd_core: UsdCore, folder: Path, *subjects: Mesh | TexturedMesh) -> list[Reading]:
     files = [folder / f"{number}.usdz" for number in range(len(subjects))]
     for file, subject in zip(files, subjects, strict=True):
         file.write_bytes(to_usdz(subject))
@@ -74,7 +74,7 @@ def entries(package: bytes) -> dict[str, bytes]:
 def test_usd_core_finds_no_fault_and_the_same_surface(usd_core: UsdCore, tmp_path: Path) -> None:
     subjects = [SHEET, coloured(SHEET), twisted(), wallpaper(SHEET), TRIANGLE]
     for subject, found in zip(subjects, read(usd_core, tmp_path, *subjects), strict=True):
-        given_mesh = subject.mesh if isinstance(subject, Textured) else subject
+        given_mesh = subject.mesh if isinstance(subject, TexturedMesh) else subject
         drawn = given_mesh.faces[doubled_area(given_mesh) > 0]
         assert found.faults == []
         assert np.abs(found.points[found.corners] - given_mesh.vertices[drawn]).max() < HALF_STEP_M
@@ -112,7 +112,7 @@ def test_a_mobius_strip_keeps_its_normals_across_the_seam() -> None:
     strip = twisted()
     assert len(split_flips(strip).vertices) > len(strip.vertices)
     assert np.allclose(shaded(strip).normals, vertex_normals(split_flips(strip)))
-    as_textured = shaded(Textured(strip, np.zeros((len(strip.vertices), 2)), b"", 1))
+    as_textured = shaded(TexturedMesh(strip, np.zeros((len(strip.vertices), 2)), b"", 1))
     assert np.array_equal(as_textured.mesh.vertices[as_textured.mesh.faces], strip.vertices[strip.faces])
     assert as_textured.uv is not None
     assert len(as_textured.uv) == len(as_textured.normals) == len(as_textured.mesh.vertices)
@@ -152,7 +152,7 @@ def looked_up(picture: Bytes, uv: Floats) -> Floats:
 
 
 @given(count=st.integers(1, 70), seed=st.integers(0, 1000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_every_place_of_a_face_finds_the_blend_of_its_corners(count: int, seed: int) -> None:
     """Smooth colours, as those of a surface are: a step of 255 between neighbours would test JPEG, not the layout."""
     rng = np.random.default_rng(seed)
@@ -171,7 +171,7 @@ def test_every_place_of_a_face_finds_the_blend_of_its_corners(count: int, seed: 
 
 
 @pytest.mark.parametrize("subject", [TRIANGLE, coloured(SHEET), wallpaper(SHEET)])
-def test_files_lie_uncompressed_on_multiples_of_64_bytes(subject: Mesh | Textured) -> None:
+def test_files_lie_uncompressed_on_multiples_of_64_bytes(subject: Mesh | TexturedMesh) -> None:
     package = to_usdz(subject)
     assert package == to_usdz(subject)
     with zipfile.ZipFile(io.BytesIO(package)) as opened:
@@ -225,9 +225,9 @@ def test_faces_without_an_area_and_vertices_without_a_face_are_left_out(usd_core
     ("vertices", "reason"),
     [
         (np.zeros((3, 3)), "none of the 1 triangles has an area"),
-        (np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]]), "no 32-bit float"),
-        (np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]]), "no 32-bit float"),
-        (np.array([[0, 0, 0], [1, 0, 0], [0, 4e38, 0]]), "no 32-bit float"),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]]), "not a 32-bit float"),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]]), "not a 32-bit float"),
+        (np.array([[0, 0, 0], [1, 0, 0], [0, 4e38, 0]]), "not a 32-bit float"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(vertices: Floats, reason: str) -> None:
@@ -239,7 +239,7 @@ def test_no_faces_and_too_many_for_a_picture_are_refused() -> None:
     with pytest.raises(ValueError, match="none of the 0 triangles"):
         to_usdz(Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64)))
     many = Mesh(TRIANGLE.vertices, np.tile(TRIANGLE.faces, (MOST_FACES + 1, 1)))
-    with pytest.raises(ValueError, match="take a coarser level"):
+    with pytest.raises(ValueError, match="use a coarser level"):
         face_picture(coloured(many))
     with pytest.raises(ValueError, match="without colours"):
         face_picture(TRIANGLE)

@@ -13,20 +13,21 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import DistanceFn, Floats
 from services.edge.errors import EdgeError
 from services.edge.field import checkpoint as checkpoints
-from services.edge.field import local_field, trust
-from services.edge.field.agreement import LOOSE, NEIGHBOURS, Edges, agreement_losses, edges_between
+from services.edge.field import noise_trust
 from services.edge.field.anchor_fit import fit_anchors
+from services.edge.field.anchor_losses import LOOSE, NEIGHBOURS, AnchorEdges, agreement_losses, edges_between
 from services.edge.field.anchors import SHAPE, AnchorField, Anchors, curved_anchors, surface_at
-from services.edge.field.config import FitConfig
+from services.edge.field.config import AnchorConfig
 from services.edge.field.denoise import denoise
 from services.edge.field.folds import noise_of
+from services.edge.field.local import local_field
 from services.edge.field.noise import Noise
 from services.edge.field.patches import TERMS, fit_patches
 from services.edge.field.planes import fit_planes
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from tests.support import surfaces
 
-CONFIG = FitConfig(steps=40, learning_rate=0.05)
+CONFIG = AnchorConfig(steps=40, learning_rate=0.05)
 CPU = torch.device("cpu")
 
 
@@ -39,12 +40,12 @@ def anchors_of(xyz: Floats) -> Anchors:
     return curved_anchors(fit_patches(fit_planes(xyz, tree), tree))
 
 
-def edges_of(anchors: Anchors) -> Edges:
+def edges_of(anchors: Anchors) -> AnchorEdges:
     _, neighbours = cKDTree(anchors.xyz).query(anchors.xyz, k=NEIGHBOURS + 1)
     return edges_between(anchors, neighbours, LOOSE, CPU)
 
 
-def fitted(xyz: Floats, config: FitConfig = CONFIG) -> DistanceFn:
+def fitted(xyz: Floats, config: AnchorConfig = CONFIG) -> DistanceFn:
     *_, last = fit_anchors(xyz, config)
     return last.field
 
@@ -153,29 +154,35 @@ def test_duplicates_and_tiny_weights_give_finite_losses() -> None:
 
 
 def test_the_best_predictor_of_unseen_points_is_chosen() -> None:
-    assert trust.chosen([np.full(50, error) for error in (1.2, 1.0, 1.1, 1.3, 1.4)]) == trust.CANDIDATES[1]
-    assert trust.chosen([np.empty(0)] * 5) == trust.CANDIDATES[0]
+    assert (
+        noise_trust.choose_trust([np.full(50, error) for error in (1.2, 1.0, 1.1, 1.3, 1.4)])
+        == noise_trust.CANDIDATES[1]
+    )
+    assert noise_trust.choose_trust([np.empty(0)] * 5) == noise_trust.CANDIDATES[0]
 
 
 def test_where_the_least_trust_predicts_best_the_denoised_points_stay() -> None:
-    assert trust.chosen([np.full(50, error) for error in (1.0, 1.1, 1.2, 1.3, 1.4)]) is None
+    assert noise_trust.choose_trust([np.full(50, error) for error in (1.0, 1.1, 1.2, 1.3, 1.4)]) is None
 
 
 def test_of_equal_predictors_that_which_trusts_the_points_most_is_chosen() -> None:
-    assert trust.chosen([np.full(50, error) for error in (1.002, 1.0, 1.004, 1.2, 1.3)]) == trust.CANDIDATES[2]
+    assert (
+        noise_trust.choose_trust([np.full(50, error) for error in (1.002, 1.0, 1.004, 1.2, 1.3)])
+        == noise_trust.CANDIDATES[2]
+    )
 
 
-def test_strays_and_clean_points_are_not_told() -> None:
+def test_strays_and_clean_points_are_not_usable() -> None:
     anchors = anchors_of(plane_points(100))
     scanned = np.array(anchors.xyz, np.float64)
     scanned[0, 2] += 0.01 * anchors.spacing[0]
     scanned[1, 2] += 50 * anchors.spacing[1]
-    scan = trust.scan_of(scanned, Noise(0.1 * anchors.spacing, np.ones(100)), anchors)
-    assert scan.told.tolist() == [True, False] + [False] * 98
+    scan = noise_trust.scan_of(scanned, Noise(0.1 * anchors.spacing, np.ones(100)), anchors)
+    assert scan.usable.tolist() == [True, False] + [False] * 98
     assert np.count_nonzero(scan.trust(1.0)) == 1
 
 
-def test_a_stray_of_a_real_denoising_is_not_told() -> None:
+def test_a_stray_of_a_real_denoising_is_not_usable() -> None:
     xyz = surfaces.sampled(surfaces.smooth_sheet(), 2_000, noise=0.005)
     xyz[:5, 2] += 0.04  # eight standard deviations
     noise = noise_of(xyz)
@@ -183,9 +190,9 @@ def test_a_stray_of_a_real_denoising_is_not_told() -> None:
     stayed = (smooth == xyz).all(axis=1)
     assert stayed[:5].any()
     anchors = curved_anchors(local_field(smooth).patches)
-    told = trust.scan_of(xyz, noise, anchors).told
-    assert not told[stayed].any()
-    assert told.mean() > 0.9
+    usable = noise_trust.scan_of(xyz, noise, anchors).usable
+    assert not usable[stayed].any()
+    assert usable.mean() > 0.9
 
 
 def test_training_beats_the_local_field_where_points_are_sparse() -> None:
@@ -198,7 +205,7 @@ def test_training_takes_noise_off() -> None:
     sheet = surfaces.smooth_sheet()
     xyz = surfaces.sampled(sheet, 1_500, noise=0.01)
     *_, last = fit_anchors(xyz, CONFIG)
-    assert last.number == last.of == len(trust.CANDIDATES) * 20 + 20 + 40
+    assert last.number == last.of == len(noise_trust.CANDIDATES) * 20 + 20 + 40
     assert miss(last.field, sheet) < 0.7 * miss(local_field(xyz), sheet)
 
 

@@ -17,15 +17,15 @@ import torch
 
 from services.edge.arrays import Floats
 from services.edge.field import checkpoint as checkpoints
-from services.edge.field import local_field
-from services.edge.field.config import Densify, FitConfig
-from services.edge.field.fit import fit
-from tests import surfaces
+from services.edge.field.local import local_field
+from services.edge.paper_field.network_config import Densify, NetworkConfig
+from services.edge.paper_field.network_fit import fit_network
+from tests.support import surfaces
+from tests.support.repository import ROOT
 
-ROOT = Path(__file__).parents[2]
 POINTS = surfaces.sampled(surfaces.disk(), 300)
 HELD_OUT = surfaces.sampled(surfaces.disk(), 50, seed=1)
-CONFIG = FitConfig(steps=60, warm_start=10, batch=64, pool=1_500, patience=1_000)
+CONFIG = NetworkConfig(steps=60, warm_start=10, batch=64, pool=1_500, patience=1_000)
 CONFIG = replace(CONFIG, densify=Densify(steps=10, batch=96, field_below=1.0, farthest=0.1))
 
 
@@ -34,10 +34,10 @@ def _write_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checkpoints, "SECONDS", 0.0)
 
 
-def fitted(path: Path | None, config: FitConfig = CONFIG, stop_at: int | None = None) -> tuple[Floats, list[int]]:
+def fitted(path: Path | None, config: NetworkConfig = CONFIG, stop_at: int | None = None) -> tuple[Floats, list[int]]:
     """The field's distances at the points, and the numbers of the steps that ran."""
     numbers: list[int] = []
-    steps = fit(POINTS, config, base=local_field(POINTS), held_out=HELD_OUT, checkpoint=path)
+    steps = fit_network(POINTS, config, base=local_field(POINTS), held_out=HELD_OUT, checkpoint=path)
     for step in steps:
         if step.losses:
             numbers.append(step.number)
@@ -91,7 +91,7 @@ def test_a_broken_file_is_reported_and_replaced(
     path.write_bytes(path.read_bytes()[:-200] if content is None else content)
     with caplog.at_level(logging.WARNING):
         assert fitted(path, stop_at=3)[1] == [1, 2, 3]
-    assert "starts anew" in caplog.text
+    assert "starts from the beginning" in caplog.text
     assert fitted(path, stop_at=5)[1] == [4, 5]
 
 
@@ -108,16 +108,16 @@ def test_a_checkpoint_runs_no_code(tmp_path: Path, caplog: pytest.LogCaptureFixt
 
     torch.save({"fingerprint": "x", "done": Path}, tmp_path / "fit")
     assert checkpoints.load(tmp_path / "fit", "x", torch.device("cpu")) is None
-    assert "starts anew" in caplog.text
+    assert "starts from the beginning" in caplog.text
 
 
 _CHILD = """
 import sys
 from pathlib import Path
 from services.edge.field import checkpoint
-from tests.edge.test_checkpoint import CONFIG, HELD_OUT, POINTS, fit, local_field
+from tests.edge.field.test_checkpoint import CONFIG, HELD_OUT, POINTS, fit_network, local_field
 checkpoint.SECONDS = 0.05
-for step in fit(POINTS, CONFIG, base=local_field(POINTS), held_out=HELD_OUT, checkpoint=Path(sys.argv[1])):
+for step in fit_network(POINTS, CONFIG, base=local_field(POINTS), held_out=HELD_OUT, checkpoint=Path(sys.argv[1])):
     print(step.number, flush=True)
 """
 

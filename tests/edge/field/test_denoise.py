@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats, Tick, no_tick
 from services.edge.errors import Cancelled
-from services.edge.field import denoise, noise_of
+from services.edge.field.denoise import denoise
+from services.edge.field.folds import noise_of
 from services.edge.field.noise import noise_level
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from tests.support import surfaces
 
 Maker = Callable[[], Mesh]
 

@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
 from services.edge.errors import Cancelled
-from services.edge.field import noise_of
+from services.edge.field.folds import noise_of
 from services.edge.field.noise import noise_level
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from tests.support import surfaces
 
 Maker = Callable[[], Mesh]
 SHIRT = "tshirt_folded/tshirt1900-folding-triFolded.obj"

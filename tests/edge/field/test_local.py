@@ -14,9 +14,9 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
-from services.edge.field import local_field
+from services.edge.field.local import local_field
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from tests.support import surfaces
 
 RNG = np.random.default_rng(7)
 
@@ -81,7 +81,7 @@ def test_given_normals_are_used_whatever_their_sign_and_length() -> None:
     np.testing.assert_allclose(gradient, flipped, atol=1e-4)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-0.2, 0.2)] * 3), size=st.floats(0.5, 1))
 def test_the_field_moves_with_the_points(turn: tuple[float, ...], shift: tuple[float, ...], size: float) -> None:
     points = surfaces.sampled(surfaces.hemisphere(), 800)

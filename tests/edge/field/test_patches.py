@@ -7,12 +7,13 @@ import pytest
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
-from services.edge.field import local_field, patches
+from services.edge.field import patches
+from services.edge.field.local import local_field
 from services.edge.field.patches import Patches, fit_patches, predict
 from services.edge.field.planes import Planes, fit_planes
-from services.edge.mesh.metrics import sample
 from services.edge.mesh.nouns import Mesh
-from tests import surfaces
+from services.edge.mesh.sampling import sample
+from tests.support import surfaces
 
 RNG = np.random.default_rng(11)
 
@@ -21,7 +22,7 @@ def test_the_features_and_what_is_cut_off_are_the_whole_kernel() -> None:
     s, t = RNG.normal(size=(2, 50, 7))
     squared = s * s + t * t
     kept = np.square(patches._features(s, t) * np.exp(-squared / 2)[..., None]).sum(axis=-1)
-    np.testing.assert_allclose(kept + patches._cut_off(squared), 1, atol=1e-6)
+    np.testing.assert_allclose(kept + patches._cut_off_variance(squared), 1, atol=1e-6)
 
 
 def test_the_surface_is_its_features_and_the_slopes_are_its_derivatives() -> None:

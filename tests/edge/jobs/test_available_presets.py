@@ -8,8 +8,8 @@ import pytest
 
 from services.edge.errors import EdgeError
 from services.edge.field.device import Device, find_device
+from services.edge.jobs.available_presets import capabilities_of, known_presets
 from services.edge.preset import memory_bytes
-from services.edge.stock import known_presets, offer_of
 
 CPU = Device("cpu", "cpu, 2 cores")
 PLENTY = 1 << 50
@@ -17,7 +17,7 @@ PLENTY = 1 << 50
 
 def test_the_automatic_choice_is_the_default_and_every_preset_states_its_bound() -> None:
     known = known_presets(None)
-    offer = offer_of(known, CPU, PLENTY)
+    offer = capabilities_of(known, CPU, PLENTY)
     assert offer.names[:5] == ("auto", "draft", "standard", "fine", "scene")
     told = {preset.name: preset for preset in offer.presets}
     assert told["auto"].trained
@@ -29,7 +29,7 @@ def test_the_automatic_choice_is_the_default_and_every_preset_states_its_bound()
 
 def test_what_never_fits_is_withheld_and_what_trains_nothing_is_not() -> None:
     known = known_presets(None)
-    offer = offer_of(known, CPU, memory_bytes(known["draft"], 0))
+    offer = capabilities_of(known, CPU, memory_bytes(known["draft"], 0))
     assert {"auto", "draft"} <= set(offer.names)
     assert "standard" in {preset.name for preset in offer.withheld}
 
@@ -47,7 +47,7 @@ def test_an_operators_presets_stand_behind_the_products(tmp_path: Path) -> None:
     [
         ("ours.toml", "colour = 1", "colour"),
         ("ours.toml", "= =", "'ours' cannot be read"),
-        ("draft.toml", "", "'draft' is the product's own"),
+        ("draft.toml", "", "the product has a preset 'draft' already"),
     ],
 )
 def test_a_preset_that_is_none_stops_the_start(tmp_path: Path, name: str, text: str, said: str) -> None:

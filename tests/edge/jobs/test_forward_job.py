@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
@@ -21,31 +23,32 @@ import grpc
 import pytest
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.central import Central, CentralAway, Patience
+from services.edge.capture_to_points import STARTS
 from services.edge.field.device import find_device
-from services.edge.memory import Memory
-from services.edge.offer import Offer
-from services.edge.prepare import STARTS
-from services.edge.prepared import VERSION, write_prepared
-from services.edge.run import Work
-from services.edge.scratch import Scratch
-from services.edge.server import EdgeServer
-from services.edge.settings import EdgeSettings
-from services.edge.stock import known_presets
-from services.edge.work import RealWork
-from services.storage.catalogue import entry
+from services.edge.jobs.available_presets import known_presets
+from services.edge.jobs.central_client import Central, CentralUnavailable, Timeouts
+from services.edge.jobs.points_archive import VERSION, write_prepared
+from services.edge.jobs.reconstruct_job import Reconstructor
+from services.edge.worker.capabilities import Capabilities
+from services.edge.worker.job_run import Work
+from services.edge.worker.memory_budget import MemoryBudget
+from services.edge.worker.scratch import Scratch
+from services.edge.worker.server import EdgeServer
+from services.edge.worker.settings import EdgeSettings
+from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
 from services.storage.store import Store
-from tests.edge.edge_client import Client, Scripted, leftovers, until, worker
-from tests.edge.test_prepared import prepared_points
-from tests.edge.test_work import BRIEF, ENDLESS, archive, hemisphere_ply
+from tests.edge.jobs.test_points_archive import prepared_points
+from tests.edge.jobs.test_reconstruct_job import BRIEF, ENDLESS, archive, hemisphere_ply
+from tests.support.edge_client import Client, Scripted, leftovers, until, worker
+from tests.support.patience import CANCEL_S, PATIENCE_S
+from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
-QUICK = Patience(answer_s=1.0, admit_s=2.0, silence_s=6.0, lost_s=1.0, cancel_s=5.0, refresh_s=0.1)
+QUICK = Timeouts(answer_s=1.0, admit_s=2.0, silence_s=6.0, lost_s=1.0, cancel_s=5.0, refresh_s=0.1)
 PLENTY = 1 << 40
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -84,8 +87,8 @@ def all_presets(tmp_path: Path) -> Path:
     return folder
 
 
-def real_work(store: Store, presets: Path | None = None, central: Central | None = None) -> RealWork:
-    return RealWork(store, known_presets(presets), find_device("cpu"), Memory(PLENTY), central)
+def real_work(store: Store, presets: Path | None = None, central: Central | None = None) -> Reconstructor:
+    return Reconstructor(store, known_presets(presets), find_device("cpu"), MemoryBudget(PLENTY), central)
 
 
 @asynccontextmanager
@@ -94,7 +97,7 @@ async def listening(work: Work, scratch: Path, **settings: object) -> AsyncItera
     hurry = asyncio.Event()
     hurry.set()
     place = Scratch(scratch)
-    with place.held():
+    with place.claim():
         server = EdgeServer(EdgeSettings(port=0, scratch=scratch, **settings), work, place)
         address = f"127.0.0.1:{await server.start()}"
         try:
@@ -105,7 +108,7 @@ async def listening(work: Work, scratch: Path, **settings: object) -> AsyncItera
 
 
 @contextmanager
-def reaching(address: str, patience: Patience = QUICK) -> Iterator[Central]:
+def reaching(address: str, patience: Timeouts = QUICK) -> Iterator[Central]:
     central = Central(address, patience)
     try:
         yield central
@@ -147,9 +150,9 @@ async def test_the_bundle_is_that_of_a_lone_worker(
         assert leftovers(tmp_path / "edge") == leftovers(tmp_path / "central") == []
 
     finished = events[-1].finished
-    expected, made = (json.loads(each.get(entry(each, "dome").manifest)) for each in (alone, store))
+    expected, made = (json.loads(each.get(read_entry(each, "dome").manifest)) for each in (alone, store))
     assert timeless(made) == timeless(expected)
-    assert entry(alone, "dome").collections == entry(store, "dome").collections == ["ada"]
+    assert read_entry(alone, "dome").collections == read_entry(store, "dome").collections == ["ada"]
     assert {event.published.collection for event in events if event.HasField("published")} == {"ada"}
     assert made["seconds"]["POINT_CLOUD"] == finished.seconds["POINT_CLOUD"] > 0
     assert {"VALIDATING", "FITTING", "EXTRACTING", "PUBLISHING"} <= finished.seconds.keys()
@@ -176,7 +179,7 @@ async def test_a_preset_that_only_central_has_trains_there(
     states = [event.published.state for event in events if event.HasField("published")]
     kept = [warning for warning in events[-1].finished.warnings if "preview was kept" in warning]
     assert states == ["preview", "preview" if kept else "refined"]
-    assert json.loads(store.get(entry(store, "dome").manifest))["preset"] == "brief"
+    assert json.loads(store.get(read_entry(store, "dome").manifest))["preset"] == "brief"
     fractions = [event.progress.fraction for event in events if event.HasField("progress")]
     assert fractions == sorted(fractions)
 
@@ -192,14 +195,14 @@ async def started(call: grpc.aio.StreamStreamCall) -> list[pb.Event]:
     raise AssertionError(told)
 
 
-async def live(client: Client, *jobs: str, within_s: float = 2.0) -> None:
+async def live(client: Client, *jobs: str) -> None:
     """Wait until exactly these jobs run on a worker."""
-    async with asyncio.timeout(within_s):
+    async with asyncio.timeout(PATIENCE_S):
         while list((await client.worker()).jobs) != list(jobs):
             await asyncio.sleep(0.02)
 
 
-async def test_a_cancellation_reaches_central_within_two_seconds(
+async def test_a_cancellation_reaches_central(
     store: MemoryStore, tmp_path: Path, quick: Path, all_presets: Path, dome: bytes
 ) -> None:
     async with pair(store, tmp_path, all_presets, quick) as (edge, central):
@@ -210,7 +213,7 @@ async def test_a_cancellation_reaches_central_within_two_seconds(
         assert await edge.cancel()
         ending = [event async for event in call][-1].failure
         await live(central)
-        assert time.monotonic() - began < 2.0
+        assert time.monotonic() - began < CANCEL_S
         assert (ending.code, ending.stage) == ("CANCELLED", pb.FITTING)
         assert (await edge.worker()).free_slots == 2
         assert (await central.attached())[-1].failure.code == "CANCELLED"
@@ -247,10 +250,10 @@ async def test_a_run_that_ended_meanwhile_is_not_run_again(
                 events = await second.ended(dome, asset_key="dome", preset="quick", fence=2)
         assert events[-1].HasField("finished")
         assert len(await central.attached()) == said
-    assert entry(store, "dome").version == 1
+    assert read_entry(store, "dome").version == 1
 
 
-AWAY = "could not be reached: fitted here"
+AWAY = "could not be reached: the field was fitted on this worker"
 
 
 async def test_without_central_it_fits_by_itself_and_says_so(
@@ -262,7 +265,7 @@ async def test_without_central_it_fits_by_itself_and_says_so(
     assert events[-1].HasField("finished"), events[-1]
     said = f"central at {central.address} {AWAY}"
     assert said in events[-1].finished.warnings
-    assert said in json.loads(store.get(entry(store, "dome").manifest))["warnings"]
+    assert said in json.loads(store.get(read_entry(store, "dome").manifest))["warnings"]
     fractions = [event.progress.fraction for event in events if event.HasField("progress")]
     assert fractions == sorted(fractions)
 
@@ -276,17 +279,17 @@ class Standing(Scripted):
         presets=(pb.Preset(name="quick"), pb.Preset(name="theirs", trained=True)),
     )
 
-    def __init__(self, then: str = "wait", offer: Offer | None = None) -> None:
+    def __init__(self, then: str = "wait", offer: Capabilities | None = None) -> None:
         super().__init__()
         self.offer = offer or self.offer
         self._then = then
         self.sizes: list[int] = []
 
-    def reconstruct(self, archive: Path, request: Any, scratch: Path, checkpoint: Path, say: Any) -> pb.Finished:
+    def reconstruct(self, archive: Path, request: Any, scratch: Path, checkpoint: Path, report: Any) -> pb.Finished:
         self.sizes.append(archive.stat().st_size)
-        say(pb.Published(asset_key=request.asset_key, version=1, state="preview", manifest="m"))
+        report(pb.Published(asset_key=request.asset_key, version=1, state="preview", manifest="m"))
         archive.write_bytes(self._then.encode())
-        return super().reconstruct(archive, request, scratch, checkpoint, say)
+        return super().reconstruct(archive, request, scratch, checkpoint, report)
 
 
 @pytest.mark.parametrize(
@@ -297,9 +300,9 @@ class Standing(Scripted):
         (replace(Standing.offer, presets=(pb.Preset(name="theirs"),)), "does not offer preset quick"),
     ],
 )
-async def test_a_worker_that_cannot_be_a_central_is_none(tmp_path: Path, offer: Offer, said: str) -> None:
+async def test_a_worker_that_cannot_be_a_central_is_none(tmp_path: Path, offer: Capabilities, said: str) -> None:
     async with listening(Standing(offer=offer), tmp_path / "central") as (_, address):
-        with reaching(address) as central, pytest.raises(CentralAway, match=said):
+        with reaching(address) as central, pytest.raises(CentralUnavailable, match=said):
             await asyncio.to_thread(central.require, "quick")
 
 
@@ -309,7 +312,7 @@ async def test_a_worker_that_is_its_own_central_fits_here(
     port = free_port()
     with reaching(f"127.0.0.1:{port}") as central:
         scratch = Scratch(tmp_path / "edge")
-        with scratch.held():
+        with scratch.claim():
             settings = EdgeSettings(port=port, scratch=tmp_path / "edge")
             server = EdgeServer(settings, real_work(store, quick, central), scratch)
             await server.start()
@@ -416,9 +419,9 @@ async def test_points_need_the_workers_flag(store: MemoryStore, tmp_path: Path, 
         await client.ended(sent, "job_1", asset_key="claimed", preset="quick")
         await client.ended(sent, "job_2", asset_key="made", preset="quick", prepared=True)
         broken = (await client.ended(b"no zip", "job_3", preset="quick", prepared=True))[-1].failure
-    assert entry(store, "claimed").document["scale_confidence"] == "unknown"
-    assert entry(store, "made").document["scale_confidence"] == "metric"
-    assert json.loads(store.get(entry(store, "made").manifest))["capture"]["kind"] == "photos"
+    assert read_entry(store, "claimed").document["scale_confidence"] == "unknown"
+    assert read_entry(store, "made").document["scale_confidence"] == "metric"
+    assert json.loads(store.get(read_entry(store, "made").manifest))["capture"]["kind"] == "photos"
     assert (broken.code, broken.retryable) == ("POINTS_INVALID", False)
 
 
@@ -471,21 +474,21 @@ async def test_a_killed_central_loses_no_job(tmp_path: Path, quick: Path, all_pr
         reaching(there.address) as central,
     ):
         async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
-            await until(lambda: central.takes_jobs, within_s=30)
+            await until(lambda: central.takes_jobs)
             call = edge.reconstruct(dome, asset_key="dome", preset="endless", collection="ada", fence=1)
             await started(call)
             there.kill()
             ending = [event async for event in call][-1].failure
             assert (ending.code, ending.retryable) == ("CENTRAL_LOST", True)
-            assert "was out of reach" in ending.message
+            assert "could not be reached for" in ending.message
             there.start()
-            await until(lambda: central.takes_jobs, within_s=30)
+            await until(lambda: central.takes_jobs)
             call = edge.reconstruct(dome, asset_key="dome", preset="endless", collection="ada", fence=2)
             events = await started(call)
             assert pb.VALIDATING not in {event.progress.stage for event in events}, "the points were made again"
             assert await edge.cancel()
             assert [event async for event in call][-1].failure.code == "CANCELLED"
-    assert (entry(store, "dome").version, entry(store, "dome").collections) == (1, ["ada"])
+    assert (read_entry(store, "dome").version, read_entry(store, "dome").collections) == (1, ["ada"])
 
 
 async def test_a_connection_that_breaks_is_found_again(
@@ -561,3 +564,13 @@ async def relaying(address: str) -> AsyncIterator[Wire]:
         wire.cut()
         if wire.pumps:
             await asyncio.wait(wire.pumps, timeout=5)
+
+
+def test_a_closed_central_leaves_nothing_behind() -> None:
+    with reaching("127.0.0.1:1") as central:
+        assert "central 127.0.0.1:1" in {thread.name for thread in threading.enumerate()}
+    assert "central 127.0.0.1:1" not in {thread.name for thread in threading.enumerate()}
+    central.cancel("0" * 32)
+    with pytest.raises(CentralUnavailable, match="closed"):
+        central.worker()
+    gc.collect()  # an event loop that is not closed warns here, and warnings are errors

@@ -17,13 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from services.edge.capture import read_capture
+from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import PhotoVerdict
+from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
-from services.edge.kept_points import keep, kept
-from services.edge.points import Points
-from services.edge.points.nouns import Unseen
-from services.edge.prepared import MOST_POINTS, Prepared, Source, read_prepared, write_prepared
+from services.edge.jobs.points_archive import MOST_POINTS, read_prepared, write_prepared
+from services.edge.jobs.points_cache import load_points, save_points
+from services.edge.points.nouns import Points, UnseenSide
 from services.storage.archives import unpack
 
 VERDICTS = (PhotoVerdict("a.jpg", "ok"), PhotoVerdict("b.jpg", "blur", "hold still"))
@@ -31,7 +31,7 @@ COORDINATES = st.floats(-1e9, 1e9)
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
-def prepared_points(count: int = 120) -> Prepared:
+def prepared_points(count: int = 120) -> PreparedPoints:
     """A photographed thing with everything that there may be."""
     rng = np.random.default_rng(0)
     points = Points(
@@ -42,13 +42,13 @@ def prepared_points(count: int = 120) -> Prepared:
         scale_confidence="metric",
         up=np.array([0.0, 0.6, 0.8]),
         warnings=("two photos were left out",),
-        unseen=(Unseen("shoot from the left", (-1.0, 0.0, 0.0), 0.25),),
+        unseen=(UnseenSide("shoot from the left", (-1.0, 0.0, 0.0), 0.25),),
     )
-    return Prepared(points, Source("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
+    return PreparedPoints(points, CaptureSummary("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 
 
 @st.composite
-def anything(draw: st.DrawFn) -> Prepared:
+def anything(draw: st.DrawFn) -> PreparedPoints:
     """Points with whatever a capture may have or lack."""
     count = draw(st.integers(100, 110))
     xyz = draw(arrays(np.float64, (count, 3), elements=COORDINATES)).copy()
@@ -63,11 +63,13 @@ def anything(draw: st.DrawFn) -> Prepared:
     )
     if draw(st.booleans()):
         points = replace(points, rgb=None, up=None, unseen=())
-    source = Source(draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40)))
-    return Prepared(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
+    source = CaptureSummary(
+        draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40))
+    )
+    return PreparedPoints(points, source, draw(st.dictionaries(st.just("POINT_CLOUD"), st.floats(0, 1e6))))
 
 
-def same(first: Prepared, second: Prepared) -> bool:
+def same(first: PreparedPoints, second: PreparedPoints) -> bool:
     ours, theirs = first.points, second.points
     return (
         all(
@@ -86,9 +88,9 @@ def same(first: Prepared, second: Prepared) -> bool:
     )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(anything())
-def test_what_is_written_is_read(prepared: Prepared) -> None:
+def test_what_is_written_is_read(prepared: PreparedPoints) -> None:
     with tempfile.TemporaryDirectory() as folder:
         archive = Path(folder, "points.zip")
         write_prepared(prepared, archive)
@@ -229,12 +231,12 @@ def test_read_as_a_capture_they_claim_no_scale(tmp_path: Path) -> None:
 
 
 def test_points_are_kept_from_lease_to_lease(tmp_path: Path) -> None:
-    assert kept(tmp_path / "job" / "1.checkpoint", tmp_path / "none") is None
+    assert load_points(tmp_path / "job" / "1.checkpoint", tmp_path / "none") is None
     older, newer = prepared_points(110), prepared_points(120)
-    keep(older, tmp_path / "job" / "9.checkpoint")
-    keep(newer, tmp_path / "job" / "10.checkpoint")
-    found = kept(tmp_path / "job" / "11.checkpoint", tmp_path / "first")
+    save_points(older, tmp_path / "job" / "9.checkpoint")
+    save_points(newer, tmp_path / "job" / "10.checkpoint")
+    found = load_points(tmp_path / "job" / "11.checkpoint", tmp_path / "first")
     assert found is not None
     assert same(found, newer)
     (tmp_path / "job" / "10.points").write_bytes(b"torn")
-    assert kept(tmp_path / "job" / "11.checkpoint", tmp_path / "second") is None
+    assert load_points(tmp_path / "job" / "11.checkpoint", tmp_path / "second") is None

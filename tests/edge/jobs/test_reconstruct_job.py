@@ -15,16 +15,17 @@ import pytest
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.field.device import find_device
-from services.edge.memory import Memory
+from services.edge.jobs.available_presets import known_presets
+from services.edge.jobs.reconstruct_job import Reconstructor
 from services.edge.preset import memory_bytes
-from services.edge.stock import known_presets
-from services.edge.work import RealWork
+from services.edge.worker.memory_budget import MemoryBudget
 from services.storage.bundle import Bundle
-from services.storage.catalogue import entry
-from services.storage.collection import index_name
+from services.storage.catalogue.collection import index_name
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
 from services.storage.memory import MemoryStore
-from services.storage.publish import publish
-from tests.edge.edge_client import Client, leftovers, until, upload, worker
+from tests.support.edge_client import Client, leftovers, until, upload, worker
+from tests.support.patience import CANCEL_S
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
 
@@ -45,9 +46,9 @@ async def client(store: MemoryStore, scratch: Path) -> AsyncIterator[Client]:
         yield client
 
 
-def real_work(store: MemoryStore, presets: Path | None = None, memory_bytes: int = 1 << 40) -> RealWork:
+def real_work(store: MemoryStore, presets: Path | None = None, memory_bytes: int = 1 << 40) -> Reconstructor:
     """Work on the CPU, with the product's presets and those of a folder."""
-    return RealWork(store, known_presets(presets), find_device("cpu"), Memory(memory_bytes))
+    return Reconstructor(store, known_presets(presets), find_device("cpu"), MemoryBudget(memory_bytes))
 
 
 def archive(folder: Path, **files: bytes) -> bytes:
@@ -82,7 +83,7 @@ async def test_points_become_an_asset(client: Client, store: MemoryStore, scratc
         ("dome", 1 + place) for place in range(len(published))
     ]
 
-    asset = entry(store, "dome")
+    asset = read_entry(store, "dome")
     assert asset.manifest == published[-1].manifest
     assert asset.document["label"] == "Dome"
     assert asset.document["size_m"] == pytest.approx([2, 1, 2], rel=0.1)
@@ -95,14 +96,14 @@ async def test_an_asset_enters_the_collection_of_its_job_or_of_its_worker(
     store: MemoryStore, scratch: Path, tmp_path: Path
 ) -> None:
     sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
-    work = RealWork(store, known_presets(None), find_device("cpu"), Memory(1 << 40), collection="house")
+    work = Reconstructor(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), collection="house")
     async with worker(work, scratch) as client:
         named = await client.ended(sent, "job_1", asset_key="hers", preset="draft", collection="ada")
         plain = await client.ended(sent, "job_2", asset_key="ours", preset="draft")
     for events, key, collection in ((named, "hers", "ada"), (plain, "ours", "house")):
         published = [event.published for event in events if event.HasField("published")]
         assert {each.collection for each in published} == {collection}
-        assert entry(store, key).collections == [collection]
+        assert read_entry(store, key).collections == [collection]
         assert store.head(index_name(collection))
 
 
@@ -112,13 +113,13 @@ async def test_a_key_of_another_collection_is_refused_by_name(
     """The gateway sees it first, but for two first jobs at once."""
     sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
     publish(Bundle("preview", {"mesh.ply": b"hers"}, {"lods": []}), store, key="shoe", collection="ada")
-    alone = partial(publish, joins=False)
-    work = RealWork(store, known_presets(None), find_device("cpu"), Memory(1 << 40), publish=alone)
+    alone = partial(publish, allow_other_collections=False)
+    work = Reconstructor(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), publish=alone)
     async with worker(work, scratch) as client:
         failed = (await client.ended(sent, asset_key="shoe", preset="draft", collection="bob"))[-1].failure
     assert (failed.code, failed.retryable) == ("KEY_ELSEWHERE", False)
     assert "in collection ada, not in bob" in failed.message
-    assert (entry(store, "shoe").version, entry(store, "shoe").collections) == (1, ["ada"])
+    assert (read_entry(store, "shoe").version, read_entry(store, "shoe").collections) == (1, ["ada"])
 
 
 @pytest.mark.parametrize(
@@ -162,7 +163,7 @@ async def test_a_cancelled_job_publishes_nothing(client: Client, store: MemorySt
     ending = [event async for event in call][-1]
     assert ending.failure.code == "CANCELLED"
     with pytest.raises(FileNotFoundError):
-        entry(store, "dome")
+        read_entry(store, "dome")
 
 
 async def test_an_outdated_lease_publishes_nothing(client: Client, store: MemoryStore, tmp_path: Path) -> None:
@@ -170,7 +171,7 @@ async def test_an_outdated_lease_publishes_nothing(client: Client, store: Memory
     publish(newer, store, key="dome", job="job_1", fence=2)
     ending = (await client.ended(archive(tmp_path, dome_ply=hemisphere_ply()), asset_key="dome", fence=1))[-1].failure
     assert (ending.code, ending.retryable, ending.stage) == ("FENCE_STALE", False, pb.PUBLISHING)
-    assert entry(store, "dome").version == 1
+    assert read_entry(store, "dome").version == 1
 
 
 # Steps beyond number, each light: a training that is under way for as long as a test looks at it.
@@ -222,7 +223,7 @@ async def test_a_training_is_told_of_and_refines_the_preview(
     assert fractions == sorted(fractions)
 
 
-async def test_a_training_is_cancelled_within_two_seconds(
+async def test_a_training_is_cancelled_at_once(
     store: MemoryStore, scratch: Path, presets: Path, tmp_path: Path
 ) -> None:
     async with worker(real_work(store, presets), scratch, slots=1) as client:
@@ -234,11 +235,11 @@ async def test_a_training_is_cancelled_within_two_seconds(
         assert await client.cancel()
         ending = [event async for event in call][-1]
         assert (await client.worker()).free_slots == 1
-        assert time.monotonic() - began < 2.0
+        assert time.monotonic() - began < CANCEL_S
         assert (ending.failure.code, ending.failure.stage) == ("CANCELLED", pb.FITTING)
         await until(lambda: not list(scratch.glob("checkpoints/*")))
     assert [event.published.state for event in told if event.HasField("published")] == ["preview"]
-    assert entry(store, "dome").state == "preview"
+    assert read_entry(store, "dome").state == "preview"
 
 
 async def test_a_job_waits_for_the_memory_of_another(
@@ -269,7 +270,7 @@ async def test_what_never_fits_is_named_and_its_preview_stays(
         failed = (await client.ended(sent, asset_key="dome", preset="brief"))[-1].failure
         assert failed.code == "MEMORY_EXCEEDED"
         assert "draft" in failed.hints[0]
-        assert entry(store, "dome").state == "preview"
+        assert read_entry(store, "dome").state == "preview"
         chosen = (await client.ended(sent, job="job_2", asset_key="dome2", preset="auto"))[-1]
         assert "the preview was kept" in chosen.finished.warnings[-1]
         with pytest.raises(grpc.aio.AioRpcError, match="MEMORY_EXCEEDED: preset cap-udf is not offered"):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from services.edge.mesh.align_to_reference import overlay
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.registration import overlay
-from tests import surfaces
+from tests.support import surfaces
 
 
 def moved(mesh: Mesh, seed: int) -> Mesh:

@@ -13,17 +13,18 @@ from hypothesis import strategies as st
 
 from services.edge.arrays import DistanceFn, Floats
 from services.edge.errors import Cancelled
-from services.edge.field import local_field
+from services.edge.field.local import local_field
 from services.edge.mesh.clean import clean
 from services.edge.mesh.clip import clip
 from services.edge.mesh.edges import border_edges, border_loops, edges_of
 from services.edge.mesh.extract import extract
 from services.edge.mesh.holes import fill_holes, zip_tears
 from services.edge.mesh.manifold import to_manifold
-from services.edge.mesh.metrics import area, compare
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import area
 from services.edge.mesh.topology import orient, pieces_of, reseamed, seam_length
-from tests import surfaces
+from tests.support import surfaces
+from tests.support.mesh_metrics import compare
 
 TETRAHEDRON = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
 
@@ -154,7 +155,7 @@ def test_an_empty_mesh_stays_empty() -> None:
     assert len(clean(empty, surfaces.sampled(surfaces.disk(), 100)).faces) == 0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**31))
 def test_any_soup_is_cut_to_a_manifold_without_losing_area(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -15,12 +15,15 @@ from services.edge.errors import Cancelled
 from services.edge.mesh.band import Band
 from services.edge.mesh.crossings import find_crossings
 from services.edge.mesh.dual import connect
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.extract import extract
 from services.edge.mesh.grid import SIDE, STEP, find, grid_around
 from services.edge.mesh.manifold import to_manifold
-from services.edge.mesh.metrics import Mesh, chamfer_l1, edge_faces, pieces
+from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.spacing import auto_resolution, point_spacing
-from tests import surfaces
+from services.edge.mesh.topology import component_count
+from tests.support import surfaces
+from tests.support.mesh_metrics import chamfer_l1
 
 
 def ball(centre: tuple[float, float, float] = (0, 0, 0), radius: float = 0.5) -> DistanceFn:
@@ -57,8 +60,8 @@ def sheets(apart: float) -> DistanceFn:
 
 def counts(mesh: Mesh) -> tuple[int, int, int]:
     """Pieces, borders, edges of more than two faces."""
-    edges = edge_faces(mesh.faces)
-    return pieces(edges.vertices), pieces(edges.vertices[edges.faces == 1]), int((edges.faces > 2).sum())
+    edges = edges_of(mesh.faces)
+    return component_count(edges.ends), component_count(edges.border_ends), edges.crowded_count
 
 
 @pytest.mark.parametrize("resolution", [8, 33, 64])
@@ -66,12 +69,12 @@ def test_a_sphere_comes_out_closed_and_round(resolution: int) -> None:
     near = surfaces.sampled(surfaces.sphere(), 4_000)
     mesh = extract(ball(), near, resolution=resolution)
     assert counts(mesh) == (1, 0, 0)
-    edges = edge_faces(mesh.faces)
-    assert len(mesh.vertices) - len(edges.faces) + len(mesh.faces) == 2  # Euler: no handle either
+    edges = edges_of(mesh.faces)
+    assert len(mesh.vertices) - len(edges.size) + len(mesh.faces) == 2  # Euler: no handle either
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 0.5).max() < 1e-5
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(turn=st.integers(0, 2**31), resolution=st.integers(16, 48))
 def test_a_disk_in_any_pose_is_one_piece_with_one_border(turn: int, resolution: int) -> None:
     pose = Rotation.random(rng=np.random.default_rng(turn))
@@ -205,7 +208,7 @@ def test_memory_and_queries_grow_with_the_surface_not_with_the_volume() -> None:
     assert peaks[2] < 5 * peaks[1]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**31))
 def test_keys_name_cells_and_come_back_as_places(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -219,7 +222,7 @@ def test_keys_name_cells_and_come_back_as_places(seed: int) -> None:
     np.testing.assert_array_equal(find(keys, keys + 1)[~np.isin(keys + 1, keys)], len(keys))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**31))
 def test_quads_of_any_signs_share_each_grid_face_in_pairs(seed: int) -> None:
     """Random signs are the hardest input there is: every line across a grid face must still join two quads."""

@@ -14,12 +14,14 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
-from services.edge.mesh import Mesh, lods, simplify
+from services.edge.mesh.edges import edges_of
 from services.edge.mesh.manifold import without_fins
-from services.edge.mesh.metrics import area, chamfer_l1, edge_faces, pieces, sample
-from services.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer
-from services.edge.mesh.topology import orient
-from tests import surfaces
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import area, sample
+from services.edge.mesh.simplify import Collapse, by_fast_simplification, by_meshoptimizer, lods, simplify
+from services.edge.mesh.topology import component_count, orient
+from tests.support import surfaces
+from tests.support.mesh_metrics import chamfer_l1
 
 HAS_MESHOPTIMIZER = find_spec("meshoptimizer") is not None  # an extra: it needs a compiler
 COLLAPSES = [by_fast_simplification, *([by_meshoptimizer] if HAS_MESHOPTIMIZER else [])]
@@ -46,18 +48,18 @@ SURFACES = {
 
 
 def borders(mesh: Mesh) -> int:
-    edges = edge_faces(mesh.faces)
-    return pieces(edges.vertices[edges.faces == 1])
+    edges = edges_of(mesh.faces)
+    return component_count(edges.border_ends)
 
 
 def crowded(mesh: Mesh) -> int:
-    return int((edge_faces(mesh.faces).faces > 2).sum())
+    return edges_of(mesh.faces).crowded_count
 
 
 def along_border(mesh: Mesh) -> Floats:
     """Points of the border, 20 on each edge."""
-    edges = edge_faces(mesh.faces)
-    a, b = mesh.vertices[edges.vertices[edges.faces == 1].T]
+    edges = edges_of(mesh.faces)
+    a, b = mesh.vertices[edges.border_ends.T]
     share = np.linspace(0, 1, 20)[:, None, None]
     return (a + share * (b - a)).reshape(-1, 3)
 
@@ -90,7 +92,7 @@ def test_the_budget_is_kept_and_nearly_used(name: str, budget: int) -> None:
     assert crowded(coarse) == 0
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.sampled_from(sorted(SURFACES)), st.integers(100, 3000), st.integers(0, 2**32 - 1))
 def test_noise_makes_no_pinches_and_closes_no_opening(name: str, budget: int, seed: int) -> None:
     """What an extraction gives is bumpy at the scale of its cells."""
@@ -252,7 +254,7 @@ def test_a_budget_that_cannot_hold_all_openings_wins_over_them(collapse: Collaps
     budget = 2 * openings  # an opening needs more than two faces around it
     coarse = simplify(mesh, budget, collapse=collapse)
     assert len(coarse.faces) <= budget
-    assert (edge_faces(coarse.faces).faces <= 2).all()
+    assert (edges_of(coarse.faces).size <= 2).all()
     assert chamfer_l1(coarse, mesh, samples=5_000) < 0.05
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from services.edge.arrays import Floats
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.order import by_place
-from tests import surfaces
+from services.edge.mesh.spatial_order import by_place
+from tests.support import surfaces
 
 
 def _shuffled(mesh: Mesh, seed: int) -> Mesh:
@@ -32,7 +32,7 @@ def _triangles(mesh: Mesh) -> Floats:
 
 
 @given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-6, 1.0, 1e6]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_triangles_their_winding_and_their_colours_stay(seed: int, scale: float) -> None:
     mesh = _shuffled(surfaces.hemisphere(), seed)
     mesh = Mesh(scale * mesh.vertices, mesh.faces, mesh.rgb)

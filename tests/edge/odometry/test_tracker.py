@@ -14,16 +14,18 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
-from services.edge.capture import Capture, Frame, read_capture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Frame
+from services.edge.capture_to_points import to_points
 from services.edge.errors import Cancelled, CaptureError
-from services.edge.points import odometry, to_points
-from services.edge.points.icp import align
-from services.edge.points.levels import Level, pyramid
-from services.edge.points.odometry import track_frames
-from services.edge.points.posegraph import Edge, settle
-from services.edge.points.recognise import recognise
-from tests.edge import captures
-from tests.edge.scenes import PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
+from services.edge.odometry import tracker
+from services.edge.odometry.icp import align
+from services.edge.odometry.pose_graph import Edge, optimise_poses
+from services.edge.odometry.pyramid import Level, pyramid
+from services.edge.odometry.relocalise import relocalise
+from services.edge.odometry.tracker import track_frames
+from tests.support import captures
+from tests.support.scenes import PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
 
 SENSOR = Sensor(noise_m=0.003, flying=0.3)
 ORBIT = orbit(24, radius=0.8, height=0.6)
@@ -55,7 +57,7 @@ def off_m(tracked: tuple[Frame, ...], truth: Floats) -> Floats:
 
 def levels(pose: Floats, world: Scene, *, noise_m: float = 0.0, seed: int = 0) -> tuple[Level, ...]:
     (frame,) = film(world, pose[None], sensor=Sensor(noise_m=noise_m), seed=seed)
-    return pyramid(odometry._level(frame, odometry.survey_frames([frame]).limits))
+    return pyramid(tracker._level(frame, tracker.survey_frames([frame]).limits))
 
 
 @pytest.mark.parametrize("coloured", [True, False])
@@ -71,7 +73,7 @@ def test_a_walk_around_a_table_closes(coloured: bool) -> None:
 def test_loops_take_the_drift_out(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = bare(film(things(), ORBIT, sensor=Sensor(noise_m=0.006)), coloured=False)
     closed = off_m(track_frames(frames).frames, ORBIT)
-    monkeypatch.setattr(odometry, "close_loops", lambda *_: [])
+    monkeypatch.setattr(tracker, "close_loops", lambda *_: [])
     drifted = off_m(track_frames(frames).frames, ORBIT)
     assert closed[-1] < 0.5 * drifted[-1]
 
@@ -94,7 +96,7 @@ def test_a_bare_wall_holds_no_camera(noise_m: float) -> None:
     assert fit is None or not fit.sound
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.tuples(*[st.floats(-1, 1)] * 6))
 def test_alignment_finds_any_small_motion(motion: tuple[float, ...]) -> None:
     """Turns up to 4 degrees and shifts up to 4 cm about each axis, without noise."""
@@ -113,7 +115,7 @@ TARGET = levels(ORBIT[0], WORLD)
 
 def test_pictures_find_a_camera_that_jumped() -> None:
     far = look_at((0.75, 0.2, 0.6), (0, 0, 0.1)) @ np.diag([-1.0, -1, 1, 1])  # held upside down
-    fit = recognise(levels(far, WORLD, noise_m=0.002), TARGET[-1])
+    fit = relocalise(levels(far, WORLD, noise_m=0.002), TARGET[-1])
     assert fit is not None
     assert np.linalg.norm(fit.pose[:3, 3] - (np.linalg.inv(ORBIT[0]) @ far)[:3, 3]) < 0.004
 
@@ -162,7 +164,7 @@ def _moved(rng: np.random.Generator, turn: float, shift: float) -> Floats:
     return pose
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(st.integers(0, 1000))
 def test_a_pose_graph_returns_to_the_truth(seed: int) -> None:
     """Exact edges of a ring with chords, and one that is wrong by metres: drifted poses come back."""
@@ -171,9 +173,9 @@ def test_a_pose_graph_returns_to_the_truth(seed: int) -> None:
     pairs = [(i, (i + step) % 10) for i in range(10) for step in (1, 3)]
     edges = [Edge(i, j, np.linalg.inv(truth[i]) @ truth[j], np.eye(6) * 1e8) for i, j in pairs]
     drifted = np.stack([np.eye(4), *(pose @ _moved(rng, 0.05, 0.05) for pose in truth[1:])])
-    np.testing.assert_allclose(settle(drifted, edges), truth, atol=1e-6)
+    np.testing.assert_allclose(optimise_poses(drifted, edges), truth, atol=1e-6)
     wrong = Edge(2, 7, _moved(rng, 0.3, 1.0), np.eye(6) * 1e8)
-    np.testing.assert_allclose(settle(drifted, [*edges, wrong]), truth, atol=0.01)
+    np.testing.assert_allclose(optimise_poses(drifted, [*edges, wrong]), truth, atol=0.01)
 
 
 def test_points_of_frames_without_poses_lie_on_the_things() -> None:

@@ -7,10 +7,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from services.edge.field.config import Densify, FitConfig
-from services.edge.field.densify import densified, poisson_disk
-from services.edge.field.networks import FieldNetwork
-from services.edge.field.queries import draw_pool
+from services.edge.paper_field.densify import densify_points, poisson_disk
+from services.edge.paper_field.network_config import Densify, NetworkConfig
+from services.edge.paper_field.networks import FieldNetwork
+from services.edge.paper_field.queries import draw_pool
 
 
 class Sphere(FieldNetwork):
@@ -38,9 +38,9 @@ def test_thinned_points_keep_apart_and_leave_no_gap() -> None:
 
 def test_added_points_lie_on_the_surface_near_the_input_and_apart() -> None:
     xyz = on_sphere(2_000)
-    *_, pool = draw_pool(xyz, FitConfig(), torch.device("cpu"))
+    *_, pool = draw_pool(xyz, NetworkConfig(), torch.device("cpu"))
     assert pool is not None
-    *_, added = densified(Sphere(), pool, Densify(growth=1.0, farthest=0.02), seed=0)
+    *_, added = densify_points(Sphere(), pool, Densify(growth=1.0, farthest=0.02), seed=0)
     assert added is not None
     assert 0.4 * 2_000 < len(added) <= 2_000
     assert np.abs(np.linalg.norm(added, axis=1) - 0.5).max() < 1e-5
@@ -50,8 +50,8 @@ def test_added_points_lie_on_the_surface_near_the_input_and_apart() -> None:
 
 def test_what_lies_far_from_the_input_is_not_added() -> None:
     xyz = on_sphere(500)
-    *_, pool = draw_pool(xyz, FitConfig(), torch.device("cpu"))
+    *_, pool = draw_pool(xyz, NetworkConfig(), torch.device("cpu"))
     assert pool is not None
-    *_, added = densified(Sphere(), pool, Densify(growth=1.0, farthest=0.003), seed=0)
+    *_, added = densify_points(Sphere(), pool, Densify(growth=1.0, farthest=0.003), seed=0)
     assert added is not None
     assert len(added) == 0 or cKDTree(xyz).query(added)[0].max() < 0.003

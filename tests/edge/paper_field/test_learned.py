@@ -9,13 +9,13 @@ from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
-from services.edge.field.config import FitConfig
-from services.edge.field.learned import CHUNK, learned_field
-from services.edge.field.networks import network_of
-from tests import surfaces
+from services.edge.paper_field.learned import CHUNK, learned_field
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.networks import network_of
+from tests.support import surfaces
 
 POINTS = surfaces.sampled(surfaces.disk(), 1_000)
-NETWORK = network_of(FitConfig())
+NETWORK = network_of(NetworkConfig())
 FIELD = learned_field(NETWORK, POINTS)
 
 
@@ -46,7 +46,7 @@ def test_chunks_leave_no_seam_and_no_queries_are_no_error() -> None:
 
 
 def test_it_evaluates_the_weights_as_they_stand() -> None:
-    network = network_of(FitConfig())
+    network = network_of(NetworkConfig())
     field = learned_field(network, POINTS)
     before = field(POINTS)[0]
     with torch.no_grad():
@@ -58,7 +58,7 @@ def test_a_gpu_that_is_full_when_the_field_is_asked_is_named(monkeypatch: pytest
     def full(q: Floats) -> tuple[Floats, Floats]:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB.")
 
-    monkeypatch.setattr(FIELD, "_of_network", full)
+    monkeypatch.setattr(FIELD, "_evaluate_network", full)
     with pytest.raises(EdgeError) as raised:
         FIELD(POINTS)
     assert raised.value.code == "GPU_OOM"

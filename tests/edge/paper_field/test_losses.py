@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.edge.field import losses
+from services.edge.paper_field import losses
 
 QUERIES = torch.rand(500, 3, generator=torch.Generator().manual_seed(2)) - 0.5
 
@@ -28,7 +28,7 @@ def plane(q: Tensor) -> tuple[Tensor, Tensor]:
 @pytest.mark.parametrize("field", [sphere, plane])
 def test_a_perfect_field_pulls_onto_the_surface_and_costs_nothing(field: object) -> None:
     f, g = field(QUERIES)  # type: ignore[operator]
-    moved = losses.pulled(QUERIES, f, g)
+    moved = losses.pull(QUERIES, f, g)
     assert field(moved)[0].max() < 1e-6  # type: ignore[operator]
     assert losses.chamfer_loss(moved, moved, moved, moved) < 1e-7
     assert losses.projection_loss(f, g, -g, decay=10) < 1e-6
@@ -45,7 +45,7 @@ def test_chamfer_is_the_mean_of_both_directions() -> None:
 
 def test_the_pull_ignores_how_long_the_gradient_is() -> None:
     f, g = sphere(QUERIES)
-    torch.testing.assert_close(losses.pulled(QUERIES, f, 7 * g), losses.pulled(QUERIES, f, g))
+    torch.testing.assert_close(losses.pull(QUERIES, f, 7 * g), losses.pull(QUERIES, f, g))
 
 
 def test_directions_count_as_lines_and_fade_with_the_distance() -> None:
@@ -81,7 +81,7 @@ def test_pairs_near_the_surface_weigh_most_within_bounds() -> None:
 def test_gradients_are_finite_where_everything_is_zero() -> None:
     zero = torch.zeros(3, 3, requires_grad=True)
     f = torch.zeros(3, requires_grad=True)
-    moved = losses.pulled(zero, f, zero)
+    moved = losses.pull(zero, f, zero)
     total = (
         losses.chamfer_loss(moved, moved.detach(), moved.detach(), moved)
         + losses.projection_loss(f, zero, zero, decay=10)

@@ -8,21 +8,25 @@ from textwrap import dedent
 
 import pytest
 
-from services.edge.field.config import FitConfig
-from services.edge.field.memory import fit_memory_bytes
+from services.edge.field.config import AnchorConfig
+from services.edge.paper_field.memory_estimate import fit_memory_bytes
+from services.edge.paper_field.network_config import NetworkConfig
 
-ANCHORS = FitConfig(model="anchors", steps=4, learning_rate=0.1)
-NETWORK = FitConfig(steps=4, warm_up=1, batch=5_000, pool=200_000)
+ANCHORS = AnchorConfig(steps=4, learning_rate=0.1)
+NETWORK = NetworkConfig(steps=4, warm_up=1, batch=5_000, pool=200_000)
 
 
 @pytest.mark.parametrize(("config", "points"), [(ANCHORS, 40_000), (NETWORK, 5_000)])
-def test_a_fit_takes_about_what_is_said(config: FitConfig, points: int) -> None:
+def test_a_fit_takes_about_what_is_said(config: AnchorConfig | NetworkConfig, points: int) -> None:
+    fit = "fit_anchors" if isinstance(config, AnchorConfig) else "fit_network"
     script = f"""
         from pathlib import Path
-        from services.edge.field.config import FitConfig
-        from services.edge.field.fit import fit
+        from services.edge.field.anchor_fit import fit_anchors
+        from services.edge.field.config import AnchorConfig
         from services.edge.field.local import local_field
-        from tests import surfaces
+        from services.edge.paper_field.network_config import NetworkConfig
+        from services.edge.paper_field.network_fit import fit_network
+        from tests.support import surfaces
 
         def kept(name):  # of /proc: VmRSS now, VmHWM at most since it was cleared
             lines = Path("/proc/self/status").read_text().splitlines()
@@ -32,7 +36,7 @@ def test_a_fit_takes_about_what_is_said(config: FitConfig, points: int) -> None:
         base = local_field(xyz)
         Path("/proc/self/clear_refs").write_text("5")
         before = kept("VmRSS")
-        for step in fit(xyz, {config!r}, base=base):
+        for step in {fit}(xyz, {config!r}, base=base):
             pass
         print(kept("VmHWM") - before)
     """

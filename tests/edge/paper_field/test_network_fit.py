@@ -17,15 +17,16 @@ import torch
 
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
-from services.edge.field import local_field
-from services.edge.field.compute import captured, memory_errors_named, open_device
-from services.edge.field.config import Densify, FitConfig
-from services.edge.field.fit import Step, fit
-from services.edge.field.schedule import learning_rate
-from tests import surfaces
+from services.edge.field.compute import capture_step, open_device, translate_memory_errors
+from services.edge.field.local import local_field
+from services.edge.field.step import Step
+from services.edge.paper_field.network_config import Densify, NetworkConfig
+from services.edge.paper_field.network_fit import fit_network
+from services.edge.paper_field.network_run import learning_rate
+from tests.support import surfaces
 
 POINTS = surfaces.sampled(surfaces.disk(), 400)
-QUICK = FitConfig(steps=12, batch=128, pool=2_000)
+QUICK = NetworkConfig(steps=12, batch=128, pool=2_000)
 
 
 def last(steps: object) -> Step:
@@ -39,7 +40,7 @@ def distances(step: Step, queries: Floats = POINTS) -> Floats:
 
 def test_a_short_fit_learns_the_surface_and_which_way_is_away() -> None:
     base = local_field(POINTS)
-    step = last(fit(POINTS, replace(QUICK, steps=60, warm_start=60, pool=8_000, learning_rate=3e-3), base=base))
+    step = last(fit_network(POINTS, replace(QUICK, steps=60, warm_start=60, pool=8_000, learning_rate=3e-3), base=base))
     assert step.number == step.of == 120
     assert distances(step).mean() < 0.03  # the points lie 0.044 apart
     above = POINTS[np.linalg.norm(POINTS, axis=1) < 0.4] + [0, 0, 0.05]
@@ -49,7 +50,7 @@ def test_a_short_fit_learns_the_surface_and_which_way_is_away() -> None:
 
 
 def test_every_step_says_where_it_stands_and_the_pool_comes_first() -> None:
-    steps = list(fit(POINTS, QUICK))
+    steps = list(fit_network(POINTS, QUICK))
     assert [step.number for step in steps if step.losses] == list(range(1, 13))
     assert steps[0].number == 0
     assert not steps[0].losses
@@ -58,20 +59,20 @@ def test_every_step_says_where_it_stands_and_the_pool_comes_first() -> None:
 
 def test_a_loss_without_weight_is_not_computed() -> None:
     config = replace(QUICK, projection=0, orthogonality=0, self_consistency=0, far_share=0, surface=0.1, steps=1)
-    assert set(last(fit(POINTS, config)).losses) == {"total", "chamfer", "surface"}
+    assert set(last(fit_network(POINTS, config)).losses) == {"total", "chamfer", "surface"}
 
 
 def test_a_seed_gives_one_field_whatever_other_fits_run_beside_it() -> None:
-    expected = distances(last(fit(POINTS, QUICK)))
-    beside = threading.Thread(target=lambda: last(fit(POINTS, replace(QUICK, seed=3))))
+    expected = distances(last(fit_network(POINTS, QUICK)))
+    beside = threading.Thread(target=lambda: last(fit_network(POINTS, replace(QUICK, seed=3))))
     beside.start()
-    np.testing.assert_array_equal(distances(last(fit(POINTS, QUICK))), expected)
+    np.testing.assert_array_equal(distances(last(fit_network(POINTS, QUICK))), expected)
     beside.join()
-    assert np.abs(distances(last(fit(POINTS, replace(QUICK, seed=1)))) - expected).max() > 1e-4
+    assert np.abs(distances(last(fit_network(POINTS, replace(QUICK, seed=1)))) - expected).max() > 1e-4
 
 
 def test_whoever_stops_iterating_ends_the_fit_and_keeps_the_field() -> None:
-    steps = fit(POINTS, QUICK)
+    steps = fit_network(POINTS, QUICK)
     field = next(islice(steps, 5, None)).field
     steps.close()
     assert field(POINTS)[0].shape == (400,)
@@ -80,34 +81,34 @@ def test_whoever_stops_iterating_ends_the_fit_and_keeps_the_field() -> None:
 def test_patience_ends_a_fit_that_gets_no_better_on_points_it_does_not_see() -> None:
     config = replace(QUICK, steps=1_000, learning_rate=1e-12, patience=50, batch=32, pool=500)
     held_out = surfaces.sampled(surfaces.disk(), 50, seed=1)
-    steps = [step for step in fit(POINTS, config, held_out=held_out) if step.losses]
+    steps = [step for step in fit_network(POINTS, config, held_out=held_out) if step.losses]
     assert steps[-1].number == 100  # the first look is at 50
 
 
 def test_the_densification_adds_steps_and_a_larger_batch() -> None:
     config = replace(QUICK, steps=4, densify=Densify(steps=3, batch=256, farthest=0.1, field_below=1.0))
-    step = last(fit(POINTS, config))
+    step = last(fit_network(POINTS, config))
     assert step.number == step.of == 7
     assert step.losses["total"] > 0
 
 
 def test_a_diverging_fit_is_named() -> None:
     with pytest.raises(EdgeError) as raised:
-        last(fit(POINTS, replace(QUICK, steps=200, learning_rate=1e4)))
+        last(fit_network(POINTS, replace(QUICK, steps=200, learning_rate=1e4)))
     assert raised.value.code == "FIT_DIVERGED"
     assert "preview" in raised.value.hints[0]
 
 
 def test_too_few_points_are_named_and_bad_arguments_refused() -> None:
     with pytest.raises(EdgeError) as raised:
-        next(fit(POINTS[:50], QUICK))
+        next(fit_network(POINTS[:50], QUICK))
     assert raised.value.code == "FIT_TOO_FEW_POINTS"
     with pytest.raises(ValueError, match="not finite"):
-        next(fit(np.where(POINTS > 0.49, np.nan, POINTS), QUICK))
+        next(fit_network(np.where(POINTS > 0.49, np.nan, POINTS), QUICK))
     with pytest.raises(ValueError, match="base"):
-        next(fit(POINTS, replace(QUICK, warm_start=5)))
+        next(fit_network(POINTS, replace(QUICK, warm_start=5)))
     with pytest.raises(ValueError, match="held-out"):
-        next(fit(POINTS, replace(QUICK, patience=5)))
+        next(fit_network(POINTS, replace(QUICK, patience=5)))
 
 
 def test_a_device_that_is_not_there_is_named() -> None:
@@ -124,17 +125,17 @@ def test_memory_that_is_not_there_is_named_and_worth_a_retry() -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 9 GiB.")
 
     for allocate in (more_than_there_is, as_a_gpu_says_it):
-        with pytest.raises(EdgeError) as raised, memory_errors_named("this fit"):
+        with pytest.raises(EdgeError) as raised, translate_memory_errors("this fit"):
             allocate()
         assert raised.value.code == "GPU_OOM"
         assert raised.value.retryable
         assert raised.value.hints
-    with pytest.raises(RuntimeError, match="another"), memory_errors_named("this fit"):
+    with pytest.raises(RuntimeError, match="another"), translate_memory_errors("this fit"):
         raise RuntimeError("another")
 
 
 def test_the_rate_rises_and_falls_twice() -> None:
-    config = FitConfig(steps=1_000, warm_start=100, warm_up=1_000, learning_rate=1.0)
+    config = NetworkConfig(steps=1_000, warm_start=100, warm_up=1_000, learning_rate=1.0)
     rates = [learning_rate(step, config) for step in range(config.total_steps)]
     assert max(rates) == 1.0
     assert rates[99] < 0.01
@@ -163,7 +164,7 @@ def test_fits_capture_one_at_a_time_each_on_a_stream_of_its_gpu(monkeypatch: pyt
     monkeypatch.setattr(torch.cuda, "Stream", stream_of)
     monkeypatch.setattr(torch.cuda, "stream", nullcontext)
     with ThreadPoolExecutor(4) as pool:
-        runs = list(pool.map(lambda _: captured(lambda: None, torch.device("cuda:1")), range(4)))
+        runs = list(pool.map(lambda _: capture_step(lambda: None, torch.device("cuda:1")), range(4)))
     assert runs == ["the replay"] * 4
     assert streams == ["cuda:1"] * 4
 
@@ -173,6 +174,6 @@ def test_a_captured_fit_agrees_with_the_cpu_and_repeats() -> None:
     if not torch.cuda.is_available():
         pytest.skip("there is no CUDA device")
     config = replace(QUICK, steps=30, densify=Densify(steps=10, batch=256, farthest=0.1, field_below=1.0))
-    first, second = (distances(last(fit(POINTS, config, device="cuda"))) for _ in range(2))
+    first, second = (distances(last(fit_network(POINTS, config, device="cuda"))) for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    np.testing.assert_allclose(first, distances(last(fit(POINTS, config))), atol=1e-2)
+    np.testing.assert_allclose(first, distances(last(fit_network(POINTS, config))), atol=1e-2)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from services.edge.field.config import FitConfig
-from services.edge.field.networks import FieldNetwork, network_of, rounded_relu
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.networks import FieldNetwork, network_of, rounded_relu
 
-CONFIGS = [FitConfig(), FitConfig(width=256), FitConfig(model="mlp")]
+CONFIGS = [NetworkConfig(), NetworkConfig(width=256), NetworkConfig(model="mlp")]
 NETWORKS = pytest.mark.parametrize("config", CONFIGS, ids=["128", "256", "mlp"])
 
 
@@ -16,7 +16,7 @@ def queries(count: int = 300) -> torch.Tensor:
     return torch.rand(count, 3, generator=torch.Generator().manual_seed(1)) - 0.5
 
 
-def in_double(config: FitConfig) -> FieldNetwork:
+def in_double(config: NetworkConfig) -> FieldNetwork:
     return network_of(config).double()
 
 
@@ -31,7 +31,7 @@ def test_the_networks_have_the_papers_sizes() -> None:
 
 
 @NETWORKS
-def test_the_second_sweep_is_the_gradient(config: FitConfig) -> None:
+def test_the_second_sweep_is_the_gradient(config: NetworkConfig) -> None:
     network, q = in_double(config), queries().double().requires_grad_()
     f, g = network.value_and_gradient(q)
     torch.testing.assert_close(network(q), f)
@@ -40,7 +40,7 @@ def test_the_second_sweep_is_the_gradient(config: FitConfig) -> None:
 
 
 @NETWORKS
-def test_a_loss_on_the_gradient_reaches_the_weights_as_by_double_backward(config: FitConfig) -> None:
+def test_a_loss_on_the_gradient_reaches_the_weights_as_by_double_backward(config: NetworkConfig) -> None:
     network, q = in_double(config), queries().double()
     f, g = network.value_and_gradient(q)
     (f + g.square().sum(dim=1)).mean().backward()
@@ -59,7 +59,7 @@ def test_a_loss_on_the_gradient_reaches_the_weights_as_by_double_backward(config
 
 
 @NETWORKS
-def test_a_random_network_is_the_field_of_a_sphere(config: FitConfig) -> None:
+def test_a_random_network_is_the_field_of_a_sphere(config: NetworkConfig) -> None:
     directions = torch.nn.functional.normalize(queries() + 1e-3)
     f = network_of(config)(directions * 0.5)
     assert f.mean() < 0.1
@@ -68,13 +68,13 @@ def test_a_random_network_is_the_field_of_a_sphere(config: FitConfig) -> None:
 
 
 @NETWORKS
-def test_a_querys_value_does_not_depend_on_its_batch(config: FitConfig) -> None:
+def test_a_querys_value_does_not_depend_on_its_batch(config: NetworkConfig) -> None:
     network, q = in_double(config), queries().double()
     torch.testing.assert_close(network(q)[17:18], network(q[17:18]))
 
 
 @NETWORKS
-def test_a_seed_gives_one_network(config: FitConfig) -> None:
+def test_a_seed_gives_one_network(config: NetworkConfig) -> None:
     torch.manual_seed(5)
     first = network_of(config)(queries())
     torch.manual_seed(6)

@@ -8,16 +8,16 @@ import torch
 from scipy.spatial import cKDTree
 
 from services.edge.field.compute import nearest, nearest_by_blocks, rows
-from services.edge.field.config import FitConfig
-from services.edge.field.queries import PADDING, Batches, Pool, draw_pool, pool_size
-from tests import surfaces
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.queries import PADDING, Batches, Pool, draw_pool, pool_size
+from tests.support import surfaces
 
 CPU = torch.device("cpu")
 POINTS = np.asarray(surfaces.sampled(surfaces.hemisphere(), 2_000), np.float32)
-CONFIG = FitConfig(pool=20_000)
+CONFIG = NetworkConfig(pool=20_000)
 
 
-def drawn(config: FitConfig = CONFIG, points: np.ndarray = POINTS) -> Pool:
+def drawn(config: NetworkConfig = CONFIG, points: np.ndarray = POINTS) -> Pool:
     *_, pool = draw_pool(points, config, CPU)
     assert pool is not None
     return pool
@@ -45,7 +45,7 @@ def test_every_point_anchors_as_many_queries_as_far_away_as_its_neighbours() -> 
 
 def test_dense_clouds_spread_their_queries_wider() -> None:
     many = np.random.default_rng(0).random((30_000, 3)).astype(np.float32)
-    pool = drawn(FitConfig(pool=30_000), many)
+    pool = drawn(NetworkConfig(pool=30_000), many)
     sigma = 0.25 * 1.5**0.5 * cKDTree(many).query(many[:500], k=51)[0][:, -1]  # ¼·√(30,000/20,000)
     spread = pool.offset[pool.anchor.argsort()][:500] / torch.from_numpy(sigma)[:, None]
     assert spread.std() == pytest.approx(1, abs=0.05)
@@ -61,12 +61,12 @@ def test_nearest_points_and_far_distances_are_those_of_the_points() -> None:
 
 
 def test_small_clouds_draw_small_pools() -> None:
-    assert pool_size(1_000, FitConfig()) == 100_000
-    assert pool_size(50_000, FitConfig()) == 1_000_000
+    assert pool_size(1_000, NetworkConfig()) == 100_000
+    assert pool_size(50_000, NetworkConfig()) == 1_000_000
 
 
 def test_a_seed_draws_one_pool() -> None:
-    for a, b in ((drawn(), drawn()), (drawn(), drawn(FitConfig(pool=20_000, seed=1)))):
+    for a, b in ((drawn(), drawn()), (drawn(), drawn(NetworkConfig(pool=20_000, seed=1)))):
         same = torch.equal(a.offset, b.offset)
         assert same == (a.offset[0, 0] == b.offset[0, 0])
     assert torch.equal(drawn().offset, drawn().offset)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.photos.outline import without_rim
+from services.edge.photos.depth_rim import remove_rim
 
 _SIZE = (120, 160)
 _RIM = 3  # pixels that the depth reaches too far
@@ -34,7 +34,7 @@ def test_a_rim_of_the_backgrounds_colour_goes_and_the_thing_stays(beyond: float)
     thing = _disc(40)
     rgb = _picture(thing, thing_rgb=(150, 90, 60), beyond=(110, 120, 135))
     fat = _depth(_disc(40 + _RIM), beyond)
-    kept = without_rim(fat, rgb)
+    kept = remove_rim(fat, rgb)
     surface = (kept > 0) & (kept < 1.5)
     assert (surface & ~thing).sum() < 0.05 * (_disc(40 + _RIM) & ~thing).sum()
     assert (surface & thing).sum() > 0.99 * thing.sum()
@@ -45,20 +45,20 @@ def test_a_rim_of_the_backgrounds_colour_goes_and_the_thing_stays(beyond: float)
 def test_what_cannot_be_told_from_the_background_stays() -> None:
     rgb = _picture(_disc(40), thing_rgb=(120, 120, 120), beyond=(120, 120, 120))
     depth = _depth(_disc(40), 0.0)
-    assert (without_rim(depth, rgb) > 0).sum() > 0.99 * (depth > 0).sum()
+    assert (remove_rim(depth, rgb) > 0).sum() > 0.99 * (depth > 0).sum()
 
 
 def test_a_patch_without_depth_on_the_thing_is_no_background() -> None:
     shine = _disc(6)
     rgb = _picture(~_disc(9), thing_rgb=(90, 60, 50), beyond=(240, 240, 240))
     depth = _depth(~shine, 0.0)
-    assert (without_rim(depth, rgb) == depth).all()
+    assert (remove_rim(depth, rgb) == depth).all()
 
 
 def test_a_surface_without_an_outline_stays() -> None:
     rgb = _picture(_disc(30), thing_rgb=(200, 60, 50), beyond=(40, 40, 240))
     depth = _depth(np.ones(_SIZE, bool), 0.0)
-    assert (without_rim(depth, rgb) == depth).all()
+    assert (remove_rim(depth, rgb) == depth).all()
 
 
 def test_a_thing_thinner_than_the_rim_stays() -> None:
@@ -66,4 +66,4 @@ def test_a_thing_thinner_than_the_rim_stays() -> None:
     leaf[58:62] = True
     rgb = _picture(leaf, thing_rgb=(60, 160, 60), beyond=(200, 200, 200))
     depth = _depth(leaf, 0.0)
-    assert (without_rim(depth, rgb) == depth).all()
+    assert (remove_rim(depth, rgb) == depth).all()

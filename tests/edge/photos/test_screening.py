@@ -17,8 +17,8 @@ from services.edge.capture import photos
 from services.edge.capture.files import open_folder
 from services.edge.capture.nouns import Photo, PhotoVerdict
 from services.edge.errors import Cancelled, CaptureError
-from services.edge.photos.screen import screen
-from tests.edge.walkaround import Walkaround, render_walkaround
+from services.edge.photos.screening import screen
+from tests.support.walkaround import Walkaround, render_walkaround
 
 VIEWS = 10
 Spoil = Callable[[np.ndarray], np.ndarray]
@@ -172,10 +172,10 @@ def test_a_pale_thing_has_no_copies(taken: tuple[Photo, ...]) -> None:
 
 def test_what_cannot_be_decoded_is_told(taken: tuple[Photo, ...]) -> None:
     def broken(longest: int | None = None) -> np.ndarray:
-        raise CaptureError("IMAGE_UNREADABLE", "is cut off: the JPEG has no end", file="a.jpg")
+        raise CaptureError("IMAGE_UNREADABLE", "is cut off: the end of the JPEG is missing", file="a.jpg")
 
     _, verdicts = screen([replace(taken[0], load=broken), *taken[1:]], tick=no_tick)
-    advice = "It is cut off: the JPEG has no end; send it again as a JPEG or HEIC."
+    advice = "It is cut off: the end of the JPEG is missing; send it again as a JPEG or HEIC."
     assert verdicts == (PhotoVerdict(taken[0].name, "unreadable", advice),)
 
 
@@ -200,7 +200,7 @@ def test_it_can_be_stopped(taken: tuple[Photo, ...]) -> None:
 KINDS: dict[str, Spoil] = {"ok": lambda rgb: rgb, "blur": smear(10, 30), "dark": dim}
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(kinds=st.lists(st.sampled_from(list(KINDS)), min_size=VIEWS, max_size=VIEWS))
 def test_any_mixture_keeps_what_is_good(taken: tuple[Photo, ...], kinds: list[str]) -> None:
     mixed = [spoiled(photo, KINDS[kind]) for photo, kind in zip(taken, kinds, strict=True)]

@@ -20,11 +20,13 @@ import pytest
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.nouns import Intrinsics, Photo
 from services.edge.errors import Cancelled, CaptureError, EdgeError
-from services.edge.photos.align import align
-from services.edge.photos.features import FAST, Setting, features_of, pixel_of, root_sift
+from services.edge.photos.features import FAST, SiftSettings, features_of, pixel_ratio, root_sift
+from services.edge.photos.match_pairs import FEW, MANY, epipolar_errors, exhaustive, sequential
 from services.edge.photos.nouns import Alignment
-from services.edge.photos.pairs import FEW, MANY, epipolar_errors, exhaustive, sequential
-from services.edge.photos.solve import Lens, Problem, solve
+from services.edge.photos.sfm_process import Lens, SfmProblem, solve
+from services.edge.photos.structure_from_motion import align
+from services.edge.procrustes import procrustes
+from tests.support.patience import CANCEL_S
 
 SIZE = (480, 360)
 LENS = Intrinsics(430.0, 430.0, 239.5, 179.5, *SIZE)
@@ -93,15 +95,10 @@ def unposed(photos: list[Photo]) -> list[Photo]:
 
 
 def centre_errors(found: Floats, true: Floats) -> Floats:
-    """Distances of camera centres (V,3) after the best similarity, as a share of the true ones' extent.
-
-    Shinji Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991.
-    """
-    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
-    left, spread, right = np.linalg.svd(b.T @ a)
-    sign = np.diag([1, 1, np.sign(np.linalg.det(left @ right))])
-    scale = (spread * np.diag(sign)).sum() / (a**2).sum()
-    distances = np.linalg.norm(scale * a @ (left @ sign @ right).T - b, axis=1)
+    """Distances of camera centres (V,3) after the best similarity, as a share of the true ones' extent."""
+    to_true = procrustes(found, true, scale=True)
+    assert to_true is not None
+    distances = np.linalg.norm(found @ to_true[:3, :3].T + to_true[:3, 3] - true, axis=1)
     return np.asarray(distances / np.linalg.norm(np.ptp(true, axis=0)))
 
 
@@ -188,7 +185,7 @@ def test_of_two_groups_that_do_not_meet_the_larger_is_used() -> None:
     assert {by_name[photo.name].verdict for photo in far} == {"no_overlap"}
     assert "between near_3.jpg and this one" in by_name["far_0.jpg"].advice
     assert "texture" in by_name["blank.jpg"].advice
-    assert "pieces of 4 and 3" in alignment.warnings[0]
+    assert "groups of 4 and 3" in alignment.warnings[0]
 
 
 def test_photos_of_different_things_are_refused_with_what_to_shoot() -> None:
@@ -213,7 +210,7 @@ def children() -> list[psutil.Process]:
 
 def _maps(child: psutil.Process) -> bool:
     with suppress(psutil.Error):  # it ends while it is looked at
-        return "services.edge.photos.solve_child" in child.cmdline()
+        return "services.edge.photos.sfm_child" in child.cmdline()
     return False
 
 
@@ -230,7 +227,7 @@ def test_a_cancel_ends_the_child_and_leaves_nothing(
 
     with pytest.raises(Cancelled):
         align(unposed(posed), tick=cancel_in_the_child)
-    assert time.monotonic() - raised[0] < 2
+    assert time.monotonic() - raised[0] < CANCEL_S
     assert children() == []
     assert list(tmp_path.iterdir()) == []
 
@@ -249,7 +246,7 @@ def test_the_childs_last_words_are_in_the_error(posed: list[Photo]) -> None:
     features = tuple(features_of(photo, FAST) for photo in posed[:3])
     unknown_lens = np.array([0, 0, 7])
     with pytest.raises(EdgeError, match="Error") as caught:
-        solve(Problem((Lens(LENS),), unknown_lens, features, exhaustive(3), 1.0))
+        solve(SfmProblem((Lens(LENS),), unknown_lens, features, exhaustive(3), 1.0))
     assert caught.value.code == "ALIGN_FAILED"
 
 
@@ -262,7 +259,7 @@ def test_the_progress_rises_to_one(posed: list[Photo]) -> None:
 
 
 def test_the_child_does_without_torch() -> None:
-    code = "import services.edge.photos.solve_child, sys; print('torch' in sys.modules)"
+    code = "import services.edge.photos.sfm_child, sys; print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
 
 
@@ -272,11 +269,11 @@ def test_key_points_lie_where_their_blobs_do_whatever_the_pictures_size(longest:
     blobs = np.random.default_rng(0).uniform(100, 800, (30, 2))
     light = sum(np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 9.0**2)) for u, v in blobs)
     photo = photo_of(np.repeat(np.uint8(40 + 200 * np.minimum(light, 1))[..., None], 3, axis=2), "blobs.png")
-    setting = Setting(longest, 200, 0.015)
+    setting = SiftSettings(longest, 200, 0.015)
     offset = features_of(photo, setting).xy[:, None] - blobs
-    found = offset[np.linalg.norm(offset, axis=2) < 2 * pixel_of(photo, setting)]
+    found = offset[np.linalg.norm(offset, axis=2) < 2 * pixel_ratio(photo, setting)]
     assert len(found) > 10
-    assert np.abs(np.median(found, axis=0)).max() < 0.05 * pixel_of(photo, setting)
+    assert np.abs(np.median(found, axis=0)).max() < 0.05 * pixel_ratio(photo, setting)
 
 
 def test_root_sift_has_unit_length_and_bears_an_empty_histogram() -> None:

@@ -18,16 +18,17 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
-from services.edge.capture import Capture, read_capture
-from services.edge.capture.nouns import Frame, Intrinsics, Photo
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
+from services.edge.capture_to_points import to_points
 from services.edge.errors import CaptureError
-from services.edge.photos import to_depth
-from services.edge.photos.crop import Box, cropped
-from services.edge.photos.features import FAST, features_of, sized
-from services.edge.photos.turntable import axis_up, without_background
-from services.edge.points import Points, to_points
+from services.edge.photos.crop import CropBox, crop_photo
+from services.edge.photos.features import FAST, features_of, resize_mask
+from services.edge.photos.to_depth import to_depth
+from services.edge.photos.turntable import axis_up, mask_background
 from services.edge.points.isolate import isolate_object
-from tests.edge.turntable import PLATE_RADIUS, Turntable, render_turntable
+from services.edge.points.nouns import Points
+from tests.support.turntable import PLATE_RADIUS, Turntable, render_turntable
 
 SIZE_M = 0.4  # of the thing
 
@@ -74,13 +75,13 @@ def changed(capture: Capture, spoil: Callable[[np.ndarray, int], np.ndarray]) ->
 
 
 def test_the_masks_show_what_turns(table: Turntable, taken: Capture) -> None:
-    masked = without_background(taken.photos)
+    masked = mask_background(taken.photos)
     assert [photo.name for photo in masked] == [photo.name for photo in taken.photos]
     for photo, moving in zip(masked, table.moving, strict=True):
         # Photos and masks are cut to the thing, about the middle.
         width, height = photo.size
         top, left = (moving.shape[0] - height) // 2, (moving.shape[1] - width) // 2
-        truth, found = moving[top : top + height, left : left + width], sized(photo.mask, (height, width))
+        truth, found = moving[top : top + height, left : left + width], resize_mask(photo.mask, (height, width))
         assert truth.sum() == moving.sum()
         assert (found & ~truth).sum() < 0.25 * truth.sum()  # two pixels of the outline are 12 %
         assert (truth & ~found).sum() < 0.03 * truth.sum()
@@ -99,22 +100,22 @@ def grainy(rgb: np.ndarray, number: int) -> np.ndarray:
 def test_a_drifting_exposure_and_a_grainy_sensor_change_nothing(
     taken: Capture, spoil: Callable[[np.ndarray, int], np.ndarray]
 ) -> None:
-    assert len(without_background(changed(taken, spoil))) == len(taken.photos)
+    assert len(mask_background(changed(taken, spoil))) == len(taken.photos)
 
 
 def test_a_walk_around_is_none(walk: Capture) -> None:
-    assert without_background(walk.photos) == ()
+    assert mask_background(walk.photos) == ()
 
 
 def test_a_film_of_nothing_moving_is_none(taken: Capture) -> None:
     still = changed(replace(taken, photos=(taken.photos[0],) * 10), grainy)
-    assert without_background(still) == ()
+    assert mask_background(still) == ()
 
 
 def test_a_thing_on_plain_white_is_none(tmp_path: Path, taken: Capture) -> None:
     """Whether it turns or somebody walks around it: there is no still texture to lead the matching astray."""
     plain = render_turntable(tmp_path, views=8, size=(320, 240), turn=90, plain=True)
-    assert without_background(read_capture(plain.photos[0].parent).photos) == ()
+    assert mask_background(read_capture(plain.photos[0].parent).photos) == ()
 
 
 def test_a_makers_mark_in_every_photo_of_a_walk_is_no_background(walk: Capture) -> None:
@@ -124,20 +125,20 @@ def test_a_makers_mark_in_every_photo_of_a_walk_is_no_background(walk: Capture) 
         rgb[-50:-10, -100:-10] = mark
         return rgb
 
-    assert without_background(changed(walk, marked)) == ()
+    assert mask_background(changed(walk, marked)) == ()
 
 
 def test_photos_of_several_cameras_or_of_known_pose_are_none(taken: Capture) -> None:
     first, *others = taken.photos
-    assert without_background((replace(first, camera="another"), *others)) == ()
-    assert without_background((replace(first, camera_to_world=np.eye(4)), *others)) == ()
+    assert mask_background((replace(first, camera="another"), *others)) == ()
+    assert mask_background((replace(first, camera_to_world=np.eye(4)), *others)) == ()
 
 
 def test_a_photo_that_cannot_be_read_is_left_to_the_screen(taken: Capture) -> None:
     def broken(longest: int | None = None) -> np.ndarray:
         raise CaptureError("IMAGE_UNREADABLE", "is cut off", file="a.jpg")
 
-    masked = without_background((*taken.photos[:5], replace(taken.photos[5], load=broken), *taken.photos[6:]))
+    masked = mask_background((*taken.photos[:5], replace(taken.photos[5], load=broken), *taken.photos[6:]))
     assert [photo.mask is None for photo in masked].count(True) == 1
 
 
@@ -192,13 +193,13 @@ def test_a_film_of_a_turntable_gives_key_frames(tmp_path: Path) -> None:
     assert 14 <= len(capture.photos) <= 40
     seconds = [float(photo.name.split(" at ")[1].removesuffix(" s")) for photo in capture.photos]
     assert np.diff(seconds).max() < 0.8  # 32 degrees
-    assert len(without_background(capture.photos)) == len(capture.photos)
+    assert len(mask_background(capture.photos)) == len(capture.photos)
 
 
 # The parts
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1),
     st.floats(-60, 60),
@@ -231,7 +232,7 @@ def test_cameras_that_do_not_turn_tell_no_axis() -> None:
     assert axis_up(frames) is None
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(60, 200), st.integers(60, 200), st.floats(0.0, 0.25), st.one_of(st.none(), st.integers(30, 200)))
 def test_a_part_of_a_photo_shows_what_the_whole_does_there(
     width: int, height: int, margin: float, longest: int | None
@@ -245,7 +246,7 @@ def test_a_part_of_a_photo_shows_what_the_whole_does_there(
         size = (max(1, round(by * width)), max(1, round(by * height)))
         return cv2.resize(ramp, size, interpolation=cv2.INTER_AREA)
 
-    part = cropped(Photo("a", (width, height), "one", load), Box(margin, margin, 1 - margin, 1 - margin))
+    part = crop_photo(Photo("a", (width, height), "one", load), CropBox(margin, margin, 1 - margin, 1 - margin))
     assert (part.size[0] - width) % 2 == (part.size[1] - height) % 2 == 0
     shown = part.load(longest)
     assert max(shown.shape) <= (longest or 10**9)

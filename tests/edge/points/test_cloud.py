@@ -12,12 +12,15 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.capture import Capture, Cloud, read_capture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Cloud
+from services.edge.capture_to_points import to_points
 from services.edge.errors import CaptureError
-from services.edge.points import Points, at_most, to_points, unit_frame
-from services.edge.points.grid import cell_keys, key_cells, sum_groups
-from services.edge.points.outliers import connected, inliers
-from services.edge.points.thin import thin
+from services.edge.points.downsample import downsample_points, voxel_downsample
+from services.edge.points.nouns import Points
+from services.edge.points.outliers import inliers, label_components
+from services.edge.points.unit import unit_frame
+from services.edge.points.voxel_grid import cell_keys, key_cells, sum_groups
 
 
 def cloud(xyz: Floats, rgb: Bytes | None = None) -> Capture:
@@ -139,7 +142,7 @@ def test_a_voxel_asked_for_is_the_spacing() -> None:
 
 def test_thinning_averages_light_not_codes() -> None:
     xyz = np.array([[0.1, 0.1, 0.1], [0.2, 0.2, 0.2]])
-    _, rgb = thin(xyz, np.array([[0, 0, 0], [255, 255, 255]], np.uint8), 1.0)
+    _, rgb = voxel_downsample(xyz, np.array([[0, 0, 0], [255, 255, 255]], np.uint8), 1.0)
     assert rgb is not None
     assert rgb.tolist() == [[188, 188, 188]]
 
@@ -161,7 +164,7 @@ def test_a_known_unit_is_kept() -> None:
     assert not points.warnings
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     offset=st.floats(-1e6, 1e6),
     scale=st.floats(1e-3, 1e3),
@@ -199,7 +202,7 @@ def test_group_sums_keep_the_total(keys: list[int]) -> None:
 
 
 def test_components_are_numbered_by_size() -> None:
-    label = connected(np.concatenate([sphere(100) + 5, sphere(1_000)]), 0.3)
+    label = label_components(np.concatenate([sphere(100) + 5, sphere(1_000)]), 0.3)
     assert set(label[:100]) == {1}
     assert set(label[100:]) == {0}
 
@@ -231,7 +234,7 @@ def test_real_dress_survives_strays(data_dir: Path) -> None:
 def test_at_most_is_at_most_and_keeps_the_extent(count: int, most: int) -> None:
     xyz = np.random.default_rng(count).random((count, 3)) * [1.0, 2.0, 0.001]
     points = Points(xyz, None, np.ones(count, np.float32), 1.0, "metric", None)
-    fewer = at_most(points, most)
+    fewer = downsample_points(points, most)
     assert len(fewer) <= most
     assert len(fewer.confidence) == len(fewer)
     assert len(fewer) == count if count <= most else len(fewer) > most / 8

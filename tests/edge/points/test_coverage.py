@@ -10,17 +10,17 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.cli.report import page
+from services.cli.report import report_page
 from services.edge.arrays import Floats
-from services.edge.asset import _unseen, asset_frame
+from services.edge.asset.manifest import _unseen_sides, asset_frame
 from services.edge.capture.nouns import Capture
+from services.edge.capture_to_points import to_points
 from services.edge.pipeline import reconstruct
-from services.edge.points import Points, to_points
-from services.edge.points.nouns import Unseen
-from services.edge.points.unseen import unseen_sides
+from services.edge.points.coverage import unseen_sides
+from services.edge.points.nouns import Points, UnseenSide
 from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
-from tests.edge.scenes import PHONE, Sensor, film, look_at, orbit, plane, scene
+from tests.support.scenes import PHONE, Sensor, film, look_at, orbit, plane, scene
 
 MIDDLE = (0.0, 0.0, 0.15)
 
@@ -110,7 +110,7 @@ def around(gap_deg: float, turn: Floats) -> tuple[Points, Capture]:
     return points, Capture("rgbd", "a", frames=tuple(replace(frame, camera_to_world=pose) for pose in poses))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-180, 180), st.integers(0, 2**32 - 1), st.floats(0.01, 100))
 def test_the_gap_is_found_whatever_way_the_capture_lies(gap_deg: float, seed: int, scale: float) -> None:
     turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
@@ -158,7 +158,7 @@ def test_the_manifest_tells_it_in_the_assets_frame(half: Capture) -> None:
         **bundle.manifest,
         "key": "cup", "verdict": "", "reference": None, "certificates": {},
     }  # fmt: skip
-    assert f"<li>{side['advice']}</li>" in page(report, {})
+    assert f"<li>{side['advice']}</li>" in report_page(report, {})
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3))
@@ -167,9 +167,9 @@ def test_a_direction_keeps_its_length_and_its_height_in_the_asset(seed: int, met
     rng = np.random.default_rng(seed)
     up, toward = (each / np.linalg.norm(each) for each in rng.normal(size=(2, 3)))
     xyz = rng.random((30, 3))
-    sides = (Unseen("Shoot from behind.", tuple(toward.tolist()), 0.25),)
+    sides = (UnseenSide("Shoot from behind.", tuple(toward.tolist()), 0.25),)
     points = Points(xyz, None, np.ones(30, np.float32), metres_per_unit, "unknown", up, unseen=sides)
-    (told,) = _unseen(points, asset_frame(xyz, points))
+    (told,) = _unseen_sides(points, asset_frame(xyz, points))
     assert np.linalg.norm(told["toward"]) == pytest.approx(1, abs=2e-3)
     assert told["toward"][1] == pytest.approx(toward @ up, abs=2e-3)
     assert (told["advice"], told["share"]) == ("Shoot from behind.", 0.25)

@@ -12,13 +12,14 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Floats
-from services.edge.capture import Capture, Frame, read_capture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Frame
+from services.edge.capture_to_points import to_points
 from services.edge.errors import Cancelled, CaptureError
-from services.edge.points import to_points
 from services.edge.points.fuse import fuse
-from services.edge.points.grid import Samples, VoxelGrid
+from services.edge.points.voxel_grid import Samples, VoxelGrid
 from services.edge.srgb import to_linear, to_srgb
-from tests.edge.scenes import KINECT, PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
+from tests.support.scenes import KINECT, PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
 
 CLEAN = Sensor()
 PHONE_LIKE = Sensor(noise_m=0.003, jitter_m=0.002, jitter_deg=0.1, flying=0.5)

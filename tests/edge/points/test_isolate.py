@@ -9,12 +9,14 @@ import pytest
 import trimesh
 
 from services.edge.arrays import Floats
-from services.edge.capture import Capture, Cloud, read_capture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Cloud
+from services.edge.capture_to_points import to_points
 from services.edge.errors import CaptureError
-from services.edge.points import Points, to_points
+from services.edge.points.nouns import Points
 from services.edge.points.plane import largest_plane
 from services.edge.points.upright import estimate_up
-from tests.edge.scenes import Sensor, film, look_at, orbit, plane, scene
+from tests.support.scenes import Sensor, film, look_at, orbit, plane, scene
 
 SENSOR = Sensor(noise_m=0.003, jitter_m=0.002, jitter_deg=0.1, flying=0.5)
 UP = np.array([0.0, 0.0, 1.0])

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from services.edge.arrays import Floats
 from services.edge.capture.nouns import Frame, Intrinsics
-from services.edge.points import Points, with_longest
-from services.edge.points.aim import around_one_thing, meeting_point
-from services.edge.points.scale import span
+from services.edge.points.nouns import Points
+from services.edge.points.orbit import meeting_point, orbits_one_object
+from services.edge.points.scale import scale_to_longest, span
 
 LENS = Intrinsics(500, 500, 320, 240, 640, 480)
 
@@ -36,19 +36,19 @@ def ring(count: int, degrees: float = 360) -> Floats:
 @given(st.integers(3, 40), st.floats(30, 360), st.integers(0, 99))
 def test_a_walk_around_a_thing_aims_at_it_roughly(count: int, degrees: float, seed: int) -> None:
     aims = np.random.default_rng(seed).normal(0, 0.04, (count, 3))
-    assert around_one_thing(frames(ring(count, degrees), aims))
+    assert orbits_one_object(frames(ring(count, degrees), aims))
 
 
 @given(st.integers(10, 40), st.integers(0, 99))
 def test_from_the_middle_of_a_room_outward_is_no_thing(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     eyes = rng.normal(0, 0.2, (count, 3))
-    assert not around_one_thing(frames(eyes, 3 * ring(count)))
+    assert not orbits_one_object(frames(eyes, 3 * ring(count)))
 
 
 def test_along_a_wall_is_no_thing() -> None:
     eyes = np.stack([np.linspace(0, 3, 12), np.zeros(12), np.zeros(12)], axis=1)
-    assert not around_one_thing(frames(eyes, eyes + np.array([0, 0, 1.0])))
+    assert not orbits_one_object(frames(eyes, eyes + np.array([0, 0, 1.0])))
 
 
 def test_some_photos_of_something_else_change_nothing() -> None:
@@ -58,7 +58,7 @@ def test_some_photos_of_something_else_change_nothing() -> None:
     found = frames(eyes, targets)
     axes = np.stack([frame.camera_to_world[:3, 2] for frame in found])
     assert np.linalg.norm(meeting_point(eyes, axes)) < 1e-3
-    assert around_one_thing(found)
+    assert orbits_one_object(found)
 
 
 @given(st.integers(2, 200), st.integers(1, 3), st.integers(0, 99))
@@ -76,6 +76,6 @@ def test_the_span_of_a_round_cloud_whose_points_are_all_corners() -> None:
 
 def test_one_length_sets_the_scale() -> None:
     xyz = np.random.default_rng(0).random((500, 3))
-    told = with_longest(Points(xyz, None, np.ones(500), 1.0, "unknown", None), 0.31)
+    told = scale_to_longest(Points(xyz, None, np.ones(500), 1.0, "unknown", None), 0.31)
     assert span(told.xyz) * told.metres_per_unit == pytest.approx(0.31)
     assert told.scale_confidence == "estimated"

@@ -11,17 +11,17 @@ import pytest
 from PIL import Image
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.mesh import Mesh, render_sheet
 from services.edge.mesh.normals import vertex_normals
-from services.edge.mesh.nouns import Textured
-from services.edge.mesh.rays import Scene, open_sky, pinhole
-from tests import surfaces
-from tests.edge.painted import painted, quarters
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.render.contact_sheet import render_sheet
+from services.edge.render.rays import Scene, open_sky, pinhole
+from tests.support import surfaces
+from tests.support.painted import painted, quarters
 
 SIZE = 96
 
 
-def picture(mesh: Mesh | Textured, size: int = SIZE) -> Bytes:
+def picture(mesh: Mesh | TexturedMesh, size: int = SIZE) -> Bytes:
     return np.asarray(Image.open(io.BytesIO(render_sheet(mesh, size=size))))
 
 
@@ -104,7 +104,7 @@ def test_a_picture_on_the_surface_shows_where_its_coordinates_say() -> None:
     corners = np.arange(3 * len(sphere.faces)).reshape(-1, 3)
     uv = np.repeat(np.where(above[:, None], [0.25, 0.25], [0.25, 0.75]), 3, axis=0)
     mesh = Mesh(sphere.vertices[sphere.faces].reshape(-1, 3), corners)
-    sheet = picture(Textured(mesh, uv, quarters(), 64)).astype(int)
+    sheet = picture(TexturedMesh(mesh, uv, quarters(), 64)).astype(int)
     top, bottom = sheet[SIZE // 4, SIZE // 2], sheet[3 * SIZE // 4, SIZE // 2]
     assert top[0] > 2 * top[1:].max()
     assert bottom[1] > 2 * bottom[[0, 2]].max()
@@ -114,7 +114,7 @@ def test_the_charts_of_a_picture_leave_no_edges_in_the_shading() -> None:
     sphere = coarse_sphere()
     corners = np.arange(3 * len(sphere.faces)).reshape(-1, 3)
     mesh = Mesh(sphere.vertices[sphere.faces].reshape(-1, 3), corners)
-    blue = Textured(mesh, np.full((len(mesh.vertices), 2), [0.9, 0.1]), quarters(), 64)
+    blue = TexturedMesh(mesh, np.full((len(mesh.vertices), 2), [0.9, 0.1]), quarters(), 64)
     difference = np.abs(picture(blue).astype(int) - picture(painted(sphere, 0, 0, 255)))
     assert difference.mean() < 1.5
 

@@ -12,10 +12,10 @@ from PIL import Image, ImageDraw
 from scipy.spatial import ConvexHull
 
 from services.edge.arrays import Bools, Bytes, Floats
-from services.edge.mesh.nouns import Mesh, Textured
-from services.edge.mesh.thumbnail import THUMBNAIL_BYTES, TURNING_BYTES, thumbnail, turning
-from tests import surfaces
-from tests.edge.painted import jpeg, painted, quarters
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.render.thumbnail import THUMBNAIL_BYTES, TURNING_BYTES, thumbnail, turning_preview
+from tests.support import surfaces
+from tests.support.painted import jpeg, painted, quarters
 
 WEDGE = Mesh(  # convex, and no two of its sides look alike
     np.array([[-1.0, 0, -0.3], [-1, 0, 0.3], [1, 0, -0.3], [1, 0, 0.5], [0.8, 0.9, 0.1]]),
@@ -108,7 +108,7 @@ def test_it_shows_front_right_side_and_top_but_neither_back_nor_bottom() -> None
 
 
 def test_frames_turn_once_round() -> None:
-    shown = frames(turning(WEDGE))
+    shown = frames(turning_preview(WEDGE))
     assert len(shown) == 24
     outlines = [outline(30 - 15 * frame, 192) for frame in range(24)]
     for number, frame in enumerate(shown):
@@ -118,7 +118,7 @@ def test_frames_turn_once_round() -> None:
 
 
 def test_the_animation_loops_for_ever_and_keeps_within_its_bytes() -> None:
-    webp = turning(painted(WEDGE, 200, 40, 40))
+    webp = turning_preview(painted(WEDGE, 200, 40, 40))
     with Image.open(io.BytesIO(webp)) as opened:
         opened.load()
         assert opened.info["loop"] == 0
@@ -131,7 +131,7 @@ def test_the_animation_loops_for_ever_and_keeps_within_its_bytes() -> None:
 
 
 def test_both_sides_of_an_open_surface_are_lit() -> None:
-    shown = frames(turning(painted(SHEET, 180, 180, 180)))
+    shown = frames(turning_preview(painted(SHEET, 180, 180, 180)))
     front, back = brightness(shown[2]), brightness(shown[14])
     assert front > 90
     assert back > 90
@@ -139,7 +139,7 @@ def test_both_sides_of_an_open_surface_are_lit() -> None:
 
 def test_a_picture_on_the_surface_is_where_its_coordinates_say() -> None:
     uv = np.stack([SHEET.vertices[:, 0] + 0.5, 0.5 - SHEET.vertices[:, 1]], axis=1)
-    (frame,) = frames(thumbnail(Textured(SHEET, uv, quarters(), 64)))
+    (frame,) = frames(thumbnail(TexturedMesh(SHEET, uv, quarters(), 64)))
     rows, columns = np.nonzero(solid(frame))
     top, bottom, left, right = rows.min(), rows.max(), columns.min(), columns.max()
     half_way = (top + bottom) // 2, (left + right) // 2
@@ -159,7 +159,7 @@ def test_one_colour_is_the_same_from_a_picture_and_from_vertices() -> None:
     green = jpeg(np.full((64, 64, 3), (120, 200, 80), np.uint8))
     uv = np.full((len(SHEET.vertices), 2), 0.5)
     (one,), (other,) = (
-        frames(thumbnail(Textured(SHEET, uv, green, 64))),
+        frames(thumbnail(TexturedMesh(SHEET, uv, green, 64))),
         frames(thumbnail(painted(SHEET, 120, 200, 80))),
     )
     both = solid(one) & solid(other)
@@ -172,7 +172,7 @@ def test_colours_that_do_not_compress_still_keep_within_the_bytes() -> None:
     rng = np.random.default_rng(0)
     noisy = replace(rough, rgb=rng.choice(np.array([0, 255], np.uint8), (len(rough.vertices), 3)))
     assert len(thumbnail(noisy)) <= THUMBNAIL_BYTES
-    assert len(turning(noisy)) <= TURNING_BYTES
+    assert len(turning_preview(noisy)) <= TURNING_BYTES
 
 
 @pytest.mark.parametrize("size", [1e-20, 1e-3, 1e7, 1e30])
@@ -186,7 +186,7 @@ def test_any_size_and_place_gives_the_same_picture(size: float) -> None:
 def test_a_single_triangle_and_a_sheet_on_edge_have_pictures() -> None:
     (frame,) = frames(thumbnail(TRIANGLE))
     assert 0.1 < solid(frame).mean() < 0.6
-    filled = [solid(frame).sum() for frame in frames(turning(TRIANGLE))]
+    filled = [solid(frame).sum() for frame in frames(turning_preview(TRIANGLE))]
     assert max(filled) > 20 * min(filled)
 
 
@@ -194,7 +194,7 @@ def test_a_mesh_without_area_is_an_empty_picture_and_one_without_faces_is_refuse
     (frame,) = frames(thumbnail(replace(TRIANGLE, vertices=np.full((3, 3), 7.0))))
     assert not frame[..., 3].any()
     nothing = Mesh(np.zeros((3, 3)), np.empty((0, 3), np.int64))
-    for picture in (thumbnail, turning):
+    for picture in (thumbnail, turning_preview):
         with pytest.raises(ValueError, match="without faces"):
             picture(nothing)
 
@@ -212,7 +212,7 @@ def test_a_cancelled_job_stops_between_frames() -> None:
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        turning(TRIANGLE, tick=heard)
+        turning_preview(TRIANGLE, tick=heard)
     assert told == sorted(told)
     assert told[0] == 0
     assert len(told) < 20

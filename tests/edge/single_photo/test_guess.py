@@ -15,23 +15,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.edge.arrays import Bytes, no_tick
-from services.edge.capture import read_capture
+from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Photo
 from services.edge.errors import Cancelled, CaptureError, EdgeError
-from services.edge.guess.cutout import CutOut, cut_out, square
-from services.edge.guess.examine import head_points
-from services.edge.guess.guess import MOST_CONFIDENT, Guess, guess
-from services.edge.guess.heads import Field, Implicit, anchors, field_points, with_gradient
-from services.edge.guess.lessons import HELD_OUT, held_out, lessons
-from services.edge.guess.looks import LOOKS, _turned, look
-from services.edge.guess.losses import chamfer, f_score
-from services.edge.guess.network import BINS, POINTS, Pixels
-from services.edge.guess.pictures import SIDE, photographed
-from services.edge.guess.shapes import SAMPLES, shapes
-from services.edge.guess.train import Training, train
-from services.edge.guess.weights import SHIPPED, load_field, load_pixels, trained
 from services.edge.pipeline import reconstruct
 from services.edge.preset import load_preset
+from services.edge.single_photo.camera import SIDE
+from services.edge.single_photo.cutout import CutOut, crop_square, cut_out
+from services.edge.single_photo.guess import MOST_CONFIDENT, Guess, guess
+from services.edge.single_photo.network import BINS, POINTS, Pixels
+from services.edge.single_photo.test_time_views import VIEWS, _choose_yaw, predict_from_views
+from services.edge.single_photo.weights import SHIPPED, load_pixels
+from services.edge.single_photo_training.batches import HELD_OUT, held_out_batch, training_batches
+from services.edge.single_photo_training.evaluate import head_points
+from services.edge.single_photo_training.field_heads import Field, Implicit, anchors, field_points, value_and_gradient
+from services.edge.single_photo_training.losses import chamfer, f_score
+from services.edge.single_photo_training.pictures import render_pictures
+from services.edge.single_photo_training.shapes import SAMPLES, generate_shapes
+from services.edge.single_photo_training.train import HeadTraining, train
+from services.edge.single_photo_training.weight_files import FIELDS, load_field, training_of
 from services.storage.bundle import Bundle
 
 CPU = torch.device("cpu")
@@ -65,8 +67,8 @@ def with_disc(centre: tuple[int, int], radius: int, colour: tuple[int, int, int]
 @pytest.fixture(scope="module")
 def dress() -> tuple[Bytes, torch.Tensor]:
     """A photo of a held-out dress before a wall, 512 pixels wide, and the dress."""
-    made = shapes(HELD_OUT + 77, 1, names=("dress",), samples=4 * SAMPLES)
-    seen = photographed(made, 3, clean=True).picture[0].permute(1, 2, 0).numpy()
+    made = generate_shapes(HELD_OUT + 77, 1, names=("dress",), samples=4 * SAMPLES)
+    seen = render_pictures(made, 3, clean=True).picture[0].permute(1, 2, 0).numpy()
     large = cv2.resize(seen, (300, 300), interpolation=cv2.INTER_CUBIC).clip(0, 1)
     rgb = cv2.resize(wall(210, 3), (512, 400)).astype(np.float32)
     part = rgb[60:360, 100:400]
@@ -79,7 +81,7 @@ def guessed(dress: tuple[Bytes, torch.Tensor]) -> Guess:
     return guess(photo(dress[0]), tick=no_tick)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.integers(90, 310), st.integers(90, 210), st.integers(30, 70))
 def test_a_disc_before_a_wall_is_cut_out_wherever_it_is(x: int, y: int, radius: int) -> None:
     rgb, truth = with_disc((x, y), radius, (170, 60, 40))
@@ -145,12 +147,12 @@ def test_the_square_holds_the_thing_in_its_middle(size: int) -> None:
     mask = np.zeros((400, 500), bool)
     mask[40 : 40 + size, 100 : 100 + size // 2] = True
     rgb = np.where(mask[..., None], np.uint8([200, 100, 50]), np.uint8(9)).astype(np.uint8)
-    picture = square(CutOut(rgb, mask), 64, 0.875)
+    picture = crop_square(CutOut(rgb, mask), 64, 0.875)
     assert picture.shape == (64, 64, 4)
     covered = np.array([picture[..., 3].max(axis=axis).sum() for axis in (1, 0)])
     assert np.allclose(covered, [56, 28], atol=2.5)
     assert np.allclose(picture[30:34, 30:34, :3], np.array([200, 100, 50]) / 255, atol=0.02)
-    moved = square(CutOut(rgb, mask), 64, 0.875, shift=(0.05, 0.0))[..., 3]
+    moved = crop_square(CutOut(rgb, mask), 64, 0.875, shift=(0.05, 0.0))[..., 3]
     centre = [(each.sum(axis=0) @ np.arange(64)) / each.sum() for each in (picture[..., 3], moved)]
     assert centre[1] - centre[0] == pytest.approx(3.2, abs=0.5)
 
@@ -179,10 +181,10 @@ def test_the_outline_tells_how_a_bar_is_turned() -> None:
     mask = torch.zeros(1, SIDE, SIDE)
     mask[:, 28:36, 4:60] = 1  # long from left to right
     unsure = torch.zeros(1, BINS)
-    yaw = _turned(bar, unsure, camera, mask)
+    yaw = _choose_yaw(bar, unsure, camera, mask)
     assert abs(yaw.sin().item()) > 0.9
     unsure[0, 0] = 9.0  # and where the network is sure, outlines do not count
-    assert _turned(bar, unsure, camera, mask).cos().item() > 0.97
+    assert _choose_yaw(bar, unsure, camera, mask).cos().item() > 0.97
 
 
 def test_a_guess_can_be_cancelled(dress: tuple[Bytes, torch.Tensor]) -> None:
@@ -195,31 +197,31 @@ def test_a_guess_can_be_cancelled(dress: tuple[Bytes, torch.Tensor]) -> None:
 
 
 def test_the_shipped_heads_are_small_and_much_better_than_the_mean_shape() -> None:
-    assert sum(file.stat().st_size for file in SHIPPED.iterdir()) <= 12e6
-    lesson = held_out(5, 2)
+    assert sum(file.stat().st_size for folder in (SHIPPED, FIELDS) for file in folder.iterdir()) <= 12e6
+    lesson = held_out_batch(5, 2)
     picture, truth = lesson.picture[:32], lesson.surface[:32, :POINTS]
-    mean = anchors(held_out(6, 2).surface[:, :256].reshape(1, -1, 3), POINTS).expand(32, -1, -1)
+    mean = anchors(held_out_batch(6, 2).surface[:, :256].reshape(1, -1, 3), POINTS).expand(32, -1, -1)
     as_mean = chamfer(mean, truth)
     pixels, some = load_pixels(), slice(0, 32, 4)
-    together = look(pixels, picture).points[:, :, ::LOOKS].flatten(1, 2)
+    together = predict_from_views(pixels, picture).points[:, :, ::VIEWS].flatten(1, 2)
     assert chamfer(together, truth).mean() < 0.3 * as_mean.mean()
     assert chamfer(head_points(pixels, picture), truth).mean() < 0.3 * as_mean.mean()
     by_anchors = head_points(load_field("anchor-udf"), picture[some])
     assert chamfer(by_anchors, truth[some]).mean() < 0.45 * as_mean[some].mean()
     without = head_points(load_field("implicit"), picture[some])
     assert chamfer(by_anchors, truth[some]).mean() < chamfer(without, truth[some]).mean()
-    assert all(trained(name).steps > 0 for name in ("pixels", "anchor-udf", "implicit"))
+    assert all(training_of(name).steps > 0 for name in ("pixels", "anchor-udf", "implicit"))
 
 
 @pytest.mark.parametrize("name", ["anchor-udf", "implicit"])
 def test_a_field_is_small_on_the_surface_and_its_points_lie_there(name: str) -> None:
     field: Field = load_field(name)
-    lesson = held_out(5, 1)[torch.arange(0, 20, 3)]
-    seen = field.see(lesson.picture)
+    lesson = held_out_batch(5, 1)[torch.arange(0, 20, 3)]
+    seen = field.encode(lesson.picture)
     near, far = (field(seen, lesson.surface[:, :500] * grow).mean().item() for grow in (1.0, 1.5))
     assert near < 0.6 * far
     points = field_points(field, seen, torch.Generator().manual_seed(0))
-    left, gradient = with_gradient(field, seen, points)
+    left, gradient = value_and_gradient(field, seen, points)
     assert left.median() < 0.03
     assert gradient.shape == points.shape
 
@@ -235,48 +237,48 @@ def test_anchors_are_means_of_what_is_near_them() -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Little bags, and a checkpoint after every other step or so."""
-    monkeypatch.setattr("services.edge.guess.lessons._SHEETS", 1)
-    monkeypatch.setattr("services.edge.guess.lessons._EACH", 1)
-    monkeypatch.setattr("services.edge.guess.lessons._VIEWS", 1)
-    monkeypatch.setattr("services.edge.guess.lessons._USES", 2)
-    monkeypatch.setattr("services.edge.guess.lessons.BATCH", 8)
-    monkeypatch.setattr("services.edge.guess.lessons.STEPS", QUICK_STEPS)
-    monkeypatch.setattr("services.edge.guess.train._SAVED_S", 0.2)
-    monkeypatch.setattr("services.edge.guess.train._TOLD", 1)
+    monkeypatch.setattr("services.edge.single_photo_training.batches._SHEETS", 1)
+    monkeypatch.setattr("services.edge.single_photo_training.batches._EACH", 1)
+    monkeypatch.setattr("services.edge.single_photo_training.batches._VIEWS", 1)
+    monkeypatch.setattr("services.edge.single_photo_training.batches._USES", 2)
+    monkeypatch.setattr("services.edge.single_photo_training.batches.BATCH", 8)
+    monkeypatch.setattr("services.edge.single_photo_training.batches.STEPS", QUICK_STEPS)
+    monkeypatch.setattr("services.edge.single_photo_training.train._CHECKPOINT_S", 0.2)
+    monkeypatch.setattr("services.edge.single_photo_training.train._REPORT_STEPS", 1)
 
 
 @pytest.mark.usefixtures("quick")
 def test_lessons_begin_at_any_step_and_never_end() -> None:
-    whole = list(islice(lessons(3, 0), 2 * QUICK_STEPS + 1))
+    whole = list(islice(training_batches(3, 0), 2 * QUICK_STEPS + 1))
     for step in (1, QUICK_STEPS - 1, QUICK_STEPS, 2 * QUICK_STEPS):
-        assert torch.equal(next(lessons(3, step)).picture, whole[step].picture)
+        assert torch.equal(next(training_batches(3, step)).picture, whole[step].picture)
     assert not torch.equal(whole[0].picture, whole[QUICK_STEPS].picture)
 
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", ["pixels", "implicit"])
 def test_a_killed_training_ends_like_one_that_nobody_stopped(name: str, tmp_path: Path) -> None:
-    training = Training(name, 7, seed=1)
-    whole = train(training, tmp_path / "whole", CPU, say=lambda line: None)
+    training = HeadTraining(name, 7, seed=1)
+    whole = train(training, tmp_path / "whole", CPU, report=lambda line: None)
 
     def killed_after(step: int) -> Callable[[str], None]:
-        def say(line: str) -> None:
+        def report(line: str) -> None:
             if line.startswith(f"step {step}/"):
                 raise KeyboardInterrupt
 
-        return say
+        return report
 
     for step in (3, 6):
         with pytest.raises(KeyboardInterrupt):
-            train(training, tmp_path / "killed", CPU, say=killed_after(step))
-    again = train(training, tmp_path / "killed", CPU, say=lambda line: None)
+            train(training, tmp_path / "killed", CPU, report=killed_after(step))
+    again = train(training, tmp_path / "killed", CPU, report=lambda line: None)
     for key, value in whole.state_dict().items():
         assert torch.equal(value, again.state_dict()[key]), key
-    assert trained(name, tmp_path / "killed").steps == 7
+    assert training_of(name, tmp_path / "killed").steps == 7
 
 
 def test_weights_that_are_missing_or_of_another_head_are_named(tmp_path: Path) -> None:
-    with pytest.raises(EdgeError, match="there is no"):
+    with pytest.raises(EdgeError, match="does not exist"):
         load_pixels(tmp_path)
     torch.save({"head": Implicit(Pixels()).whole.state_dict(), "steps": 1, "seconds": 1.0}, tmp_path / "pixels.pt")
     with pytest.raises(EdgeError, match="another version") as caught:

@@ -11,25 +11,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.guess.lessons import HELD_OUT, held_out
-from services.edge.guess.lofts import Dice, box, loft, spindle, where
-from services.edge.guess.losses import chamfer, chamfer_loss, f_score, nearest, udf_loss
-from services.edge.guess.network import BINS, GRID, base_sphere, bin_of, likeliest
-from services.edge.guess.pictures import Pictures, mirrored, photographed, project
-from services.edge.guess.shapes import CLASSES, Shapes, about_vertical, shapes, turned
+from services.edge.single_photo.camera import about_vertical, project
+from services.edge.single_photo.network import BINS, GRID, base_sphere, bin_of, likeliest_yaw
+from services.edge.single_photo_training.batches import HELD_OUT, held_out_batch
+from services.edge.single_photo_training.lofts import Dice, box, loft, spindle, where
+from services.edge.single_photo_training.losses import chamfer, chamfer_loss, f_score, nearest, udf_loss
+from services.edge.single_photo_training.pictures import RenderedPictures, mirror_pictures, render_pictures
+from services.edge.single_photo_training.shapes import CLASSES, Shapes, generate_shapes, rotate_shapes
 
-few = settings(max_examples=8, deadline=None)
+few = settings(max_examples=8)
 
 
 @pytest.fixture(scope="module")
 def things() -> Shapes:
-    return shapes(HELD_OUT + 9, 2, samples=6000)
+    return generate_shapes(HELD_OUT + 9, 2, samples=6000)
 
 
 @few
 @given(st.integers(0, 2**40))
 def test_every_class_keeps_the_frame_for_any_seed(seed: int) -> None:
-    made = shapes(seed, 1, samples=400)
+    made = generate_shapes(seed, 1, samples=400)
     assert made.xyz.isfinite().all()
     assert made.rgb.isfinite().all()
     own = about_vertical(made.xyz, -made.yaw)
@@ -41,7 +42,7 @@ def test_every_class_keeps_the_frame_for_any_seed(seed: int) -> None:
 
 
 def test_the_same_seed_makes_the_same_things_and_another_makes_others() -> None:
-    first, again, other = (shapes(seed, 1, samples=300) for seed in (5, 5, 6))
+    first, again, other = (generate_shapes(seed, 1, samples=300) for seed in (5, 5, 6))
     assert torch.equal(first.xyz, again.xyz)
     assert torch.equal(first.rgb, again.rgb)
     assert ((first.xyz - other.xyz).abs().amax(dim=(1, 2)) > 0.05).all()
@@ -51,9 +52,9 @@ def test_points_are_spread_evenly_over_a_box() -> None:
     dice = Dice(1, torch.Generator().manual_seed(0))
     grid = box(1, (0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
     assert np.allclose(grid.amax(dim=(0, 1, 2)), [0.5, 1.0, 1.5])
-    from services.edge.guess.shapes import _sampled
+    from services.edge.single_photo_training.shapes import _sample_surface
 
-    xyz, normals, _, _ = _sampled(grid[:, None], 20_000, dice.generator)
+    xyz, normals, _, _ = _sample_surface(grid[:, None], 20_000, dice.generator)
     on_top = (xyz[0, :, 1] > 1 - 1e-4).float().mean().item()
     assert on_top == pytest.approx(3 / 22, abs=0.01)  # its area over that of all six sides
     top = normals[0][xyz[0, :, 1] > 1 - 1e-4]
@@ -64,9 +65,9 @@ def test_a_part_that_is_not_there_has_no_points() -> None:
     dice = Dice(2, torch.Generator().manual_seed(0))
     there = torch.tensor([[1.0], [0.0]])
     parts = torch.stack([spindle("y", [0.0, 1.0], 1.0, 1.0, n=2), where(box(2, (0, 5, 0), (1, 1, 1)), there)], dim=1)
-    from services.edge.guess.shapes import _sampled
+    from services.edge.single_photo_training.shapes import _sample_surface
 
-    _, _, part, _ = _sampled(parts, 2000, dice.generator)
+    _, _, part, _ = _sample_surface(parts, 2000, dice.generator)
     assert (part[0] == 1).any()
     assert (part[1] == 0).all()
 
@@ -80,7 +81,7 @@ def test_a_loft_of_circles_is_a_cylinder_and_of_squares_a_prism() -> None:
 
 
 def test_a_thing_turned_round_is_the_same_thing(things: Shapes) -> None:
-    other = turned(things, 3)
+    other = rotate_shapes(things, 3)
     assert torch.allclose(about_vertical(other.xyz, things.yaw - other.yaw), things.xyz, atol=1e-5)
     assert ((things.xyz - other.xyz).norm(dim=2).mean(dim=1) > 0.05).float().mean() > 0.8
 
@@ -91,15 +92,15 @@ def test_the_likeliest_yaw_is_the_one_that_was_put_in(yaw: float) -> None:
     angle = torch.tensor([yaw])
     logits = torch.full((1, BINS), -9.0)
     logits[0, bin_of(angle)] = 0.0
-    off = likeliest(logits) - angle
+    off = likeliest_yaw(logits) - angle
     assert torch.atan2(off.sin(), off.cos()).abs().item() <= math.pi / BINS + 1e-4
     wide = torch.stack([torch.cos(2 * math.pi * torch.arange(BINS) / BINS - yaw) * 60])
-    off = likeliest(wide) - angle
+    off = likeliest_yaw(wide) - angle
     assert torch.atan2(off.sin(), off.cos()).abs().item() < 0.3 * math.pi / BINS
 
 
 def test_pictures_fill_the_frame_and_projection_agrees_with_them(things: Shapes) -> None:
-    pictures = photographed(things, 4, clean=True)
+    pictures = render_pictures(things, 4, clean=True)
     at, _ = project(things.xyz, pictures.camera)
     assert at.abs().max() < 1.03
     assert ((at.amax(dim=1) - at.amin(dim=1)).amax(dim=1) > 1.5).all()
@@ -118,24 +119,24 @@ def test_what_is_nearer_hides_what_is_behind() -> None:
     rgb = torch.cat([blue.expand(len(x), 3), red.expand(len(x), 3)])
     two = Shapes(torch.cat(sheets)[None], normals[None], rgb[None], torch.zeros(1, dtype=torch.long), torch.zeros(1))
     for seed in range(4):  # cameras at most 50 degrees up, so the middle always shows the sheet in front
-        middle = photographed(two, seed, clean=True).picture[0, :, 30:34, 30:34]
+        middle = render_pictures(two, seed, clean=True).picture[0, :, 30:34, 30:34]
         assert middle[3].min() > 0.99
         assert middle[0].mean() > 5 * middle[2].mean()
 
 
 def test_a_mirrored_picture_is_that_of_the_mirrored_thing(things: Shapes) -> None:
-    seen = photographed(things, 4, clean=True)
-    flipped = mirrored(seen)
+    seen = render_pictures(things, 4, clean=True)
+    flipped = mirror_pictures(seen)
     at, _ = project(things.xyz, seen.camera)
     mirrored_at, _ = project(things.xyz * torch.tensor([-1.0, 1, 1]), flipped.camera)
     assert torch.allclose(mirrored_at, at * torch.tensor([-1.0, 1]), atol=1e-5)
-    twice: Pictures = mirrored(flipped)
+    twice: RenderedPictures = mirror_pictures(flipped)
     assert torch.equal(twice.picture, seen.picture)
     assert torch.equal(twice.camera, seen.camera)
 
 
 def test_held_out_pictures_are_spoilt_and_stay_pictures() -> None:
-    spoilt, clean = held_out(1, 1), held_out(1, 1, clean=True)
+    spoilt, clean = held_out_batch(1, 1), held_out_batch(1, 1, clean=True)
     assert torch.equal(spoilt.surface, clean.surface)
     assert 0 <= spoilt.picture.min() <= spoilt.picture.max() <= 1
     assert (spoilt.picture - clean.picture).abs().mean() > 0.005

@@ -13,15 +13,16 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from services.edge.errors import Cancelled
-from services.edge.mesh import Mesh, texture, to_glb
-from services.edge.mesh.bake import bake, jpeg_of, texels_of
-from services.edge.mesh.colour import ColouredPoints
-from services.edge.mesh.nouns import Textured
-from services.edge.mesh.rays import Scene
-from services.edge.mesh.texture import Palette, side_for, textured, with_pictures, worth_a_picture
-from services.edge.mesh.unwrap import UnwrapError, unwrap
+from services.edge.export.glb import to_glb
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.render.rays import Scene
 from services.edge.srgb import to_linear
-from tests import surfaces
+from services.edge.texture import texture_mesh
+from services.edge.texture.bake import bake, find_texels, jpeg_of
+from services.edge.texture.nearest_colour import ColouredPoints
+from services.edge.texture.texture_mesh import Palette, needs_texture, texture_levels, texture_side, unwrap_and_bake
+from services.edge.texture.unwrap import UnwrapError, unwrap
+from tests.support import surfaces
 
 SHEET = surfaces.patch(lambda u, v: [u, v, 0.2 * u * v], 10, 10)
 BOWL = surfaces.patch(lambda u, v: [np.cos(3 * u), np.sin(3 * u), v], 16, 8)
@@ -64,7 +65,7 @@ def shown(glb: bytes, places: np.ndarray) -> np.ndarray:
 
 
 def test_a_checkerboard_on_a_coarse_mesh_comes_back_where_it_was() -> None:
-    glb = to_glb(textured(coloured(SHEET), palette(SHEET), side=256))
+    glb = to_glb(unwrap_and_bake(coloured(SHEET), palette(SHEET), side=256))
     places = cloud(SHEET, 2_000)
     inner = (np.abs((places[:, :2] * 8 + 0.5) % 1 - 0.5) > 0.15).all(axis=1)  # off the lines of the board
     off = np.abs(shown(glb, places[inner]) - checked(places[inner])).max(axis=1)
@@ -75,7 +76,7 @@ def test_a_checkerboard_on_a_coarse_mesh_comes_back_where_it_was() -> None:
 def test_a_texel_lies_where_its_centre_does() -> None:
     """Two triangles over the whole square: place, face and weights follow from row and column."""
     uv = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    found = texels_of(np.array([[0, 1, 2], [0, 2, 3]]), uv, 8)
+    found = find_texels(np.array([[0, 1, 2], [0, 2, 3]]), uv, 8)
     assert np.array_equal(found.place, np.arange(64))
     row, column = np.divmod(np.arange(64), 8)
     off = row != column  # the diagonal is both triangles'
@@ -97,7 +98,7 @@ def test_what_lies_beside_a_chart_has_the_colour_of_its_rim() -> None:
     found = unwrap(BOWL, side=128)
     light = lambda at, _n, _t: at - at.min(axis=0)  # noqa: E731 - a colour for every place
     picture, _ = bake(found.mesh, found.uv, light, side=128)
-    texels = texels_of(found.mesh.faces, found.uv, 128)
+    texels = find_texels(found.mesh.faces, found.uv, 128)
     known = np.zeros(128 * 128, bool)
     known[texels.place] = True
     known = known.reshape(128, 128)
@@ -112,23 +113,23 @@ def test_it_can_be_stopped_in_the_middle() -> None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        textured(coloured(SHEET), palette(SHEET), side=256, tick=stop)
+        unwrap_and_bake(coloured(SHEET), palette(SHEET), side=256, tick=stop)
 
 
 def test_progress_goes_from_none_to_all() -> None:
     heard: list[float] = []
-    textured(coloured(SHEET), palette(SHEET), side=128, tick=heard.append)
+    unwrap_and_bake(coloured(SHEET), palette(SHEET), side=128, tick=heard.append)
     assert heard[0] < 0.1
     assert heard[-1] == 1
     assert heard == sorted(heard)
 
 
 def test_the_size_follows_from_how_much_is_known() -> None:
-    sides = [side_for(SHEET, palette(SHEET, count), 2048) for count in (2_000, 40_000, 200_000)]
+    sides = [texture_side(SHEET, palette(SHEET, count), 2048) for count in (2_000, 40_000, 200_000)]
     assert sides == [128, 512, 1024]
-    assert side_for(SHEET, palette(SHEET, 200_000), 256) == 256
+    assert texture_side(SHEET, palette(SHEET, 200_000), 256) == 256
     fine = replace(palette(SHEET, 2_000), pixel=1e-3)  # a million pixels of photos on a square metre
-    assert side_for(SHEET, fine, 2048) == 2048
+    assert texture_side(SHEET, fine, 2048) == 2048
 
 
 @pytest.mark.parametrize(
@@ -141,20 +142,20 @@ def test_the_size_follows_from_how_much_is_known() -> None:
     ],
 )
 def test_a_picture_is_made_where_it_shows_more(mesh: Mesh, count: int, worth: bool) -> None:
-    assert worth_a_picture(mesh, palette(SHEET, count)) == worth
+    assert needs_texture(mesh, palette(SHEET, count)) == worth
 
 
 def test_one_colour_needs_no_picture() -> None:
     xyz = cloud(SHEET, 40_000)
     plain = Palette(ColouredPoints.of(xyz, np.full((len(xyz), 3), 90, np.uint8)))
-    assert not worth_a_picture(replace(SHEET, rgb=np.full((121, 3), 90, np.uint8)), plain)
+    assert not needs_texture(replace(SHEET, rgb=np.full((121, 3), 90, np.uint8)), plain)
 
 
 def test_points_closer_together_than_texels_are_averaged() -> None:
     """Half of them black, half white: a coarse picture is grey, not speckled."""
     xyz = cloud(SHEET, 60_000)
     rgb = np.where(np.random.default_rng(1).random((len(xyz), 1)) < 0.5, 0, 255).astype(np.uint8).repeat(3, axis=1)
-    made = textured(coloured(SHEET), Palette(ColouredPoints.of(xyz, rgb)), side=64)
+    made = unwrap_and_bake(coloured(SHEET), Palette(ColouredPoints.of(xyz, rgb)), side=64)
     picture = np.asarray(Image.open(io.BytesIO(made.jpeg)))
     assert 150 < np.median(picture) < 220  # half of the light is 188
     assert picture.std() < 50  # 120 of the nearest alone
@@ -166,7 +167,7 @@ def test_points_off_the_surface_are_not_averaged_into_its_rim() -> None:
     beside = xyz + np.array([1.2, 0, 0])
     rgb = np.repeat(np.array([[200], [0]], np.uint8), len(xyz), axis=0).repeat(3, axis=1)
     known = Palette(ColouredPoints.of(np.concatenate([xyz, beside]), rgb))
-    picture = np.asarray(Image.open(io.BytesIO(textured(coloured(SHEET), known, side=64).jpeg)))
+    picture = np.asarray(Image.open(io.BytesIO(unwrap_and_bake(coloured(SHEET), known, side=64).jpeg)))
     assert picture.min() > 180
 
 
@@ -192,27 +193,27 @@ def test_what_photos_do_not_show_comes_from_the_points_beside_it_alone() -> None
 def test_levels_keep_what_needs_no_picture_and_fit_their_budget() -> None:
     fine = coloured(surfaces.patch(lambda u, v: [u, v, 0.2 * u * v], 60, 60))
     known = palette(SHEET, 6_000)  # 3,721 vertices: no less than a picture would need
-    levels, warnings = with_pictures([fine, coloured(SHEET)], known, most_px=1024, fits=lambda made: made.side <= 64)
+    levels, warnings = texture_levels([fine, coloured(SHEET)], known, most_px=1024, fits=lambda made: made.side <= 64)
     assert levels[0] is fine
-    assert isinstance(levels[1], Textured)
+    assert isinstance(levels[1], TexturedMesh)
     assert levels[1].side == 64
     assert warnings == ()
 
 
 def test_coarser_levels_have_smaller_pictures() -> None:
     known = replace(palette(SHEET), pixel=1e-3)
-    levels, _ = with_pictures([coloured(SHEET)] * 3, known, most_px=1024)
-    assert [level.side for level in levels if isinstance(level, Textured)] == [1024, 512, 512]
+    levels, _ = texture_levels([coloured(SHEET)] * 3, known, most_px=1024)
+    assert [level.side for level in levels if isinstance(level, TexturedMesh)] == [1024, 512, 512]
 
 
 def test_a_level_that_cannot_be_unwrapped_keeps_its_colours_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise UnwrapError("xatlas took more than 90 s")
 
-    monkeypatch.setattr(texture, "unwrap", fail)
-    levels, warnings = with_pictures([coloured(SHEET)], palette(SHEET), most_px=1024)
+    monkeypatch.setattr(texture_mesh, "unwrap", fail)
+    levels, warnings = texture_levels([coloured(SHEET)], palette(SHEET), most_px=1024)
     assert isinstance(levels[0], Mesh)
-    assert warnings == ("LOD 0 has no texture: xatlas took more than 90 s. Its colours are at the vertices.",)
+    assert warnings == ("LOD 0 has no texture: xatlas took more than 90 s. It keeps its vertex colours.",)
 
 
 def test_a_triangle_between_texels_shows_its_own_colour_all_the_same() -> None:
@@ -237,7 +238,7 @@ def test_a_picture_that_no_chart_reaches_is_black() -> None:
 def test_a_picture_too_small_for_its_charts_is_refused() -> None:
     scattered = surfaces.joined(*(surfaces.moved(SHEET, (2.0 * i, 0, 0)) for i in range(9)))
     with pytest.raises(UnwrapError, match="charts leave"):
-        textured(coloured(scattered), palette(scattered), side=16)
+        unwrap_and_bake(coloured(scattered), palette(scattered), side=16)
 
 
 def test_colours_survive_being_packed() -> None:
@@ -247,7 +248,7 @@ def test_colours_survive_being_packed() -> None:
     assert np.abs(back - picture).mean() < 4
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.integers(0, 2**32 - 1), st.integers(100, 3_000))
 def test_a_picture_holds_no_colour_that_no_point_has(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

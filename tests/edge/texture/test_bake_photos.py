@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from services.edge.errors import Cancelled
-from services.edge.mesh import Mesh
-from services.edge.mesh.bake_pictures import Pictures, PosedPicture
-from services.edge.mesh.colour import ColouredPoints
+from services.edge.mesh.nouns import Mesh
 from services.edge.srgb import to_linear, to_srgb
-from tests import surfaces
+from services.edge.texture.bake_photos import PhotoProjection, PosedPicture
+from services.edge.texture.nearest_colour import ColouredPoints
+from tests.support import surfaces
 
 GROUND = surfaces.patch(lambda u, v: [u, v, 0 * u], 20, 20)  # in the unit frame: x and y from -½ to ½, z = 0
 UP = np.array([0.0, 0.0, 1.0])
@@ -63,7 +63,7 @@ def places(count: int = 4_000, inner: float = 0.45) -> np.ndarray:
     return np.random.default_rng(1).uniform(-inner, inner, (count, 3)) * [1, 1, 0]
 
 
-def light_of(pictures: Pictures, at: np.ndarray, texel: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def light_of(pictures: PhotoProjection, at: np.ndarray, texel: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """(N,3) sRGB codes and (N,) how sure."""
     light, sure = pictures(at, np.tile(UP, (len(at), 1)), texel, lambda _: None)
     return to_srgb(light).astype(int), sure
@@ -71,7 +71,7 @@ def light_of(pictures: Pictures, at: np.ndarray, texel: float = 0.0) -> tuple[np
 
 @pytest.mark.parametrize("scale", [1.0, 0.2])
 def test_a_print_comes_back_where_it_was_and_the_pixel_is_told(scale: float) -> None:
-    pictures = Pictures(GROUND, [photo((0.1, -0.1, 1.5), depth=1.5, scale=scale)], known())
+    pictures = PhotoProjection(GROUND, [photo((0.1, -0.1, 1.5), depth=1.5, scale=scale)], known())
     shown, sure = light_of(pictures, places())
     assert (sure == 1).all()
     assert np.abs(shown - waves(places())).max() <= 4
@@ -82,7 +82,7 @@ def test_what_something_hides_is_left_to_the_points() -> None:
     roof = Mesh(GROUND.vertices * 0.5 + [0.0, 0, 0.3], GROUND.faces)
     faces = np.concatenate([GROUND.faces, roof.faces + len(GROUND.vertices)])
     both = Mesh(np.concatenate([GROUND.vertices, roof.vertices]), faces)
-    pictures = Pictures(both, [photo((0, 0, 2.0))], known())
+    pictures = PhotoProjection(both, [photo((0, 0, 2.0))], known())
     at = places()
     _, sure = light_of(pictures, at)
     shadow = 0.25 * 2.0 / 1.7  # of the roof's half side, from the eye upon the ground
@@ -93,21 +93,21 @@ def test_what_something_hides_is_left_to_the_points() -> None:
 
 def test_what_stood_before_the_camera_is_left_to_the_points() -> None:
     """A hand in the picture: the mesh knows nothing of it, the depth image does."""
-    pictures = Pictures(GROUND, [photo((0, 0, 1.5), depth=0.7)], known())
+    pictures = PhotoProjection(GROUND, [photo((0, 0, 1.5), depth=0.7)], known())
     assert (light_of(pictures, places())[1] == 0).all()
 
 
 def test_neither_the_back_of_a_camera_nor_the_side_of_a_surface_shows_anything() -> None:
-    pictures = Pictures(GROUND, [photo((0, 0, -1.5))], known())  # looks down, from below
+    pictures = PhotoProjection(GROUND, [photo((0, 0, -1.5))], known())  # looks down, from below
     assert (light_of(pictures, places())[1] == 0).all()
-    flat = Pictures(GROUND, [photo((0, 0, 1.5))], known())
+    flat = PhotoProjection(GROUND, [photo((0, 0, 1.5))], known())
     sideways = np.tile([1.0, 0.0, 0.0], (4_000, 1))
     assert (flat(places(), sideways, 0.0, lambda _: None)[1] == 0).all()
 
 
 def test_pictures_of_different_exposure_are_brought_to_one_brightness() -> None:
     taken = [photo((x, 0, 1.6), exposure=exposure) for x, exposure in ((-0.2, 0.6), (0.0, 1.0), (0.2, 1.3))]
-    shown, _ = light_of(Pictures(GROUND, taken, known()), places())
+    shown, _ = light_of(PhotoProjection(GROUND, taken, known()), places())
     assert np.abs(shown - waves(places())).mean() < 2
 
 
@@ -119,7 +119,7 @@ def test_no_line_shows_where_a_picture_ends() -> None:
 
     taken = [photo((-0.2, 0, 1.6)), photo((0.45, 0, 0.9), shows=tinted)]
     along = np.stack([np.linspace(-0.4, 0.4, 2_000), np.full(2_000, 0.03), np.zeros(2_000)], axis=1)
-    shown, _ = light_of(Pictures(GROUND, taken, known()), along)
+    shown, _ = light_of(PhotoProjection(GROUND, taken, known()), along)
     off = shown - waves(along)
     away = np.abs(along[:, 0] - 0.1) > 0.01  # there the tint itself begins
     assert np.abs(off).max() > 10  # it is seen at all
@@ -134,7 +134,7 @@ def test_the_best_view_decides_where_views_disagree() -> None:
 
     grey = known(lambda at: np.full((len(at), 3), 128.0))
     taken = [photo((0, 0, 1.2), shows=stripes), photo((1.1, 0, 2.5), shows=lambda at: stripes(at, 0.08))]
-    shown, _ = light_of(Pictures(GROUND, taken, grey), places(inner=0.3))
+    shown, _ = light_of(PhotoProjection(GROUND, taken, grey), places(inner=0.3))
     contrast = np.percentile(shown, 90) - np.percentile(shown, 10)
     assert contrast > 120
 
@@ -144,13 +144,13 @@ def test_coarse_texels_get_the_mean_of_fine_pixels() -> None:
         odd = np.floor(at * SIDE / 1.5).astype(int).sum(axis=1) % 2 == 1
         return np.where(odd[:, None], 255, 0).repeat(3, axis=1)
 
-    pictures = Pictures(GROUND, [photo((0, 0, 1.5), shows=dots)], known(lambda at: np.full((len(at), 3), 188.0)))
+    pictures = PhotoProjection(GROUND, [photo((0, 0, 1.5), shows=dots)], known(lambda at: np.full((len(at), 3), 188.0)))
     fine, coarse = (light_of(pictures, places(), texel)[0] for texel in (0.0, 0.05))
     assert coarse.std() < 12 < fine.std()
 
 
 def test_no_picture_sees_a_thing_somewhere_else() -> None:
-    pictures = Pictures(GROUND, [photo((50, 0, 1.0))], known())
+    pictures = PhotoProjection(GROUND, [photo((50, 0, 1.0))], known())
     assert pictures.pixel == 0
     assert (light_of(pictures, places())[1] == 0).all()
 
@@ -160,7 +160,7 @@ def test_it_can_be_stopped_between_two_pictures() -> None:
         raise Cancelled
 
     with pytest.raises(Cancelled):
-        Pictures(GROUND, [photo((0, 0, 1.5))] * 3, known(), stop)
-    pictures = Pictures(GROUND, [photo((0, 0, 1.5))] * 3, known())
+        PhotoProjection(GROUND, [photo((0, 0, 1.5))] * 3, known(), stop)
+    pictures = PhotoProjection(GROUND, [photo((0, 0, 1.5))] * 3, known())
     with pytest.raises(Cancelled):
         pictures(places(), np.tile(UP, (4_000, 1)), 0.0, stop)

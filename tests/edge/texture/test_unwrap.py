@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.edge.errors import Cancelled
-from services.edge.mesh import Mesh
-from services.edge.mesh import unwrap as module
 from services.edge.mesh.normals import face_normals
-from services.edge.mesh.unwrap import UnwrapError, Unwrapped, unwrap
-from tests import surfaces
-from tests.edge.test_glb import moebius
+from services.edge.mesh.nouns import Mesh
+from services.edge.texture import unwrap as module
+from services.edge.texture.unwrap import UnwrapError, Unwrapped, unwrap
+from tests.edge.export.test_glb import moebius
+from tests.support import surfaces
+from tests.support.patience import CANCEL_S, PATIENCE_S
 
 SIDE = 512
 KINDS = {
@@ -109,7 +110,7 @@ def test_ten_thousand_pieces_take_seconds() -> None:
     faces = (4 * np.arange(10_000)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     began = time.monotonic()
     found = unwrap(Mesh(vertices, faces), side=1024)
-    assert time.monotonic() - began < 30  # 2 s on a machine that does nothing else
+    assert time.monotonic() - began < PATIENCE_S  # 2 s on an idle machine
     assert len(found.mesh.faces) > 19_900
 
 
@@ -121,7 +122,7 @@ def test_the_same_mesh_gives_the_same_charts() -> None:
 
 @pytest.mark.parametrize(
     ("vertices", "reason"),
-    [(np.zeros((3, 3)), "no triangle with an area"), (np.full((3, 3), np.nan), "vertices that are nowhere")],
+    [(np.zeros((3, 3)), "no triangle with an area"), (np.full((3, 3), np.nan), "vertices that are not finite")],
 )
 def test_what_has_no_surface_is_refused(vertices: np.ndarray, reason: str) -> None:
     with pytest.raises(UnwrapError, match=reason):
@@ -150,7 +151,7 @@ def test_it_ends_at_once_when_it_is_cancelled() -> None:
     began = time.monotonic()
     with pytest.raises(Cancelled):
         unwrap(surfaces.disk(), side=64, tick=stop)
-    assert time.monotonic() - began < 1
+    assert time.monotonic() - began < CANCEL_S
 
 
 def test_a_disk_that_takes_no_more_is_a_reason_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,7 +171,7 @@ def test_a_process_that_dies_is_a_reason_not_a_crash(monkeypatch: pytest.MonkeyP
         unwrap(KINDS["one triangle"], side=64)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(3, 12))
 def test_any_triangle_soup_lies_flat_or_is_refused(seed: int, faces: int, vertices: int) -> None:
     rng = np.random.default_rng(seed)

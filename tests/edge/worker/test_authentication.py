@@ -15,16 +15,16 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from pydantic import SecretStr
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.central import Central, CentralAway
-from services.edge.health import is_serving
-from services.edge.scratch import Scratch
-from services.edge.server import EdgeServer, serve
-from services.edge.settings import EdgeSettings, open_door, open_way_to_central
-from services.link import PLAIN, Caller, name_in
+from services.edge.jobs.central_client import Central, CentralUnavailable
+from services.edge.worker.health import is_serving
+from services.edge.worker.scratch import Scratch
+from services.edge.worker.server import EdgeServer, serve
+from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
+from services.grpc_security import NO_CREDENTIALS, ClientCredentials, certificate_host
 from services.strict_settings import SettingsError
-from tests.certificates import DAY, TOKEN, Authority, key_pem
-from tests.edge.edge_client import Client, Scripted, header_of
-from tests.edge.test_central import QUICK, Standing
+from tests.edge.jobs.test_forward_job import QUICK, Standing
+from tests.support.edge_client import Client, Scripted, header_of
+from tests.support.tls_certificates import DAY, TOKEN, Authority, key_pem
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ async def guarded(settings: EdgeSettings, work: Scripted | None = None) -> Async
     hurry = asyncio.Event()
     hurry.set()
     place = Scratch(settings.scratch)
-    with place.held():
+    with place.claim():
         server = EdgeServer(settings, work or Scripted(), place)
         port = await server.start()
         try:
@@ -53,7 +53,7 @@ async def guarded(settings: EdgeSettings, work: Scripted | None = None) -> Async
             await server.drain(hurry)
 
 
-async def status_of(address: str, caller: Caller, call: Callable[[Client], Any]) -> grpc.StatusCode:
+async def status_of(address: str, caller: ClientCredentials, call: Callable[[Client], Any]) -> grpc.StatusCode:
     async with caller.aio_channel(address, ()) as channel:
         answer = call(Client(channel))
         with pytest.raises(grpc.aio.AioRpcError) as refused:
@@ -72,7 +72,7 @@ CALLS: dict[str, Callable[[Client], Any]] = {
 
 
 async def test_who_shows_the_token_is_served(authority: Authority, tmp_path: Path) -> None:
-    caller = Caller(authority.ca.read_bytes(), TOKEN)
+    caller = ClientCredentials(authority.ca.read_bytes(), TOKEN)
     async with guarded(settings_of(authority, tmp_path)) as address, caller.aio_channel(address, ()) as channel:
         client = Client(channel)
         assert (await client.worker()).slots == 1
@@ -84,14 +84,16 @@ async def test_no_call_goes_without_the_token(authority: Authority, tmp_path: Pa
     ca = authority.ca.read_bytes()
     async with guarded(settings_of(authority, tmp_path)) as address:
         for token in ("", TOKEN[:-1], TOKEN + "x", "x" * len(TOKEN)):
-            assert await status_of(address, Caller(ca, token), CALLS[call]) == grpc.StatusCode.UNAUTHENTICATED
+            assert (
+                await status_of(address, ClientCredentials(ca, token), CALLS[call]) == grpc.StatusCode.UNAUTHENTICATED
+            )
 
 
 async def test_what_is_missing_is_told(authority: Authority, tmp_path: Path) -> None:
     ca = authority.ca.read_bytes()
     async with guarded(settings_of(authority, tmp_path)) as address:
         for token, word in (("", "TOKEN_MISSING"), (TOKEN + "x", "TOKEN_WRONG")):
-            async with Caller(ca, token).aio_channel(address, ()) as channel:
+            async with ClientCredentials(ca, token).aio_channel(address, ()) as channel:
                 with pytest.raises(grpc.aio.AioRpcError, match=word) as refused:
                     await Client(channel).worker()
                 assert TOKEN not in str(refused.value)
@@ -100,19 +102,19 @@ async def test_what_is_missing_is_told(authority: Authority, tmp_path: Path) -> 
 async def test_health_asks_for_no_token(authority: Authority, tmp_path: Path) -> None:
     settings = settings_of(authority, tmp_path)
     async with guarded(settings) as address:
-        async with Caller(authority.ca.read_bytes()).aio_channel(address, ()) as channel:
+        async with ClientCredentials(authority.ca.read_bytes()).aio_channel(address, ()) as channel:
             answer = await health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest())
         assert answer.status == health_pb2.HealthCheckResponse.SERVING
-        assert await asyncio.to_thread(is_serving, address, open_door(settings))
+        assert await asyncio.to_thread(is_serving, address, server_security(settings))
 
 
 async def test_health_knows_a_certificate_for_another_name(authority: Authority, tmp_path: Path) -> None:
     """Inside the container the worker is asked on loopback, which its certificate is not for."""
     pair = authority.server("elsewhere", host="edge.example")
     settings = settings_of(authority, tmp_path, tls_cert=pair.cert, tls_key=pair.key)
-    assert name_in(pair.cert.read_bytes()) == "edge.example"
+    assert certificate_host(pair.cert.read_bytes()) == "edge.example"
     async with guarded(settings) as address:
-        assert await asyncio.to_thread(is_serving, address, open_door(settings))
+        assert await asyncio.to_thread(is_serving, address, server_security(settings))
         assert not await asyncio.to_thread(is_serving, address)
 
 
@@ -124,7 +126,7 @@ async def test_a_worker_that_nobody_vouches_for_is_not_spoken_to(
     elsewhere = authority.server("elsewhere", host="elsewhere.example")
     changed = {"tls_cert": elsewhere.cert, "tls_key": elsewhere.key} if who == "another name" else {}
     stranger = Authority(tmp_path, "stranger").ca if who == "a stranger" else authority.ca
-    caller = PLAIN if who == "nobody" else Caller(stranger.read_bytes(), TOKEN)
+    caller = NO_CREDENTIALS if who == "nobody" else ClientCredentials(stranger.read_bytes(), TOKEN)
     async with guarded(settings_of(authority, tmp_path, **changed)) as address:
         assert await status_of(address, caller, CALLS["GetWorker"]) in {
             grpc.StatusCode.UNAVAILABLE,
@@ -135,11 +137,15 @@ async def test_a_worker_that_nobody_vouches_for_is_not_spoken_to(
 async def test_central_is_called_with_its_token(authority: Authority, tmp_path: Path) -> None:
     ca = authority.ca.read_bytes()
     async with guarded(settings_of(authority, tmp_path), Standing()) as address:
-        for caller, said in ((Caller(ca, TOKEN), ""), (Caller(ca, TOKEN + "x"), "refuses"), (PLAIN, "not be reached")):
+        for caller, said in (
+            (ClientCredentials(ca, TOKEN), ""),
+            (ClientCredentials(ca, TOKEN + "x"), "refuses"),
+            (NO_CREDENTIALS, "not be reached"),
+        ):
             central = Central(address, QUICK, caller)
             try:
                 if said:
-                    with pytest.raises(CentralAway, match=said):
+                    with pytest.raises(CentralUnavailable, match=said):
                         await asyncio.to_thread(central.require, "quick")
                 else:
                     await asyncio.to_thread(central.require, "quick")
@@ -165,7 +171,7 @@ def test_wrong_settings_are_named(authority: Authority, tmp_path: Path, what: st
     changed, said = WRONG[what]
     settings = settings_of(authority, tmp_path, **changed)
     with pytest.raises(SettingsError, match=said) as refused:
-        open_door(settings)
+        server_security(settings)
     token = settings.token.get_secret_value()
     assert not token or token not in str(refused.value)
     assert serve(settings, Scripted()) == 1, "a worker with them does not start"
@@ -177,35 +183,35 @@ def test_a_certificate_and_the_key_of_another(authority: Authority, tmp_path: Pa
     garbage.write_bytes(b"no PEM")
     locked.write_bytes(key_pem(ec.generate_private_key(ec.SECP256R1()), b"password"))
     for changed in ({"tls_key": other.key}, {"tls_key": garbage}, {"tls_cert": garbage}, {"tls_key": locked}):
-        with pytest.raises(SettingsError, match="are no certificate with its plain key"):
-            open_door(settings_of(authority, tmp_path, **changed))
+        with pytest.raises(SettingsError, match="are not a PEM certificate and its unencrypted PEM key"):
+            server_security(settings_of(authority, tmp_path, **changed))
 
 
 @pytest.mark.parametrize(("since", "until"), [(-3 * DAY, -2 * DAY), (2 * DAY, 3 * DAY)])
 def test_a_certificate_whose_time_it_is_not(authority: Authority, tmp_path: Path, since: object, until: object) -> None:
     pair = authority.server("old", since=since, until=until)  # type: ignore[arg-type]
     settings = settings_of(authority, tmp_path, tls_cert=pair.cert, tls_key=pair.key)
-    with pytest.raises(SettingsError, match=r"old\.crt holds from .* which is not now"):
-        open_door(settings)
+    with pytest.raises(SettingsError, match=r"old\.crt is valid from .*, not now"):
+        server_security(settings)
 
 
 def test_the_way_to_central_is_checked_too(authority: Authority, tmp_path: Path) -> None:
     garbage = tmp_path / "garbage"
     garbage.write_bytes(b"no PEM")
     good = EdgeSettings(central="c:1", central_ca=authority.ca, central_token=SecretStr(TOKEN))
-    assert open_way_to_central(good) == Caller(authority.ca.read_bytes(), TOKEN)
+    assert central_credentials(good) == ClientCredentials(authority.ca.read_bytes(), TOKEN)
     for changed, said in (
-        ({"central_ca": garbage}, "EDGE_CENTRAL_CA: .*garbage holds no certificate"),
+        ({"central_ca": garbage}, "EDGE_CENTRAL_CA: .*garbage contains no PEM certificate"),
         ({"central_ca": tmp_path / "none"}, "EDGE_CENTRAL_CA: .* cannot be read"),
         ({"central_token": SecretStr(TOKEN)}, "EDGE_CENTRAL_TOKEN needs EDGE_CENTRAL_CA"),
     ):
         with pytest.raises(SettingsError, match=said):
-            open_way_to_central(EdgeSettings(**changed))
+            central_credentials(EdgeSettings(**changed))
 
 
 def test_nothing_secret_is_shown(authority: Authority, tmp_path: Path) -> None:
     settings = settings_of(authority, tmp_path)
-    told = f"{settings.describe()} {open_door(settings)} {Caller(b'ca', TOKEN)}"
+    told = f"{settings.describe()} {server_security(settings)} {ClientCredentials(b'ca', TOKEN)}"
     assert TOKEN not in told
     assert "PRIVATE KEY" not in told
     assert settings.describe()["EDGE_TOKEN"] == "(set)"

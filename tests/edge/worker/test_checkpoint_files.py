@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from services.edge.checkpoints import KEPT_S, Checkpoints
+from services.edge.worker.checkpoint_files import KEEP_S, CheckpointFiles
 
 
 @pytest.fixture
-def checkpoints(tmp_path: Path) -> Checkpoints:
-    return Checkpoints(tmp_path)
+def checkpoints(tmp_path: Path) -> CheckpointFiles:
+    return CheckpointFiles(tmp_path)
 
 
-def test_a_newer_lease_goes_on_from_what_the_older_one_left(checkpoints: Checkpoints) -> None:
+def test_a_newer_lease_goes_on_from_what_the_older_one_left(checkpoints: CheckpointFiles) -> None:
     first = checkpoints.take("job_1", 1)
     assert not first.exists()
     first.write_text("of the first")
@@ -25,7 +25,7 @@ def test_a_newer_lease_goes_on_from_what_the_older_one_left(checkpoints: Checkpo
     assert second != first
 
 
-def test_the_newest_is_taken_over_and_no_half_of_one(checkpoints: Checkpoints) -> None:
+def test_the_newest_is_taken_over_and_no_half_of_one(checkpoints: CheckpointFiles) -> None:
     for fence in (2, 10, 9):
         checkpoints.take("job_1", fence).write_text(str(fence))
     half = checkpoints.take("job_1", 10).with_name("11.checkpoint.part")
@@ -33,7 +33,7 @@ def test_the_newest_is_taken_over_and_no_half_of_one(checkpoints: Checkpoints) -
     assert checkpoints.take("job_1", 12).read_text() == "10"
 
 
-def test_a_worker_that_was_cut_off_does_not_touch_its_successors(checkpoints: Checkpoints) -> None:
+def test_a_worker_that_was_cut_off_does_not_touch_its_successors(checkpoints: CheckpointFiles) -> None:
     cut_off = checkpoints.take("job_1", 1)
     cut_off.write_text("early")
     current = checkpoints.take("job_1", 2)
@@ -44,7 +44,7 @@ def test_a_worker_that_was_cut_off_does_not_touch_its_successors(checkpoints: Ch
     assert not cut_off.exists()
 
 
-def test_a_job_that_is_over_leaves_nothing(checkpoints: Checkpoints, tmp_path: Path) -> None:
+def test_a_job_that_is_over_leaves_nothing(checkpoints: CheckpointFiles, tmp_path: Path) -> None:
     own = checkpoints.take("job_1", 2)
     own.write_text("x")
     own.with_name("2.checkpoint.part").write_text("torn")
@@ -53,13 +53,13 @@ def test_a_job_that_is_over_leaves_nothing(checkpoints: Checkpoints, tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
-def test_jobs_do_not_share(checkpoints: Checkpoints) -> None:
+def test_jobs_do_not_share(checkpoints: CheckpointFiles) -> None:
     checkpoints.take("job_1", 1).write_text("x")
     assert not checkpoints.take("job_2", 2).exists()
 
 
-def test_what_nobody_comes_back_for_goes_in_time(checkpoints: Checkpoints, tmp_path: Path) -> None:
-    for job, age_s in (("job_old", KEPT_S + 60), ("job_young", KEPT_S - 60)):
+def test_what_nobody_comes_back_for_goes_in_time(checkpoints: CheckpointFiles, tmp_path: Path) -> None:
+    for job, age_s in (("job_old", KEEP_S + 60), ("job_young", KEEP_S - 60)):
         checkpoints.take(job, 1).write_text("x")
         then = time.time() - age_s
         os.utime(tmp_path / job, (then, then))

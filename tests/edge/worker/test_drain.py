@@ -15,9 +15,9 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from tests.edge.edge_client import Client, leftovers, upload
-
-ROOT = Path(__file__).parents[2]
+from tests.support.edge_client import Client, leftovers, upload
+from tests.support.patience import PATIENCE_S
+from tests.support.repository import ROOT
 
 
 class Process:
@@ -30,7 +30,7 @@ class Process:
     async def reads(self, pattern: str) -> re.Match[str]:
         """The next line of the log that matches."""
         assert self._process.stderr is not None
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(PATIENCE_S):
             while line := (await self._process.stderr.readline()).decode():
                 self.log += line
                 if found := re.search(pattern, line):
@@ -42,7 +42,7 @@ class Process:
 
     async def status(self) -> int:
         assert self._process.stderr is not None
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(PATIENCE_S):
             self.log += (await self._process.stderr.read()).decode()
             return await self._process.wait()
 
@@ -53,7 +53,7 @@ async def process(scratch: Path, **settings: object) -> AsyncIterator[Process]:
         f"EDGE_{name.upper()}": str(value) for name, value in {"port": 0, "scratch": scratch, **settings}.items()
     }
     started = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "tests.edge.scripted_worker", cwd=ROOT, env={**os.environ, **variables}, stderr=-1
+        sys.executable, "-m", "tests.support.scripted_worker", cwd=ROOT, env={**os.environ, **variables}, stderr=-1
     )
     try:
         yield Process(started)
@@ -76,8 +76,9 @@ async def healthy(client: Client) -> bool:
 
 
 async def test_sigterm_lets_the_running_job_end_and_hands_the_rest_back(tmp_path: Path) -> None:
-    async with process(tmp_path, drain_s=20) as worker, connected(worker) as client:
-        running = client.reconstruct(b"pause 1.5", "running")
+    done = tmp_path / "done"
+    async with process(tmp_path / "scratch", drain_s=3600) as worker, connected(worker) as client:
+        running = client.reconstruct(f"until {done}".encode(), "running")
         await anext(aiter(running))
         queued = client.reconstruct(b"ticks 1", "queued")
         await anext(aiter(queued))
@@ -94,10 +95,11 @@ async def test_sigterm_lets_the_running_job_end_and_hands_the_rest_back(tmp_path
         with pytest.raises(grpc.aio.AioRpcError) as refused:
             await client.ended(b"ticks 1", "late")
         assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
+        done.touch()
         assert [event async for event in running][-1].HasField("finished")
         assert await worker.status() == 0
-    assert leftovers(tmp_path) == []
-    assert list((tmp_path / "checkpoints").iterdir()) == []
+    assert leftovers(tmp_path / "scratch") == []
+    assert list((tmp_path / "scratch" / "checkpoints").iterdir()) == []
 
 
 async def test_a_job_that_outlives_the_drain_is_handed_back(tmp_path: Path) -> None:
@@ -158,10 +160,10 @@ async def test_two_workers_do_not_share_a_port(tmp_path: Path) -> None:
         port = (await first.reads(r"listening on 127\.0\.0\.1:(\d+)"))[1]
         async with process(tmp_path, port=port) as second:
             assert await second.status() == 1
-            assert f"cannot listen on 127.0.0.1:{port}: set EDGE_HOST or EDGE_PORT" in second.log
+            assert f"cannot listen on 127.0.0.1:{port}: choose another EDGE_HOST or EDGE_PORT" in second.log
 
 
 async def test_an_open_address_is_announced(tmp_path: Path) -> None:
     async with process(tmp_path, host="0.0.0.0") as worker:
         await worker.reads("listening on")
-        await worker.reads("no access keys")
+        await worker.reads("no EDGE_TOKEN is set")

@@ -10,11 +10,11 @@ import time
 from pathlib import Path
 
 from services.cli.up import free_port
-from services.edge.health import is_serving
+from services.edge.worker.health import is_serving
 
 
 def _check(environment: dict[str, str]) -> int:
-    return subprocess.run([sys.executable, "-m", "services.edge.health"], env=environment).returncode
+    return subprocess.run([sys.executable, "-m", "services.edge.worker.health"], env=environment).returncode
 
 
 def test_the_check_follows_the_worker(tmp_path: Path) -> None:

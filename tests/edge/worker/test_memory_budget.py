@@ -7,14 +7,14 @@ import time
 
 import pytest
 
-from services.edge import memory as memory_module
 from services.edge.errors import Cancelled
-from services.edge.memory import Memory, machine_bytes
+from services.edge.worker import memory_budget as memory_module
+from services.edge.worker.memory_budget import MemoryBudget, machine_bytes
 
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory_module, "_LOOK_S", 0.01)
+    monkeypatch.setattr(memory_module, "_POLL_S", 0.01)
 
 
 def no_wait() -> None:
@@ -26,33 +26,33 @@ def give_up() -> None:
 
 
 def test_what_fits_beside_another_does_not_wait() -> None:
-    memory = Memory(10)
-    with memory.held(6, no_wait), memory.held(4, no_wait), pytest.raises(Cancelled), memory.held(1, give_up):
+    memory = MemoryBudget(10)
+    with memory.reserve(6, no_wait), memory.reserve(4, no_wait), pytest.raises(Cancelled), memory.reserve(1, give_up):
         pass
-    with memory.held(10, no_wait):
+    with memory.reserve(10, no_wait):
         pass
 
 
 def test_more_than_there_is_takes_all_there_is() -> None:
-    memory = Memory(10)
-    with memory.held(99, no_wait), pytest.raises(Cancelled), memory.held(1, give_up):
+    memory = MemoryBudget(10)
+    with memory.reserve(99, no_wait), pytest.raises(Cancelled), memory.reserve(1, give_up):
         pass
 
 
 def test_memory_is_given_back_whatever_happens() -> None:
-    memory = Memory(10)
-    with pytest.raises(ZeroDivisionError), memory.held(10, no_wait):
+    memory = MemoryBudget(10)
+    with pytest.raises(ZeroDivisionError), memory.reserve(10, no_wait):
         raise ZeroDivisionError
-    with memory.held(10, no_wait):
+    with memory.reserve(10, no_wait):
         pass
 
 
 def test_jobs_never_hold_more_than_there_is() -> None:
-    memory, held, most, lock = Memory(10), [0], [0], threading.Lock()
+    memory, held, most, lock = MemoryBudget(10), [0], [0], threading.Lock()
 
     def job(wanted: int) -> None:
         for _ in range(20):
-            with memory.held(wanted, lambda: None):
+            with memory.reserve(wanted, lambda: None):
                 with lock:
                     held[0] += wanted
                     most[0] = max(most[0], held[0])
@@ -70,17 +70,17 @@ def test_jobs_never_hold_more_than_there_is() -> None:
 
 
 def test_a_large_job_is_not_overtaken_for_ever() -> None:
-    memory, order, waits = Memory(10), [], threading.Event()
+    memory, order, waits = MemoryBudget(10), [], threading.Event()
 
     def large() -> None:
-        with memory.held(10, waits.set):
+        with memory.reserve(10, waits.set):
             order.append("large")
 
     def small() -> None:
-        with memory.held(1, lambda: None):
+        with memory.reserve(1, lambda: None):
             order.append("small")
 
-    with memory.held(5, no_wait):
+    with memory.reserve(5, no_wait):
         first = threading.Thread(target=large)
         first.start()
         assert waits.wait(5)

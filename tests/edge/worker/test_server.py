@@ -12,12 +12,13 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from services.edge import event_log
-from services.edge import runs as runs_module
 from services.edge.api import edge_pb2 as pb
 from services.edge.errors import CaptureError, EdgeError
-from services.edge.server import SERVICE
-from tests.edge.edge_client import Client, Scripted, leftovers, until, upload, worker
+from services.edge.worker import event_log
+from services.edge.worker import job_queue as runs_module
+from services.edge.worker.server import SERVICE
+from tests.support.edge_client import Client, Scripted, leftovers, until, upload, worker
+from tests.support.patience import CANCEL_S, PATIENCE_S
 
 
 def raising(error: BaseException) -> Callable[[], None]:
@@ -215,8 +216,7 @@ async def test_cancel_frees_the_slot_of_a_thread_that_does_not_listen(
     call = client.reconstruct(b"deaf", "deaf")
     await anext(aiter(call))
     assert await client.cancel("deaf")
-    # The wire's promise, so the bound is the test's subject.
-    async with asyncio.timeout(2.0):
+    async with asyncio.timeout(CANCEL_S):
         ended = [event async for event in call]
         assert (await client.worker()).free_slots == 1
     assert [event.failure.code for event in ended] == ["CANCELLED"]
@@ -229,14 +229,14 @@ async def test_cancel_frees_the_slot_of_a_thread_that_does_not_listen(
 async def test_silence_is_filled_with_heartbeats(client: Client) -> None:
     call = client.reconstruct(b"deaf")
     await anext(aiter(call))
-    async with asyncio.timeout(5.5):
+    async with asyncio.timeout(PATIENCE_S):
         beat = await anext(aiter(call))
     assert beat.HasField("heartbeat")
     assert beat.seq == 2
 
 
 async def test_ended_runs_are_kept_in_bounds(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs_module, "ENDED_KEPT", 2)
+    monkeypatch.setattr(runs_module, "KEEP_ENDED", 2)
     for job in ("first", "second", "third"):
         await client.ended(b"ticks 1", job)
     assert await status_of(client.attach("first")) == grpc.StatusCode.NOT_FOUND
@@ -244,7 +244,7 @@ async def test_ended_runs_are_kept_in_bounds(client: Client, monkeypatch: pytest
 
 
 async def test_ended_runs_are_forgotten_in_time(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs_module, "ENDED_KEPT_S", 0.05)
+    monkeypatch.setattr(runs_module, "KEEP_ENDED_S", 0.05)
     await client.ended(b"ticks 1")
     await asyncio.sleep(0.2)
     assert await status_of(client.attach()) == grpc.StatusCode.NOT_FOUND
@@ -306,7 +306,7 @@ async def test_whatever_callers_do_every_job_ends_once_and_leaves_nothing(scratc
     async with worker(work, scratch, slots=3, queue=60) as client:
         jobs = [f"job_{number}" for number in range(60)]
         await asyncio.gather(*(caller(client, job) for job in jobs))
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             while (await client.worker()).free_slots < 3:
                 await asyncio.sleep(0.01)
         ran = [job for job in jobs if job in work.seen]
@@ -326,7 +326,7 @@ async def test_the_first_preset_is_the_default(client: Client, work: Scripted) -
 
 
 async def test_a_preset_that_never_fits_is_refused_before_the_upload(client: Client) -> None:
-    said = r"MEMORY_EXCEEDED: preset scene .* offered are draft, fine"
+    said = r"MEMORY_EXCEEDED: preset scene .* use one of draft, fine"
     with pytest.raises(grpc.aio.AioRpcError, match=said) as refused:
         await client.ended(b"ticks 1", preset="scene")
     assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
@@ -355,7 +355,7 @@ async def test_the_time_left_follows_the_recent_rate(monkeypatch: pytest.MonkeyP
     said = []
     # A fit that jumps ahead to its checkpoint, and then does a hundredth a second.
     for step in range(31):
-        log.say(pb.Progress(stage=pb.FITTING, fraction=0.5 + step / 100))
+        log.add(pb.Progress(stage=pb.FITTING, fraction=0.5 + step / 100))
         now[0] += 1.0
     log.end(pb.Finished())
     async for event in log.follow():

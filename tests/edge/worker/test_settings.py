@@ -8,7 +8,7 @@ import pytest
 from pydantic import SecretStr, ValidationError
 from pydantic_settings import SettingsConfigDict
 
-from services.edge.settings import EdgeSettings
+from services.edge.worker.settings import EdgeSettings
 from services.strict_settings import CommaList, SettingsError, StrictSettings
 
 
@@ -61,13 +61,14 @@ def test_devices_have_torchs_names(monkeypatch: pytest.MonkeyPatch, device: str)
 
 def test_an_unknown_variable_is_named_with_the_one_that_was_meant(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("EDGE_SLOT", "3")
-    with pytest.raises(SettingsError, match=r"EDGE_SLOT is no setting, did you mean EDGE_SLOTS\?"):
+    with pytest.raises(SettingsError, match=r"EDGE_SLOT is not a setting, did you mean EDGE_SLOTS\?"):
         EdgeSettings()
 
 
 def test_an_unknown_variable_far_from_any_gets_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("EDGE_ABRACADABRA", "3")
-    with pytest.raises(SettingsError, match=r"EDGE_ABRACADABRA is no setting; there are EDGE_CENTRAL, .*EDGE_SLOTS"):
+    known = "the settings are EDGE_CENTRAL, .*EDGE_SLOTS"
+    with pytest.raises(SettingsError, match=f"EDGE_ABRACADABRA is not a setting; {known}"):
         EdgeSettings()
 
 

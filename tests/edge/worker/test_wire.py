@@ -15,12 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge import door
-from services.edge import upload as upload_module
 from services.edge.api import edge_pb2 as pb
-from services.edge.requests import RefusedError
-from services.edge.upload import receive
-from tests.edge.edge_client import Client, Scripted, data_of, header_of, leftovers, trailer_of, until, upload, worker
+from services.edge.worker import authentication
+from services.edge.worker import upload as upload_module
+from services.edge.worker.job_request import RefusedError
+from services.edge.worker.upload import receive
+from tests.support.edge_client import Client, Scripted, data_of, header_of, leftovers, trailer_of, until, upload, worker
+from tests.support.repository import ROOT
 
 ARCHIVE = b"ticks 2"
 LIMIT_BYTES = 1_000_000
@@ -148,8 +149,10 @@ async def _read(call: grpc.aio.StreamStreamCall) -> AsyncIterator[pb.Event]:
 async def test_a_refusal_reaches_a_caller_in_the_middle_of_its_upload(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(door, "HEAR_OUT_NEXT_S", 5.0)  # this process both sends and hears, and may be kept waiting
-    monkeypatch.setattr(door, "HEAR_OUT_S", 60.0)
+    monkeypatch.setattr(
+        authentication, "DRAIN_NEXT_S", 5.0
+    )  # this process both sends and hears, and may be kept waiting
+    monkeypatch.setattr(authentication, "DRAIN_S", 60.0)
     holding = client.reconstruct(b"wait", "holding")
     await anext(aiter(holding))
     big = os.urandom(LIMIT_BYTES)
@@ -274,7 +277,7 @@ def test_what_an_older_caller_does_not_say_is_nothing_new() -> None:
 
 def generator() -> ModuleType:
     """proto/ is no package, so its script is loaded by its path."""
-    path = Path(__file__).parents[2] / "proto" / "generate.py"
+    path = ROOT / "proto" / "generate.py"
     spec = importlib.util.spec_from_file_location("generate", path)
     assert spec is not None
     assert spec.loader is not None

@@ -6,9 +6,9 @@ import asyncio
 from contextlib import AsyncExitStack
 from pathlib import Path
 
-from services.storage.catalogue import entry
+from services.storage.catalogue.entry import read_entry
 from services.storage.memory import MemoryStore
-from tests.gateway.support import Making, capture, ended, events, gateway, job_when, memory, start, worker
+from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
 
 
 async def test_a_job_succeeds_and_tells_of_it(tmp_path: Path) -> None:
@@ -22,7 +22,7 @@ async def test_a_job_succeeds_and_tells_of_it(tmp_path: Path) -> None:
     assert (done["preview"]["version"], done["asset"]["version"]) == (1, 2)
     assert done["warnings"] == ["looks odd"]
     assert done["seconds"] == {"FITTING": 0.5}
-    assert entry(store, "dress").version == 2
+    assert read_entry(store, "dress").version == 2
     assert [kind for _, kind, _ in story if kind != "progress"] == ["state", "state", "published", "published", "state"]
 
 
@@ -130,7 +130,7 @@ async def test_many_jobs_over_two_workers_are_each_done_once(tmp_path: Path) -> 
     assert sorted(works[0].runs + works[1].runs) == sorted(jobs)
     assert works[1].runs
     for job, number in zip(jobs, range(20), strict=True):
-        assert [version["job"] for version in entry(store, f"key{number}").versions] == [job, job]
+        assert [version["job"] for version in read_entry(store, f"key{number}").versions] == [job, job]
 
 
 async def test_a_capture_that_vanished_fails_the_job(tmp_path: Path, unused_tcp_port: int) -> None:
@@ -233,6 +233,6 @@ async def test_a_failure_behind_the_preview_says_that_it_stays(tmp_path: Path) -
         done = await ended(client, await start(client, capture(store, fail_refining="GPU_OOM")))
         asset = (await client.get("/v1/assets/dress")).json()
     assert (done["state"], done["error"]["code"]) == ("FAILED", "GPU_OOM")
-    assert done["error"]["hints"] == ["use a coarser preset", "the preview stays published, as version 1"]
+    assert done["error"]["hints"] == ["use a coarser preset", "the preview stays available as version 1"]
     assert (done["preview"]["version"], done["asset"]) == (1, None)
     assert (asset["version"], asset["state"]) == (1, "preview")

@@ -18,12 +18,12 @@ from typing import Any
 
 import httpx
 
-from services.storage.catalogue import entry
+from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
-from tests.gateway import support
-from tests.gateway.support import capture
+from tests.support import in_process_gateway
+from tests.support.in_process_gateway import capture
+from tests.support.repository import ROOT
 
-_ROOT = Path(__file__).parents[2]
 _JOBS = 50
 _KILLS = 20
 _WITHIN_S = 110.0
@@ -40,7 +40,7 @@ class Process:
 
     def start(self) -> None:
         with self._log.open("ab") as log:
-            self._running = subprocess.Popen(self._command, cwd=_ROOT, env=self._environment, stdout=log, stderr=log)
+            self._running = subprocess.Popen(self._command, cwd=ROOT, env=self._environment, stdout=log, stderr=log)
 
     def kill(self) -> None:
         """As a power cut: no handler runs."""
@@ -66,7 +66,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
     edge_port, gateway_port = unused_tcp_port_factory(), unused_tcp_port_factory()
     shared = {"STORAGE_ROOT": store.root, "OMP_NUM_THREADS": 1}
     edge = Process(
-        "tests.gateway.making_worker",
+        "tests.support.scripted_work_worker",
         tmp_path / "edge.log",
         EDGE_PORT=edge_port,
         EDGE_SLOTS=2,
@@ -107,7 +107,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
 
     assert {job["id"]: job["state"] for job in done} == dict.fromkeys(jobs.values(), "SUCCEEDED")
     for key, job in jobs.items():
-        assert [(made["job"], made["state"]) for made in entry(store, key).versions] == [
+        assert [(made["job"], made["state"]) for made in read_entry(store, key).versions] == [
             (job, "preview"),
             (job, "refined"),
         ]
@@ -118,18 +118,20 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
 async def test_a_job_that_kills_its_workers_fails_by_name(tmp_path: Path, unused_tcp_port: int) -> None:
     store = LocalStore(tmp_path / "objects")
     edge = Process(
-        "tests.gateway.making_worker",
+        "tests.support.scripted_work_worker",
         tmp_path / "edge.log",
         EDGE_PORT=unused_tcp_port,
         EDGE_SCRATCH=tmp_path / "scratch",
         STORAGE_ROOT=store.root,
     )
     with _killed_at_the_end(edge):
-        async with support.gateway(tmp_path / "gw", store, unused_tcp_port, max_attempts=2) as client:
-            job = await support.start(client, capture(store, wait=1))
+        async with in_process_gateway.gateway(tmp_path / "gw", store, unused_tcp_port, max_attempts=2) as client:
+            job = await in_process_gateway.start(client, capture(store, wait=1))
             done, killed = {"state": "QUEUED"}, 0.0
             while done["state"] != "FAILED":
-                done = await support.job_when(client, job, partial(_fails_or_runs, since=killed), within_s=30)
+                done = await in_process_gateway.job_when(
+                    client, job, partial(_fails_or_runs, since=killed), within_s=30
+                )
                 await asyncio.sleep(0.5)  # for the run to be heard of: one that was not is no attempt
                 edge.kill()
                 killed = time.time()

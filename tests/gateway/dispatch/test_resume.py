@@ -11,12 +11,12 @@ from pathlib import Path
 
 import httpx
 
-from services.storage.catalogue import entry
+from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
-from tests.edge.test_work import hemisphere_ply
-from tests.gateway import support
-from tests.gateway.support import ended, events, gateway, start
-from tests.gateway.test_kill import Process
+from tests.edge.jobs.test_reconstruct_job import hemisphere_ply
+from tests.gateway.dispatch.test_kill import Process
+from tests.support import in_process_gateway
+from tests.support.in_process_gateway import ended, events, gateway, start
 
 # Of some 12 s, for checkpoints are 1.5 s apart and two are waited for; light, for nothing is learned here.
 _PRESET = """
@@ -38,7 +38,7 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
         packed.writestr("dome.ply", hemisphere_ply())
     store.put("captures/cap_dome.zip", (tmp_path / "capture.zip").read_bytes(), content_type="application/zip")
     edge = Process(
-        "tests.gateway.hasty_worker",
+        "tests.support.hasty_worker",
         tmp_path / "edge.log",
         "edge",
         EDGE_PORT=unused_tcp_port,
@@ -50,13 +50,13 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
     )
     try:
         async with gateway(tmp_path / "gw", store, unused_tcp_port, attach_for_s=60.0, silence_s=15.0) as client:
-            await support.until(partial(_is_ready, client), within_s=60)
+            await in_process_gateway.until(partial(_is_ready, client), within_s=60)
             job = await start(client, "cap_dome", "dome", preset="brief")
             kept = tmp_path / "scratch" / "checkpoints" / job
             for number in (signal.SIGTERM, signal.SIGKILL):
                 before = _written(kept)
-                await support.until(partial(_newer, kept, before), within_s=60)
-                assert entry(store, "dome").state == "preview"
+                await in_process_gateway.until(partial(_newer, kept, before), within_s=60)
+                assert read_entry(store, "dome").state == "preview"
                 edge.end(number)
                 assert _written(kept), "the checkpoint has gone with the worker"
                 edge.start()
@@ -66,7 +66,7 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
         edge.kill()
     assert (done["state"], done["error"]) == ("SUCCEEDED", None)
     assert done["attempts"] == 2, "being handed back is no attempt, being killed is one"
-    assert [made["state"] for made in entry(store, "dome").versions].count("preview") == 1
+    assert [made["state"] for made in read_entry(store, "dome").versions].count("preview") == 1
     assert not kept.exists(), "a job that has ended leaves no checkpoint"
 
     runs = _steps_by_run(story)

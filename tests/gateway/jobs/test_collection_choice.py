@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gateway.errors import Problem
-from services.gateway.jobs.place import collection_for, require_collection
-from services.storage.catalogue import entry
-from services.storage.publish import publish
-from tests.gateway.support import Making, capture, ended, gateway, job_when, memory, start, worker
-from tests.storage.bundles import bundle, listed
+from services.gateway.jobs.collection_choice import choose_collection, require_collection
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
+from tests.support.bundles import bundle, listed
+from tests.support.in_process_gateway import Making, capture, ended, gateway, job_when, memory, start, worker
 
 HOSTILE = [
     "a/b",
@@ -74,7 +74,7 @@ async def test_a_restart_and_a_new_attempt_keep_the_collection(tmp_path: Path) -
     async with worker(second, tmp_path / "second") as port, gateway(tmp_path / "gw", store, port) as client:
         done = await ended(client, job)
     assert (done["state"], done["collection"], second.runs) == ("SUCCEEDED", "ada", [job])
-    assert entry(store, "shoe").collections == ["ada"]
+    assert read_entry(store, "shoe").collections == ["ada"]
 
 
 async def test_jobs_of_an_older_gateway_are_read(tmp_path: Path, unused_tcp_port: int) -> None:
@@ -133,10 +133,10 @@ def test_whatever_is_taken_for_a_collection_is_a_plain_name(name: str) -> None:
 def test_an_asset_stays_where_it_is_and_a_key_is_one_asset() -> None:
     store = memory()
     publish(bundle(), store, key="shoe", collection="ada")
-    assert collection_for(store, named="", capture="cap_1", key="shoe") == "ada"
-    assert collection_for(store, named="ada", capture="cap_1", key="shoe") == "ada"
+    assert choose_collection(store, named="", capture="cap_1", key="shoe") == "ada"
+    assert choose_collection(store, named="ada", capture="cap_1", key="shoe") == "ada"
     with pytest.raises(Problem, match="in collection ada, not in bob") as refused:
-        collection_for(store, named="bob", capture="cap_1", key="shoe")
+        choose_collection(store, named="bob", capture="cap_1", key="shoe")
     assert (refused.value.status, refused.value.code) == (409, "KEY_ELSEWHERE")
 
 
@@ -147,7 +147,7 @@ async def test_only_the_asset_of_that_collection_is_taken_away(tmp_path: Path, u
         for verb, removed in (("remove", True), ("restore", False)):
             other = await client.post(f"/v1/assets/shoe/{verb}", params={"collection": "bob"})
             assert (other.status_code, other.json()["code"]) == (404, "ASSET_UNKNOWN")
-            assert entry(store, "shoe").removed is not removed
+            assert read_entry(store, "shoe").removed is not removed
             hers = await client.post(f"/v1/assets/shoe/{verb}", params={"collection": "ada"})
             assert (hers.status_code, hers.json()["removed"]) == (200, removed)
         bad = await client.post("/v1/assets/shoe/remove", params={"collection": "../ada"})

@@ -11,21 +11,29 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Job, Order, State
-from services.gateway.jobs.reports import Beat, Failed, Finished, Progressed, Published, Report, coalesced
-from services.gateway.jobs.transitions import (
-    NEXT,
-    RUNS,
+from services.gateway.jobs.reports import (
+    Report,
+    RunFailed,
+    RunFinished,
+    RunHeartbeat,
+    RunProgress,
+    VersionPublished,
+    coalesce,
+)
+from services.gateway.jobs.state_machine import (
+    NEXT_STATES,
+    RUNNING_STATES,
     Change,
     IllegalTransition,
+    LeaseLost,
     Retry,
-    StaleFence,
-    accepted,
-    cancel_requested,
-    leased,
-    reported,
-    set_back,
-    taken_over,
-    turned_away,
+    apply_reports,
+    create_job,
+    lease_to_worker,
+    request_cancel,
+    requeue_lost,
+    requeue_refused,
+    take_over,
 )
 
 RETRY = Retry(attempts=3, pause_s=1.0)
@@ -36,19 +44,24 @@ stages = st.sampled_from(["", "VALIDATING", "POINT_CLOUD", "FITTING", "PUBLISHIN
 fractions = st.floats(-1.0, 2.0)
 seqs = st.integers(1, 40)
 reports = st.one_of(
-    st.builds(Progressed, seqs, stages, fractions, eta_s=st.floats(-1.0, 1e6)),
-    st.builds(Beat, seqs),
+    st.builds(RunProgress, seqs, stages, fractions, eta_s=st.floats(-1.0, 1e6)),
+    st.builds(RunHeartbeat, seqs),
     st.builds(
-        Published, seqs, st.just("dress"), st.integers(1, 3), st.sampled_from(["preview", "refined"]), st.just("m")
+        VersionPublished,
+        seqs,
+        st.just("dress"),
+        st.integers(1, 3),
+        st.sampled_from(["preview", "refined"]),
+        st.just("m"),
     ),
     st.builds(
-        Failed,
+        RunFailed,
         seqs,
         st.sampled_from(["CAPTURE_EMPTY", "CANCELLED", "INTERNAL", "WORKER_DRAINING"]),
         st.just("m"),
         retryable=st.booleans(),
     ),
-    st.builds(Finished, seqs, warnings=st.just(("w",))),
+    st.builds(RunFinished, seqs, warnings=st.just(("w",))),
 )
 
 
@@ -59,7 +72,7 @@ class JobMachine(RuleBasedStateMachine):
     def begin(self) -> None:
         self.now = 1000.0
         self.old_fences: set[int] = set()
-        self.take(accepted("job_1", ORDER, now=self.now), None)
+        self.take(create_job("job_1", ORDER, now=self.now), None)
 
     def take(self, change: Change, before: Job | None) -> None:
         after = change.job
@@ -73,7 +86,7 @@ class JobMachine(RuleBasedStateMachine):
     def check(self, before: Job, after: Job, change: Change) -> None:
         told = [State(event.data["state"]) for event in change.events if event.kind == "state"]
         for old, new in zip([before.state, *told], told, strict=False):
-            assert new in NEXT[old]
+            assert new in NEXT_STATES[old]
         assert after.state is (told[-1] if told else before.state)
         assert after.fraction >= before.fraction
         assert after.elapsed_s >= before.elapsed_s
@@ -87,7 +100,7 @@ class JobMachine(RuleBasedStateMachine):
     def attempt(self, transition: Callable[[Job], Change]) -> None:
         try:
             change = transition(self.job)
-        except (IllegalTransition, StaleFence):
+        except (IllegalTransition, LeaseLost):
             return
         self.take(change, self.job)
 
@@ -98,33 +111,33 @@ class JobMachine(RuleBasedStateMachine):
     @rule()
     def lease(self) -> None:
         if self.job.state is State.QUEUED:
-            change = leased(self.job, holder="gw", worker="w", now=self.now, lease_s=10)
+            change = lease_to_worker(self.job, holder="gw", worker="w", now=self.now, lease_s=10)
             assert change.job.lease.attempts == self.job.lease.attempts + 1
             self.take(change, self.job)
         else:
             with pytest.raises(IllegalTransition):
-                leased(self.job, holder="gw", worker="w", now=self.now, lease_s=10)
+                lease_to_worker(self.job, holder="gw", worker="w", now=self.now, lease_s=10)
 
-    @precondition(lambda self: self.job.state in RUNS)
+    @precondition(lambda self: self.job.state in RUNNING_STATES)
     @rule()
     def take_over(self) -> None:
-        self.take(taken_over(self.job, holder="other", now=self.now, lease_s=10), self.job)
+        self.take(take_over(self.job, holder="other", now=self.now, lease_s=10), self.job)
 
     @rule(told=st.lists(reports, max_size=5))
     def report(self, told: list[Report]) -> None:
-        self.attempt(lambda job: reported(job, job.lease.fence, told, now=self.now, retry=RETRY))
+        self.attempt(lambda job: apply_reports(job, job.lease.fence, told, now=self.now, retry=RETRY))
 
     @rule()
     def turn_away(self) -> None:
-        self.attempt(lambda job: turned_away(job, job.lease.fence, now=self.now, pause_s=1))
+        self.attempt(lambda job: requeue_refused(job, job.lease.fence, now=self.now, pause_s=1))
 
     @rule()
     def lose(self) -> None:
-        self.attempt(lambda job: set_back(job, job.lease.fence, LOST, now=self.now, retry=RETRY))
+        self.attempt(lambda job: requeue_lost(job, job.lease.fence, LOST, now=self.now, retry=RETRY))
 
     @rule()
     def cancel(self) -> None:
-        self.take(cancel_requested(self.job, now=self.now), self.job)
+        self.take(request_cancel(self.job, now=self.now), self.job)
         assert self.job.ended or self.job.state is State.CANCELLING
 
     @precondition(lambda self: bool(self.old_fences))
@@ -133,11 +146,11 @@ class JobMachine(RuleBasedStateMachine):
         """A gateway that lost its lease changes nothing."""
         fence = data.draw(st.sampled_from(sorted(self.old_fences)))
         for transition in (
-            lambda: reported(self.job, fence, told, now=self.now, retry=RETRY),
-            lambda: turned_away(self.job, fence, now=self.now, pause_s=1),
-            lambda: set_back(self.job, fence, LOST, now=self.now, retry=RETRY),
+            lambda: apply_reports(self.job, fence, told, now=self.now, retry=RETRY),
+            lambda: requeue_refused(self.job, fence, now=self.now, pause_s=1),
+            lambda: requeue_lost(self.job, fence, LOST, now=self.now, retry=RETRY),
         ):
-            with pytest.raises(StaleFence):
+            with pytest.raises(LeaseLost):
                 transition()
 
     @invariant()
@@ -146,64 +159,64 @@ class JobMachine(RuleBasedStateMachine):
         assert 0.0 <= job.fraction <= 1.0
         assert 0 <= job.lease.attempts <= RETRY.attempts
         assert (job.error is not None) == (job.state is State.FAILED)
-        assert (job.lease.holder != "") == (job.state in RUNS)
+        assert (job.lease.holder != "") == (job.state in RUNNING_STATES)
         if job.state is State.SUCCEEDED:
             assert job.asset is not None
             assert job.fraction == 1.0
 
 
 TestJobMachine = JobMachine.TestCase
-TestJobMachine.settings = settings(max_examples=80, stateful_step_count=30, deadline=None)
+TestJobMachine.settings = settings(max_examples=80, stateful_step_count=30)
 
 
 def running() -> Job:
-    return leased(accepted("job_1", ORDER, now=0).job, holder="gw", worker="w", now=0, lease_s=10).job
+    return lease_to_worker(create_job("job_1", ORDER, now=0).job, holder="gw", worker="w", now=0, lease_s=10).job
 
 
 def after(job: Job, *told: Report) -> Job:
-    return reported(job, job.lease.fence, told, now=1, retry=RETRY).job
+    return apply_reports(job, job.lease.fence, told, now=1, retry=RETRY).job
 
 
 def test_terminal_states_are_those_that_lead_nowhere() -> None:
-    assert {state for state, following in NEXT.items() if not following} == TERMINAL
+    assert {state for state, following in NEXT_STATES.items() if not following} == TERMINAL
 
 
 def test_reports_heard_twice_count_once() -> None:
-    told = (Progressed(1, "FITTING", 0.5), Published(2, "dress", 1, "refined", "m"), Finished(3))
-    change = reported(running(), 1, told + told, now=1, retry=RETRY)
+    told = (RunProgress(1, "FITTING", 0.5), VersionPublished(2, "dress", 1, "refined", "m"), RunFinished(3))
+    change = apply_reports(running(), 1, told + told, now=1, retry=RETRY)
     assert [event.kind for event in change.events] == ["progress", "published", "state"]
 
 
 def test_a_run_that_begins_anew_is_heard_from_its_first_word() -> None:
-    job = after(running(), Progressed(7, "FITTING", 0.8))
-    job = set_back(job, 1, LOST, now=1, retry=RETRY).job
-    job = leased(job, holder="gw", worker="w", now=9, lease_s=10).job
-    job = after(job, Progressed(1, "VALIDATING", 0.0))
+    job = after(running(), RunProgress(7, "FITTING", 0.8))
+    job = requeue_lost(job, 1, LOST, now=1, retry=RETRY).job
+    job = lease_to_worker(job, holder="gw", worker="w", now=9, lease_s=10).job
+    job = after(job, RunProgress(1, "VALIDATING", 0.0))
     assert (job.stage, job.fraction, job.lease.run_seq) == ("VALIDATING", 0.8, 1)
 
 
 def test_finishing_without_an_asset_is_a_failure() -> None:
-    job = after(running(), Finished(1))
+    job = after(running(), RunFinished(1))
     assert job.error is not None
     assert (job.state, job.error["code"]) == (State.FAILED, "NOTHING_PUBLISHED")
 
 
 def test_a_run_faster_than_its_cancellation_has_succeeded() -> None:
-    job = after(running(), Published(1, "dress", 1, "preview", "m"))
-    job = cancel_requested(job, now=2).job
-    assert after(job, Finished(2)).state is State.SUCCEEDED
-    assert after(job, Failed(2, "CAPTURE_EMPTY", "m")).state is State.CANCELLED
+    job = after(running(), VersionPublished(1, "dress", 1, "preview", "m"))
+    job = request_cancel(job, now=2).job
+    assert after(job, RunFinished(2)).state is State.SUCCEEDED
+    assert after(job, RunFailed(2, "CAPTURE_EMPTY", "m")).state is State.CANCELLED
 
 
 @given(st.integers(1, 10_000))
 def test_pauses_grow_up_to_a_minute(attempt: int) -> None:
-    assert RETRY.after(attempt) <= min(60.0, RETRY.after(attempt + 1))
+    assert RETRY.pause_after(attempt) <= min(60.0, RETRY.pause_after(attempt + 1))
 
 
 @given(st.lists(reports))
 def test_coalescing_keeps_what_matters(told: list[Report]) -> None:
-    short = coalesced(told)
-    assert [each for each in short if not isinstance(each, Progressed | Beat)] == [
-        each for each in told if not isinstance(each, Progressed | Beat)
+    short = coalesce(told)
+    assert [each for each in short if not isinstance(each, RunProgress | RunHeartbeat)] == [
+        each for each in told if not isinstance(each, RunProgress | RunHeartbeat)
     ]
     assert short[-1:] == told[-1:]

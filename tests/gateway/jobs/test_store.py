@@ -12,12 +12,20 @@ import pytest
 
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job, Order, State
-from services.gateway.jobs.reports import Finished, Progressed, Published
+from services.gateway.jobs.reports import RunFinished, RunProgress, VersionPublished
+from services.gateway.jobs.state_machine import (
+    Change,
+    LeaseLost,
+    Retry,
+    apply_reports,
+    lease_to_worker,
+    request_cancel,
+    take_over,
+)
 from services.gateway.jobs.store import JobStore
 from services.gateway.jobs.tables import metadata, open_engine
-from services.gateway.jobs.transitions import Change, Retry, StaleFence, cancel_requested, leased, reported, taken_over
 from tests.conftest import missing
-from tests.postgres import programs, running
+from tests.referees.postgres import programs, running
 
 ORDER = Order("cap_1", "draft", "dress", "Dress", isolate=True)
 RETRY = Retry(3, 1.0)
@@ -54,7 +62,7 @@ def store(url: str) -> Iterator[JobStore]:
 
 
 def lease(now: float = 100.0, holder: str = "gw") -> partial[Change]:
-    return partial(leased, holder=holder, worker="w:1", now=now, lease_s=10)
+    return partial(lease_to_worker, holder=holder, worker="w:1", now=now, lease_s=10)
 
 
 def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> None:
@@ -62,13 +70,13 @@ def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> N
     claimed = store.claim(made.created + 1, ("draft",), lease(made.created + 1))
     assert claimed is not None
     told = [
-        Progressed(1, "FITTING", 0.5, {"a": 1.0}),
-        Published(2, "dress", 1, "preview", "m"),
-        Finished(3, ("w",), {"FITTING": 2}),
+        RunProgress(1, "FITTING", 0.5, {"a": 1.0}),
+        VersionPublished(2, "dress", 1, "preview", "m"),
+        RunFinished(3, ("w",), {"FITTING": 2}),
     ]
-    job = store.change(made.id, partial(reported, fence=1, reports=told, now=made.created + 5, retry=RETRY))
+    job = store.change(made.id, partial(apply_reports, fence=1, reports=told, now=made.created + 5, retry=RETRY))
     engine = open_engine(url)
-    again, events = JobStore(engine).since(made.id, 0)
+    again, events = JobStore(engine).job_and_events(made.id, 0)
     engine.dispose()
     assert again == job
     assert again.state is State.SUCCEEDED
@@ -111,8 +119,8 @@ def test_an_idempotency_key_makes_one_job(store: JobStore) -> None:
 
 def test_what_a_transition_refuses_leaves_no_trace(store: JobStore) -> None:
     job = store.create(ORDER)
-    with pytest.raises(StaleFence):
-        store.change(job.id, partial(reported, fence=9, reports=[], now=0, retry=RETRY))
+    with pytest.raises(LeaseLost):
+        store.change(job.id, partial(apply_reports, fence=9, reports=[], now=0, retry=RETRY))
     assert store.get(job.id) == job
 
 
@@ -122,7 +130,7 @@ def test_a_lease_is_renewed_by_its_fence_only(store: JobStore) -> None:
     assert store.renew("a", 500.0, [(job.id, 1)]) == (set(), set())
     assert store.renew("a", 500.0, [(job.id, 2)]) == ({job.id}, set())
     assert store.renew("b", 500.0, [(job.id, 1)]) == ({job.id}, set())
-    store.change(job.id, partial(cancel_requested, now=5))
+    store.change(job.id, partial(request_cancel, now=5))
     assert store.renew("a", 500.0, [(job.id, 1)]) == (set(), {job.id})
     assert store.get(job.id).lease.until == 500.0
 
@@ -132,7 +140,7 @@ def test_a_run_is_taken_over_when_its_lease_is_out_or_by_its_former_self(store: 
     store.claim(1e12, ("draft",), lease(100.0, "a"))
 
     def orphan(now: float, holder: str, ours: tuple[str, ...] = ()) -> Job | None:
-        return store.claim_orphan(now, holder, ours, partial(taken_over, holder="b", now=now, lease_s=10))
+        return store.claim_orphan(now, holder, ours, partial(take_over, holder="b", now=now, lease_s=10))
 
     assert orphan(105.0, "") is None
     assert orphan(105.0, "a", (job.id,)) is None
@@ -149,15 +157,15 @@ def test_pages_are_newest_first_and_complete(store: JobStore) -> None:
     while page := store.page(limit=3, after=seen[-1] if seen else ""):
         seen += [job.id for job in page]
     assert seen == sorted(jobs, reverse=True)
-    assert store.counts()[State.QUEUED] == 7
+    assert store.count_by_state()[State.QUEUED] == 7
 
 
 def test_others_news_are_heard(store: JobStore) -> None:
-    before = store.newest_event()
+    before = store.newest_event_id()
     job = store.create(ORDER)
-    after, touched = store.touched(before)
+    after, touched = store.jobs_changed_since(before)
     assert touched == {job.id}
-    assert store.touched(after) == (after, set())
+    assert store.jobs_changed_since(after) == (after, set())
 
 
 def test_an_unknown_job_has_a_name(store: JobStore) -> None:

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gateway.app import create_app
-from services.gateway.routes.ranges import UnsatisfiableError, matches, wanted_range
+from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
 from services.gateway.settings import GatewaySettings
-from services.storage.catalogue import entry
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
-from services.storage.publish import publish
 from services.storage.store import IMMUTABLE, Store
-from tests.storage.bundles import bundle
+from tests.support.bundles import bundle
 
 
 def client(tmp_path: Path, store: Store, **settings: Any) -> httpx.AsyncClient:
@@ -75,7 +75,7 @@ async def test_unknown_and_impossible_keys(gateway: httpx.AsyncClient) -> None:
 
 
 async def test_a_level_of_detail_is_elsewhere(gateway: httpx.AsyncClient, local: LocalStore) -> None:
-    level = entry(local, "dress").document["lods"][1]
+    level = read_entry(local, "dress").document["lods"][1]
     answer = await gateway.get("/v1/assets/dress/lod/1")
     assert (answer.status_code, answer.headers["cache-control"]) == (307, "no-cache")
     assert answer.headers["location"] == f"http://gateway/v1/files/{level['name']}"
@@ -124,7 +124,7 @@ async def test_the_qr_code_is_that_of_the_viewer(tmp_path: Path, local: LocalSto
 class TestFiles:
     @pytest.fixture
     def name(self, local: LocalStore) -> str:
-        return str(entry(local, "dress").document["lods"][0]["name"])
+        return str(read_entry(local, "dress").document["lods"][0]["name"])
 
     @pytest.fixture
     def content(self, local: LocalStore, name: str) -> bytes:
@@ -192,17 +192,19 @@ class TestFiles:
         assert b"".join(parts) == content
         assert (await gateway.get(url)).content == content
 
-    async def test_the_catalogue_is_served_and_never_kept(self, gateway: httpx.AsyncClient, local: LocalStore) -> None:
-        answer = await gateway.get("/v1/files/catalog/dress.json")
-        assert answer.content == local.get("catalog/dress.json")
+    async def test_a_collection_is_served_and_never_kept(self, gateway: httpx.AsyncClient, local: LocalStore) -> None:
+        name = "collections/default/index.json"
+        answer = await gateway.get(f"/v1/files/{name}")
+        assert answer.content == local.get(name)
         assert answer.headers["cache-control"] == "no-cache"
         etag = {"If-None-Match": answer.headers["etag"]}
-        assert (await gateway.get("/v1/files/catalog/dress.json", headers=etag)).status_code == 304
+        assert (await gateway.get(f"/v1/files/{name}", headers=etag)).status_code == 304
 
     @pytest.mark.parametrize(
         "path",
         [
             "captures/cap_1.zip",
+            "catalog/dress.json",
             "alias/dress/latest.json",
             "assets/../captures/cap_1.zip",
             "assets/%2e%2e/captures/cap_1.zip",
@@ -231,7 +233,7 @@ class TestFiles:
     async def test_a_store_elsewhere_serves_its_own_files(self, tmp_path: Path) -> None:
         store = MemoryStore()
         publish(bundle(), store, key="dress")
-        name = entry(store, "dress").document["lods"][0]["name"]
+        name = read_entry(store, "dress").document["lods"][0]["name"]
         assert (await client(tmp_path, store).get(f"/v1/files/{name}")).status_code == 404
 
 
@@ -239,7 +241,7 @@ class TestFiles:
 def test_a_range_is_the_slice_it_says(size: int, first: int, last: int) -> None:
     content = bytes(range(size))
     try:
-        part = wanted_range(f"bytes={first}-{last}", None, "tag", size)
+        part = parse_range(f"bytes={first}-{last}", None, "tag", size)
     except UnsatisfiableError:
         assert first >= size
         return
@@ -250,9 +252,9 @@ def test_a_range_is_the_slice_it_says(size: int, first: int, last: int) -> None:
 
 @given(header=st.text(max_size=30))
 def test_no_header_breaks_the_parsers(header: str) -> None:
-    matches(header, "tag")
+    etag_matches(header, "tag")
     try:
-        part = wanted_range(header, header, "tag", 10)
+        part = parse_range(header, header, "tag", 10)
     except UnsatisfiableError:
         return
     assert part is None or 0 <= part[0] < part[1] <= 10

@@ -11,15 +11,15 @@ import pytest
 
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
-from services.storage.collection import RETIRED, index_name, read_index
+from services.storage.catalogue.collection import RETIRED_SHARDS, index_name, read_index
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.signing import Keys, check_signatures, public_key
+from services.storage.catalogue.verify import verify
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
-from services.storage.publish import publish
-from services.storage.signing import Keys, check_signatures, public_of
 from services.storage.store import Store
-from services.storage.verify import verify
-from tests.storage.bundles import Crash, CrashingStore, bundle, listed
-from tests.storage.test_signing import ONE, TWO
+from tests.storage.catalogue.test_signing import ONE, TWO
+from tests.support.bundles import Crash, CrashingStore, bundle, listed
 
 SIGNED = Keys(signers=(ONE,))
 INDEX = index_name("default")
@@ -53,7 +53,7 @@ async def test_the_index_is_what_the_store_has(gateway: httpx.AsyncClient, store
     told, stored = answer.json(), json.loads(store.get(INDEX))
     assert {**told, "base": ""} == {**stored, "base": ""}
     assert (answer.headers["cache-control"], answer.headers["access-control-allow-origin"]) == ("no-cache", "*")
-    assert read_index(answer.content, "default", SIGNED.believed).version == 3
+    assert read_index(answer.content, "default", SIGNED.verification_keys).version == 3
     again = await gateway.get("/v1/collections/default", headers={"If-None-Match": answer.headers["etag"]})
     assert (again.status_code, again.content) == (304, b"")
     publish(bundle(), store, key="new", keys=SIGNED)
@@ -67,7 +67,7 @@ async def test_everything_can_be_checked_from_the_index_on(tmp_path: Path) -> No
     publish(bundle(), local, key="dress", keys=SIGNED)
     gateway = client(tmp_path, local)
     (key,) = (await gateway.get("/v1/keys")).json()["keys"]
-    believed = public_of(base64.b64decode(key["ed25519"]))
+    believed = public_key(base64.b64decode(key["ed25519"]))
     assert (believed.id, believed) == (key["key"], ONE.public)
     answer = await gateway.get("/v1/collections/default")
     known = {INDEX: answer.content}
@@ -121,7 +121,7 @@ async def test_a_shard_that_is_retired_meanwhile_is_looked_up_anew(tmp_path: Pat
         def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:
             if "shard" in name and self.waits:
                 self.waits = False
-                for number in range(RETIRED + 1):
+                for number in range(RETIRED_SHARDS + 1):
                     publish(bundle(content=f"{number}"), store, key="new", keys=SIGNED)
             return super().get(name, start=start, length=length)
 
@@ -147,7 +147,7 @@ async def test_removed_is_gone_everywhere_and_restored_is_back(gateway: httpx.As
         assert "restore" in gone.json()["hints"][0]
     assert await found(gateway) == ["boot", "sofa"]
     assert [each["key"] for each in (await gateway.get("/v1/assets")).json()["assets"]] == ["boot", "sofa"]
-    assert listed(store, believed=SIGNED.believed)["shoe"].removed
+    assert listed(store, believed=SIGNED.verification_keys)["shoe"].removed
     answer = await gateway.post("/v1/assets/shoe/restore")
     assert (answer.status_code, answer.json()["removed"], answer.json()["version"]) == (200, False, 1)
     assert (await gateway.get("/v1/assets/shoe")).status_code == 200

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.gateway.support import Making, capture, ended, events, gateway, job_when, memory, start, worker
+from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
+from tests.support.patience import PATIENCE_S
 
 
 async def test_live_and_replay_tell_the_same_story(tmp_path: Path) -> None:
@@ -75,7 +76,7 @@ async def test_listeners_that_leave_are_forgotten(tmp_path: Path) -> None:
                 async for line in answer.aiter_lines():
                     if line.startswith("data: "):
                         break
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(PATIENCE_S):
             while "capture2vr_event_listeners 0.0" not in (await client.get("/metrics")).text:
                 await asyncio.sleep(0.05)
 

@@ -20,7 +20,7 @@ from schemathesis.specs.openapi.checks import (
 
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
-from tests.gateway.support import capture, memory
+from tests.support.in_process_gateway import capture, memory
 
 _NOT_ASKED = {
     "/v1/jobs/{job}/events",  # waits for the job's end
@@ -52,7 +52,7 @@ def test_answers_are_as_documented(api: schemathesis.BaseSchema) -> None:
 
 def _check(operation: schemathesis.APIOperation) -> None:
     # Schemathesis' own pytest plugin does not know this pytest; its strategies need no plugin.
-    @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=20, suppress_health_check=list(HealthCheck))
     @given(case=operation.as_strategy())
     def holds(case: schemathesis.Case) -> None:
         case.call_and_validate(

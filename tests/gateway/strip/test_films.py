@@ -9,17 +9,17 @@ from pathlib import Path
 
 import av
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gateway.uploads import matroska, video
-from services.gateway.uploads.cleaned import Cleaned, UnreadableError
-from tests.gateway import pictures
-from tests.gateway.pictures import EBML, OPEN, OWNER, PLACE, box, element, handler
+from services.gateway.strip import matroska, mp4
+from services.gateway.strip.in_place import CleanResult, UnreadableError
+from tests.support import private_pictures
+from tests.support.private_pictures import EBML, OPEN, OWNER, PLACE, box, element, handler
 
 FRAMES = b"FRAMES" * 10
 JUNK = PLACE * 2
-Clean = Callable[[bytearray], Cleaned]
+Clean = Callable[[bytearray], CleanResult]
 
 kinds = st.sampled_from([b"udta", b"meta", b"uuid", b"gps ", b"meco", b"XMP_", b"free", b"\0\0\0\1", b"GPMF"])
 junk = st.lists(st.tuples(kinds, st.binary(max_size=20)), max_size=3).map(
@@ -53,30 +53,28 @@ def places(chunk: int, size: int = len(PLACE), kind: bytes = b"meta") -> bytes:
 
 
 @given(top=junk, index=junk, track=junk, media=junk, frames=st.binary(min_size=1, max_size=60))
-@settings(deadline=None)
 def test_whatever_is_added_goes_and_no_picture_changes(
     top: bytes, index: bytes, track: bytes, media: bytes, frames: bytes
 ) -> None:
     inner = box(b"mdia", box(b"hdlr", bytes(8), b"vide", bytes(12)), media)
     moov = box(b"moov", index, box(b"trak", box(b"tkhd", bytes(84)), track, inner))
     film = top + box(b"mdat", frames) + moov + top
-    after, _ = cleaned(video.clean, film)
+    after, _ = cleaned(mp4.clean, film)
     assert PLACE not in after
     assert after[len(top) + 8 : len(top) + 8 + len(frames)] == frames
-    assert cleaned(video.clean, after) == (after, ())
+    assert cleaned(mp4.clean, after) == (after, ())
 
 
 @given(data=st.data())
-@settings(deadline=None)
 def test_a_damaged_index_never_reaches_the_pictures(data: st.DataObject) -> None:
-    film = bytearray(pictures.film())
+    film = bytearray(private_pictures.film())
     media = film.index(b"mdat") + 4
     end = film.index(b"moov") - 4
     for _ in range(data.draw(st.integers(1, 6))):
         film[data.draw(st.integers(end, len(film) - 1))] = data.draw(st.integers(0, 255))
     before = bytes(film)
     try:
-        result = video.clean(film)
+        result = mp4.clean(film)
     except UnreadableError:
         return
     assert result.length == len(before)
@@ -87,24 +85,24 @@ def test_a_damaged_index_never_reaches_the_pictures(data: st.DataObject) -> None
 def test_only_the_samples_of_the_removed_track_are_blanked() -> None:
     film = filmed(places(0), media=FRAMES + PLACE + FRAMES)
     film = filmed(places(film.index(PLACE)), media=FRAMES + PLACE + FRAMES)
-    after, removed = cleaned(video.clean, film)
+    after, removed = cleaned(mp4.clean, film)
     assert after.endswith(FRAMES + bytes(len(PLACE)) + FRAMES)
     assert removed == ("track meta",)
 
 
 @pytest.mark.parametrize("kind", [b"sbtl", b"text", b"GoPr", b"camm", b"mett"])
 def test_tracks_that_are_no_picture_or_sound_go(kind: bytes) -> None:
-    assert cleaned(video.clean, filmed(places(0, kind=kind)))[1] == (f"track {kind.decode()}",)
+    assert cleaned(mp4.clean, filmed(places(0, kind=kind)))[1] == (f"track {kind.decode()}",)
 
 
 @pytest.mark.parametrize("kind", [b"soun", b"tmcd", b"auxv"])
 def test_sound_and_depth_stay(kind: bytes) -> None:
     film = filmed(places(0, kind=kind))
-    assert cleaned(video.clean, film) == (film, ())
+    assert cleaned(mp4.clean, film) == (film, ())
 
 
 def test_a_track_that_lies_about_its_samples_does_not_have_the_index_overwritten() -> None:
-    after, _ = cleaned(video.clean, filmed(places(0, size=10_000)))
+    after, _ = cleaned(mp4.clean, filmed(places(0, size=10_000)))
     assert b"moov" in after
     assert b"tkhd" in after
     assert after.startswith(box(b"ftyp", b"isom", bytes(4)))
@@ -112,7 +110,7 @@ def test_a_track_that_lies_about_its_samples_does_not_have_the_index_overwritten
 
 def test_a_film_whose_end_is_missing_keeps_its_beginning() -> None:
     film = filmed(box(b"udta", PLACE))
-    after, removed = cleaned(video.clean, film[:-20])
+    after, removed = cleaned(mp4.clean, film[:-20])
     assert after.endswith(FRAMES[:-20])
     assert (PLACE in after, removed) == (False, ("udta",))
 
@@ -120,14 +118,14 @@ def test_a_film_whose_end_is_missing_keeps_its_beginning() -> None:
 def hostile() -> Iterator[tuple[str, Clean, bytes]]:
     index = filmed()[:-68]
     header = box(b"tfhd", bytes(4), struct.pack(">I", 7))
-    yield "past the end", video.clean, index + struct.pack(">I4s", 0xFFFFFFFF, b"free")
-    yield "huge", video.clean, index + struct.pack(">I4sQ", 1, b"udta", 1 << 63)
-    yield "wraps", video.clean, index + struct.pack(">I4sQ", 1, b"udta", (1 << 64) - 8)
-    yield "negative", video.clean, index + struct.pack(">I4s", 4, b"udta")
-    yield "inside", video.clean, filmed(struct.pack(">I4s", 9999, b"udta"))
-    yield "no pictures", video.clean, box(b"moov", places(0))
-    yield "no index", video.clean, box(b"mdat", FRAMES)
-    yield "fragments", video.clean, filmed(places(0)) + box(b"moof", box(b"traf", header))
+    yield "past the end", mp4.clean, index + struct.pack(">I4s", 0xFFFFFFFF, b"free")
+    yield "huge", mp4.clean, index + struct.pack(">I4sQ", 1, b"udta", 1 << 63)
+    yield "wraps", mp4.clean, index + struct.pack(">I4sQ", 1, b"udta", (1 << 64) - 8)
+    yield "negative", mp4.clean, index + struct.pack(">I4s", 4, b"udta")
+    yield "inside", mp4.clean, filmed(struct.pack(">I4s", 9999, b"udta"))
+    yield "no pictures", mp4.clean, box(b"moov", places(0))
+    yield "no index", mp4.clean, box(b"mdat", FRAMES)
+    yield "fragments", mp4.clean, filmed(places(0)) + box(b"moof", box(b"traf", header))
     segment = element(0x1654AE6B)
     yield "no header", matroska.clean, element(0x18538067, segment)
     yield "no segment", matroska.clean, EBML
@@ -152,18 +150,17 @@ def test_what_lies_about_its_size_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("open_ended", [False, True])
 def test_a_webm_keeps_its_blocks_and_loses_the_rest(open_ended: bool) -> None:
-    before = pictures.webm(open_ended)
+    before = private_pictures.webm(open_ended)
     after, removed = cleaned(matroska.clean, before)
     assert after.count(FRAMES) == before.count(FRAMES) == 4
     assert b"CRC4" not in after
     assert removed == ("Title", "Name", "track type 17", "Tags", "Attachments", "element A5", "BlockAdditions")
 
 
-@given(cut=st.integers(0, len(pictures.webm()) - 1))
-@settings(deadline=None)
+@given(cut=st.integers(0, len(private_pictures.webm()) - 1))
 def test_a_cut_webm_is_refused_or_clean(cut: int) -> None:
     try:
-        after, _ = cleaned(matroska.clean, pictures.webm(open_ended=True)[:cut])
+        after, _ = cleaned(matroska.clean, private_pictures.webm(open_ended=True)[:cut])
     except UnreadableError:
         return
     assert PLACE not in after
@@ -179,7 +176,7 @@ def test_a_real_webm_plays_the_same_frames(suffix: str, options: dict[str, str],
         stream = container.add_stream("libvpx", rate=10, options={"deadline": "realtime", "cpu-used": "8"})
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         for _ in range(5):
-            container.mux(stream.encode(av.VideoFrame.from_image(pictures.picture())))
+            container.mux(stream.encode(av.VideoFrame.from_image(private_pictures.picture())))
         container.mux(stream.encode())
     before = path.read_bytes()
     assert b"48.13" in before

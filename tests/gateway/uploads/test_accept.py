@@ -23,7 +23,7 @@ from services.storage.archives import unpack
 from services.storage.bundle import sha256_hex
 from services.storage.memory import MemoryStore
 from services.storage.store import Head
-from tests.gateway import pictures
+from tests.support import private_pictures
 
 BOUNDARY = "boundary"
 CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
@@ -81,7 +81,7 @@ def assert_problem(answer: httpx.Response, status: int, code: str, file: str = "
 
 
 async def test_photos_become_one_archive_without_places(gateway: Gateway, tmp_path: Path) -> None:
-    photo, depth = pictures.jpeg(), pictures.png(pictures.picture(mode="I;16"))
+    photo, depth = private_pictures.jpeg(), private_pictures.png(private_pictures.picture(mode="I;16"))
     answer = await gateway.send(("rgb/1.jpg", photo), ("depth/1.png", depth), ("poses.csv", b"0,0,0\n"), name="Dress")
     receipt = answer.json()
     assert answer.status_code == 201, receipt
@@ -95,14 +95,14 @@ async def test_photos_become_one_archive_without_places(gateway: Gateway, tmp_pa
     assert {file["file"]: (file["sha256"], file["bytes"]) for file in receipt["files"]} == {
         name: (sha256_hex(content), len(content)) for name, content in stored.items()
     }
-    assert pictures.PLACE not in b"".join(stored.values())
+    assert private_pictures.PLACE not in b"".join(stored.values())
     assert Image.open(io.BytesIO(stored["rgb/1.jpg"])).tobytes() == Image.open(io.BytesIO(photo)).tobytes()
     archive = gateway.store.get(f"captures/{receipt['capture']}.zip")
     assert (receipt["bytes"], receipt["sha256"]) == (len(archive), sha256_hex(archive))
 
 
 @pytest.mark.parametrize("name", ["walk.mp4", "walk.MOV", "walk.m4v", "walk.webm", "walk.dat"])
-@pytest.mark.parametrize("make", [pictures.film, pictures.webm])
+@pytest.mark.parametrize("make", [private_pictures.film, private_pictures.webm])
 async def test_a_film_is_told_by_its_content(
     gateway: Gateway, tmp_path: Path, name: str, make: Callable[[], bytes]
 ) -> None:
@@ -110,7 +110,7 @@ async def test_a_film_is_told_by_its_content(
     (file,) = receipt["files"]
     assert (file["verdict"], file["bytes"]) == ("ok", len(make()))
     assert {"©xyz", "track meta"} <= set(file["stripped"]) or {"Tags", "track type 17"} <= set(file["stripped"])
-    assert pictures.PLACE not in gateway.stored(receipt["capture"], tmp_path)[name]
+    assert private_pictures.PLACE not in gateway.stored(receipt["capture"], tmp_path)[name]
 
 
 async def test_the_receipt_is_on_the_store_beside_the_archive(gateway: Gateway) -> None:
@@ -126,16 +126,16 @@ async def test_staging_is_empty_afterwards(gateway: Gateway) -> None:
 
 @pytest.mark.parametrize("way", ["raw", "field", "r3d"])
 async def test_a_zip_is_unpacked_and_cleaned(gateway: Gateway, tmp_path: Path, way: str) -> None:
-    data = zipped(scan__metadata=b"{}", scan__rgbd__0=pictures.jpeg(), scan__rgbd__1=b"bvx2")
+    data = zipped(scan__metadata=b"{}", scan__rgbd__0=private_pictures.jpeg(), scan__rgbd__1=b"bvx2")
     answer = await (gateway.send_raw(data) if way == "raw" else gateway.send((f"scan.{way}", data)))
     assert answer.status_code == 201, answer.text
     stored = gateway.stored(answer.json()["capture"], tmp_path)
-    assert pictures.PLACE not in b"".join(stored.values())
+    assert private_pictures.PLACE not in b"".join(stored.values())
     assert {"metadata", "rgbd/0"} <= stored.keys()
 
 
 async def test_equal_names_of_a_phones_camera_are_numbered(gateway: Gateway) -> None:
-    photos = [("image.jpg", pictures.jpeg(pictures.picture(32, 32 + n))) for n in range(3)]
+    photos = [("image.jpg", private_pictures.jpeg(private_pictures.picture(32, 32 + n))) for n in range(3)]
     answer = await gateway.send(*photos)
     assert [file["file"] for file in answer.json()["files"]] == ["image-2.jpg", "image-3.jpg", "image.jpg"]
 
@@ -179,22 +179,22 @@ async def test_files_that_no_capture_has_are_left_out_and_named(gateway: Gateway
 @pytest.mark.parametrize(
     ("file", "content", "code"),
     [
-        ("a.jpg", pictures.jpeg()[:1500], "IMAGE_UNREADABLE"),
+        ("a.jpg", private_pictures.jpeg()[:1500], "IMAGE_UNREADABLE"),
         ("a.jpg", b"MZ\x90\0" + bytes(100), "IMAGE_UNREADABLE"),
         ("a.jpg", b"", "IMAGE_UNREADABLE"),
-        ("a.png", pictures.png()[:600], "IMAGE_UNREADABLE"),
+        ("a.png", private_pictures.png()[:600], "IMAGE_UNREADABLE"),
         ("a.png", b"GIF89a" + bytes(50), "IMAGE_UNREADABLE"),
-        ("a.heic", pictures.heic()[:600], "IMAGE_UNREADABLE"),
-        ("a.webp", pictures.webp()[:600], "IMAGE_UNREADABLE"),
-        ("a.tiff", pictures.tiff()[:600], "IMAGE_UNREADABLE"),
-        ("a.exr", pictures.exr()[:40], "IMAGE_UNREADABLE"),
-        ("a.png", pictures.huge_png(60_000, 60_000), "IMAGE_TOO_LARGE"),
-        ("a.png", pictures.huge_png(100_001, 1000), "IMAGE_TOO_LARGE"),
-        ("a.png", pictures.huge_png(100, 100), "IMAGE_UNREADABLE"),
-        ("a.exr", pictures.exr(20_000, 20_000), "IMAGE_TOO_LARGE"),
-        ("a.mp4", pictures.film()[:150], "CAPTURE_UNREADABLE"),
+        ("a.heic", private_pictures.heic()[:600], "IMAGE_UNREADABLE"),
+        ("a.webp", private_pictures.webp()[:600], "IMAGE_UNREADABLE"),
+        ("a.tiff", private_pictures.tiff()[:600], "IMAGE_UNREADABLE"),
+        ("a.exr", private_pictures.exr()[:40], "IMAGE_UNREADABLE"),
+        ("a.png", private_pictures.huge_png(60_000, 60_000), "IMAGE_TOO_LARGE"),
+        ("a.png", private_pictures.huge_png(100_001, 1000), "IMAGE_TOO_LARGE"),
+        ("a.png", private_pictures.huge_png(100, 100), "IMAGE_UNREADABLE"),
+        ("a.exr", private_pictures.exr(20_000, 20_000), "IMAGE_TOO_LARGE"),
+        ("a.mp4", private_pictures.film()[:150], "CAPTURE_UNREADABLE"),
         ("a.mov", b"no film at all", "CAPTURE_UNREADABLE"),
-        ("a.webm", pictures.webm()[:150], "CAPTURE_UNREADABLE"),
+        ("a.webm", private_pictures.webm()[:150], "CAPTURE_UNREADABLE"),
         ("a.mkv", b"no film at all", "CAPTURE_UNREADABLE"),
         ("b.zip", zipped(a=b"1"), "ARCHIVE_NESTED"),
     ],
@@ -207,7 +207,7 @@ async def test_a_bad_file_is_refused_by_name(gateway: Gateway, file: str, conten
 
 async def test_a_large_photo_is_refused_before_it_is_decoded(gateway: Gateway) -> None:
     """A JPEG of a few hundred bytes that would be 4,000 megapixels."""
-    data = bytearray(pictures.jpeg())
+    data = bytearray(private_pictures.jpeg())
     frame = data.index(b"\xff\xc0")
     data[frame + 5 : frame + 9] = b"\xfd\xe8\xfd\xe8"
     assert_problem(await gateway.send(("a.jpg", bytes(data))), 422, "IMAGE_TOO_LARGE", "a.jpg")
@@ -369,7 +369,7 @@ async def worker(verdict: pb.Inspection) -> AsyncIterator[tuple[_Worker, str]]:
 async def attended(tmp_path: Path, worker: tuple[_Worker, str]) -> AsyncIterator[Gateway]:
     gateway = Gateway(tmp_path / "data", MemoryStore(), workers=(worker[1],))
     yield gateway
-    await gateway.app.state.edge.close()
+    await gateway.app.state.workers.close()
 
 
 async def test_a_workers_verdict_is_in_the_receipt(attended: Gateway, worker: tuple[_Worker, str]) -> None:

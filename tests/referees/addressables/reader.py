@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.pinned import installed
+from tests.support.npm_packages import installed
 
 _HERE = Path(__file__).parent
 # The wheel is asked for as if for another Python on another machine: it is unpacked, never installed.

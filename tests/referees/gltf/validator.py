@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pinned import installed
+from tests.support.npm_packages import installed
 
 _HERE = Path(__file__).parent
 

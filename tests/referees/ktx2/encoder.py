@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.edge.mesh.ktx2 import Ktx2Encoder
-from tests.pinned import installed
+from services.edge.export.ktx2 import Ktx2Encoder
+from tests.support.npm_packages import installed
+from tests.support.repository import ROOT
 
 _HERE = Path(__file__).parent
-_WEB = _HERE.parents[1] / "services" / "gateway" / "web"
+_VENDOR = ROOT / "services" / "web" / "vendor"
 
 
 def encoder_folder() -> Path:
@@ -40,7 +41,7 @@ class Unpacked:
 
 def unpacked(content: bytes, scratch: Path) -> Unpacked:
     """Through the page's own transcoder, under Node."""
-    (transcoder,) = _WEB.glob("three-*.basis-transcoder.wasm")
+    (transcoder,) = _VENDOR.glob("three-*.basis-transcoder.wasm")
     file, out = scratch / "in.ktx2", scratch / "out.rgba"
     file.write_bytes(content)
     command = ["node", _HERE / "decode.mjs", transcoder.with_suffix(""), file, out]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from services.edge.arrays import Floats, Ints
-from tests.pinned import wheels
+from tests.support.npm_packages import wheels
 
 _HERE = Path(__file__).parent
 

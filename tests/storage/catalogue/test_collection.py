@@ -16,25 +16,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.storage import collect
-from services.storage.catalogue import entry, entry_name
-from services.storage.collect import enter, rebuild
-from services.storage.collection import (
-    RETIRED,
+from services.storage.catalogue import update
+from services.storage.catalogue.collection import (
+    RETIRED_SHARDS,
     Index,
     Row,
     index_name,
-    opened,
+    parse_envelope,
     read_index,
     read_shard,
     row_of,
-    sealed,
     shard_data,
+    sign_index,
 )
-from services.storage.collection import (
-    listed as as_listed,
-)
-from services.storage.faults import (
+from services.storage.catalogue.collection import describe_shard as as_listed
+from services.storage.catalogue.compare_and_swap import canonical_json
+from services.storage.catalogue.entry import entry_name, read_entry
+from services.storage.catalogue.faults import (
     CATALOGUE_OLDER,
     CATALOGUE_OTHER,
     CATALOGUE_TRUNCATED,
@@ -46,18 +44,18 @@ from services.storage.faults import (
     SIGNING_KEY_MISSING,
     CatalogueFault,
 )
+from services.storage.catalogue.publish import KeyElsewhere, PublishedAsset, publish
+from services.storage.catalogue.removal import remove, restore
+from services.storage.catalogue.signing import Keys
+from services.storage.catalogue.update import rebuild, update_collections
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
-from services.storage.publish import Asset, KeyElsewhere, publish
-from services.storage.removal import remove, restore
-from services.storage.signing import Keys
 from services.storage.store import Head, Store, list_all
-from services.storage.writing import encoded
-from tests.s3.server import S3Server
-from tests.storage.bundles import Crash, CrashingStore, bundle, listed
+from tests.referees.s3.server import S3Server
+from tests.storage.catalogue.test_publish import _in_processes
+from tests.storage.catalogue.test_signing import ONE, TWO
 from tests.storage.conftest import s3_store
-from tests.storage.test_publish import _in_processes
-from tests.storage.test_signing import ONE, TWO
+from tests.support.bundles import Crash, CrashingStore, bundle, listed
 
 SIGNED = Keys(signers=(ONE,))
 INDEX = index_name("default")
@@ -76,7 +74,7 @@ rows = st.builds(
 
 
 def index_of(store: Store, keys: Keys = SIGNED) -> Index:
-    return read_index(store.get(INDEX), "default", keys.believed)
+    return read_index(store.get(INDEX), "default", keys.verification_keys)
 
 
 def fault_of(call: Callable[[], object]) -> str:
@@ -87,8 +85,8 @@ def fault_of(call: Callable[[], object]) -> str:
 
 def test_a_published_asset_is_listed_with_what_finds_the_rest(store: Store) -> None:
     publish(bundle(labels=["shoe", "Größe 42"]), store, key="dress", keys=SIGNED)
-    row = listed(store, believed=SIGNED.believed)["dress"]
-    present = entry(store, "dress")
+    row = listed(store, believed=SIGNED.verification_keys)["dress"]
+    present = read_entry(store, "dress")
     assert row == row_of(present)
     assert (row.label, row.labels, row.version, row.state) == ("Dress", ("shoe", "Größe 42"), 1, "preview")
     assert row.manifest_name == present.manifest
@@ -114,14 +112,14 @@ def test_a_shard_comes_back_as_it_was(many: list[Row]) -> None:
         assert fault_of(lambda data=broken: read_shard(data, shard)) == SHARD_CHANGED
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.sampled_from([f"k{n:02d}" for n in range(40)]), min_size=1, max_size=60))
 def test_shards_split_and_stay_in_order(keys: list[str]) -> None:
     """With shards of at most 4 rows: every key exactly once, each update rewrites at most two shards."""
     store = MemoryStore()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collect, "SHARD_ROWS", 4)
-        patch.setattr(collect, "RETIRED", 3)
+        patch.setattr(update, "SHARD_ROWS", 4)
+        patch.setattr(update, "RETIRED_SHARDS", 3)
         before: set[str] = set()
         for number, key in enumerate(keys):
             publish(bundle(content=str(number)), store, key=key)
@@ -151,9 +149,9 @@ def test_a_run_completes_what_another_left_out_of_the_collection(after: bool) ->
     publish(bundle(content="old"), store, key="dress", job="job_1", keys=SIGNED)
     with pytest.raises(Crash, match="shard"):
         publish(bundle(content="new"), CrashingStore(store, 8, after=after), key="dress", job="job_2", keys=SIGNED)
-    assert (entry(store, "dress").version, listed(store)["dress"].version) == (2, 1)
+    assert (read_entry(store, "dress").version, listed(store)["dress"].version) == (2, 1)
     publish(bundle(content="new"), store, key="dress", job="job_2", keys=SIGNED)
-    assert listed(store, believed=SIGNED.believed)["dress"] == row_of(entry(store, "dress"))
+    assert listed(store, believed=SIGNED.verification_keys)["dress"] == row_of(read_entry(store, "dress"))
 
 
 def test_a_collection_per_user_and_an_asset_in_two() -> None:
@@ -180,13 +178,21 @@ def test_who_publishes_for_others_does_not_take_their_keys() -> None:
                 entries.append(publish(bundle(content="hers"), store, key="a", job="job_1", collection="ada"))
             return super().put(name, *args, **options)
 
-    entries: list[Asset] = []
+    entries: list[PublishedAsset] = []
     with pytest.raises(KeyElsewhere, match="in collection ada, not in bob"):
         publish(
-            bundle(content="his"), Late(store, -1, after=False), key="a", job="job_2", collection="bob", joins=False
+            bundle(content="his"),
+            Late(store, -1, after=False),
+            key="a",
+            job="job_2",
+            collection="bob",
+            allow_other_collections=False,
         )
-    assert (entry(store, "a").version, entry(store, "a").collections) == (1, ["ada"])
-    assert publish(bundle("refined"), store, key="a", job="job_1", collection="ada", joins=False).version == 2
+    assert (read_entry(store, "a").version, read_entry(store, "a").collections) == (1, ["ada"])
+    assert (
+        publish(bundle("refined"), store, key="a", job="job_1", collection="ada", allow_other_collections=False).version
+        == 2
+    )
     with pytest.raises(FileNotFoundError):
         listed(store, "bob")
 
@@ -209,7 +215,7 @@ def test_removed_then_restored(store: Store) -> None:
     assert {head.name for head in list_all(store, "assets/")} == files
     # A repetition of the job that made it does not bring it back; that would undo what a person did.
     publish(bundle(), store, key="dress", job="job_1", keys=SIGNED)
-    assert entry(store, "dress").removed
+    assert read_entry(store, "dress").removed
     assert not restore(store, "dress", SIGNED).removed
     assert (listed(store)["dress"].state, listed(store)["dress"].version) == ("preview", 1)
 
@@ -219,7 +225,7 @@ def test_a_new_version_brings_a_removed_asset_back() -> None:
     publish(bundle(), store, key="dress", job="job_1")
     remove(store, "dress")
     publish(bundle(content="new"), store, key="dress", job="job_2")
-    assert not entry(store, "dress").removed
+    assert not read_entry(store, "dress").removed
     assert (listed(store)["dress"].state, listed(store)["dress"].version) == ("preview", 2)
 
 
@@ -258,11 +264,11 @@ def test_a_forged_an_older_and_a_broken_index_have_names() -> None:
     assert forged != envelope["signed"]
 
     def read(data: bytes, keys: Keys = SIGNED, at_least: int = 0, collection: str = "default") -> Index:
-        return read_index(data, collection, keys.believed, at_least=at_least)
+        return read_index(data, collection, keys.verification_keys, at_least=at_least)
 
     assert read(data, at_least=2).version == 2
-    assert fault_of(lambda: read(encoded({**envelope, "signed": forged}))) == SIGNATURE_WRONG
-    assert fault_of(lambda: read(encoded({**envelope, "signatures": []}))) == SIGNATURE_MISSING
+    assert fault_of(lambda: read(canonical_json({**envelope, "signed": forged}))) == SIGNATURE_WRONG
+    assert fault_of(lambda: read(canonical_json({**envelope, "signatures": []}))) == SIGNATURE_MISSING
     assert fault_of(lambda: read(data, Keys(trusted=(TWO.public,)))) == KEY_UNKNOWN
     assert fault_of(lambda: read(first, at_least=2)) == CATALOGUE_OLDER
     assert fault_of(lambda: read(data, collection="other")) == CATALOGUE_OTHER
@@ -275,7 +281,7 @@ def test_a_forged_an_older_and_a_broken_index_have_names() -> None:
 
 @given(st.text(max_size=60), st.lists(st.dictionaries(st.sampled_from(["key", "ed25519"]), st.text()), max_size=2))
 def test_nothing_but_a_fault_comes_of_any_envelope(text: str, signatures: list[dict[str, str]]) -> None:
-    for believed in ((), SIGNED.believed):
+    for believed in ((), SIGNED.verification_keys):
         with pytest.raises(CatalogueFault):
             read_index(json.dumps({"signed": text, "signatures": signatures}).encode(), "default", believed)
 
@@ -294,9 +300,9 @@ def test_who_cannot_sign_does_not_touch_what_is_signed(keys: Keys) -> None:
     [
         (lambda data: data[: len(data) // 2], CATALOGUE_TRUNCATED),
         (lambda data: b"", CATALOGUE_TRUNCATED),
-        (lambda data: encoded({**json.loads(data), "signatures": []}), SIGNATURE_MISSING),
+        (lambda data: canonical_json({**json.loads(data), "signatures": []}), SIGNATURE_MISSING),
         (lambda data: data.replace(b"shards", b"sHards"), SIGNATURE_WRONG),
-        (lambda data: sealed(read_index(data, "default"), [TWO]), KEY_UNKNOWN),
+        (lambda data: sign_index(read_index(data, "default"), [TWO]), KEY_UNKNOWN),
     ],
 )
 def test_a_damaged_index_is_not_built_upon_until_somebody_says_so(damage: Callable[[bytes], bytes], code: str) -> None:
@@ -307,9 +313,9 @@ def test_a_damaged_index_is_not_built_upon_until_somebody_says_so(damage: Callab
     damaged = store.get(INDEX)
     assert fault_of(lambda: publish(bundle(), store, key="b", keys=SIGNED)) == code
     assert store.get(INDEX) == damaged
-    assert entry(store, "b").version == 1  # by its key it is there
+    assert read_entry(store, "b").version == 1  # by its key it is there
     rebuild(store, "default", SIGNED)
-    assert list(listed(store, believed=SIGNED.believed)) == ["a", "b"]
+    assert list(listed(store, believed=SIGNED.verification_keys)) == ["a", "b"]
 
 
 @pytest.mark.parametrize(("put", "code"), [(b"{}", SHARD_CHANGED), (None, SHARD_MISSING)])
@@ -326,7 +332,7 @@ def test_a_damaged_shard_is_not_built_upon(put: bytes | None, code: str) -> None
     assert store.get(INDEX) == before
     assert rebuild(store, "default", SIGNED).version > 1_700_000_000  # beyond whatever was counted before
     publish(bundle(content="2"), store, key="b", keys=SIGNED)
-    assert listed(store, believed=SIGNED.believed)["b"].version == 2
+    assert listed(store, believed=SIGNED.verification_keys)["b"].version == 2
 
 
 def test_keys_are_exchanged_without_a_moment_in_which_a_client_refuses() -> None:
@@ -338,7 +344,7 @@ def test_keys_are_exchanged_without_a_moment_in_which_a_client_refuses() -> None
         read_index(store.get(INDEX), "default", believed)
     new = Keys(signers=(TWO,), trusted=(ONE.public,))
     rebuild(store, "default", new)
-    assert [each["key"] for each in opened(store.get(INDEX), "default")[1]] == [TWO.public.id]
+    assert [each["key"] for each in parse_envelope(store.get(INDEX), "default")[1]] == [TWO.public.id]
     publish(bundle(), store, key="c", keys=Keys(signers=(TWO,)))
     assert list(listed(store, believed=(TWO.public,))) == ["a", "b", "c"]
 
@@ -346,15 +352,15 @@ def test_keys_are_exchanged_without_a_moment_in_which_a_client_refuses() -> None
 def test_assets_older_than_collections_belong_to_the_default_one() -> None:
     store = MemoryStore()
     publish(bundle(), store, key="old")
-    old = {key: value for key, value in entry(store, "old").document.items() if key != "collections"}
+    old = {key: value for key, value in read_entry(store, "old").document.items() if key != "collections"}
     for head in list_all(store, "collections/"):
         store.delete(head.name)
-    store.put(entry_name("old"), encoded(old), content_type="application/json")
+    store.put(entry_name("old"), canonical_json(old), content_type="application/json")
     publish(bundle(), store, key="ours", collection="mine")
     rebuild(store, "default", SIGNED)
-    assert list(listed(store, believed=SIGNED.believed)) == ["old"]
+    assert list(listed(store, believed=SIGNED.verification_keys)) == ["old"]
     assert remove(store, "old", SIGNED).removed
-    assert listed(store, believed=SIGNED.believed)["old"].removed
+    assert listed(store, believed=SIGNED.verification_keys)["old"].removed
 
 
 def test_a_mistyped_collection_is_not_made() -> None:
@@ -368,11 +374,11 @@ def test_a_mistyped_collection_is_not_made() -> None:
 def test_retired_shards_stay_a_while_and_go() -> None:
     store = MemoryStore()
     seen: list[str] = []
-    for number in range(RETIRED + 5):
+    for number in range(RETIRED_SHARDS + 5):
         publish(bundle(content=str(number)), store, key="a", keys=SIGNED)
         seen += [shard.name for shard in index_of(store).shards]
     there = [head.name for head in list_all(store, "collections/default/shard.")]
-    assert sorted(there) == sorted(seen[-RETIRED - 1 :])
+    assert sorted(there) == sorted(seen[-RETIRED_SHARDS - 1 :])
     assert len(store.get(INDEX)) < 4_000
 
 
@@ -388,13 +394,13 @@ def test_rivals_lose_nothing_and_leave_nothing(store: Store) -> None:
 
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(one, range(12)))
-    found = listed(store, believed=SIGNED.believed)
+    found = listed(store, believed=SIGNED.verification_keys)
     assert {key: row.version for key, row in found.items()} == {
         **{f"k{number}": 2 if number < 4 else 1 for number in range(8) if number != 5},
         "gone": 1,
     }
     assert found["gone"].removed
-    assert all(row == row_of(entry(store, key)) for key, row in found.items())
+    assert all(row == row_of(read_entry(store, key)) for key, row in found.items())
     index = index_of(store)
     known = {*(shard.sha256 for shard in index.shards), *index.retired}
     assert {head.name.split(".")[1] for head in list_all(store, "collections/default/shard.")} == known
@@ -447,12 +453,12 @@ def test_a_row_is_never_that_of_an_older_entry(nth: int) -> None:
     publish(bundle(content="1"), store, key="a")
     store.delete(INDEX)
     rival = partial(publish, bundle(content="2"), store, key="a")
-    enter(Interrupted(store, entry_name("a"), nth, rival, after=True), "a")
+    update_collections(Interrupted(store, entry_name("a"), nth, rival, after=True), "a")
     assert listed(store)["a"].version == 2
 
 
 def test_a_shard_that_went_meanwhile_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(collect, "RETIRED", 0)
+    monkeypatch.setattr(update, "RETIRED_SHARDS", 0)
     store = MemoryStore()
     publish(bundle(), store, key="a")
     slow = Interrupted(store, "collections/default/shard.", 1, partial(publish, bundle(), store, key="b"), after=False)
@@ -482,10 +488,10 @@ def test_who_read_a_stale_tag_takes_nothing_from_a_rival() -> None:
         def put(self, name: str, data: bytes | Path, **how: object) -> Head:  # type: ignore[override]
             if name == INDEX:
                 with pytest.raises(Crash):
-                    enter(Stale(store, -1, after=False), "c")
+                    update_collections(Stale(store, -1, after=False), "c")
             return super().put(name, data, **how)  # type: ignore[arg-type]
 
-    enter(Rival(store, -1, after=False), "c")
+    update_collections(Rival(store, -1, after=False), "c")
     assert list(listed(store)) == ["a", "b", "c"]
 
 
@@ -505,14 +511,14 @@ def _publish_s3(server: S3Server, bucket: str, process: int) -> None:
 def test_rival_processes_share_a_collection(tmp_path: Path) -> None:
     _in_processes(_publish_local, tmp_path)
     store = LocalStore(tmp_path)
-    assert len(listed(store, believed=SIGNED.believed)) == index_of(store).version == 9
+    assert len(listed(store, believed=SIGNED.verification_keys)) == index_of(store).version == 9
 
 
 @pytest.mark.s3
 def test_rival_processes_share_a_collection_on_s3(s3_server: S3Server) -> None:
     store = s3_store(s3_server, "rival-collections")
     _in_processes(_publish_s3, s3_server, "rival-collections")
-    assert len(listed(store, believed=SIGNED.believed)) == index_of(store).version == 9
+    assert len(listed(store, believed=SIGNED.verification_keys)) == index_of(store).version == 9
 
 
 def test_ten_thousand_assets_fit_a_client_and_an_update(tmp_path: Path) -> None:
@@ -528,14 +534,14 @@ def test_ten_thousand_assets_fit_a_client_and_an_update(tmp_path: Path) -> None:
         for n in range(10_000)
     ]
     parts = [many[start : start + 1000] for start in range(0, len(many), 1000)]
-    shards = collect._made(store, "default", parts, 2)
-    index = Index("default", 2, "2026-01-01T00:00:00Z", tuple(shards), ("0" * 64,) * RETIRED)
-    store.put(INDEX, sealed(index, SIGNED.signers), content_type="application/json")
+    shards = update._write_shards(store, "default", parts, 2)
+    index = Index("default", 2, "2026-01-01T00:00:00Z", tuple(shards), ("0" * 64,) * RETIRED_SHARDS)
+    store.put(INDEX, sign_index(index, SIGNED.signers), content_type="application/json")
     assert len(store.get(INDEX)) + sum(shard.bytes for shard in index.shards) < 1_500_000
 
-    start = time.perf_counter()
+    start = time.process_time()
     publish(bundle(), store, key="thing-05000-new", keys=SIGNED)
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
     after = index_of(store)
     assert sum(shard.count for shard in after.shards) == 10_001
     assert len({shard.sha256 for shard in after.shards} - {shard.sha256 for shard in index.shards}) == 2

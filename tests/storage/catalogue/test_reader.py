@@ -6,22 +6,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.collection import Index, Row, Shard, listed
-from services.storage.faults import SHARD_CHANGED, SHARD_MISSING, CatalogueFault
-from services.storage.reading import again_if_moved, collections, row_in
+from services.storage.catalogue.collection import Index, Row, Shard, describe_shard
+from services.storage.catalogue.faults import SHARD_CHANGED, SHARD_MISSING, CatalogueFault
+from services.storage.catalogue.reader import collection_names, find_row, retry_if_shard_missing
 from services.storage.store import Store
 
 KEYS = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,8}", fullmatch=True)
 
 
 def test_the_collections_of_a_store(store: Store) -> None:
-    assert list(collections(store)) == []
+    assert list(collection_names(store)) == []
     names = ["ada", "ada-b", "ada.c", "ada0", "adab", "Zoe", "0", "x" * 100]
     for name in names:
         for file in ("index.json", "shard.1.json", "unity/catalog.json"):
             store.put(f"collections/{name}/{file}", b"1", content_type="application/json")
     store.put("collectionsx/none/index.json", b"1", content_type="application/json")
-    assert sorted(collections(store)) == sorted(names)
+    assert sorted(collection_names(store)) == sorted(names)
 
 
 def row(key: str) -> Row:
@@ -32,7 +32,7 @@ def row(key: str) -> Row:
 def test_a_row_is_found_wherever_the_shards_were_split(keys: set[str], others: list[str], size: int) -> None:
     rows = [row(key) for key in sorted(keys)]
     parts = [rows[start : start + size] for start in range(0, len(rows), size)]
-    shards = {listed("c", part, str(place).encode()): part for place, part in enumerate(parts)}
+    shards = {describe_shard("c", part, str(place).encode()): part for place, part in enumerate(parts)}
     index, asked = Index("c", 1, "now", tuple(shards)), []
 
     def rows_of(shard: Shard) -> list[Row]:
@@ -41,7 +41,7 @@ def test_a_row_is_found_wherever_the_shards_were_split(keys: set[str], others: l
 
     for key in (*keys, *others):
         asked.clear()
-        found = row_in(index, key, rows_of)
+        found = find_row(index, key, rows_of)
         assert (found is not None) == (key in keys)
         assert len(asked) <= 1, "a client loads one shard, not all"
         if found:
@@ -58,7 +58,7 @@ def test_only_what_moved_is_read_again_and_not_for_ever(code: str, tries: int) -
         raise CatalogueFault(code, "shard", "gone")
 
     with pytest.raises(CatalogueFault, match="gone"):
-        again_if_moved(attempt)
+        retry_if_shard_missing(attempt)
     assert count == tries
 
 
@@ -70,4 +70,4 @@ def test_the_second_look_counts() -> None:
             raise answer
         return answer
 
-    assert again_if_moved(attempt) == "found"
+    assert retry_if_shard_missing(attempt) == "found"

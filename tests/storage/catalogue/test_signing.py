@@ -14,24 +14,24 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.storage.faults import KEY_UNKNOWN, SIGNATURE_MISSING, SIGNATURE_WRONG, CatalogueFault
-from services.storage.settings import StorageSettings, open_keys
-from services.storage.signing import (
+from services.storage.catalogue.faults import KEY_UNKNOWN, SIGNATURE_MISSING, SIGNATURE_WRONG, CatalogueFault
+from services.storage.catalogue.signing import (
     KeyFileError,
     Keys,
     Signer,
     check_signatures,
-    generate,
-    public_of,
-    read_public,
+    generate_key,
+    public_key,
+    read_public_key,
     read_signer,
 )
+from services.storage.settings import StorageSettings, open_keys
 from services.strict_settings import SettingsError
 
 
 def signer(seed: int = 0) -> Signer:
     private = ed25519.Ed25519PrivateKey.from_private_bytes(bytes([seed]) * 32)
-    return Signer(public_of(private.public_key().public_bytes_raw()), private)
+    return Signer(public_key(private.public_key().public_bytes_raw()), private)
 
 
 ONE, TWO = signer(1), signer(2)
@@ -41,7 +41,7 @@ def test_the_example_of_the_rfc() -> None:
     """RFC 8032, 7.1, test 2."""
     seed = bytes.fromhex("4ccd089b28ff96da9db6c346ec114e0f5b8a319f35aba624da8cf6ed4fb8a6fb")
     private = ed25519.Ed25519PrivateKey.from_private_bytes(seed)
-    public = public_of(private.public_key().public_bytes_raw())
+    public = public_key(private.public_key().public_bytes_raw())
     assert public.raw.hex() == "3d4017c3e843895a92b70aa74d1b7ebc9c982ccf2ec4968cc0cd55f12af4660c"
     assert base64.b64decode(Signer(public, private).sign(b"\x72")["ed25519"]).hex() == (
         "92a009a9f0d4cab8720e820b5f642540a2b27b5416503f8fb3762223ebdb69da"
@@ -88,9 +88,9 @@ def test_a_key_signs_under_another_id_in_vain() -> None:
 
 
 def test_a_made_key_comes_back_from_its_files(tmp_path: Path) -> None:
-    public = generate(tmp_path / "key")
+    public = generate_key(tmp_path / "key")
     assert (tmp_path / "key").stat().st_mode & 0o777 == 0o600
-    assert read_signer(tmp_path / "key").public == read_public(tmp_path / "key.pub") == public
+    assert read_signer(tmp_path / "key").public == read_public_key(tmp_path / "key.pub") == public
     assert b"PRIVATE" not in (tmp_path / "key.pub").read_bytes()
     assert "private" not in repr(read_signer(tmp_path / "key"))
 
@@ -98,14 +98,14 @@ def test_a_made_key_comes_back_from_its_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize("taken", ["key", "key.pub"])
 def test_no_key_is_overwritten(tmp_path: Path, taken: str) -> None:
     (tmp_path / taken).write_text("mine")
-    with pytest.raises(FileExistsError, match="there already"):
-        generate(tmp_path / "key")
+    with pytest.raises(FileExistsError, match="exists already"):
+        generate_key(tmp_path / "key")
     assert [file.name for file in tmp_path.iterdir()] == [taken]
     assert (tmp_path / taken).read_text() == "mine"
 
 
 def test_what_is_no_key_is_said(tmp_path: Path) -> None:
-    generate(tmp_path / "key")
+    generate_key(tmp_path / "key")
     other = ec.generate_private_key(ec.SECP256R1())
     plain, pkcs8 = pem.NoEncryption(), pem.PrivateFormat.PKCS8
     (tmp_path / "ec").write_bytes(other.private_bytes(pem.Encoding.PEM, pkcs8, plain))
@@ -117,15 +117,15 @@ def test_what_is_no_key_is_said(tmp_path: Path) -> None:
             read_signer(tmp_path / name)
     for name in ("none", "text", "ec", "key"):
         with pytest.raises(KeyFileError, match=name):
-            read_public(tmp_path / name)
+            read_public_key(tmp_path / name)
 
 
 def test_keys_come_from_the_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one, two = generate(tmp_path / "one"), generate(tmp_path / "two")
+    one, two = generate_key(tmp_path / "one"), generate_key(tmp_path / "two")
     monkeypatch.setenv("STORAGE_SIGNING_KEY", f"{tmp_path}/one")
     monkeypatch.setenv("STORAGE_TRUSTED_KEYS", f"{tmp_path}/one.pub,{tmp_path}/two.pub")
     keys = open_keys(StorageSettings())
-    assert (keys.signers[0].public, keys.believed) == (one, (one, two))
+    assert (keys.signers[0].public, keys.verification_keys) == (one, (one, two))
     assert open_keys(StorageSettings(signing_key=(), trusted_keys=())) == Keys()
     with pytest.raises(SettingsError, match=r"STORAGE_SIGNING_KEY.*nowhere"):
         open_keys(StorageSettings(signing_key=("nowhere",)))
@@ -136,7 +136,8 @@ def test_keys_come_from_the_settings(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_who_signs_nothing_need_not_load_cryptography() -> None:
-    code = "import services.storage.publish, services.storage.settings, sys; print('cryptography' in sys.modules)"
+    loaded = "import services.storage.catalogue.publish, services.storage.settings, sys"
+    code = f"{loaded}; print('cryptography' in sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], env=dict(os.environ), capture_output=True, text=True, check=True
     )

@@ -8,19 +8,19 @@ from dataclasses import replace
 
 import pytest
 
-from services.storage.catalogue import entry, entry_name
+from services.storage.catalogue.entry import entry_name, read_entry
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.removal import remove, restore
+from services.storage.catalogue.unity_update import update_unity_catalogues
 from services.storage.memory import MemoryStore
-from services.storage.publish import publish
-from services.storage.removal import remove, restore
 from services.storage.store import NO_CACHE
-from services.storage.unity.binary_reader import read_binary_catalogue
 from services.storage.unity.json_reader import read_json_catalogue
 from services.storage.unity.json_writer import json_catalogue
-from services.storage.unity.keep import keep
+from services.storage.unity.locations import parse_assets
 from services.storage.unity.nouns import Asset
-from services.storage.unity.plan import assets
-from services.storage.unity.publication import catalogue_hash, file_names
-from tests.storage.bundles import bundle
+from services.storage.unity.publication import catalogue_hash, catalogue_names
+from tests.support.bundles import bundle
+from tests.support.unity_binary_reader import read_binary_catalogue
 
 
 @pytest.fixture
@@ -31,12 +31,12 @@ def store() -> MemoryStore:
 def listed(store: MemoryStore, collection: str = "default") -> dict[str, Asset]:
     """The assets of all four catalogues, which must agree, and whose hashes must be those of their content."""
     seen = []
-    for names in file_names(collection):
+    for names in catalogue_names(collection):
         data = store.get(names.catalogue)
         assert store.get(names.hash) == catalogue_hash(data)
         assert {store.head(name).cache_control for name in (names.catalogue, names.hash)} == {NO_CACHE}
         read = read_binary_catalogue if names.form else read_json_catalogue
-        seen.append({asset.key: asset for asset in assets(read(data))})
+        seen.append({asset.key: asset for asset in parse_assets(read(data))})
     assert all(each == seen[0] for each in seen)
     return seen[0]
 
@@ -47,7 +47,7 @@ def test_what_is_published_is_listed_with_its_files(store: MemoryStore) -> None:
     assert set(listed(store)) == {"dress"}
     assert set(listed(store, "mine")) == {"chair"}
     asset = listed(store)["dress"]
-    lods = entry(store, "dress").document["lods"]
+    lods = read_entry(store, "dress").document["lods"]
     assert [(file.level, file.url, file.sha256, file.size) for file in asset.files] == [
         (lod["level"], lod["name"], lod["sha256"], lod["bytes"]) for lod in lods
     ]
@@ -59,7 +59,7 @@ def test_a_catalogue_whose_ids_have_no_versions_is_made_anew(store: MemoryStore)
     """As it was written before: two versions of an asset had one id."""
     publish(bundle("preview"), store, key="dress")
     publish(bundle("preview"), store, key="chair")
-    first = file_names("default")[0].catalogue
+    first = catalogue_names("default")[0].catalogue
     old = read_json_catalogue(store.get(first))
     plain = tuple(replace(each, internal_id=each.internal_id.partition("@")[0]) for each in old.locations)
     store.put(first, json_catalogue(replace(old, locations=plain)), content_type="application/json")
@@ -89,24 +89,24 @@ def test_rivals_lose_nothing(store: MemoryStore) -> None:
 def test_a_damaged_catalogue_is_made_anew_from_the_entries(store: MemoryStore, damage: bytes) -> None:
     publish(bundle("preview"), store, key="dress")
     publish(bundle("preview"), store, key="chair")
-    store.put(file_names("default")[0].catalogue, damage, content_type="application/json", cache_control=NO_CACHE)
-    keep(store, "dress")
+    store.put(catalogue_names("default")[0].catalogue, damage, content_type="application/json", cache_control=NO_CACHE)
+    update_unity_catalogues(store, "dress")
     assert set(listed(store)) == {"chair", "dress"}
 
 
 def test_what_was_lost_behind_the_table_is_written_again(store: MemoryStore) -> None:
     publish(bundle("preview"), store, key="dress")
-    for names in file_names("default")[1:]:
+    for names in catalogue_names("default")[1:]:
         store.delete(names.catalogue)
         store.delete(names.hash)
-    keep(store, "dress")
+    update_unity_catalogues(store, "dress")
     assert set(listed(store)) == {"dress"}
 
 
 def test_an_asset_that_unity_would_misread_keeps_nobody_from_publishing(store: MemoryStore) -> None:
     publish(bundle("preview"), store, key="dress")
-    document = {**entry(store, "dress").document, "labels": ["captures/dress"]}
+    document = {**read_entry(store, "dress").document, "labels": ["captures/dress"]}
     store.put(entry_name("dress"), json.dumps(document).encode(), content_type="application/json")
     publish(bundle("preview"), store, key="chair")
-    keep(store, "dress")
+    update_unity_catalogues(store, "dress")
     assert set(listed(store)) == {"chair"}

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from services.storage.catalogue import entry
-from services.storage.collection import index_name, read_index
-from services.storage.faults import (
+from services.storage.catalogue.collection import index_name, read_index
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.faults import (
     CATALOGUE_MISSING,
     CATALOGUE_OLDER,
     FILE_CHANGED,
@@ -20,14 +20,14 @@ from services.storage.faults import (
     SHARD_MISSING,
     SIGNATURE_WRONG,
 )
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.removal import remove
+from services.storage.catalogue.signing import Keys, PublicKey
+from services.storage.catalogue.verify import CheckResult, fetch_from, verify
 from services.storage.memory import MemoryStore
-from services.storage.publish import publish
-from services.storage.removal import remove
-from services.storage.signing import Keys, Public
 from services.storage.store import Store
-from services.storage.verify import Checked, fetch_from, verify
-from tests.storage.bundles import bundle, listed
-from tests.storage.test_signing import ONE, TWO
+from tests.storage.catalogue.test_signing import ONE, TWO
+from tests.support.bundles import bundle, listed
 
 INDEX = index_name("default")
 
@@ -42,30 +42,30 @@ def whole() -> MemoryStore:
     return store
 
 
-def checked(store: Store, *believed: Public, at_least: int = 0) -> list[Checked]:
+def checked(store: Store, *believed: PublicKey, at_least: int = 0) -> list[CheckResult]:
     return list(verify(fetch_from(store), "default", believed or (ONE.public,), at_least=at_least))
 
 
 def test_a_whole_collection_is_counted_to_the_last_byte(whole: MemoryStore) -> None:
     lines = checked(whole, at_least=3)
-    assert [(line.what, line.count, line.faults) for line in lines] == [
+    assert [(line.kind, line.count, line.faults) for line in lines] == [
         ("index", 1, ()),
         ("shards", 1, ()),
         ("manifests", 2, ()),
         ("files", 8, ()),
     ]
-    assert lines[0].said.startswith("version 3, ")
-    files = [file for key in ("chair", "dress") for file in entry(whole, key).document["files"]]
+    assert lines[0].summary.startswith("version 3, ")
+    files = [file for key in ("chair", "dress") for file in read_entry(whole, key).document["files"]]
     assert lines[3].bytes == sum(file["bytes"] for file in files)
 
 
 def test_files_larger_than_a_block_are_read_to_their_end(whole: MemoryStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.storage.verify._BLOCK_BYTES", 5)
+    monkeypatch.setattr("services.storage.catalogue.verify._BLOCK_BYTES", 5)
     assert not any(line.faults for line in checked(whole))
 
 
 def _lod(store: Store) -> str:
-    return str(entry(store, "dress").document["lods"][1]["name"])
+    return str(read_entry(store, "dress").document["lods"][1]["name"])
 
 
 def _manifest(store: Store) -> str:
@@ -96,9 +96,9 @@ def test_what_is_missing_or_changed_is_named(
     assert_only(checked(whole), what, missing, name)
 
 
-def assert_only(lines: list[Checked], what: str, code: str, name: str) -> None:
+def assert_only(lines: list[CheckResult], what: str, code: str, name: str) -> None:
     """One fault, in the last class that was looked at."""
-    assert [line.what for line in lines if line.faults] == [what] == [lines[-1].what]
+    assert [line.kind for line in lines if line.faults] == [what] == [lines[-1].kind]
     assert [(fault.code, fault.name) for fault in lines[-1].faults] == [(code, name)]
 
 

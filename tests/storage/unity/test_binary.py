@@ -10,7 +10,7 @@ import pytest
 
 from services.storage.unity.json_reader import read_json_catalogue
 from services.storage.unity.nouns import BASE_URL, Catalogue
-from tests.storage.unity_catalogues import asset, catalogue, written
+from tests.support.unity_catalogues import asset, catalogue, written
 
 
 def test_the_smallest_binary_catalogue_byte_by_byte() -> None:

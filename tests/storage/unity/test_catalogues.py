@@ -12,29 +12,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.storage.unity.listing import PREFAB_PROVIDER, Listing
+from services.storage.unity.locations import build_listing, parse_assets
 from services.storage.unity.nouns import BASE_URL, Asset, Catalogue
-from services.storage.unity.plan import assets, locations
-from services.storage.unity.publication import catalogue_hash, file_names, publication
-from tests.storage.addressables.reader import AddressablesTools
-from tests.storage.addressables.reader import addressables_tools as addressables_tools
-from tests.storage.unity_catalogues import FORMS, asset, catalogue, catalogues, in_order, lod, many, reader, written
+from services.storage.unity.publication import catalogue_files, catalogue_hash, catalogue_names
+from tests.referees.addressables.reader import AddressablesTools
+from tests.referees.addressables.reader import addressables_tools as addressables_tools
+from tests.support.unity_catalogues import FORMS, asset, catalogue, catalogues, in_order, lod, many, reader, written
 
 every_form = pytest.mark.parametrize("form", FORMS)
 
 
 @every_form
 @given(made=catalogues)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_what_is_written_is_read(form: int, made: Catalogue) -> None:
     listing = reader(form)(written(made, form))
     assert (listing.form, listing.locator_id) == (form, made.locator_id)
-    assert replace(listing, form=0) == locations(made)
-    assert assets(listing) == in_order(made.assets)
+    assert replace(listing, form=0) == build_listing(made)
+    assert parse_assets(listing) == in_order(made.assets)
 
 
 @every_form
 @given(made=catalogues, random=st.randoms(use_true_random=False))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_the_order_in_which_assets_come_does_not_matter(form: int, made: Catalogue, random: Any) -> None:
     shuffled = [replace(each, labels=each.labels[::-1], files=each.files[::-1]) for each in made.assets]
     random.shuffle(shuffled)
@@ -57,13 +57,13 @@ def test_every_change_shows_in_the_hash(form: int) -> None:
 
 
 @every_form
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(made=catalogues, later=st.integers(1, 9))
 def test_no_two_versions_of_an_asset_have_an_id_in_common(form: int, made: Catalogue, later: int) -> None:
     """Addressables tells what it has loaded by internal id alone."""
     newer = replace(made, assets=tuple(replace(each, version=each.version + later) for each in made.assets))
     ids = [_ids(reader(form)(written(each, form))) for each in (made, newer)]
-    keys = {location.key for location in locations(made).locations if location.provider == PREFAB_PROVIDER.name}
+    keys = {location.key for location in build_listing(made).locations if location.provider == PREFAB_PROVIDER.name}
     assert ids[0].keys() == ids[1].keys()
     assert all((ids[0][key] != ids[1][key]) == (key in keys) for key in ids[0])
     assert all(len(set(each.values())) == len(each) for each in ids)
@@ -78,13 +78,13 @@ def test_another_base_url_is_not_taken_for_ours(form: int) -> None:
     made = replace(catalogue(asset()), base_url="https://cdn.example/v1/files")
     listing = reader(form)(written(made, form))
     assert listing.locations[0].internal_id.startswith("https://cdn.example/v1/files/assets/")
-    assert assets(listing, base_url=made.base_url) == made.assets
-    with pytest.raises(ValueError, match=r"not one of ours|no object name|does not end"):
-        assets(listing)
+    assert parse_assets(listing, base_url=made.base_url) == made.assets
+    with pytest.raises(ValueError, match=r"not written by capture2vr|not a valid object name|does not end"):
+        parse_assets(listing)
 
 
 def test_names_are_unitys_and_hashes_come_last() -> None:
-    names = file_names("museum")
+    names = catalogue_names("museum")
     assert [each.catalogue for each in names] == [
         "collections/museum/unity/catalog.json",
         "collections/museum/unity/catalog_v1.bin",
@@ -95,7 +95,7 @@ def test_names_are_unitys_and_hashes_come_last() -> None:
         assert each.hash == str(Path(each.catalogue).with_suffix(".hash"))
     assert len({each.hash for each in names}) == 4
 
-    files = publication(catalogue(asset()), "museum")
+    files = catalogue_files(catalogue(asset()), "museum")
     order = [name for name, _ in files]
     contents = dict(files)
     assert sorted(order) == sorted(name for each in names for name in (each.catalogue, each.hash))
@@ -107,31 +107,31 @@ def test_names_are_unitys_and_hashes_come_last() -> None:
 
 @pytest.mark.parametrize("collection", ["", "..", "a b", "../x"])
 def test_a_collection_must_be_a_name(collection: str) -> None:
-    with pytest.raises(ValueError, match="no object name"):
-        file_names(collection)
+    with pytest.raises(ValueError, match="not a valid object name"):
+        catalogue_names(collection)
 
 
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        (replace(asset(), key=""), "no key for Unity"),
-        (replace(asset(), key="{Application.version}"), "no key for Unity"),
-        (replace(asset(), key="\ud800"), "no Unicode text"),
+        (replace(asset(), key=""), "not a key for Unity"),
+        (replace(asset(), key="{Application.version}"), "not a key for Unity"),
+        (replace(asset(), key="\ud800"), "not valid Unicode"),
         (replace(asset(), version=0), "version 0"),
         (replace(asset(), version=10**9), "version 1000000000"),
         (replace(asset(), labels=("a", "a")), "label 'a' twice"),
         (replace(asset(), labels=("",)), "empty label"),
-        (replace(asset(), labels=("\udfff",)), "no Unicode text"),
+        (replace(asset(), labels=("\udfff",)), "not valid Unicode"),
         (replace(asset(), labels=tuple(str(number) for number in range(101))), "101 labels"),
         (replace(asset(), labels=("captures/dress",)), "choose another"),
         (replace(asset(), files=()), "no files"),
         (replace(asset(), files=(lod("a"), lod("b"))), "level 0 twice"),
-        (replace(asset(), files=(replace(lod("a"), sha256="A" * 64),)), "no SHA-256"),
+        (replace(asset(), files=(replace(lod("a"), sha256="A" * 64),)), "not a SHA-256"),
         (replace(asset(), files=(replace(lod("a"), url="assets/a/lod0.glb"),)), "does not end in"),
-        (replace(asset(), files=(replace(lod("a"), url="/" + lod("a").url),)), "no object name"),
-        (replace(asset(), files=(replace(lod("a"), size=0),)), "impossible"),
-        (replace(asset(), files=(replace(lod("a"), size=2**32),)), "impossible"),
-        (replace(asset(), files=(replace(lod("a"), level=-1),)), "impossible"),
+        (replace(asset(), files=(replace(lod("a"), url="/" + lod("a").url),)), "not a valid object name"),
+        (replace(asset(), files=(replace(lod("a"), size=0),)), "out of range"),
+        (replace(asset(), files=(replace(lod("a"), size=2**32),)), "out of range"),
+        (replace(asset(), files=(replace(lod("a"), level=-1),)), "out of range"),
     ],
 )
 def test_what_unity_would_misread_is_refused(bad: Asset, reason: str) -> None:
@@ -140,11 +140,11 @@ def test_what_unity_would_misread_is_refused(bad: Asset, reason: str) -> None:
 
 
 def test_two_assets_of_one_key_or_file_are_refused() -> None:
-    with pytest.raises(ValueError, match="two locations have the key 'captures/dress/lod0'"):
+    with pytest.raises(ValueError, match="two locations have the same key: 'captures/dress/lod0'"):
         written(catalogue(asset(), asset()), 1)
-    with pytest.raises(ValueError, match="two locations have the key 'captures/dress/lod0'"):
+    with pytest.raises(ValueError, match="two locations have the same key: 'captures/dress/lod0'"):
         written(catalogue(asset("dress", levels=1), asset("dress/lod0", levels=1)), 1)
-    with pytest.raises(ValueError, match="two locations have the id"):
+    with pytest.raises(ValueError, match="two locations have the same id"):
         written(catalogue(asset("a"), replace(asset("a"), key="b")), 1)
 
 
@@ -165,7 +165,7 @@ def test_addressablestools_reads_the_same(addressables_tools: AddressablesTools,
         asset("a" * 300, levels=2),
     )
     paths = []
-    for name, data in publication(made, "museum"):
+    for name, data in catalogue_files(made, "museum"):
         path = tmp_path / Path(name).name
         path.write_bytes(data)
         paths += [] if path.suffix == ".hash" else [path]

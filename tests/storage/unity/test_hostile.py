@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.storage.unity.binary_reader import read_binary_catalogue
 from services.storage.unity.json_reader import read_json_catalogue
 from services.storage.unity.listing import Listing
-from services.storage.unity.plan import assets
-from tests.storage.unity_catalogues import FORMS, asset, catalogue, reader, written
+from services.storage.unity.locations import parse_assets
+from tests.support.unity_binary_reader import read_binary_catalogue
+from tests.support.unity_catalogues import FORMS, asset, catalogue, reader, written
 
 every_form = pytest.mark.parametrize("form", FORMS)
 _MADE = catalogue(asset("dress", "clothes"), asset("ä", "clothes", levels=1))
@@ -29,7 +29,7 @@ def understand(read: Callable[[bytes], Listing], data: bytes) -> None:
     """Read as far as it goes. Anything but a ValueError is a fault of ours."""
     reason = "fine"
     try:
-        assets(read(data))
+        parse_assets(read(data))
     except ValueError as fault:
         reason = str(fault)
     assert 0 < len(reason) < 1000
@@ -112,12 +112,12 @@ def test_the_reason_is_named(offset: int, word: int, reason: str) -> None:
 @pytest.mark.parametrize(
     ("field", "value", "reason"),
     [
-        ("m_LocatorId", None, "m_LocatorId: a NoneType where a string should be"),
-        ("m_LocatorId", "\ud800", "no Unicode text"),
-        ("m_InternalIds", {}, "m_InternalIds is no list"),
+        ("m_LocatorId", None, "m_LocatorId is a NoneType, not a string"),
+        ("m_LocatorId", "\ud800", "not valid Unicode"),
+        ("m_InternalIds", {}, "m_InternalIds is not a list"),
         ("m_InternalIds", [], "id 0 of 0"),
         ("m_InternalIdPrefixes", ["http"], "compressed"),
-        ("m_resourceTypes", [1], "m_resourceTypes is no JSON object"),
+        ("m_resourceTypes", [1], "m_resourceTypes is not a JSON object"),
         ("m_KeyDataString", "%", "no base64"),
         ("m_KeyDataString", "/////w==", "a count of -1"),
         ("m_BucketDataString", "", "beyond the end"),
@@ -134,7 +134,7 @@ def test_a_key_that_stands_there_twice() -> None:
     document = json.loads(written(catalogue(asset(levels=2)), 0))
     table = bytearray(b64decode(document["m_BucketDataString"]))
     struct.pack_into("<i", table, 16, 4)
-    with pytest.raises(ValueError, match="a key stands there twice"):
+    with pytest.raises(ValueError, match="two keys are the same"):
         read_json_catalogue(json.dumps({**document, "m_BucketDataString": b64encode(table).decode()}).encode())
 
 
@@ -142,7 +142,7 @@ def test_a_key_that_stands_there_twice() -> None:
 def test_a_size_that_is_no_whole_number(size: bytes) -> None:
     document = json.loads(written(catalogue(asset(levels=1)), 0))
     extra = b64decode(document["m_ExtraDataString"]).replace(_utf16(b"1000"), _utf16(size))
-    with pytest.raises(ValueError, match="no whole number"):
+    with pytest.raises(ValueError, match="not an integer"):
         read_json_catalogue(json.dumps({**document, "m_ExtraDataString": b64encode(extra).decode()}).encode())
 
 
@@ -163,7 +163,7 @@ def test_a_class_with_an_endless_name() -> None:
 
 
 def test_json_nested_a_million_deep() -> None:
-    with pytest.raises(ValueError, match="no JSON"):
+    with pytest.raises(ValueError, match="not JSON"):
         read_json_catalogue(b"[" * 1_000_000)
 
 
@@ -180,8 +180,8 @@ def test_a_location_that_depends_on_itself_is_no_asset() -> None:
     struct.pack_into("<I", data, dependencies, prefab)
     listing = read_binary_catalogue(bytes(data))
     assert listing.locations[2].dependencies == (2, 1)
-    with pytest.raises(ValueError, match="no LOD file"):
-        assets(listing)
+    with pytest.raises(ValueError, match="not a LOD file"):
+        parse_assets(listing)
 
 
 def bomb_of_arrays() -> bytes:
@@ -251,7 +251,7 @@ def bomb_of_keys() -> bytes:
         (bomb_of_arrays, read_binary_catalogue, "overlaps|twice"),
         (bomb_of_labels, read_binary_catalogue, "cannot have the label"),
         (bomb_of_files, read_binary_catalogue, "belongs to two assets"),
-        (bomb_of_ids, read_json_catalogue, "two locations have the id"),
+        (bomb_of_ids, read_json_catalogue, "two locations have the same id"),
         (bomb_of_keys, read_json_catalogue, "overlaps"),
     ],
 )
@@ -263,7 +263,7 @@ def test_what_unpacks_to_gigabytes_is_refused(
     try:
         start = time.process_time()
         with pytest.raises(ValueError, match=reason):
-            assets(read(data))
+            parse_assets(read(data))
         assert time.process_time() - start < 3
         assert tracemalloc.get_traced_memory()[1] < 100 * 2**20
     finally:

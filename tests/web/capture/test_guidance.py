@@ -172,7 +172,7 @@ def test_without_a_worker_photos_are_seen_all_the_same(page: Page, stack: Stack,
     if lost == "canvas":
         page.add_init_script("delete window.OffscreenCanvas")
     else:
-        page.route("**/looker.js", lambda route: route.abort())
+        page.route("**/photo-quality-worker.js", lambda route: route.abort())
     page.goto(stack.url)
     choose(page, *photos)
     looked(page, 10)

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from services.cli.up import Stack
-from tests.web.pictures import difference, drawn, expect_picture, stage
+from tests.support.screenshots import difference, drawn, expect_picture, stage
 
 pytestmark = pytest.mark.browser
 

@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.catalogue import entry
-from services.storage.collection import Index, Row, index_name, listed, sealed, shard_data
-from services.storage.publish import publish
-from services.storage.removal import remove
-from services.storage.signing import Keys, generate, read_signer
+from services.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.removal import remove
+from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.store import IMMUTABLE, NO_CACHE
+from tests.support.sites import Site, site_at
+from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
 from tests.web.conftest import PATIENCE_MS, PHONE
-from tests.web.sites import Site, site_at
-from tests.web.things import BLUE, GREEN, RED, box, moving_picture, picture_of
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
@@ -28,7 +28,7 @@ HOSTILE = "<img src=x onerror=alert(1)>"
 def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A signed collection of a boot, a shoe, a sofa that is a guess, and something hostile; a bag was taken back."""
     folder = tmp_path_factory.mktemp("shelf")
-    generate(folder / "key")
+    generate_key(folder / "key")
     keys = Keys((read_signer(folder / "key"),))
     thumbnail = {"thumbnail.webp": picture_of(RED), "preview.png": picture_of(GREEN, kind="PNG")}
     turning = {**thumbnail, "turning.webp": moving_picture([RED, BLUE])}
@@ -159,7 +159,7 @@ def test_what_is_older_forged_or_changed_is_refused(
 
 
 def test_a_picture_that_was_changed_is_not_shown(page: Page, shelf: Site) -> None:
-    files = entry(shelf.store, "shoe").document["files"]
+    files = read_entry(shelf.store, "shoe").document["files"]
     picture = Path(shelf.store.path(next(file["name"] for file in files if file["file"] == "preview.png")))
     content = picture.read_bytes()
     picture.chmod(0o644)
@@ -228,9 +228,9 @@ def publish_many(site: Site, count: int) -> None:
     for first in range(0, count, 1000):
         part = rows[first : first + 1000]
         data = shard_data(part, 1)
-        shards.append(listed("default", part, data))
+        shards.append(describe_shard("default", part, data))
         site.store.put(shards[-1].name, data, content_type="application/json", cache_control=IMMUTABLE)
-    replaced(site, sealed(Index("default", 1, "2026-01-01T00:00:00+00:00", tuple(shards)), ()))
+    replaced(site, sign_index(Index("default", 1, "2026-01-01T00:00:00+00:00", tuple(shards)), ()))
 
 
 def test_a_collection_that_is_none_is_said(page: Page, shelf: Site) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page
 
-from tests.web.sites import Site
+from tests.support.sites import Site
 
 pytestmark = pytest.mark.browser
 
@@ -17,8 +17,8 @@ _STRIP_BYTES = 1 << 20
 # and once shrunk to an eighth, where only mips show. Tells the bytes of each strip, how many bytes of the two drawings
 # differ, and how many colours they have.
 _DRAWN = """async ([width, height, lost]) => {
-    const THREE = await import('/web/three-0.187.0.module.js');
-    const { handOver } = await import('/web/prepare.js');
+    const THREE = await import('/web/vendor/three-0.187.0.module.js');
+    const { handOver } = await import('/web/graphics/gpu-warmup.js');
     const soon = (ms = 0) => new Promise((done) => setTimeout(done, ms));
     const paper = new OffscreenCanvas(width, height);
     const pen = paper.getContext('2d');

@@ -11,18 +11,18 @@ import pytest
 import trimesh
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.edge.mesh.bake import jpeg_of
-from services.edge.mesh.glb import to_glb
-from services.edge.mesh.ktx2 import Ktx2Encoder
-from services.edge.mesh.nouns import Mesh, Textured
+from services.edge.export.glb import to_glb
+from services.edge.export.ktx2 import Ktx2Encoder
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.texture.bake import jpeg_of
 from services.storage.bundle import Bundle
-from services.storage.publish import publish
-from tests.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
+from services.storage.catalogue.publish import publish
+from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
+from tests.support.screenshots import difference, drawn, places_of, stage
+from tests.support.sites import Site
+from tests.support.things import BLUE, GREEN, RED, bundle_of
 from tests.web.conftest import PATIENCE_MS, without_a_past
-from tests.web.pictures import difference, drawn, places_of, stage
-from tests.web.sites import Site
-from tests.web.test_offline import Line
-from tests.web.things import BLUE, GREEN, RED, bundle_of
+from tests.web.shared.test_offline import Line
 
 pytestmark = pytest.mark.browser
 SIDE = 128
@@ -48,7 +48,7 @@ def cube(encode: Ktx2Encoder | None) -> Bundle:
     mesh = Mesh(0.4 * (corners + np.array([0, 0.5, 0])), np.arange(len(corners)).reshape(-1, 3))
     picture = quarters()
     packed = encode(picture) if encode else None
-    asset = Textured(mesh, 0.5 + np.stack([u, v], axis=1), jpeg_of(picture, 88), SIDE, packed)
+    asset = TexturedMesh(mesh, 0.5 + np.stack([u, v], axis=1), jpeg_of(picture, 88), SIDE, packed)
     glbs = {f"lod{level}.glb": to_glb(asset, "meshopt") for level in range(2)}
     return bundle_of("Cube", glbs, [len(mesh.faces)] * 2, (0.4, 0.4, 0.4))
 

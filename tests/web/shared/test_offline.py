@@ -14,12 +14,12 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.cli.up import Stack
 from services.storage.bundle import Bundle
-from services.storage.catalogue import entry
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from services.storage.publish import publish
+from tests.support.screenshots import drawn, stage
 from tests.web.conftest import PATIENCE_MS, PHONE
-from tests.web.pictures import drawn, stage
-from tests.web.test_viewer import store  # noqa: F401 - a fixture is used by its name
+from tests.web.viewer.test_viewer import store  # noqa: F401 - a fixture is used by its name
 
 pytestmark = pytest.mark.browser
 
@@ -167,7 +167,7 @@ def test_a_file_that_was_changed_on_the_server_is_not_shown(
     cup: str,
     store: LocalStore,  # noqa: F811
 ) -> None:
-    changed = [Path(store.path(lod["name"])) for lod in entry(store, cup).document["lods"]]
+    changed = [Path(store.path(lod["name"])) for lod in read_entry(store, cup).document["lods"]]
     before = [path.read_bytes() for path in changed]
     for path, content in zip(changed, before, strict=True):
         path.chmod(0o644)

@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.cli.up import Stack, running
+from services.cli.up import Stack, run_stack
 from services.storage.bundle import Bundle
-from services.storage.collect import rebuild
-from services.storage.collection import index_name
+from services.storage.catalogue.collection import index_name
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.signing import Keys, generate_key, read_signer
+from services.storage.catalogue.update import rebuild
 from services.storage.local import LocalStore
-from services.storage.publish import publish
-from services.storage.signing import Keys, generate, read_signer
 from services.storage.store import NO_CACHE
+from tests.support.screenshots import drawn, stage
 from tests.web.conftest import PATIENCE_MS, PHONE
-from tests.web.pictures import drawn, stage
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
@@ -28,10 +28,10 @@ INDEX = index_name("default")
 def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Keys]]:
     """Gateway and worker that sign, and their key."""
     path = tmp_path_factory.mktemp("keys") / "ours"
-    generate(path)
+    generate_key(path)
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("STORAGE_SIGNING_KEY", str(path))
-        with running("127.0.0.1", 0, tmp_path_factory.mktemp("signed")) as stack:
+        with run_stack("127.0.0.1", 0, tmp_path_factory.mktemp("signed")) as stack:
             yield stack, Keys((read_signer(path),))
 
 
@@ -100,7 +100,7 @@ def test_the_catalogue_of_another_signer_is_refused_on_a_device_that_knows_the_f
     context: BrowserContext, signed: tuple[Stack, Keys], store: LocalStore, tmp_path: Path
 ) -> None:
     expect_shown(visit(context, signed))
-    generate(tmp_path / "theirs")
+    generate_key(tmp_path / "theirs")
     rebuild(store, "default", Keys((read_signer(tmp_path / "theirs"),)))
     expect_refused(visit(context, signed), "CATALOGUE_FORGED", "not signed by whom it was before")
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.publish import publish
+from services.storage.catalogue.publish import publish
+from tests.support.headsets import Hand, enter, frames, wear
+from tests.support.screenshots import halves, places_of, stage
+from tests.support.sites import Site
+from tests.support.things import RED, box
 from tests.web.conftest import without_a_past
-from tests.web.headsets import Hand, enter, frames, wear
-from tests.web.pictures import halves, places_of, stage
-from tests.web.sites import Site
-from tests.web.things import RED, box
 
 pytestmark = pytest.mark.browser
 KEY = "cube"
@@ -214,7 +214,7 @@ MEDDLED = [
 def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, viewer: str) -> None:
     page.goto(viewer)
     read = """async (kept) => {
-        const { remembered } = await import('/web/placement.js');
+        const { remembered } = await import('/web/viewer/saved-placement.js');
         localStorage.setItem('capture2vr:placed', kept);
         return remembered('cube');
     }"""
@@ -222,7 +222,7 @@ def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, viewer: s
     good = '[["cube", [1, 0, -1, 0, 1, 0, 0, 2]]]'
     assert page.evaluate(read, good) == {"offset_m": [1, 0, -1], "turn": [0, 1, 0, 0], "scale": 2}
     many = """async () => {
-        const { remember, remembered } = await import('/web/placement.js');
+        const { remember, remembered } = await import('/web/viewer/saved-placement.js');
         const placement = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
         for (let each = 0; each < 300; each++) remember(`k${each}`, placement);
         const kept = JSON.parse(localStorage.getItem('capture2vr:placed'));

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.storage.publish import publish
-from services.storage.removal import remove
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.removal import remove
+from tests.support.headsets import Hand, enter, wear
+from tests.support.screenshots import halves, places_of, stage
+from tests.support.sites import Site
+from tests.support.things import BLUE, GREEN, RED, box, bundle_of, picture_of, textured_glb
 from tests.web.conftest import without_a_past
-from tests.web.headsets import Hand, enter, wear
-from tests.web.pictures import halves, places_of, stage
-from tests.web.sites import Site
-from tests.web.things import BLUE, GREEN, RED, box, bundle_of, picture_of, textured_glb
 
 pytestmark = pytest.mark.browser
 
@@ -169,7 +169,7 @@ def test_levels_keep_the_budget_and_boxes_their_distance(page: Page, site: Site)
     sizes = [random.uniform(0.05, 3, (int(random.integers(1, 25)), 3)).tolist() for _ in range(100)]
     page.goto(f"{site.url}/view/red")
     script = """async ([scenes, budgets, sizes]) => {
-        const { planned, sideBySide } = await import('/web/plan.js');
+        const { planned, sideBySide } = await import('/web/viewer/layout-and-lod.js');
         const free = (things) => planned(things, Infinity);
         const kept = scenes.map((things, place) => planned(things, budgets[place]));
         return [kept, scenes.map(free), sizes.map(sideBySide)];

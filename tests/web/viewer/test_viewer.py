@@ -11,9 +11,9 @@ from playwright.sync_api import BrowserContext, Page, Route, expect
 
 from services.cli.up import Stack
 from services.storage.bundle import Bundle
+from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from services.storage.publish import publish
-from tests.web.pictures import drawn, expect_picture, stage
+from tests.support.screenshots import drawn, expect_picture, stage
 
 pytestmark = pytest.mark.browser
 KEY = "bowl"

@@ -1,0 +1,147 @@
+"""The gateway as it is started: a process of its own that has opened no picture yet, with nothing the tests import."""
+
+from __future__ import annotations
+
+import io
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pillow_heif
+import pytest
+from PIL import Image, ImageDraw
+
+from services.cli.up import free_port
+from tests.support import private_pictures
+from tests.support.fresh_process import BARE_ENVIRONMENT, run_fresh
+from tests.support.walkaround import render_walkaround
+
+VIEWS = 10
+
+# Those that need a decoder which is not loaded by itself come first: one JPEG, and Pillow knows more than it did.
+ENCODERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "heic": ("HEIF", {"quality": 92}),
+    "webp": ("WEBP", {"quality": 92}),
+    "tiff": ("TIFF", {}),
+    "png": ("PNG", {}),
+    "jpg": ("JPEG", {"quality": 92}),
+}
+
+STRIP = """
+import sys
+from pathlib import Path
+from services.gateway.uploads.validate import validate
+(verdict,) = validate(Path(sys.argv[1]), [sys.argv[2]])
+print(verdict.verdict, ",".join(verdict.stripped))
+"""
+
+FILES: dict[str, Callable[[], bytes]] = {
+    "a.heic": private_pictures.heic,
+    "a.webp": private_pictures.webp,
+    "a.tiff": private_pictures.tiff,
+    "a.png": private_pictures.png,
+    "a.jpg": private_pictures.jpeg,
+    "a.exr": private_pictures.exr,
+    "a.mov": private_pictures.film,
+    "a.webm": private_pictures.webm,
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_each_format_is_checked_and_stripped_by_a_process_that_knows_no_other(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "upload"
+    folder.mkdir()
+    (folder / name).write_bytes(FILES[name]())
+    verdict, stripped = run_fresh(STRIP, folder, name, extras=["gateway"], cwd=tmp_path).split(maxsplit=1)
+    assert verdict == "ok"
+    assert stripped
+    assert private_pictures.PLACE not in (folder / name).read_bytes()
+
+
+def test_several_pictures_in_one_jpeg_are_checked_too(tmp_path: Path) -> None:
+    """Phones write a second picture (depth, gain map) behind the first; Pillow calls that format MPO."""
+    folder = tmp_path / "upload"
+    folder.mkdir()
+    private_pictures.picture().save(
+        folder / "a.jpg", "MPO", save_all=True, append_images=[private_pictures.picture(32, 24)]
+    )
+    assert run_fresh(STRIP, folder, "a.jpg", extras=["gateway"], cwd=tmp_path).startswith("ok")
+
+
+def encoded(picture: Image.Image, kind: str) -> bytes:
+    """A file of a kind of `ENCODERS`, with the picture's EXIF."""
+    pillow_heif.register_heif_opener()
+    buffer = io.BytesIO()
+    name, options = ENCODERS[kind]
+    picture.save(buffer, name, exif=picture.getexif().tobytes(), **options)
+    return buffer.getvalue()
+
+
+def one_thing() -> Image.Image:
+    """A red ball before a light wall: what a single photo must show."""
+    picture = Image.new("RGB", (400, 300), (225, 225, 220))
+    ImageDraw.Draw(picture).ellipse((120, 70, 280, 230), fill=(190, 40, 30))
+    return picture
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, bytes]]:
+    """Photos of a walk around a thing, in every kind of picture by turns."""
+    kinds = list(ENCODERS)
+    found = []
+    photos = render_walkaround(tmp_path_factory.mktemp("walk"), views=VIEWS, size=(400, 300), arc=100).photos
+    for number, photo in enumerate(photos):
+        kind = kinds[number % len(kinds)]
+        with Image.open(photo) as picture:
+            found.append((f"IMG_{number:04}.{kind}", encoded(picture, kind)))
+    return found
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[httpx.Client]:
+    """A client of a product that has just been started, with nothing in its environment."""
+    port = free_port()
+    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
+    with subprocess.Popen(command, env=BARE_ENVIRONMENT, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as product:
+        assert product.stderr is not None
+        assert any("capture page" in line for line in product.stderr)
+        try:
+            with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=120.0) as client:
+                yield client
+        finally:
+            product.send_signal(signal.SIGINT)
+
+
+def upload(client: httpx.Client, files: list[tuple[str, bytes]]) -> dict[str, Any]:
+    """The receipt of a capture of these files, all of which must have been taken."""
+    parts = [("files", (name, content, "application/octet-stream")) for name, content in files]
+    answer = client.post("/v1/captures", files=parts)
+    assert answer.status_code == 201, answer.text
+    receipt: dict[str, Any] = answer.json()
+    assert [(each["file"], each["verdict"]) for each in receipt["files"]] == [(name, "ok") for name, _ in files]
+    return receipt
+
+
+def test_every_kind_of_picture_is_taken_alone_and_as_a_set_that_becomes_an_asset(
+    client: httpx.Client, walk: list[tuple[str, bytes]]
+) -> None:
+    for kind in ENCODERS:
+        alone = upload(client, [(f"IMG_0000.{kind}", encoded(one_thing(), kind))])
+        assert (alone["inspected"], alone["kind"], alone["frames"]) == (True, "image", 1)
+    whole = upload(client, walk)
+    assert (whole["kind"], whole["frames"]) == ("photos", VIEWS)
+
+    asked = {"capture": whole["capture"], "asset_key": "shell", "preset": "draft"}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    deadline = time.monotonic() + 300
+    while (found := client.get(f"/v1/jobs/{job}").json())["state"] not in {"SUCCEEDED", "FAILED"}:
+        assert time.monotonic() < deadline, found
+        time.sleep(0.5)
+    assert found["state"] == "SUCCEEDED", found
+    entry = client.get("/v1/assets/shell").raise_for_status().json()
+    assert client.get(entry["lods"][0]["url"]).content[:4] == b"glTF"

@@ -1,0 +1,71 @@
+"""The product in a process of its own: nothing imported before, no variables, no package that only the tests need."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import subprocess
+import sys
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+BARE_ENVIRONMENT = {"PATH": "/usr/local/bin:/usr/bin:/bin"}
+
+# Finds nothing of what an installation with the same extras would not have.
+_HIDE = """
+import sys
+from importlib.machinery import PathFinder
+class _Installed(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name.partition(".")[0] in {absent!r} else PathFinder.find_spec(name, path, target)
+sys.meta_path[sys.meta_path.index(PathFinder)] = _Installed
+"""
+
+
+def run_fresh(code: str, *arguments: str | Path, extras: Iterable[str], cwd: Path) -> str:
+    """What `code` prints in a new interpreter that has the product with `extras` and their dependencies, nothing else.
+
+    Warnings are errors there. Raises AssertionError with what it wrote to stderr.
+    """
+    hide = _HIDE.format(absent=_modules_beyond(frozenset(extras)))
+    command = [sys.executable, "-I", "-W", "error", "-c", hide + code, *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True, env=BARE_ENVIRONMENT, cwd=cwd, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+@cache
+def _modules_beyond(extras: frozenset[str]) -> set[str]:
+    """Top-level modules that are installed here, and would not be with `pip install capture2vr[extras]`."""
+    wanted = required_distributions("capture2vr", extras)
+    providers = importlib.metadata.packages_distributions().items()
+    return {module for module, names in providers if not {normalised(name) for name in names} & wanted}
+
+
+def required_distributions(name: str, extras: Iterable[str]) -> set[str]:
+    """A distribution and all that it needs, theirs too, by normalised name."""
+    found: dict[str, set[str]] = {}
+    todo = [(normalised(name), set(extras))]
+    while todo:
+        name, wanted = todo.pop()
+        if name in found and wanted <= found[name]:
+            continue
+        found.setdefault(name, set()).update(wanted)
+        try:
+            requirements = importlib.metadata.requires(name) or ()
+        except importlib.metadata.PackageNotFoundError:
+            continue  # of another platform
+        for requirement in map(Requirement, requirements):
+            marker = requirement.marker
+            if marker is None or any(marker.evaluate({"extra": extra}) for extra in (*found[name], "")):
+                todo.append((normalised(requirement.name), set(requirement.extras)))
+    return set(found)
+
+
+def normalised(name: str) -> str:
+    """The name of a distribution as PEP 503 has it."""
+    return re.sub(r"[-_.]+", "-", name).lower()

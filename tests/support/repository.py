@@ -1,0 +1,6 @@
+"""Where this checkout is."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+"""The folder that holds services/, tests/ and pyproject.toml."""
