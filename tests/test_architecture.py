@@ -19,6 +19,7 @@ def _loaded_after(statement: str) -> set[str]:
     return set(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("statement", "forbidden"),
     [
@@ -66,6 +67,7 @@ def test_pages_import_what_they_share_and_never_each_other() -> None:
             assert (module.parent / name).resolve().parent.name in may[room], f"{room}/{module.name} imports {name}"
 
 
+@pytest.mark.slow
 def test_the_drawing_of_the_rooms_is_what_the_imports_say() -> None:
     command = [sys.executable, str(ROOT / "docs" / "draw_rooms.py"), "--check"]
     assert subprocess.run(command, capture_output=True, text=True).stderr == ""

@@ -100,6 +100,7 @@ def parts_of(source: Path) -> list[tuple[str, tuple[str, bytes]]]:
     return [("files", (path.relative_to(root).as_posix(), path.read_bytes())) for path in paths]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("nothing_stays")
 @pytest.mark.parametrize("name", BAD)
 def test_an_upload_is_refused(name: str, product: Product, tmp_path: Path) -> None:
@@ -163,6 +164,7 @@ def test_the_command_line_says_it_in_one_sentence(name: str, run: Run, tmp_path:
     assert re.search(r" \(.+\)$", line), f"nothing to do about it: {line}"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("nothing_stays")
 @pytest.mark.parametrize("name", BAD)
 def test_pushing_it_says_so_too(name: str, run: Run, product: Product, tmp_path: Path) -> None:
@@ -204,6 +206,7 @@ def test_names_that_terminals_and_zips_take_for_something_else(
         assert name[:3] in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["an empty file", "a zip with ../"])
 def test_as_a_process_of_its_own(name: str, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
@@ -481,6 +484,7 @@ def test_a_length_that_lies_is_refused(length: object, status: int, product: Pro
     assert b"Traceback" not in answer
 
 
+@pytest.mark.slow
 def test_the_product_goes_on(product: Product) -> None:
     """After all of this. The gateway's first process still serves: a crash would have closed its connections."""
     assert product.client.get("/readyz").json()["ready"]

@@ -96,6 +96,7 @@ def test_no_steps_leave_the_published_ones_and_changes_come_through() -> None:
     assert (short.steps, short.batch, short.projection) == (40_000, 5_000, 0.0)
 
 
+@pytest.mark.slow
 def test_a_cell_measures_the_pipeline_in_a_process_of_its_own() -> None:
     truth = surfaces.hemisphere()
     figures = cell.run_cell(surfaces.sampled(truth, 2_000), truth, Settings("draft", resolution=48), timeout_s=120)
@@ -106,12 +107,14 @@ def test_a_cell_measures_the_pipeline_in_a_process_of_its_own() -> None:
     assert figures["seconds"] > 0
 
 
+@pytest.mark.slow
 def test_a_cell_names_what_failed() -> None:
     truth = surfaces.hemisphere()
     figures = cell.run_cell(np.zeros((50, 3)), truth, Settings("draft"), timeout_s=120)
     assert "CAPTURE_" in figures["failed"]
 
 
+@pytest.mark.slow
 def test_a_baseline_is_fitted_to_the_points_as_measured_and_changed_as_asked() -> None:
     points = surfaces.sampled(surfaces.hemisphere(), 300)
     settings = Settings("ours-paper", steps=4, batch=50, changes={"width": 8, "pool": 3_000})
@@ -347,6 +350,7 @@ def test_bare_scans_are_sampled_by_the_square_metre(tmp_path: Path) -> None:
     assert len(subject.points) == pytest.approx(100 * area(room), abs=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", ["point_cloud", "deep_fashion_3d_point_cloud"])
 def test_garments_come_in_the_unit_frame_in_the_order_of_their_numbers(tmp_path: Path, folder: str) -> None:
     dress = Mesh(surfaces.pleated_skirt().vertices * 180 + 40, surfaces.pleated_skirt().faces)  # centimetres

@@ -104,6 +104,7 @@ def _imported(files: Iterable[Path]) -> dict[str, set[str]]:
     return {module: {normalised(name) for name in providers.get(module, [module])} for module in foreign}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("service", "extras"),
     [("storage", ["storage"]), ("gateway", ["gateway"]), ("edge", ["edge", "fast"]), ("cli", list(RUNTIME))],
@@ -145,6 +146,7 @@ def test_every_licence_is_permissive_but_those_of_a_few_that_are_named() -> None
     assert others == OTHER_LICENCES
 
 
+@pytest.mark.slow
 def test_no_wheel_bundles_gpl_code_but_those_that_are_named() -> None:
     assert {name: found for name in _installed() if (found := gpl_code_in(name))} == GPL_BUNDLED
 

@@ -123,12 +123,14 @@ def test_the_pages_have_examples() -> None:
     assert {"capture2vr", "make", "docker", "openssl", "npm", "pip"} <= {command.program for command in ALL}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", of("README.md", "run", "presets", "doctor"), ids=str)
 def test_a_command_of_the_readme_runs(command: Command, home: Path) -> None:
     ended = typed(command, home)
     assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.slow
 def test_the_readmes_session_with_a_running_product(home: Path) -> None:
     """`up` in one terminal; push, pull, ls in another; keys, and a signed catalogue read with them."""
     (up,) = of("README.md", "up")

@@ -54,6 +54,7 @@ def points_of(frame: Frame) -> Floats:
     return local @ frame.camera_to_world[:3, :3].T + frame.camera_to_world[:3, 3]
 
 
+@pytest.mark.slow
 def test_the_capture_reads_as_rgbd_frames_of_a_lidar_phone(capture: Capture) -> None:
     assert (capture.kind, capture.format, len(capture.frames)) == ("rgbd", "nerfstudio", FRAMES)
     for frame in capture.frames:

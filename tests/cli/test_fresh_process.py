@@ -10,6 +10,8 @@ import pytest
 from tests.support.clouds import write_ply
 from tests.support.fresh_process import run_fresh
 
+pytestmark = pytest.mark.slow
+
 MAIN = "from services.cli.main import main; main()"
 EXTRAS = ("gateway", "edge", "storage")
 

@@ -56,6 +56,7 @@ def out(bowl: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_the_folder_holds_what_is_promised(out: Path) -> None:
     names = {path.name for path in out.iterdir()}
     meshes = {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb"}
@@ -102,6 +103,7 @@ def test_the_report_tells_how_far_the_reference_is(out: Path) -> None:
     assert f"{found['median']:.3%}" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", [b"", b"v 0 0 0\nv 1 0 0\n", b"\0" * 100])
 def test_a_reference_that_is_no_surface_is_refused_before_any_work(content: bytes, bowl: Path, tmp_path: Path) -> None:
     (tmp_path / "known.obj").write_bytes(content)
@@ -129,6 +131,7 @@ def test_the_bundle_is_addressed_by_content(out: Path) -> None:
         assert len(content) == item["bytes"]
 
 
+@pytest.mark.slow
 def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: Path) -> None:
     archive = tmp_path / "upload.zip"
     with zipfile.ZipFile(archive, "w") as zipped:
@@ -138,6 +141,7 @@ def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: 
     assert (tmp_path / "out" / "mesh.ply").read_bytes() == (out / "mesh.ply").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.usefixtures("small_pictures")
 @pytest.mark.parametrize(

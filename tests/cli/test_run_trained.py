@@ -175,6 +175,7 @@ def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_training_run_leaves_both_certificates_and_no_checkpoint(bowl: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run_preset(bowl, out, TINY, device="cpu")
@@ -187,6 +188,7 @@ def test_a_training_run_leaves_both_certificates_and_no_checkpoint(bowl: Path, t
     assert ("refined.png" in names) == ("preview" in names) == (report["verdict"] != "worse")
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_checkpoint(bowl: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-c", LONG, str(bowl), str(out), "150"]
@@ -224,6 +226,7 @@ def test_a_device_that_is_not_there_is_said_plainly(bowl: Path, tmp_path: Path) 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_presets_are_listed_with_what_they_take() -> None:
     result = capture2vr("presets")
     assert result.returncode == 0, result.stderr

@@ -24,6 +24,8 @@ from services.cli.up import free_port
 from tests.cli.test_run import capture2vr
 from tests.support.clouds import write_ply
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:

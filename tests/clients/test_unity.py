@@ -106,11 +106,13 @@ def _tests(file: str) -> list[str]:
     return re.findall(r"^    public static (?:async Task|void) (\w+)\(\)", (_HERE / file).read_text(), re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _tests("PlainTests.cs"))
 def test_plain(plain_results: dict[str, str], name: str) -> None:
     assert plain_results[name] == "ok"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _tests("EngineTests.cs"))
 def test_engine(engine_results: dict[str, str], name: str) -> None:
     assert engine_results[name] == "ok"

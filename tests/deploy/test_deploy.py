@@ -52,11 +52,14 @@ def _variables(settings: type[StrictSettings]) -> set[str]:
     return {prefix + field.upper() for field in settings.model_fields}
 
 
+@pytest.mark.slow
+@pytest.mark.docker
 def test_compose_file_is_valid(compose: list[str]) -> None:
     result = subprocess.run([*compose, "config", "-q"], capture_output=True, text=True)
     assert (result.returncode, result.stderr) == (0, "")
 
 
+@pytest.mark.docker
 def test_only_the_cache_is_published_and_only_on_loopback(compose: list[str]) -> None:
     services = _config(compose)["services"]
     published = {name: service["ports"] for name, service in services.items() if service.get("ports")}
@@ -64,6 +67,7 @@ def test_only_the_cache_is_published_and_only_on_loopback(compose: list[str]) ->
     assert all(port["host_ip"] == "127.0.0.1" for port in published["cdn"])
 
 
+@pytest.mark.docker
 def test_our_containers_are_read_only_without_capabilities(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
     for name in ("gateway", "edge", "edge-gpu", "bucket", "cdn"):
@@ -71,6 +75,7 @@ def test_our_containers_are_read_only_without_capabilities(compose: list[str]) -
         assert services[name]["cap_drop"] == ["ALL"], name
 
 
+@pytest.mark.docker
 def test_the_gpu_worker_exists_only_in_its_profile(compose: list[str]) -> None:
     assert "edge-gpu" not in _config(compose)["services"]
     gpu = _config(compose, "gpu")["services"]["edge-gpu"]
@@ -78,6 +83,7 @@ def test_the_gpu_worker_exists_only_in_its_profile(compose: list[str]) -> None:
     assert gpu["environment"]["EDGE_DEVICE"] == "cuda"
 
 
+@pytest.mark.docker
 def test_each_worker_has_the_torch_of_its_device(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
     assert "args" not in services["edge"]["build"], "the Dockerfile's own default is the CPU build"
@@ -119,6 +125,7 @@ def _edge_stages() -> list[str]:
     return re.split(r"^FROM .*$", text, flags=re.MULTILINE)[1:]
 
 
+@pytest.mark.docker
 def test_every_variable_is_one_that_the_services_know(compose: list[str]) -> None:
     known = {*_variables(GatewaySettings), *_variables(EdgeSettings), *_variables(StorageSettings)}
     for name, service in _config(compose, "gpu")["services"].items():
@@ -136,6 +143,7 @@ def _keys_of(service: dict[str, Any]) -> dict[str, Any]:
     return dict(mount)
 
 
+@pytest.mark.docker
 def test_keys_come_from_a_folder_that_is_named_and_only_to_those_who_need_them(compose: list[str]) -> None:
     named = {"KEYS": "/srv/keys", "STORAGE_SIGNING_KEY": "/keys/2026", "STORAGE_COLLECTION": "ada"}
     services = _config(compose, "gpu", **named)["services"]
@@ -147,6 +155,7 @@ def test_keys_come_from_a_folder_that_is_named_and_only_to_those_who_need_them(c
         assert "/keys" not in json.dumps(services[name]), name
 
 
+@pytest.mark.docker
 def test_without_keys_nothing_is_signed_and_no_folder_is_made(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
     for name in KEYED:
@@ -154,6 +163,7 @@ def test_without_keys_nothing_is_signed_and_no_folder_is_made(compose: list[str]
         assert services[name]["environment"]["STORAGE_SIGNING_KEY"] == ""
 
 
+@pytest.mark.docker
 def test_gateway_and_workers_share_the_token(compose: list[str]) -> None:
     services = _config(compose, "gpu", EDGE_TOKEN="secret", GATEWAY_EDGE_CA="/keys/ca.pem")["services"]
     assert services["gateway"]["environment"]["GATEWAY_EDGE_TOKEN"] == "secret"
@@ -161,6 +171,7 @@ def test_gateway_and_workers_share_the_token(compose: list[str]) -> None:
     assert {services[name]["environment"]["EDGE_TOKEN"] for name in ("edge", "edge-gpu")} == {"secret"}
 
 
+@pytest.mark.docker
 def test_empty_variables_are_none(compose: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Compose passes what nobody has set as an empty text."""
     for name in KEYED:
@@ -189,11 +200,13 @@ def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:
     }
 
 
+@pytest.mark.docker
 def test_links_follow_the_port(compose: list[str]) -> None:
     environment = _config(compose, PORT="9999")["services"]["gateway"]["environment"]
     assert environment["GATEWAY_PUBLIC_URL"] == environment["STORAGE_BASE_URL"] == "http://127.0.0.1:9999"
 
 
+@pytest.mark.docker
 def test_the_store_can_be_another_image(compose: list[str]) -> None:
     assert _config(compose, MINIO_IMAGE="example/store:1")["services"]["minio"]["image"] == "example/store:1"
     assert "@sha256:" in _config(compose)["services"]["minio"]["image"]

@@ -76,6 +76,7 @@ def test_a_cancel_ends_it_and_what_it_started(tmp_path: Path, code: str, tells_p
     assert descendants() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "tells_progress", "says"),
     [

@@ -23,7 +23,7 @@ from services.storage.bundle import Bundle
 from tests.referees.glb_reader import Glb
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
 
-pytestmark = pytest.mark.usefixtures("small_pictures")
+pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
 
 COARSE = Preset("coarse", resolution=32)
 

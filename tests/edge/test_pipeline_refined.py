@@ -27,7 +27,7 @@ from services.edge.training import FieldTraining
 from services.storage.bundle import Bundle
 from tests.support.patience import CANCEL_S
 
-pytestmark = pytest.mark.usefixtures("small_pictures")
+pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
 
 Said = Progress | Bundle | PreviewKept
 

@@ -135,6 +135,7 @@ def test_the_gateway_holds_no_geometry() -> None:
     assert found.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_gateway_starts_and_stops_when_told(tmp_path: Path, unused_tcp_port: int) -> None:
     command = [sys.executable, "-m", "services.gateway"]
     settings = {"GATEWAY_PORT": str(unused_tcp_port), "GATEWAY_DATA_DIR": str(tmp_path / "gw")}

@@ -47,6 +47,7 @@ async def test_what_the_framework_refuses(client: httpx.AsyncClient) -> None:
     assert problem(await client.post("/v1/jobs", content=b"{", headers=JSON)) == (422, "REQUEST_INVALID")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "status", "code"),
     [

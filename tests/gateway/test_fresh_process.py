@@ -21,6 +21,8 @@ from tests.support import private_pictures
 from tests.support.fresh_process import BARE_ENVIRONMENT, run_fresh
 from tests.support.walkaround import render_walkaround
 
+pytestmark = pytest.mark.slow
+
 VIEWS = 10
 
 # Those that need a decoder which is not loaded by itself come first: one JPEG, and Pillow knows more than it did.

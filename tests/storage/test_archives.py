@@ -261,6 +261,7 @@ def test_a_cut_archive_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
         assert_refused("ARCHIVE_BROKEN", tmp_path / "a.zip")
 
 
+@pytest.mark.slow
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_is_an_archive_error_or_harmless(tmp_path: Path, data: st.DataObject) -> None:

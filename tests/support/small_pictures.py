@@ -7,11 +7,19 @@ from functools import partial
 
 import pytest
 
+TEXTURE_SIDE = 256
+
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:
     """Small pictures of the assets that this process makes: at full size they take 90 % of a small job's seconds."""
     appearance = importlib.import_module("services.edge.asset.levels")  # here: most tests need none of the worker
     thumbnail = importlib.import_module("services.edge.render.thumbnail")
+    textures = appearance.texture_levels
+    patch.setattr(
+        appearance,
+        "texture_levels",
+        lambda *told, most_px, **more: textures(*told, most_px=min(most_px, TEXTURE_SIDE), **more),
+    )
     patch.setattr(appearance, "render_sheet", partial(appearance.render_sheet, size=32))
     for name, value in {"THUMBNAIL_SIDE": 32, "TURNING_SIDE": 32, "_SKY_RAYS": 10_000}.items():
         patch.setattr(thumbnail, name, value)

@@ -53,6 +53,7 @@ def test_half_a_surface_is_precise_and_not_complete() -> None:
     assert quality.f_010 == pytest.approx(2 / 3, abs=0.02)  # precision 1, recall a half
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_figures() -> None:
     mesh, truth = surfaces.smooth_sheet(), surfaces.bumpy_sheet()
     assert compare(mesh, truth, 5_000, seed=3) == compare(mesh, truth, 5_000, seed=3)

@@ -20,6 +20,7 @@ from services.edge.mesh.sampling import sample
 from services.edge.procrustes import procrustes
 
 _STEPS = 20  # of the refinement along the normals
+_STILL = 1e-6  # radians, share of the size, and of `_NEAR`: a step so small is the last
 _NEAR = 0.03  # of the surface's size: points farther from it belong to something else
 _SOME = 20_000  # points: enough for seven unknowns
 _TURNS = 200  # random rotations, besides those that align the axes of inertia: 30 degrees from one to the next
@@ -62,10 +63,10 @@ def overlay(mesh: Mesh, reference: Mesh) -> Overlay:
 def measure_overlay(xyz: Floats, surface: Floats, normals: Floats) -> Overlay:
     """Measure points (N,3), already aligned to samples (M,3) of a reference with normals (M,3)."""
     size = float(np.ptp(surface, axis=0).max())
-    gap, nearest = cKDTree(surface).query(xyz)
-    on = gap < _ON_THE_THING * size
-    back, _ = cKDTree(xyz).query(surface[:: max(1, len(surface) // _SOME)])
-    complete, beside = float((back < _COMPLETE * size).mean()), float(1 - on.mean())
+    gap, nearest = cKDTree(surface).query(xyz, distance_upper_bound=_ON_THE_THING * size)
+    on = np.isfinite(gap)
+    back, _ = cKDTree(xyz).query(surface[:: max(1, len(surface) // _SOME)], distance_upper_bound=_COMPLETE * size)
+    complete, beside = float(np.isfinite(back).mean()), float(1 - on.mean())
     if not on.any():
         return Overlay(float("inf"), float("inf"), complete, beside)
     off = np.abs(np.einsum("ni,ni->n", xyz[on] - surface[nearest[on]], normals[nearest[on]])) / size
@@ -85,8 +86,8 @@ def align_to_surface(xyz: Floats, surface: Floats, normals: Floats, start: Float
     some = np.random.default_rng(0).permutation(len(xyz))[:_SOME]
     for _ in range(_STEPS):
         points = xyz[some]
-        gap, nearest = tree.query(points + centre)
-        on = gap < near
+        gap, nearest = tree.query(points + centre, distance_upper_bound=near)
+        on = np.isfinite(gap)
         if on.sum() < 7:
             break
         points, normal = points[on], normals[nearest[on]]
@@ -97,6 +98,8 @@ def align_to_surface(xyz: Floats, surface: Floats, normals: Floats, start: Float
         )
         turn = np.linalg.lstsq(rows * weight[:, None], -off * weight, rcond=None)[0]
         xyz = (1 + turn[6]) * xyz @ Rotation.from_rotvec(turn[:3]).as_matrix().T + turn[3:6]
+        if np.abs(turn[[0, 1, 2, 6]]).max() < _STILL and np.abs(turn[3:6]).max() < _STILL * near:
+            break
     moved: Floats = xyz + centre
     return moved
 
@@ -138,6 +141,8 @@ def _refine_by_points(points: Floats, target: cKDTree, start: Floats, steps: int
         gap, nearest = target.query(moved)
         near = np.argsort(gap)[: int(_NEAREST * len(gap))]
         similarity = procrustes(points[near], target.data[nearest[near]], scale=True)
-        start = start if similarity is None else similarity
+        if similarity is None or np.abs(similarity - start).max() < _STILL * np.abs(start).max():
+            break
+        start = similarity
     gap = np.sort(target.query(points @ start[:3, :3].T + start[:3, 3])[0])[: int(_NEAREST * len(points))]
     return float(gap.mean() / np.cbrt(max(np.linalg.det(start[:3, :3]), 1e-30))), start

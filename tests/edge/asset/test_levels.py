@@ -89,6 +89,7 @@ def test_points_colour_a_texture_in_the_asset_frame() -> None:
     assert warnings == ()
 
 
+@pytest.mark.slow
 def test_pictures_colour_it_where_the_points_are_few() -> None:
     known = points(150, views=(shot(),))  # for 81 vertices
     asset, _ = asset_of(known)
@@ -98,6 +99,7 @@ def test_pictures_colour_it_where_the_points_are_few() -> None:
     assert isinstance(asset_of(replace(known, texture_views=()))[0], Mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "most"), [("quest2", 1024), ("web", 1024)])
 def test_no_texture_is_larger_than_its_target_allows(name: str, most: int) -> None:
     fine = replace(shot(), load_rgb=lambda: np.zeros((4 * SIDE, 4 * SIDE, 3), np.uint8))
@@ -106,6 +108,7 @@ def test_no_texture_is_larger_than_its_target_allows(name: str, most: int) -> No
     assert asset.side == most
 
 
+@pytest.mark.slow
 def test_the_last_level_keeps_within_its_bytes() -> None:
     small = replace(TARGETS["quest3"], last_bytes=20_000)
     asset, _ = asset_of(points(200, views=(shot(),)), small)

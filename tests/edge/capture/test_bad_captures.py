@@ -477,6 +477,7 @@ def reads_or_names(folder: Path) -> None:
         assert np.isfinite(capture.cloud.xyz).all()
 
 
+@pytest.mark.slow
 @given(data=st.data(), kind=st.sampled_from(sorted(VALID)))
 @settings(max_examples=250)
 def test_damaged_clouds_are_read_or_named(data: st.DataObject, kind: str) -> None:

@@ -114,6 +114,7 @@ FILMS: dict[str, tuple[str, Callable[[Path, Sequence[np.ndarray]], Path]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FILMS)
 def test_key_frames_are_photos(kind: str, tmp_path: Path) -> None:
     name, make = FILMS[kind]
@@ -134,6 +135,7 @@ def test_key_frames_are_photos(kind: str, tmp_path: Path) -> None:
     assert capture.photos[0].load(100).shape == (75, 100, 3)
 
 
+@pytest.mark.slow
 def test_a_walk_filmed_is_placed(tmp_path: Path) -> None:
     """From a rendered walk to cameras: none is a copy of another, and all find their place."""
     walk = render_walkaround(tmp_path / "walk", views=20, size=(400, 300), arc=80)
@@ -243,6 +245,7 @@ STILLS: dict[str, Callable[[], list[np.ndarray]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("still", STILLS)
 def test_nothing_that_moves_has_its_name(still: str, tmp_path: Path) -> None:
     path = encode(tmp_path / "a.mp4", STILLS[still](), group=60)
@@ -252,6 +255,7 @@ def test_nothing_that_moves_has_its_name(still: str, tmp_path: Path) -> None:
     assert "walk around the thing" in caught.value.hints[0]
 
 
+@pytest.mark.slow
 def test_a_camera_that_waits_gets_no_further(tmp_path: Path) -> None:
     waited = [*VIEWS[:30], *[noisy(VIEWS[30], seed) for seed in range(90)], *VIEWS[30:]]
     capture = read_capture(encode(tmp_path / "a.mp4", waited))
@@ -260,6 +264,7 @@ def test_a_camera_that_waits_gets_no_further(tmp_path: Path) -> None:
     assert len(capture.photos) >= 16
 
 
+@pytest.mark.slow
 def test_the_sharpest_of_each_stretch_is_taken(tmp_path: Path) -> None:
     """Every other pair is smeared, as by a hand that jerks."""
     pictures = [view(number / 4) for number in range(240)]

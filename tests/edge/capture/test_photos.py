@@ -196,6 +196,7 @@ def test_damaged_tags_cost_only_themselves(block: bytes) -> None:
         assert photo.load().shape == (48, 64, 3)
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(kind=st.sampled_from(list(SUFFIXES)), data=st.data())
 def test_broken_bytes_are_an_answer(kind: str, data: st.DataObject) -> None:

@@ -117,5 +117,6 @@ def test_photos_alone_are_read(data_dir: Path) -> None:
     assert len({photo.camera for photo in capture.photos}) == 1
 
 
+@pytest.mark.slow
 def test_a_mesh_beside_its_pictures_is_the_mesh(data_dir: Path) -> None:
     assert read_capture(data_dir / "photos_fruit").format == "obj"

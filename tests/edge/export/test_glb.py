@@ -72,6 +72,7 @@ PACKINGS: tuple[Packing, ...] = ("float", "meshopt")
 BEYOND_KHRONOS = ("UNSUPPORTED_EXTENSION /extensionsUsed/1", "UNUSED_OBJECT /buffers/0")
 
 
+@pytest.mark.slow
 def test_khronos_finds_no_fault_with_any_kind(validator: Validator, tmp_path: Path) -> None:  # noqa: F811
     cases = [(kind, packing, unlit) for kind in ASSETS for packing in PACKINGS for unlit in (False, True)]
     files = [tmp_path / f"{number}.glb" for number in range(len(cases))]
@@ -82,6 +83,7 @@ def test_khronos_finds_no_fault_with_any_kind(validator: Validator, tmp_path: Pa
         assert (verdict.errors, verdict.warnings, said) == (0, 0, []), case
 
 
+@pytest.mark.slow
 def test_khronos_finds_no_fault_with_what_a_compressed_file_holds(validator: Validator, tmp_path: Path) -> None:  # noqa: F811
     files = [tmp_path / f"{number}.glb" for number in range(len(ASSETS))]
     for file, asset in zip(files, ASSETS.values(), strict=True):
@@ -90,6 +92,7 @@ def test_khronos_finds_no_fault_with_what_a_compressed_file_holds(validator: Val
         assert (verdict.errors, verdict.warnings, verdict.messages) == (0, 0, ()), kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_compressed_file_holds_the_same_mesh_within_its_grid(kind: str) -> None:
     full, small = Glb.of(to_glb(KINDS[kind])), Glb.of(to_glb(KINDS[kind], "meshopt"))

@@ -50,6 +50,7 @@ def described(content: bytes) -> tuple[int, int, int]:
     return model, primaries, transfer
 
 
+@pytest.mark.slow
 def test_equal_pictures_give_equal_bytes_and_the_colours_come_back(
     ktx2: Ktx2Encoder,  # noqa: F811
     tmp_path: Path,
@@ -66,6 +67,7 @@ def test_equal_pictures_give_equal_bytes_and_the_colours_come_back(
     assert len(content) < picture.size / 4
 
 
+@pytest.mark.slow
 @settings(max_examples=3, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 7), st.integers(0, 2**32 - 1))
 def test_any_side_has_all_its_mips(ktx2: Ktx2Encoder, power: int, seed: int) -> None:  # noqa: F811
@@ -74,6 +76,7 @@ def test_any_side_has_all_its_mips(ktx2: Ktx2Encoder, power: int, seed: int) -> 
     assert (header.width, header.height, header.levels) == (side, side, power + 1)
 
 
+@pytest.mark.slow
 def test_mips_average_light_and_bring_in_nothing_from_the_opposite_edge(
     ktx2: Ktx2Encoder,  # noqa: F811
     tmp_path: Path,
@@ -184,6 +187,7 @@ def packed(ktx2: Ktx2Encoder) -> bytes:  # noqa: F811
     return ktx2(photo_like(32))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("packing", PACKINGS)
 def test_a_glb_with_ktx2_has_no_other_picture_and_says_that_it_must_be_known(packing: Any, packed: bytes) -> None:
     asset = replace(PICTURED["one-sided"], ktx2=packed)

@@ -71,6 +71,7 @@ def entries(package: bytes) -> dict[str, bytes]:
         return {entry.filename: opened.read(entry) for entry in opened.infolist()}
 
 
+@pytest.mark.slow
 def test_usd_core_finds_no_fault_and_the_same_surface(usd_core: UsdCore, tmp_path: Path) -> None:
     subjects = [SHEET, coloured(SHEET), twisted(), wallpaper(SHEET), TRIANGLE]
     for subject, found in zip(subjects, read(usd_core, tmp_path, *subjects), strict=True):

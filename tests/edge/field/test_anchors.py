@@ -195,12 +195,14 @@ def test_a_stray_of_a_real_denoising_is_not_usable() -> None:
     assert usable.mean() > 0.9
 
 
+@pytest.mark.slow
 def test_training_beats_the_local_field_where_points_are_sparse() -> None:
     skirt = surfaces.pleated_skirt()
     xyz = surfaces.sampled(skirt, 1_000)
     assert miss(fitted(xyz), skirt) < 0.9 * miss(local_field(xyz), skirt)
 
 
+@pytest.mark.slow
 def test_training_takes_noise_off() -> None:
     sheet = surfaces.smooth_sheet()
     xyz = surfaces.sampled(sheet, 1_500, noise=0.01)
@@ -230,6 +232,7 @@ def test_the_same_points_give_the_same_field() -> None:
     np.testing.assert_array_equal(first(xyz)[0], again(xyz)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("killed_after", [2, 9, 20, 27])
 def test_a_killed_fit_ends_as_if_it_had_not_been(
     killed_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

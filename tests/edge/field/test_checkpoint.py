@@ -51,6 +51,7 @@ def straight() -> Floats:
     return fitted(None)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_at", [7, 50, 75])
 def test_a_resumed_fit_is_the_uninterrupted_one(stop_at: int, straight: Floats, tmp_path: Path) -> None:
     path = tmp_path / "fit"
@@ -60,6 +61,7 @@ def test_a_resumed_fit_is_the_uninterrupted_one(stop_at: int, straight: Floats, 
     np.testing.assert_array_equal(resumed, straight)
 
 
+@pytest.mark.slow
 def test_a_finished_fit_resumes_to_its_end_at_once(straight: Floats, tmp_path: Path) -> None:
     path = tmp_path / "fit"
     fitted(path)
@@ -122,6 +124,7 @@ for step in fit_network(POINTS, CONFIG, base=local_field(POINTS), held_out=HELD_
 """
 
 
+@pytest.mark.slow
 def test_kill_9_in_mid_fit(straight: Floats, tmp_path: Path) -> None:
     path = tmp_path / "fit"
     child = subprocess.Popen([sys.executable, "-c", _CHILD, path], stdout=subprocess.PIPE, text=True, cwd=ROOT)

@@ -36,6 +36,7 @@ def test_sparse_layers_are_no_noise(surface: Maker, count: int, seed: int) -> No
     assert noise_of(points).share.mean() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("surface", "count", "sigma"),
     [
@@ -62,6 +63,7 @@ def test_each_region_of_a_cloud_is_judged_by_itself() -> None:
     assert share[len(layers) :].mean() > 0.9
 
 
+@pytest.mark.slow
 def test_large_clouds_are_judged_by_some_of_their_regions() -> None:
     points = surfaces.sampled(surfaces.disk(), 20_000, noise=0.004, seed=0)
     noise = noise_of(points)

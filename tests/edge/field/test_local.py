@@ -81,6 +81,7 @@ def test_given_normals_are_used_whatever_their_sign_and_length() -> None:
     np.testing.assert_allclose(gradient, flipped, atol=1e-4)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(turn=st.tuples(*[st.floats(-3, 3)] * 3), shift=st.tuples(*[st.floats(-0.2, 0.2)] * 3), size=st.floats(0.5, 1))
 def test_the_field_moves_with_the_points(turn: tuple[float, ...], shift: tuple[float, ...], size: float) -> None:
@@ -138,6 +139,7 @@ def test_points_that_are_none_are_refused() -> None:
         local_field(np.zeros((5, 3)), normals=np.zeros((4, 3)))
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_points_not_with_their_neighbourhoods() -> None:
     few, many = (_peak_bytes(surfaces.sampled(surfaces.smooth_sheet(), count)) for count in (10_000, 30_000))
     # 360 B for each. A table of its 16 neighbours would take another 380, and the arrays over it several times that.

@@ -45,7 +45,7 @@ from tests.support.edge_client import Client, Scripted, leftovers, until, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
 from tests.support.repository import ROOT
 
-pytestmark = pytest.mark.usefixtures("small_pictures")
+pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
 
 # Generous where a busy machine could be taken for a lost one; short where the tests wait for the end of it.
 QUICK = Timeouts(answer_s=3.0, admit_s=10.0, silence_s=15.0, lost_s=2.0, cancel_s=10.0, refresh_s=0.1)

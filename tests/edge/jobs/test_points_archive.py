@@ -88,6 +88,7 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(anything())
 def test_what_is_written_is_read(prepared: PreparedPoints) -> None:

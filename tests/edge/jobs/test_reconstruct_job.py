@@ -27,7 +27,7 @@ from services.storage.memory import MemoryStore
 from tests.support.edge_client import Client, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S
 
-pytestmark = pytest.mark.usefixtures("small_pictures")
+pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
 
 
 @pytest.fixture

@@ -10,6 +10,8 @@ from services.edge.mesh.align_to_reference import overlay
 from services.edge.mesh.nouns import Mesh
 from tests.support import surfaces
 
+pytestmark = pytest.mark.slow
+
 
 def moved(mesh: Mesh, seed: int) -> Mesh:
     """The mesh turned, scaled by 1/30 to 30, and elsewhere."""

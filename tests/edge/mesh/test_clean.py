@@ -44,6 +44,7 @@ def flips(mesh: Mesh) -> int:
     return int((mesh.faces.ravel()[half[:, 0]] == mesh.faces.ravel()[half[:, 1]]).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "components", "loops"),
     [
@@ -68,12 +69,14 @@ def test_random_points_come_back_with_the_topology_of_the_truth(
     assert (flips(mesh) > 0) == (make is surfaces.mobius)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [1_000, 40_000])
 def test_the_same_numbers_serve_any_density(points: int) -> None:
     quality = compare(meshed(surfaces.hemisphere(), points, 64), surfaces.hemisphere(), 20_000)
     assert (quality.components, quality.boundary_loops, quality.non_manifold_edges) == (1, 1, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("points", "share"), [(20_000, 0.2), (40_000, 0.06)])
 def test_no_hole_is_punched_where_the_points_grow_sparse(points: int, share: float) -> None:
     """Half of the disk has so few of the points: a fixed distance would tear one half or let the other overshoot."""
@@ -86,12 +89,14 @@ def test_no_hole_is_punched_where_the_points_grow_sparse(points: int, share: flo
     assert quality.area_ratio == pytest.approx(1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_no_hole_is_cut_into_close_sheets_of_few_points() -> None:
     """1.3 spacings apart, so that each has the other's points among its neighbours."""
     quality = compare(meshed(surfaces.two_sheets(), 1_000, 64), surfaces.two_sheets(), 20_000)
     assert (quality.components, quality.boundary_loops, quality.non_manifold_edges) == (2, 2, 0)
 
 
+@pytest.mark.slow
 def test_what_no_points_back_is_trimmed_and_specks_go() -> None:
     near = surfaces.sampled(surfaces.disk(), 5_000)
     wide = surfaces.patch(lambda u, v: [u, v, 0 * u], 150, 150)
@@ -106,6 +111,7 @@ def test_what_no_points_back_is_trimmed_and_specks_go() -> None:
     assert area(mesh) == pytest.approx(np.pi / 4, rel=0.03)
 
 
+@pytest.mark.slow
 def test_leaves_of_few_points_are_no_specks() -> None:
     """Their neighbours lie on other leaves, so their own spacing looks wider than it is."""
     rng = np.random.default_rng(0)
@@ -277,6 +283,7 @@ def test_a_slit_is_not_closed_over_an_edge_that_is_there() -> None:
     assert worst_edge(again.faces) == 2
 
 
+@pytest.mark.slow
 def test_a_cube_of_random_points_has_no_slits_along_its_edges() -> None:
     near = surfaces.sampled(surfaces.cube(), 4_000, seed=3)
     mesh = clean(extract(local_field(near), near, resolution=96), near)
@@ -296,6 +303,7 @@ def test_a_tear_along_a_fold_is_zipped_and_outer_corners_are_not() -> None:
     assert area(mesh) == pytest.approx(area(folded), rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("file", "points", "resolution", "most", "pieces"),

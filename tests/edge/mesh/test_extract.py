@@ -95,6 +95,7 @@ def test_a_surface_on_the_planes_of_its_own_box_is_found() -> None:
     assert np.abs(mesh.vertices[:, 2]).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cells_apart", "resolution"), [(1.6, 40), (2.3, 40), (4.0, 40), (3.0, 128), (5.0, 128), (7.0, 128), (5.0, 200)]
 )

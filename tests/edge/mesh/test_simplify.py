@@ -92,6 +92,7 @@ def test_the_budget_is_kept_and_nearly_used(name: str, budget: int) -> None:
     assert crowded(coarse) == 0
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.sampled_from(sorted(SURFACES)), st.integers(100, 3000), st.integers(0, 2**32 - 1))
 def test_noise_makes_no_pinches_and_closes_no_opening(name: str, budget: int, seed: int) -> None:
@@ -123,6 +124,7 @@ def test_the_surface_stays_where_it_is() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("collapse", COLLAPSES)
 def test_jobs_side_by_side_do_not_mix(collapse: Collapse) -> None:
     jobs = [(mesh, budget) for mesh in SURFACES.values() for budget in (900, 2500)]

@@ -60,6 +60,7 @@ def levels(pose: Floats, world: Scene, *, noise_m: float = 0.0, seed: int = 0) -
     return pyramid(tracker._level(frame, tracker.survey_frames([frame]).limits))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coloured", [True, False])
 def test_a_walk_around_a_table_closes(coloured: bool) -> None:
     """4.8 m of way with the noise of a phone: the cameras are within 2 mm of the truth."""
@@ -70,6 +71,7 @@ def test_a_walk_around_a_table_closes(coloured: bool) -> None:
     assert off_m(tracked.frames, ORBIT).max() < 0.002
 
 
+@pytest.mark.slow
 def test_loops_take_the_drift_out(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = bare(film(things(), ORBIT, sensor=Sensor(noise_m=0.006)), coloured=False)
     closed = off_m(track_frames(frames).frames, ORBIT)
@@ -78,6 +80,7 @@ def test_loops_take_the_drift_out(monkeypatch: pytest.MonkeyPatch) -> None:
     assert closed[-1] < 0.5 * drifted[-1]
 
 
+@pytest.mark.slow
 def test_a_sphere_on_a_table_turns_unseen_and_is_no_pose() -> None:
     """The same picture from all sides, and the table fills the frame: a name, not a wrong cloud."""
     with pytest.raises(CaptureError) as error:
@@ -96,6 +99,7 @@ def test_a_bare_wall_holds_no_camera(noise_m: float) -> None:
     assert fit is None or not fit.sound
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.tuples(*[st.floats(-1, 1)] * 6))
 def test_alignment_finds_any_small_motion(motion: tuple[float, ...]) -> None:
@@ -120,6 +124,7 @@ def test_pictures_find_a_camera_that_jumped() -> None:
     assert np.linalg.norm(fit.pose[:3, 3] - (np.linalg.inv(ORBIT[0]) @ far)[:3, 3]) < 0.004
 
 
+@pytest.mark.slow
 def test_a_jump_to_elsewhere_leaves_the_rest_out_with_a_warning() -> None:
     frames = film(things(), ORBIT[:10], sensor=SENSOR)
     lost = film(table_with_sphere(), ORBIT[:3], sensor=SENSOR)
@@ -164,6 +169,7 @@ def _moved(rng: np.random.Generator, turn: float, shift: float) -> Floats:
     return pose
 
 
+@pytest.mark.slow
 @settings(max_examples=4)
 @given(st.integers(0, 1000))
 def test_a_pose_graph_returns_to_the_truth(seed: int) -> None:
@@ -178,6 +184,7 @@ def test_a_pose_graph_returns_to_the_truth(seed: int) -> None:
     np.testing.assert_allclose(optimise_poses(drifted, [*edges, wrong]), truth, atol=0.01)
 
 
+@pytest.mark.slow
 def test_points_of_frames_without_poses_lie_on_the_things() -> None:
     """In the axes of the first camera; up is found."""
     world = things()

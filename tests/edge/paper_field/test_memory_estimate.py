@@ -16,6 +16,7 @@ ANCHORS = AnchorConfig(steps=4, learning_rate=0.1)
 NETWORK = NetworkConfig(steps=4, warm_up=1, batch=5_000, pool=200_000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("config", "points"), [(ANCHORS, 40_000), (NETWORK, 5_000)])
 def test_a_fit_takes_about_what_is_said(config: AnchorConfig | NetworkConfig, points: int) -> None:
     fit = "fit_anchors" if isinstance(config, AnchorConfig) else "fit_network"

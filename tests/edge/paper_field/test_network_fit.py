@@ -38,6 +38,7 @@ def distances(step: Step, queries: Floats = POINTS) -> Floats:
     return step.field(queries)[0]
 
 
+@pytest.mark.slow
 def test_a_short_fit_learns_the_surface_and_which_way_is_away() -> None:
     base = local_field(POINTS)
     step = last(fit_network(POINTS, replace(QUICK, steps=60, warm_start=60, pool=8_000, learning_rate=3e-3), base=base))
@@ -62,6 +63,7 @@ def test_a_loss_without_weight_is_not_computed() -> None:
     assert set(last(fit_network(POINTS, config)).losses) == {"total", "chamfer", "surface"}
 
 
+@pytest.mark.slow
 def test_a_seed_gives_one_field_whatever_other_fits_run_beside_it() -> None:
     expected = distances(last(fit_network(POINTS, QUICK)))
     beside = threading.Thread(target=lambda: last(fit_network(POINTS, replace(QUICK, seed=3))))
@@ -78,6 +80,7 @@ def test_whoever_stops_iterating_ends_the_fit_and_keeps_the_field() -> None:
     assert field(POINTS)[0].shape == (400,)
 
 
+@pytest.mark.slow
 def test_patience_ends_a_fit_that_gets_no_better_on_points_it_does_not_see() -> None:
     config = replace(QUICK, steps=1_000, learning_rate=1e-12, patience=50, batch=32, pool=500)
     held_out = surfaces.sampled(surfaces.disk(), 50, seed=1)

@@ -70,6 +70,7 @@ def fates(given: Sequence[Photo]) -> dict[str, str]:
     return found
 
 
+@pytest.mark.slow
 def test_the_walk_is_what_it_says(walk: Walkaround, taken: tuple[Photo, ...]) -> None:
     """One camera of the focal length in its tags; points that two pictures share lie on each other's epipolar lines."""
     assert len({photo.camera for photo in taken}) == 1
@@ -200,6 +201,7 @@ def test_it_can_be_stopped(taken: tuple[Photo, ...]) -> None:
 KINDS: dict[str, Spoil] = {"ok": lambda rgb: rgb, "blur": smear(10, 30), "dark": dim}
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(kinds=st.lists(st.sampled_from(list(KINDS)), min_size=VIEWS, max_size=VIEWS))
 def test_any_mixture_keeps_what_is_good(taken: tuple[Photo, ...], kinds: list[str]) -> None:

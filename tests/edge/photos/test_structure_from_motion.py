@@ -116,6 +116,7 @@ def solved(posed: list[Photo]) -> Alignment:
     return align(unposed(posed))
 
 
+@pytest.mark.slow
 def test_the_cameras_of_a_scene_are_found_up_to_a_similarity(posed: list[Photo], solved: Alignment) -> None:
     assert [view.photo.name for view in solved.views] == [photo.name for photo in posed]
     assert {verdict.verdict for verdict in solved.verdicts} == {"ok"}
@@ -135,6 +136,7 @@ def test_every_observation_names_a_point_and_a_view(solved: Alignment) -> None:
     assert 0 < solved.error_px < 1
 
 
+@pytest.mark.slow
 def test_the_same_photos_give_the_same_cameras(posed: list[Photo], solved: Alignment) -> None:
     """Nearly always bit by bit; the matcher's two threads share a generator, and on a busy machine may swap numbers."""
     again = align(unposed(posed))
@@ -143,6 +145,7 @@ def test_the_same_photos_give_the_same_cameras(posed: list[Photo], solved: Align
     assert len(again.xyz) == pytest.approx(len(solved.xyz), rel=0.02)
 
 
+@pytest.mark.slow
 def test_given_poses_are_kept_and_the_points_lie_on_the_surfaces(posed: list[Photo]) -> None:
     alignment = align(posed)
     for view, photo in zip(alignment.views, posed, strict=True):
@@ -156,6 +159,7 @@ def test_given_poses_are_kept_and_the_points_lie_on_the_surfaces(posed: list[Pho
     assert alignment.error_px < 0.5
 
 
+@pytest.mark.slow
 def test_poses_of_other_photos_are_refused(posed: list[Photo]) -> None:
     mirrored = zip(posed, reversed(posed), strict=True)
     with pytest.raises(CaptureError) as caught:
@@ -176,6 +180,7 @@ def test_epipolar_errors_are_distances_from_what_the_poses_allow() -> None:
     assert epipolar_errors(first, first, first_pose, first_pose).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_of_two_groups_that_do_not_meet_the_larger_is_used() -> None:
     near, far = scene(1, np.linspace(-30, 30, 4), "near"), scene(2, np.linspace(-15, 15, 3), "far")
     blank = photo_of(np.full((SIZE[1], SIZE[0], 3), 200, np.uint8), "blank.jpg")
@@ -188,6 +193,7 @@ def test_of_two_groups_that_do_not_meet_the_larger_is_used() -> None:
     assert "groups of 4 and 3" in alignment.warnings[0]
 
 
+@pytest.mark.slow
 def test_photos_of_different_things_are_refused_with_what_to_shoot() -> None:
     photos = [unposed(scene(seed, np.zeros(1), f"thing{seed}"))[0] for seed in range(3)]
     with pytest.raises(CaptureError) as caught:
@@ -314,6 +320,7 @@ def fruit(data_dir: Path) -> tuple[list[Photo], dict[str, Floats], ElementTree.E
     return photos, poses, calibration
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_twenty_photos_of_fruit_are_placed_as_a_reference_program_placed_them(data_dir: Path) -> None:
     photos, poses, _ = fruit(data_dir)
@@ -325,6 +332,7 @@ def test_twenty_photos_of_fruit_are_placed_as_a_reference_program_placed_them(da
     assert errors.max() < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_photos_of_fruit_with_their_poses_and_their_lens_are_believed(data_dir: Path) -> None:
     photos, poses, calibration = fruit(data_dir)

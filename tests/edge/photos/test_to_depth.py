@@ -229,6 +229,7 @@ def _errors(xyz: Floats, walk: Walkaround) -> tuple[Floats, Floats]:
     return np.minimum(thing, np.abs(xyz[:, 2] - walk.floor_z)), gaps
 
 
+@pytest.mark.slow
 def test_depth_lies_on_the_thing_and_on_the_table(frames: tuple[Frame, ...], walk: Walkaround) -> None:
     assert len(frames) == len(walk.photos)
     xyz = np.concatenate([_world(frame) for frame in frames])
@@ -294,6 +295,7 @@ def test_views_that_share_nothing_are_an_error_that_says_what_to_do(aligned: Ali
     assert caught.value.hints
 
 
+@pytest.mark.slow
 def test_photos_without_poses_come_out_at_arms_length_in_the_same_shape(walk: Walkaround) -> None:
     capture = read_capture(walk.photos[0].parent)
     assert (capture.kind, len(capture.photos)) == ("photos", 9)
@@ -323,6 +325,8 @@ def test_a_black_capture_says_so(walk: Walkaround) -> None:
     assert caught.value.code == "CAPTURE_LOW_OVERLAP"
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_pictures")
 def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Capture) -> None:
     steps = list(reconstruct(posed, replace(load_preset("draft"), resolution=48), isolate=True, label="Shell"))
     stages = list(dict.fromkeys(step.stage for step in steps if isinstance(step, Progress)))
@@ -337,6 +341,7 @@ def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Cap
     assert bundle.manifest["size_m"][1] == pytest.approx(SIZE_M, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_photographed_fruit_lies_on_the_reference_surface(data_dir: Path) -> None:
     """Its mesh was made by another program from larger pictures; the cameras, then the surface, are laid over ours."""

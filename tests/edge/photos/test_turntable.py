@@ -74,6 +74,7 @@ def changed(capture: Capture, spoil: Callable[[np.ndarray, int], np.ndarray]) ->
 # What is one and what is none
 
 
+@pytest.mark.slow
 def test_the_masks_show_what_turns(table: Turntable, taken: Capture) -> None:
     masked = mask_background(taken.photos)
     assert [photo.name for photo in masked] == [photo.name for photo in taken.photos]
@@ -154,6 +155,7 @@ def placed(depth: Capture, table: Turntable) -> tuple[Floats, Floats]:
     return to_world, np.linalg.norm(moved - theirs, axis=1)
 
 
+@pytest.mark.slow
 def test_the_cameras_go_round_the_thing_and_its_axis_is_up(depth: Capture, table: Turntable) -> None:
     to_world, off = placed(depth, table)
     assert len(depth.frames) == 12
@@ -166,6 +168,7 @@ def test_the_cameras_go_round_the_thing_and_its_axis_is_up(depth: Capture, table
     assert {verdict.verdict for verdict in depth.verdicts} == {"ok"}
 
 
+@pytest.mark.slow
 def test_points_are_on_the_thing_and_neither_background_nor_plate(depth: Capture, table: Turntable) -> None:
     points = to_points(depth)
     to_world, _ = placed(depth, table)
@@ -178,6 +181,7 @@ def test_points_are_on_the_thing_and_neither_background_nor_plate(depth: Capture
     assert np.linalg.norm(xyz[:, :2], axis=1).max() < PLATE_RADIUS + 0.01
 
 
+@pytest.mark.slow
 def test_a_film_of_a_turntable_gives_key_frames(tmp_path: Path) -> None:
     """Most of the picture stands still, and the thing is a fifth of it."""
     table = render_turntable(tmp_path / "frames", views=45, size=(320, 240), turn=180, distance=1.2)

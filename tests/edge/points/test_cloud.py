@@ -69,6 +69,7 @@ def test_noisy_points_stay(surface) -> None:  # type: ignore[no-untyped-def]
     assert len(to_points(cloud(xyz))) >= 0.995 * len(xyz)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("surface", "count"), [(sphere, 10_000), (hemisphere, 10_000), (sphere, 100_000)])
 def test_strays_in_the_box_go(surface, count: int) -> None:  # type: ignore[no-untyped-def]
     xyz = surface(count)
@@ -124,6 +125,7 @@ def test_values_that_are_not_finite_are_dropped() -> None:
     assert len(to_points(cloud(xyz))) == 998
 
 
+@pytest.mark.slow
 def test_a_huge_cloud_is_thinned_and_keeps_its_colours() -> None:
     xyz = sphere(1_100_000)
     rgb = np.full((len(xyz), 3), [10, 200, 30], np.uint8)

@@ -71,6 +71,7 @@ def test_half_a_circle_asks_for_what_is_behind(half: Capture) -> None:
     assert 0.1 < first.share < 0.6
 
 
+@pytest.mark.slow
 def test_all_round_at_two_heights_asks_for_nothing() -> None:
     poses = np.concatenate([ring(12, height=0.35), ring(8, height=0.75, radius=0.5)])
     assert to_points(scanned(ball(), poses), isolate=True).unseen == ()
@@ -83,6 +84,7 @@ def test_a_tall_cup_filmed_from_its_own_height_is_to_be_seen_from_above() -> Non
     assert degrees_between(side.toward, [0, 0, 1]) < 20
 
 
+@pytest.mark.slow
 def test_what_was_only_seen_from_high_up_is_to_be_seen_from_lower_down() -> None:
     sides = to_points(scanned(cup(), ring(14, height=0.9, radius=0.4)), isolate=True).unseen
     assert 1 <= len(sides) <= 3
@@ -144,6 +146,8 @@ def test_without_an_up_nothing_is_told() -> None:
     assert unseen_sides(replace(points, up=None), capture.frames) == ()
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_pictures")
 def test_the_manifest_tells_it_in_the_assets_frame(half: Capture) -> None:
     """Z is up in the capture and y in the asset: nobody stood at the capture's -y, the asset's +z."""
     steps = reconstruct(half, replace(load_preset("draft"), resolution=40), isolate=True)

@@ -42,6 +42,7 @@ def test_points_of_little_weight_are_drawn_to_the_others() -> None:
     assert np.abs(told[: len(sheet), 2]).mean() < 0.5 * np.abs(untold[: len(sheet), 2]).mean()
 
 
+@pytest.mark.slow
 @given(st.integers(0, 3 * max(NEIGHBOURS)), st.booleans())
 def test_few_points_and_copies_of_one_come_back_finite_and_in_order(count: int, copies: bool) -> None:
     xyz = np.zeros((count, 3)) if copies else rippled(count)

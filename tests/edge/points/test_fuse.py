@@ -100,6 +100,7 @@ def _shaken(frame: Frame) -> Frame:
     return replace(frame, load_rgb=lambda: rgb)
 
 
+@pytest.mark.slow
 def test_sharp_pictures_give_the_colours() -> None:
     frames = film(chequered(), WALK)
     half = tuple(_shaken(frame) if number % 2 else frame for number, frame in enumerate(frames))
@@ -149,6 +150,7 @@ def test_unconfident_pixels_are_not_used() -> None:
     assert len(fuse(doubtful).xyz) < 0.6 * len(fuse(frames[:1]).xyz)
 
 
+@pytest.mark.slow
 def test_thin_poles_and_cloth_survive_the_sensor() -> None:
     pole = trimesh.creation.cylinder(radius=0.006, height=0.3, sections=16)
     pole.apply_translation([-0.2, 0, 0.16])
@@ -289,6 +291,7 @@ def test_linear_light_round_trips() -> None:
     assert np.array_equal(to_srgb(to_linear(every)), every)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_real_living_room(data_dir: Path) -> None:
     points = to_points(read_capture(data_dir / "rgbd_livingroom"))

@@ -97,6 +97,7 @@ def test_dust_is_a_named_error() -> None:
     assert error.value.code == "CAPTURE_NOTHING_LEFT"
 
 
+@pytest.mark.slow
 def test_filmed_ball_with_clutter() -> None:
     box = trimesh.creation.box((0.2, 0.2, 0.3))
     box.apply_translation([0.45, 0.1, 0.15])
@@ -133,6 +134,7 @@ def test_up_without_any_floor_comes_from_the_cameras() -> None:
     assert estimate_up(level, ball) @ UP > np.cos(np.radians(1))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_a_lamp_is_taken_off_its_wall(data_dir: Path) -> None:
     points = to_points(read_capture(data_dir / "cloud_room" / "fragment.pcd"), isolate=True)

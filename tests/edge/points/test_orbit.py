@@ -69,6 +69,7 @@ def test_the_span_is_the_farthest_pair_in_space_plane_and_line(count: int, dimen
     assert span(xyz) == pytest.approx(truth)
 
 
+@pytest.mark.slow
 def test_the_span_of_a_round_cloud_whose_points_are_all_corners() -> None:
     xyz = np.random.default_rng(0).normal(size=(20_000, 3))
     assert span(xyz / np.linalg.norm(xyz, axis=1, keepdims=True)) == pytest.approx(2, rel=2e-3)

@@ -18,6 +18,8 @@ from services.edge.render.rays import Scene, open_sky, pinhole
 from tests.support import surfaces
 from tests.support.painted import painted, quarters
 
+pytestmark = pytest.mark.slow
+
 SIZE = 96
 
 

@@ -107,6 +107,7 @@ def test_it_shows_front_right_side_and_top_but_neither_back_nor_bottom() -> None
     assert share(frame, (0, 1), (2,)) < 0.06  # where red meets green
 
 
+@pytest.mark.slow
 def test_frames_turn_once_round() -> None:
     shown = frames(turning_preview(WEDGE))
     assert len(shown) == 24
@@ -117,6 +118,7 @@ def test_frames_turn_once_round() -> None:
         assert int(np.argmax(alike)) == number
 
 
+@pytest.mark.slow
 def test_the_animation_loops_for_ever_and_keeps_within_its_bytes() -> None:
     webp = turning_preview(painted(WEDGE, 200, 40, 40))
     with Image.open(io.BytesIO(webp)) as opened:
@@ -130,6 +132,7 @@ def test_the_animation_loops_for_ever_and_keeps_within_its_bytes() -> None:
         assert share(frame, (0,), (1, 2)) > 0.95
 
 
+@pytest.mark.slow
 def test_both_sides_of_an_open_surface_are_lit() -> None:
     shown = frames(turning_preview(painted(SHEET, 180, 180, 180)))
     front, back = brightness(shown[2]), brightness(shown[14])
@@ -167,6 +170,7 @@ def test_one_colour_is_the_same_from_a_picture_and_from_vertices() -> None:
     assert np.abs(one[both].astype(int) - other[both]).mean() < 3
 
 
+@pytest.mark.slow
 def test_colours_that_do_not_compress_still_keep_within_the_bytes() -> None:
     rough = surfaces.patch(lambda u, v: [u, v, 0.2 * np.sin(90 * u) * np.sin(80 * v)], 120, 120)
     rng = np.random.default_rng(0)
@@ -183,6 +187,7 @@ def test_any_size_and_place_gives_the_same_picture(size: float) -> None:
     assert abs(brightness(usual) - brightness(other)) < 3
 
 
+@pytest.mark.slow
 def test_a_single_triangle_and_a_sheet_on_edge_have_pictures() -> None:
     (frame,) = frames(thumbnail(TRIANGLE))
     assert 0.1 < solid(frame).mean() < 0.6

@@ -196,6 +196,7 @@ def test_a_guess_can_be_cancelled(dress: tuple[Bytes, torch.Tensor]) -> None:
         guess(photo(dress[0]), tick=stop)
 
 
+@pytest.mark.slow
 def test_the_shipped_heads_are_small_and_much_better_than_the_mean_shape() -> None:
     assert sum(file.stat().st_size for folder in (SHIPPED, FIELDS) for file in folder.iterdir()) <= 12e6
     lesson = held_out_batch(5, 2)
@@ -213,6 +214,7 @@ def test_the_shipped_heads_are_small_and_much_better_than_the_mean_shape() -> No
     assert all(training_of(name).steps > 0 for name in ("pixels", "anchor-udf", "implicit"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["anchor-udf", "implicit"])
 def test_a_field_is_small_on_the_surface_and_its_points_lie_there(name: str) -> None:
     field: Field = load_field(name)
@@ -247,6 +249,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.edge.single_photo_training.train._REPORT_STEPS", 1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_lessons_begin_at_any_step_and_never_end() -> None:
     whole = list(islice(training_batches(3, 0), 2 * QUICK_STEPS + 1))
@@ -255,6 +258,7 @@ def test_lessons_begin_at_any_step_and_never_end() -> None:
     assert not torch.equal(whole[0].picture, whole[QUICK_STEPS].picture)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", ["pixels", "implicit"])
 def test_a_killed_training_ends_like_one_that_nobody_stopped(name: str, tmp_path: Path) -> None:
@@ -286,6 +290,8 @@ def test_weights_that_are_missing_or_of_another_head_are_named(tmp_path: Path) -
     assert caught.value.code == "WEIGHTS_ABSENT"
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_pictures")
 def test_one_photo_in_an_asset_out_that_says_it_is_a_guess(tmp_path: Path, dress: tuple[Bytes, torch.Tensor]) -> None:
     cv2.imwrite(str(tmp_path / "dress.png"), dress[0][..., ::-1])
     steps = reconstruct(read_capture(tmp_path), replace(load_preset("draft"), resolution=48), label="Dress")

@@ -27,6 +27,7 @@ def things() -> Shapes:
     return generate_shapes(HELD_OUT + 9, 2, samples=6000)
 
 
+@pytest.mark.slow
 @few
 @given(st.integers(0, 2**40))
 def test_every_class_keeps_the_frame_for_any_seed(seed: int) -> None:
@@ -135,6 +136,7 @@ def test_a_mirrored_picture_is_that_of_the_mirrored_thing(things: Shapes) -> Non
     assert torch.equal(twice.camera, seen.camera)
 
 
+@pytest.mark.slow
 def test_held_out_pictures_are_spoilt_and_stay_pictures() -> None:
     spoilt, clean = held_out_batch(1, 1), held_out_batch(1, 1, clean=True)
     assert torch.equal(spoilt.surface, clean.surface)

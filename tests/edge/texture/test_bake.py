@@ -200,6 +200,7 @@ def test_levels_keep_what_needs_no_picture_and_fit_their_budget() -> None:
     assert warnings == ()
 
 
+@pytest.mark.slow
 def test_coarser_levels_have_smaller_pictures() -> None:
     known = replace(palette(SHEET), pixel=1e-3)
     levels, _ = texture_levels([coloured(SHEET)] * 3, known, most_px=1024)

@@ -24,6 +24,7 @@ from services.grpc_security import NO_CREDENTIALS, ClientCredentials, certificat
 from services.strict_settings import SettingsError
 from tests.edge.jobs.test_forward_job import QUICK, Standing
 from tests.support.edge_client import Client, Scripted, header_of
+from tests.support.patience import PATIENCE_S
 from tests.support.tls_certificates import DAY, TOKEN, Authority, key_pem
 
 
@@ -67,7 +68,7 @@ CALLS: dict[str, Callable[[Client], Any]] = {
     "Inspect": lambda client: client.stub.Inspect(iter([pb.Chunk(header=header_of(b"x"))])),
     "Attach": lambda client: client.attach(),
     "Cancel": lambda client: client.stub.Cancel(pb.CancelRequest(job="job_1")),
-    "GetWorker": lambda client: client.stub.GetWorker(pb.GetWorkerRequest(), timeout=2),
+    "GetWorker": lambda client: client.stub.GetWorker(pb.GetWorkerRequest(), timeout=PATIENCE_S),
 }
 
 
@@ -134,6 +135,7 @@ async def test_a_worker_that_nobody_vouches_for_is_not_spoken_to(
         }
 
 
+@pytest.mark.slow
 async def test_central_is_called_with_its_token(authority: Authority, tmp_path: Path) -> None:
     ca = authority.ca.read_bytes()
     async with guarded(settings_of(authority, tmp_path), Standing()) as address:

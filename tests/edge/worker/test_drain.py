@@ -19,6 +19,8 @@ from tests.support.edge_client import Client, leftovers, upload
 from tests.support.patience import PATIENCE_S
 from tests.support.repository import ROOT
 
+pytestmark = pytest.mark.slow
+
 
 class Process:
     """A started worker: its log so far and its address."""

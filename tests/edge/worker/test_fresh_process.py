@@ -14,6 +14,8 @@ from tests.edge.capture.test_film import FILMS, VIEWS
 from tests.support import captures, private_pictures
 from tests.support.fresh_process import run_fresh
 
+pytestmark = pytest.mark.slow
+
 # A worker's inspection of each archive, and then every pixel, which readers decode only when asked. One interpreter
 # loads what a worker loads at its start, and forks for each: none knows what the others have loaded.
 INSPECT = """

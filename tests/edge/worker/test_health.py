@@ -9,8 +9,12 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from services.cli.up import free_port
 from services.edge.worker.health import is_serving
+
+pytestmark = pytest.mark.slow
 
 
 def _check(environment: dict[str, str]) -> int:

@@ -210,6 +210,7 @@ async def test_cancel_ends_a_queued_job(client: Client, scratch: Path) -> None:
     assert len(leftovers(scratch)) == 1
 
 
+@pytest.mark.slow
 async def test_cancel_frees_the_slot_of_a_thread_that_does_not_listen(
     client: Client, work: Scripted, scratch: Path
 ) -> None:
@@ -226,6 +227,7 @@ async def test_cancel_frees_the_slot_of_a_thread_that_does_not_listen(
     assert (await client.attached("deaf"))[-1] == ended[-1]  # what it published after its end was not heard
 
 
+@pytest.mark.slow
 async def test_silence_is_filled_with_heartbeats(client: Client) -> None:
     call = client.reconstruct(b"deaf")
     await anext(aiter(call))

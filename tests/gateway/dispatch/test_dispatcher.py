@@ -6,9 +6,13 @@ import asyncio
 from contextlib import AsyncExitStack
 from pathlib import Path
 
+import pytest
+
 from services.storage.catalogue.entry import read_entry
 from services.storage.memory import MemoryStore
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
+
+pytestmark = pytest.mark.slow
 
 
 async def test_a_job_succeeds_and_tells_of_it(tmp_path: Path) -> None:

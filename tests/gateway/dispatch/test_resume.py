@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import httpx
+import pytest
 
 from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
@@ -17,6 +18,9 @@ from tests.edge.jobs.test_reconstruct_job import hemisphere_ply
 from tests.gateway.dispatch.test_kill import Process
 from tests.support import in_process_gateway
 from tests.support.in_process_gateway import ended, events, gateway, start
+from tests.support.patience import PATIENCE_S
+
+pytestmark = pytest.mark.slow
 
 # Of some 12 s, for checkpoints are 1.5 s apart and two are waited for; light, for nothing is learned here.
 _PRESET = """
@@ -49,18 +53,18 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
         OMP_NUM_THREADS=1,
     )
     try:
-        async with gateway(tmp_path / "gw", store, unused_tcp_port, attach_for_s=60.0, silence_s=15.0) as client:
-            await in_process_gateway.until(partial(_is_ready, client), within_s=60)
+        async with gateway(tmp_path / "gw", store, unused_tcp_port, attach_for_s=60.0) as client:
+            await in_process_gateway.until(partial(_is_ready, client))
             job = await start(client, "cap_dome", "dome", preset="brief")
             kept = tmp_path / "scratch" / "checkpoints" / job
             for number in (signal.SIGTERM, signal.SIGKILL):
                 before = _written(kept)
-                await in_process_gateway.until(partial(_newer, kept, before), within_s=60)
+                await in_process_gateway.until(partial(_newer, kept, before))
                 assert read_entry(store, "dome").state == "preview"
                 edge.end(number)
                 assert _written(kept), "the checkpoint has gone with the worker"
                 edge.start()
-            done = await ended(client, job, within_s=120)
+            done = await ended(client, job, within_s=3 * PATIENCE_S)
             story = await events(client, job)
     finally:
         edge.kill()

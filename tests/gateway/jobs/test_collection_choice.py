@@ -63,6 +63,7 @@ async def test_what_nobody_named_is_known_once_it_is_published(tmp_path: Path, u
     assert (found["collection"], found["links"]["collection"], found["links"]["place"]) == ("", "", "")
 
 
+@pytest.mark.slow
 async def test_a_restart_and_a_new_attempt_keep_the_collection(tmp_path: Path) -> None:
     """The gateway restarts while the worker is gone: the next worker hears of the collection from the job's row."""
     store = memory()

@@ -65,6 +65,7 @@ def lease(now: float = 100.0, holder: str = "gw") -> partial[Change]:
     return partial(lease_to_worker, holder=holder, worker="w:1", now=now, lease_s=10)
 
 
+@pytest.mark.slow
 def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> None:
     made = store.create(ORDER)
     claimed = store.claim(made.created + 1, ("draft",), lease(made.created + 1))

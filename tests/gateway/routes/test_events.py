@@ -81,6 +81,7 @@ async def test_listeners_that_leave_are_forgotten(tmp_path: Path) -> None:
                 await asyncio.sleep(0.05)
 
 
+@pytest.mark.slow
 async def test_news_arrive_while_they_are_news(tmp_path: Path) -> None:
     store = memory()
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
@@ -95,6 +96,7 @@ async def test_news_arrive_while_they_are_news(tmp_path: Path) -> None:
     assert seen[-1] - seen[0] > 0.5
 
 
+@pytest.mark.slow
 async def test_losses_and_the_time_left_reach_those_who_listen(tmp_path: Path) -> None:
     store = memory()
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:

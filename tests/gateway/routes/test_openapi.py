@@ -43,6 +43,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
         thread.join()
 
 
+@pytest.mark.slow
 def test_answers_are_as_documented(api: schemathesis.BaseSchema) -> None:
     for result in api.get_all_operations():
         operation = result.ok()

@@ -148,6 +148,7 @@ def hostile() -> Iterator[tuple[str, Clean, bytes]]:
 HOSTILE = {name: (clean, data) for name, clean, data in hostile()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
 def test_what_lies_about_its_size_is_refused(name: str) -> None:
     clean, data = HOSTILE[name]

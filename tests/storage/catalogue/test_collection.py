@@ -102,6 +102,7 @@ def test_a_published_asset_is_listed_with_what_finds_the_rest(store: Store) -> N
     assert index_of(store).version == 3
 
 
+@pytest.mark.slow
 @given(st.lists(rows, min_size=1, max_size=20, unique_by=lambda row: row.key))
 def test_a_shard_comes_back_as_it_was(many: list[Row]) -> None:
     many.sort(key=lambda row: row.key)
@@ -508,6 +509,7 @@ def _publish_s3(server: S3Server, bucket: str, process: int) -> None:
     _publish_keys(s3_store(server, bucket), process)
 
 
+@pytest.mark.slow
 def test_rival_processes_share_a_collection(tmp_path: Path) -> None:
     _in_processes(_publish_local, tmp_path)
     store = LocalStore(tmp_path)

@@ -208,6 +208,7 @@ def _in_processes(target: object, *arguments: object) -> None:
     assert [process.exitcode for process in processes] == [0, 0, 0]
 
 
+@pytest.mark.slow
 def test_rival_processes_share_a_local_root(tmp_path: Path) -> None:
     _in_processes(_publish_local, tmp_path)
     present = read_entry(LocalStore(tmp_path), "dress")

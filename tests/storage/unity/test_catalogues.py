@@ -22,6 +22,7 @@ from tests.support.unity_catalogues import FORMS, asset, catalogue, catalogues, 
 every_form = pytest.mark.parametrize("form", FORMS)
 
 
+@pytest.mark.slow
 @every_form
 @given(made=catalogues)
 @settings(max_examples=40)
@@ -148,6 +149,7 @@ def test_two_assets_of_one_key_or_file_are_refused() -> None:
         written(catalogue(asset("a"), replace(asset("a"), key="b")), 1)
 
 
+@pytest.mark.slow
 @every_form
 def test_ten_thousand_assets_are_written_at_once(form: int) -> None:
     """0.8 s on a busy core, the table of locations included. The bound is for slower ones; nothing quadratic fits."""
@@ -157,6 +159,7 @@ def test_ten_thousand_assets_are_written_at_once(form: int) -> None:
     assert time.process_time() - start < 3
 
 
+@pytest.mark.slow
 def test_addressablestools_reads_the_same(addressables_tools: AddressablesTools, tmp_path: Path) -> None:
     """Another program finds the keys, labels, dependencies and sizes in all four forms."""
     made = catalogue(

@@ -245,6 +245,7 @@ def bomb_of_keys() -> bytes:
     return json.dumps({**json.loads(written(_MADE, 0)), **tables}).encode()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bomb", "read", "reason"),
     [
