@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
 from services.gateway.errors import Problem
@@ -71,9 +72,13 @@ def _check_keys(keys: list[str]) -> None:
 
 
 class WebFiles(StaticFiles):
-    """Static files of the pages. Files with a version in their name are cached for ever, others are revalidated."""
+    """Static files of the pages. Files with a version in their name are cached for ever, others are revalidated.
+    Type declarations (.d.ts) are not served.
+    """
 
     async def get_response(self, path: str, scope: Scope) -> Response:
+        if path.endswith(".d.ts"):
+            raise HTTPException(404)  # types, which only the TypeScript compiler reads
         response = await super().get_response(path, scope)
         response.headers["Cache-Control"] = _IMMUTABLE if _VERSIONED.search(path) else "no-cache"
         if Path(path).name == "service-worker.js":

@@ -1,5 +1,7 @@
 // The gateway's HTTP API, as both pages use it.
 
+/** @import { CaptureReceipt, JobProgress } from './types.d.ts' */
+
 /** A problem document (RFC 9457) as an exception: `message` is for people, `code` for programs. */
 export class Problem extends Error {
   constructor(document) {
@@ -25,6 +27,11 @@ function opened(status, text) {
   throw new Problem({ status, ...body });
 }
 
+/**
+ * @template T
+ * @param {string} url
+ * @returns {Promise<T>}
+ */
 export async function getJson(url) {
   const answer = await fetch(url, { cache: 'no-cache' }).catch(() => {
     throw new Problem(OFFLINE);
@@ -32,6 +39,13 @@ export async function getJson(url) {
   return opened(answer.status, await answer.text());
 }
 
+/**
+ * @template T
+ * @param {string} url
+ * @param {object} body
+ * @param {Record<string, string>} [headers]
+ * @returns {Promise<T>}
+ */
 export async function postJson(url, body, headers = {}) {
   const answer = await fetch(url, {
     method: 'POST',
@@ -43,7 +57,13 @@ export async function postJson(url, body, headers = {}) {
   return opened(answer.status, await answer.text());
 }
 
-/** Upload files as one capture. XMLHttpRequest, because fetch tells nothing of an upload's progress. */
+/**
+ * Upload files as one capture. XMLHttpRequest, because fetch tells nothing of an upload's progress.
+ * @param {File[]} files
+ * @param {string} name
+ * @param {(fraction: number) => void} onProgress
+ * @returns {Promise<CaptureReceipt>}
+ */
 export function uploadCapture(files, name, onProgress) {
   const form = new FormData();
   form.append('name', name);
@@ -69,6 +89,8 @@ const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds
 /**
  * Follow a job over server-sent events; what was missed while the connection was away is replayed.
  * `onEvent(type, data)` hears every event, and `open` whenever the stream (re)opens; returns a function that stops.
+ * @param {string} id
+ * @param {(type: string, data: JobProgress) => void} onEvent
  */
 export function followJob(id, onEvent) {
   let source = null;
@@ -99,4 +121,14 @@ export function followJob(id, onEvent) {
 export function keyFrom(name) {
   const plain = name.normalize('NFKD').replace(/[\u0300-\u036f]/g, '');
   return plain.replace(/[^A-Za-z0-9._-]+/g, '-').replace(/^[^A-Za-z0-9]+|[-._]+$/g, '').slice(0, 100);
+}
+
+/**
+ * Any error as a Problem, so that a page can show its message and its hints.
+ * @param {unknown} error
+ * @returns {Problem}
+ */
+export function toProblem(error) {
+  if (error instanceof Problem) return error;
+  return new Problem({ detail: error instanceof Error ? error.message : '' });
 }
