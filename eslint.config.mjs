@@ -25,16 +25,34 @@ const shortModuleCode = {
   },
 };
 
+/** Refuses comments that switch the TypeScript compiler off, and the type `any`, which does the same for a value. */
+const noUncheckedTypes = {
+  meta: {
+    type: 'problem',
+    schema: [],
+    messages: { unchecked: 'The TypeScript compiler checks nothing here: write the type, or `unknown` and a check.' },
+  },
+  create({ sourceCode, report }) {
+    const switchesOff = ({ value }) => /@ts-(ignore|nocheck|expect-error)/.test(value) || /\{[^}]*\bany\b[^}]*\}/.test(value);
+    return {
+      Program() {
+        for (const { loc } of sourceCode.getAllComments().filter(switchesOff)) report({ loc, messageId: 'unchecked' });
+      },
+    };
+  },
+};
+
 const workers = ['services/web/**/*-worker.js'];
 const onPages = ['services/web/shared/register-service-worker.js'];
 
 export default [
-  { ignores: ['services/web/{collection,graphics,shared,viewer}/', 'services/web/vendor/', 'node_modules/', '.venv/', 'clients/', 'build/', 'dist/', 'demo/', 'out/'] },
+  { ignores: ['services/web/{graphics,shared}/', 'services/web/vendor/', 'node_modules/', '.venv/', 'clients/', 'build/', 'dist/', 'demo/', 'out/'] },
   js.configs.recommended,
   {
     linterOptions: { reportUnusedDisableDirectives: 'error' },
-    plugins: { capture2vr: { rules: { 'short-module-code': shortModuleCode } } },
+    plugins: { capture2vr: { rules: { 'no-unchecked-types': noUncheckedTypes, 'short-module-code': shortModuleCode } } },
     rules: {
+      'capture2vr/no-unchecked-types': 'error',
       'capture2vr/short-module-code': ['error', MOST_LINES],
       'max-lines-per-function': ['error', MOST_LINES],
       complexity: ['error', 15],

@@ -2,15 +2,15 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { getJson } from '../shared/api.js';
-import { makeArranger } from './drag.js';
+import { DragControls } from './drag.js';
 import { checked } from '../shared/signed-catalogue.js';
-import { drawing } from './render-loop.js';
-import { makeGrasp } from './grab.js';
-import { makeHands } from './xr-input.js';
-import { offerSessions } from './xr-session.js';
+import { startRenderLoop } from './render-loop.js';
+import { Grabber } from './grab.js';
+import { XrInput } from './xr-input.js';
+import { XrSession } from './xr-session.js';
 import { keepShell } from '../shared/register-service-worker.js';
-import { Piece } from './scene-item.js';
-import { sideBySide } from './layout-and-lod.js';
+import { SceneItem, isLoaded } from './scene-item.js';
+import { placeSideBySide } from './layout-and-lod.js';
 import { breath, prepare } from '../graphics/gpu-warmup.js';
 import { frame, hintsOf, makeStage } from '../graphics/scene.js';
 import { caption, notice, showQuickLook, showThings, tell } from '../shared/messages.js';
@@ -35,9 +35,9 @@ const controls = new OrbitControls(camera, renderer.domElement);
 controls.enableDamping = true;
 controls.listenToKeyEvents(renderer.domElement);
 
-let pieces = keysOf(location).map((key) => new Piece(key));
+let pieces = keysOf(location).map((key) => new SceneItem(key));
 for (const { group } of pieces) root.add(group);
-const present = () => pieces.filter((piece) => piece.entry);
+const present = () => pieces.filter(isLoaded);
 
 function keysOf({ pathname, search }) {
   const named = pathname.split('/')[2];
@@ -87,10 +87,10 @@ async function showHints(piece, entry) {
 
 /** One more thing is there: all stand side by side, or where people put them, and all of them are in view. */
 function arrived() {
-  const places = sideBySide(present().map((piece) => piece.entry.size_m));
+  const places = placeSideBySide(present().map((piece) => piece.entry.size_m));
   present().forEach((piece, place) => {
     piece.home.set(places[place][0], 0, places[place][1]);
-    if (grasp.handsOn(piece) === 0) piece.place();
+    if (grasp.handCount(piece) === 0) piece.place();
   });
   moved();
   look();
@@ -115,7 +115,7 @@ function describe() {
 
 /** Take a thing out of the scene, and out of the page's address. */
 function remove(piece) {
-  grasp.letGoOf(piece);
+  grasp.drop(piece);
   pieces = pieces.filter((each) => each !== piece);
   piece.remove();
   if (pieces.length === 0) return;
@@ -126,8 +126,8 @@ function remove(piece) {
 
 function reset() {
   for (const piece of present()) {
-    grasp.letGoOf(piece);
-    piece.reset();
+    grasp.drop(piece);
+    piece.resetPlace();
   }
   look();
   moved();
@@ -136,13 +136,13 @@ function reset() {
 // ---- moving -----------------------------------------------------------------------------------------------------------
 
 let chosen = null;
-const arranger = makeArranger({ camera, canvas: renderer.domElement }, { pieces: present, onMoved: left, onChosen: choose });
-const grasp = makeGrasp(left);
-const hands = makeHands(renderer, scene, { pieces: present, grasp, onReset: reset, ownHands: () => page.dataset.mode === 'vr' });
+const arranger = new DragControls(camera, renderer.domElement, { items: present, onMove: left, onSelect: choose });
+const grasp = new Grabber(left);
+const hands = new XrInput(renderer, scene, { items: present, grabber: grasp, onReset: reset, showHands: () => page.dataset.mode === 'vr' });
 
 function left(piece) {
-  piece.leave();
-  headset.understood();
+  piece.savePlace();
+  headset.hideHelp();
   moved();
 }
 
@@ -160,8 +160,8 @@ function choose(piece) {
 
 function moving(yes, piece = null) {
   at('move').setAttribute('aria-pressed', yes);
-  arranger.on(yes);
-  if (piece) arranger.choose(piece);
+  arranger.enable(yes);
+  if (piece) arranger.select(piece);
   notice(yes ? MOVE_HELP : '', { stays: true });
 }
 
@@ -170,12 +170,12 @@ at('reset').addEventListener('click', reset);
 
 // ---- the headset, and each frame --------------------------------------------------------------------------------------
 
-const headset = offerSessions({ renderer, scene, root }, { vr: at('enter-vr'), ar: at('enter-ar') }, {
+const headset = new XrSession({ renderer, scene, root }, { vr: at('enter-vr'), ar: at('enter-ar') }, {
   height: () => Math.max(0, ...present().map((piece) => piece.entry.size_m[1])),
   onMode(mode) {
     page.dataset.xr = mode ? 'on' : 'off';
     page.dataset.mode = mode;
-    hands.letGo();
+    hands.releaseAll();
     look(); // the camera was left where the headset was
     redraw();
   },
@@ -183,7 +183,7 @@ const headset = offerSessions({ renderer, scene, root }, { vr: at('enter-vr'), a
   onRefused: (error) => tell({ code: 'XR_REFUSED', message: `The headset did not start: ${error.message}` }),
 });
 
-const { redraw } = drawing(stage, { present, controls, onHeadset: hands.tick, onDrawn: headset.tick });
+const { redraw } = startRenderLoop(stage, { items: present, controls, onHeadsetFrame: (seconds) => hands.update(seconds), onDrawn: () => headset.update() });
 
 // ---- what is new ------------------------------------------------------------------------------------------------------
 

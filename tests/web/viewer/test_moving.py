@@ -214,19 +214,19 @@ MEDDLED = [
 def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, viewer: str) -> None:
     page.goto(viewer)
     read = """async (kept) => {
-        const { remembered } = await import('/web/viewer/saved-placement.js');
+        const { loadPlacement } = await import('/web/viewer/saved-placement.js');
         localStorage.setItem('capture2vr:placed', kept);
-        return remembered('cube');
+        return loadPlacement('cube');
     }"""
     assert [page.evaluate(read, kept) for kept in MEDDLED] == [None] * len(MEDDLED)
     good = '[["cube", [1, 0, -1, 0, 1, 0, 0, 2]]]'
     assert page.evaluate(read, good) == {"offset_m": [1, 0, -1], "turn": [0, 1, 0, 0], "scale": 2}
     many = """async () => {
-        const { remember, remembered } = await import('/web/viewer/saved-placement.js');
+        const { loadPlacement, savePlacement } = await import('/web/viewer/saved-placement.js');
         const placement = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
-        for (let each = 0; each < 300; each++) remember(`k${each}`, placement);
+        for (let each = 0; each < 300; each++) savePlacement(`k${each}`, placement);
         const kept = JSON.parse(localStorage.getItem('capture2vr:placed'));
-        return [remembered('k0'), remembered('k299').scale, kept.length];
+        return [loadPlacement('k0'), loadPlacement('k299').scale, kept.length];
     }"""
     assert page.evaluate(many) == [None, 1, 200]
 

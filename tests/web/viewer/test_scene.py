@@ -169,10 +169,10 @@ def test_levels_keep_the_budget_and_boxes_their_distance(page: Page, site: Site)
     sizes = [random.uniform(0.05, 3, (int(random.integers(1, 25)), 3)).tolist() for _ in range(100)]
     page.goto(f"{site.url}/view/red")
     script = """async ([scenes, budgets, sizes]) => {
-        const { planned, sideBySide } = await import('/web/viewer/layout-and-lod.js');
-        const free = (things) => planned(things, Infinity);
-        const kept = scenes.map((things, place) => planned(things, budgets[place]));
-        return [kept, scenes.map(free), sizes.map(sideBySide)];
+        const { chooseLevels, placeSideBySide } = await import('/web/viewer/layout-and-lod.js');
+        const free = (things) => chooseLevels(things, Infinity);
+        const kept = scenes.map((things, place) => chooseLevels(things, budgets[place]));
+        return [kept, scenes.map(free), sizes.map(placeSideBySide)];
     }"""
     within, free, placed = page.evaluate(script, [scenes, budgets, sizes])
     for scene, budget, levels, wanted in zip(scenes, budgets, within, free, strict=True):
