@@ -63,7 +63,7 @@ async function started(module) {
 async function unpacked(workers, picture, renderer) {
   const { kind, format } = KINDS.find(({ known }) => renderer.extensions.has(known)) ?? UNPACKED;
   const worker = workers[turn++ % workers.length];
-  const { levels } = await told(worker, { picture, kind }, [picture]);
+  const { levels } = await told(worker, { picture, format: kind }, [picture]);
   const texture = new THREE.CompressedTexture(levels, levels[0].width, levels[0].height, format);
   texture.colorSpace = THREE.SRGBColorSpace;
   texture.needsUpdate = true;
