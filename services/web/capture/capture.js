@@ -3,6 +3,8 @@ import { heading, mayHaveCompass, startCompass } from './compass.js';
 import { guide, noteHeading } from './guidance.js';
 import { showUnseen, showUsed } from './photo-verdicts.js';
 import { Problem, followJob, getJson, keyFrom, postJson, uploadCapture } from '../shared/api.js';
+import { isConnectionProblem } from '../shared/problems.js';
+import { PREVIEW_MODULES_MS, withTimeLimit } from '../shared/time-limits.js';
 
 const STAGES = [
   ['VALIDATING', 'Checking'],
@@ -35,6 +37,7 @@ const LISTED = 6; // files named before "and N more"
 
 const at = (id) => document.getElementById(id);
 const page = document.body;
+page.dataset.started = 'yes';
 let files = [];
 let compass = false; // whether the person lets the page ask the phone where its camera looks
 let job = '';
@@ -42,6 +45,8 @@ let turning = 0; // version of the asset in the preview
 let curve = []; // log10 of the training's loss, oldest first
 let looking = Promise.resolve(); // looks at the job, and then previews, one after the other: an older answer never comes last
 let showing = Promise.resolve();
+let receipt = null; // of the upload: trying again does not send it twice
+const orderKey = randomKey(); // nor does it make a second job
 
 // ---- choosing -------------------------------------------------------------------------------------------------------
 
@@ -110,12 +115,12 @@ at('form').addEventListener('submit', async (event) => {
   show('sending');
   at('doing').textContent = 'Uploading';
   try {
-    const capture = await uploadCapture(files, name, (fraction) => {
+    receipt ??= await uploadCapture(files, name, (fraction) => {
       at('bar').value = fraction;
       at('detail').textContent = fraction < 1 ? `${Math.round(fraction * 100)} % sent` : 'Checking what was sent';
     });
-    showReceipt(capture);
-    const made = await postJson('/v1/jobs', orderOf(capture, name), { 'Idempotency-Key': randomKey() });
+    showReceipt(receipt);
+    const made = await postJson('/v1/jobs', orderOf(receipt, name), { 'Idempotency-Key': orderKey });
     location.hash = `job=${made.id}`;
     watch(made);
   } catch (problem) {
@@ -157,6 +162,8 @@ function watch(made) {
   apply(made);
   if (TERMINAL.includes(made.state)) return;
   const stop = followJob(job, (type, data) => {
+    showLost(type === 'lost');
+    if (type === 'lost') return;
     if (type === 'progress') {
       showProgress(data);
       showLosses(data.losses);
@@ -171,6 +178,11 @@ function watch(made) {
     if (now) apply(now);
     if (now && TERMINAL.includes(now.state)) stop();
   }
+}
+
+/** The job goes on without this page, which tries by itself to follow it again; the button loads the page anew. */
+function showLost(yes) {
+  at('lost').hidden = !yes;
 }
 
 /** The whole of a job, as told by GET. */
@@ -240,7 +252,7 @@ async function showResult(now, published) {
   at('link').textContent = view;
   at('qr').src = `/v1/assets/${encodeURIComponent(now.asset_key)}/qr.svg`;
   // Only now: a phone that merely uploads never loads the 3D library.
-  const { turn } = await import('./preview.js');
+  const { turn } = await withTimeLimit(import('./preview.js'), PREVIEW_MODULES_MS);
   const entry = await getJson(`/v1/assets/${encodeURIComponent(now.asset_key)}`);
   await showCertificate(entry);
   await turn(at('preview'), entry);
@@ -290,8 +302,12 @@ function trouble(problem) {
   const reason = problem.file && !problem.message.includes(problem.file) ? `${problem.file}: ${problem.message}` : problem.message;
   at('reason').textContent = reason;
   fill(at('hints'), problem.hints || []);
+  at('retry').hidden = !isConnectionProblem(problem);
   show('trouble');
 }
+
+at('retry').addEventListener('click', () => (location.hash ? location.reload() : at('form').requestSubmit()));
+at('reload').addEventListener('click', () => location.reload());
 
 for (const id of ['again', 'another']) {
   at(id).addEventListener('click', () => {

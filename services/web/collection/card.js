@@ -1,6 +1,7 @@
 // One thing on the page of a collection: its picture, name, labels and state, and a box to choose it by.
+import { isConnectionProblem } from '../shared/problems.js';
 import { manifestOf } from '../shared/signed-catalogue.js';
-import { bytesOf } from '../shared/verified-cache.js';
+import { loadFile } from '../shared/verified-cache.js';
 
 const PICTURES = ['thumbnail.webp', 'preview.png']; // the first that there is
 const TURNING = 'turning.webp';
@@ -9,10 +10,11 @@ const STATES = { preview: 'preview', refined: 'refined' };
 const SHOWN_LABELS = 6;
 
 /**
- * A list item for a row of the collection. `onLabel(label)` hears of clicks, `onChoose(yes)` answers whether it is chosen.
+ * A list item for a row of the collection. `onLabel(label)` hears of clicks, `onChoose(yes)` answers whether it is chosen, `onLost()` hears of
+ * a picture that the server did not serve.
  * Its `look()` loads the picture, to be called once it comes into view; `leave()` frees it.
  */
-export function cardOf(collection, row, { chosen, onLabel, onChoose }) {
+export function cardOf(collection, row, { chosen, onLabel, onChoose, onLost }) {
   const item = document.createElement('li');
   item.dataset.key = row.key;
   const link = made('a', { href: `/view/${encodeURIComponent(row.key)}` });
@@ -25,7 +27,7 @@ export function cardOf(collection, row, { chosen, onLabel, onChoose }) {
   const check = made('label', { className: 'check' });
   check.append(box, 'Choose');
   item.append(link, facts, ...labelsOf(row, onLabel), check);
-  return Object.assign(item, animated(item, picture, looker(collection, row, { item, picture, facts })));
+  return Object.assign(item, animated(item, picture, looker(collection, row, { item, picture, facts, onLost })));
 }
 
 function labelsOf({ labels }, onLabel) {
@@ -40,14 +42,14 @@ function labelsOf({ labels }, onLabel) {
 }
 
 /** {look, leave, turning}: the still picture's life, and the address of the moving one, loaded when it is first asked for. */
-function looker(collection, row, { item, picture, facts }) {
+function looker(collection, row, { item, picture, facts, onLost }) {
   const addresses = [];
   let manifest = null;
   let gone = false;
   let moving = null;
 
   async function addressOf(file) {
-    const bytes = await bytesOf(file);
+    const bytes = await loadFile(file);
     const address = URL.createObjectURL(new Blob([bytes], { type: TYPES[file.file.split('.').pop()] }));
     if (gone) URL.revokeObjectURL(address);
     else addresses.push(address);
@@ -66,7 +68,8 @@ function looker(collection, row, { item, picture, facts }) {
         item.dataset.picture = file ? file.file : 'none';
       } catch (problem) {
         item.dataset.picture = problem.code || 'none';
-        if (problem.code === 'ASSET_TAMPERED') facts.textContent = problem.message;
+        facts.textContent = problem.code === 'ASSET_TAMPERED' ? problem.message : 'Its picture could not be loaded.';
+        if (isConnectionProblem(problem)) onLost();
       }
     },
     turning: () => {

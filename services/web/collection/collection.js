@@ -1,7 +1,8 @@
 // /browse/{name}: the pictures of all things of a collection, a page at a time, to search, to open, and to choose from.
 import { cardOf } from './card.js';
 import { newest, rowsOf } from '../shared/signed-catalogue.js';
-import { keepShell } from '../shared/register-service-worker.js';
+import { isConnectionProblem, sentences } from '../shared/problems.js';
+import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { counted } from '../shared/messages.js';
 
 const PER_PAGE = 48; // divides into rows of 2, 3, 4 and 6
@@ -10,6 +11,7 @@ const TYPING_MS = 200; // between two letters of one word
 const AHEAD = '300px'; // pictures are loaded before they scroll into view
 
 const page = document.body;
+page.dataset.started = 'yes';
 const at = (id) => document.getElementById(id);
 const name = decodeURIComponent(location.pathname.split('/').pop());
 const asked = new URLSearchParams(location.search);
@@ -68,6 +70,8 @@ const plain = (text) => text.normalize('NFKD').replace(/\p{M}/gu, '').toLowerCas
 async function show() {
   const mine = ++turn;
   page.setAttribute('aria-busy', 'true');
+  at('again').hidden = true;
+  if (page.dataset.state === 'error') at('said').textContent = 'Loading …';
   try {
     const found = await newest(name, find);
     if (mine === turn) fill(found);
@@ -84,6 +88,7 @@ function fill({ rows, count, exact, collection }) {
     chosen: chosen.has(row.key),
     onLabel: search,
     onChoose: (yes) => choose(row.key, yes),
+    onLost: () => (at('again').hidden = false),
   }));
   at('grid').append(...cards);
   cards.forEach((card) => seeing.observe(card));
@@ -128,7 +133,8 @@ function tell(problem) {
   page.dataset.state = 'error';
   page.dataset.code = problem.code || 'UNKNOWN';
   const nothingYet = problem.code === 'COLLECTION_UNKNOWN' && name === 'default';
-  at('said').textContent = nothingYet ? 'Nothing is here yet.' : [problem.message, ...(problem.hints || [])].join(' ');
+  at('said').textContent = nothingYet ? 'Nothing is here yet.' : sentences(problem);
+  at('again').hidden = nothingYet;
 }
 
 // ---- searching and turning pages --------------------------------------------------------------------------------------
@@ -190,12 +196,13 @@ at('none').addEventListener('click', () => {
 document.addEventListener('visibilitychange', () => {
   if (document.hidden) return;
   const changed = (now) => (now === version ? null : show());
-  newest(name, async (collection) => collection.version).then(changed, (problem) => problem.code === 'OFFLINE' || tell(problem));
+  newest(name, async (collection) => collection.version).then(changed, (problem) => isConnectionProblem(problem) || tell(problem));
 });
 
 if (name !== 'default') {
   at('name').textContent = name;
   document.title = `${name} · capture2vr`;
 }
-keepShell();
+at('again').addEventListener('click', () => show());
+registerServiceWorker();
 show();

@@ -2,16 +2,16 @@
 // by the browser, the coarsest levels first, and the finer ones whenever the page has nothing else to do.
 import { ktx2 } from './ktx2.js';
 import { GLTFLoader } from '../vendor/three-0.187.0.gltf-loader.js';
-import { MeshoptDecoder } from '../vendor/three-0.187.0.meshopt-decoder.js';
-import { bytesOf } from '../shared/verified-cache.js';
+import { Problem, undecodable } from '../shared/problems.js';
+import { DECODE_MS, withTimeLimit } from '../shared/time-limits.js';
+import { loadFile } from '../shared/verified-cache.js';
+import { meshDecoder } from './mesh-decoder.js';
 
-const WORKERS = 2; // a headset has few cores to spare
 const AT_ONCE = 2; // one comes over the network while another is unpacked
 const PATIENCE_MS = 200; // a page that draws all the time is never idle
 
 const waiting = [];
 let busy = 0;
-let hired = false;
 
 /** What a catalogue's level ({url, sha256, file, level}) shows on a renderer, as a THREE.Group. Throws what loading throws. */
 export function decoded(lod, renderer, { hurry = false } = {}) {
@@ -27,11 +27,9 @@ async function next() {
   busy += 1;
   const { lod, renderer, hurry, resolve, reject } = waiting.shift();
   try {
-    hire();
-    const bytes = await bytesOf(lod);
+    const bytes = await loadFile(lod);
     if (!hurry) await idle();
-    const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).register(ktx2(renderer));
-    resolve((await loader.parseAsync(bytes, '')).scene);
+    resolve(await decode(bytes, renderer));
   } catch (error) {
     reject(error);
   }
@@ -39,10 +37,20 @@ async function next() {
   next();
 }
 
-/** The workers, when there is something to unpack: starting them would hold up a page that begins. */
-function hire() {
-  if (!hired && MeshoptDecoder.supported) MeshoptDecoder.useWorkers(WORKERS);
-  hired = true;
+/**
+ * Decode a GLB file.
+ * @param {ArrayBuffer} bytes
+ * @param {import('../vendor/three-0.187.0.module.js').WebGLRenderer} renderer
+ * @throws {Problem} NOT_DECODED, and what loading the KTX2 transcoder throws
+ */
+async function decode(bytes, renderer) {
+  const loader = new GLTFLoader().setMeshoptDecoder(meshDecoder()).register(ktx2(renderer));
+  try {
+    return (await withTimeLimit(loader.parseAsync(bytes, ''), DECODE_MS)).scene;
+  } catch (error) {
+    console.error(error); // what the person reads says nothing of the file's faults
+    throw error instanceof Problem ? error : undecodable();
+  }
 }
 
 function idle() {

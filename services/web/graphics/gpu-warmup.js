@@ -1,5 +1,6 @@
 // Getting the graphics card ready for something before it is drawn, so that no frame has to wait for it.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { SHADER_MS, withTimeLimit } from '../shared/time-limits.js';
 
 const FENCE_MS = 2000; // a card that has not come by then is drawn on all the same
 const FENCE_POLL_MS = 8;
@@ -10,7 +11,7 @@ const BITMAP = { premultiplyAlpha: 'none', colorSpaceConversion: 'none' }; // as
 export async function prepare({ renderer, scene, camera }, group) {
   const gl = renderer.getContext();
   await passed(gl); // whatever asks the card for anything waits for all it was told before
-  await renderer.compileAsync(group, camera, scene);
+  await withTimeLimit(renderer.compileAsync(group, camera, scene), SHADER_MS).catch(() => {}); // then the first frame waits for them
   for (const texture of texturesOf(group)) await handOver(renderer, texture);
   await passed(gl);
 }

@@ -1,19 +1,22 @@
 // What the viewer's page says: of what is shown, of what has changed, and of what went wrong.
 
+import { sentences } from './problems.js';
+
 const NOTICE_MS = 10_000; // long enough to read, short enough not to lie about the present
 
 const page = document.body;
 const at = (id) => document.getElementById(id);
 let fading = 0;
 
-/** Name, size and state of what is shown; `wanted`: how many things were asked for. */
-export function caption(pieces, wanted) {
+/** Name, size and state of what is shown; `wanted`: how many things were asked for, `failed`: how many of them could not be loaded. */
+export function caption(pieces, wanted, failed) {
   if (pieces.length === 0) return;
+  at('again').hidden = failed === 0;
   const entries = pieces.map(({ entry }) => entry);
   const name = pieces.length === 1 ? pieces[0].name : `${pieces.length} things`;
   document.title = `${name} · capture2vr`;
   at('label').textContent = name;
-  at('said').textContent = wanted === 1 ? aboutOne(entries[0]) : aboutAll(entries, wanted);
+  at('said').textContent = wanted === 1 ? aboutOne(entries[0]) : aboutAll(entries, wanted, failed);
   page.dataset.version = entries.map(({ version }) => version).join('; ');
   page.dataset.state = entries.every(({ state }) => state === 'refined') ? 'refined' : 'preview';
   delete page.dataset.code;
@@ -25,9 +28,10 @@ function aboutOne(entry) {
   return `${origin}${sizeOf(entry)}${scale} · ${trianglesOf([entry])} · ${entry.state}, version ${entry.version}`;
 }
 
-function aboutAll(entries, wanted) {
-  const missing = wanted - entries.length;
-  return `${trianglesOf(entries)}${missing > 0 ? ` · ${missing} more ${missing === 1 ? 'is' : 'are'} on the way` : ''}`;
+function aboutAll(entries, wanted, failed) {
+  const coming = wanted - entries.length - failed;
+  const more = coming > 0 ? `${coming} more ${coming === 1 ? 'is' : 'are'} on the way` : '';
+  return [trianglesOf(entries), more, failed > 0 ? `${failed} could not be loaded` : ''].filter(Boolean).join(' · ');
 }
 
 function sizeOf({ size_m: size }) {
@@ -88,8 +92,12 @@ export function notice(text, { stays = false } = {}) {
   if (text && !stays) fading = setTimeout(() => (at('notice').textContent = ''), NOTICE_MS);
 }
 
-export function tell(problem) {
+/** Say what went wrong; `again`: with the button to try again. */
+export function tell(problem, { again = false } = {}) {
   page.dataset.state = 'error';
   page.dataset.code = problem.code || 'UNKNOWN';
-  at('said').textContent = [problem.message, ...(problem.hints || [])].join(' ');
+  at('said').textContent = sentences(problem);
+  if (!again) return;
+  at('label').textContent = 'Not loaded';
+  at('again').hidden = false;
 }

@@ -1,7 +1,7 @@
 // What a server says of its assets, checked against the signed collection: docs/catalogues.md has the chain from one
 // signature down to the last file. Where a server signs nothing, it is believed as it is.
-import { getJson, Problem } from './api.js';
-import { bytesOf } from './verified-cache.js';
+import { getCachedJson, Problem } from './api.js';
+import { loadFile } from './verified-cache.js';
 
 const KEYS = 'capture2vr:keys';
 const SEEN = 'capture2vr:seen:';
@@ -33,7 +33,7 @@ export async function checked(entry) {
  */
 export async function collectionNamed(name) {
   const keys = await keysOf();
-  const envelope = await getJson(`/v1/collections/${encodeURIComponent(name)}`);
+  const envelope = await getCachedJson(`/v1/collections/${encodeURIComponent(name)}`);
   const index = keys.length && crypto.subtle ? await indexOf(envelope, name, keys) : JSON.parse(envelope.signed);
   return { name, version: index.version, shards: index.shards, base: envelope.base };
 }
@@ -52,7 +52,7 @@ export async function newest(name, work) {
 /** The rows of a shard, those that make sense: [{key, label, labels, version, state, updated, manifest}]. */
 export async function rowsOf(collection, shard) {
   const file = { url: new URL(shard.name, collection.base).href, sha256: shard.sha256, file: 'the catalogue' };
-  const { columns, words, rows } = parsed(await bytesOf(file));
+  const { columns, words, rows } = parsed(await loadFile(file));
   return rows.map((cells) => rowFrom(columns, words, cells)).filter(({ key, manifest }) => NAME.test(key) && HASH.test(manifest));
 }
 
@@ -66,16 +66,16 @@ function rowFrom(columns, words, cells) {
 export async function manifestOf({ base }, { key, manifest: hash }) {
   const sha256 = hex(hash);
   const url = new URL(`assets/${key}/manifest.${sha256}.json`, base).href;
-  const manifest = parsed(await bytesOf({ url, sha256, file: 'manifest.json' }));
+  const manifest = parsed(await loadFile({ url, sha256, file: 'manifest.json' }));
   return { ...manifest, files: manifest.files.map((file) => ({ ...file, url: new URL(file.name, base).href })) };
 }
 
 /** The server's keys, kept from the first visit on: who takes the server over later has others. */
 async function keysOf() {
-  const kept = localStorage.getItem(KEYS);
-  if (kept) return JSON.parse(kept);
-  const { keys } = await getJson('/v1/keys');
-  if (keys.length) localStorage.setItem(KEYS, JSON.stringify(keys));
+  const known = readItem(KEYS);
+  if (Array.isArray(known)) return known;
+  const { keys } = await getCachedJson('/v1/keys');
+  if (keys.length) writeItem(KEYS, keys);
   return keys;
 }
 
@@ -85,12 +85,12 @@ async function indexOf(envelope, name, keys) {
   }
   const index = JSON.parse(envelope.signed);
   if (index.collection !== name) throw forged('The server answered with the catalogue of something else.');
-  const seen = Number(localStorage.getItem(SEEN + name)) || 0;
+  const seen = Number(readItem(SEEN + name)) || 0;
   if (index.version < seen) {
     const hints = ['Somebody may want to show you what was taken back. Tell whoever runs this server.'];
     throw new Problem({ code: 'CATALOGUE_OLDER', detail: 'The server shows an older catalogue than this device has seen.', hints });
   }
-  localStorage.setItem(SEEN + name, index.version);
+  writeItem(SEEN + name, index.version);
   return index;
 }
 
@@ -115,6 +115,31 @@ async function isBy(key, signature, text) {
 async function rowOf(collection, key) {
   const shard = collection.shards.findLast((each) => each.first <= key) || collection.shards[0];
   return shard ? (await rowsOf(collection, shard)).find((row) => row.key === key) : null;
+}
+
+/**
+ * Read a value from the local storage; null where there is none, it is damaged, or the browser forbids the storage.
+ * @param {string} key
+ * @returns {any}
+ */
+function readItem(key) {
+  try {
+    return JSON.parse(localStorage.getItem(key));
+  } catch {
+    return null;
+  }
+}
+
+/**
+ * @param {string} key
+ * @param {unknown} value
+ */
+function writeItem(key, value) {
+  try {
+    localStorage.setItem(key, JSON.stringify(value));
+  } catch {
+    // A full or forbidden storage: the next visit meets this server as if for the first time.
+  }
 }
 
 const parsed = (bytes) => JSON.parse(new TextDecoder().decode(bytes));

@@ -12,6 +12,7 @@ export class Piece {
   model = null;
   loaded = [];
   problem = ''; // what was last said of it
+  code = ''; // of the problem
   #hints = null;
 
   constructor(key) {

@@ -1,14 +1,16 @@
 // /view/{key} and /view?key=a&key=b: things on a screen or in a headset, side by side where there are several.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
-import { getJson } from '../shared/api.js';
+import { getCachedJson } from '../shared/api.js';
 import { makeArranger } from './drag.js';
 import { checked } from '../shared/signed-catalogue.js';
 import { drawing } from './render-loop.js';
 import { makeGrasp } from './grab.js';
 import { makeHands } from './xr-input.js';
 import { offerSessions } from './xr-session.js';
-import { keepShell } from '../shared/register-service-worker.js';
+import { isConnectionProblem } from '../shared/problems.js';
+import { registerServiceWorker } from '../shared/register-service-worker.js';
+import { loadFile } from '../shared/verified-cache.js';
 import { Piece } from './scene-item.js';
 import { sideBySide } from './layout-and-lod.js';
 import { breath, prepare } from '../graphics/gpu-warmup.js';
@@ -24,6 +26,7 @@ const MOVE_HELP = matchMedia('(hover: hover)').matches
   : 'Drag a thing to move it. Two fingers scale and turn it.';
 
 const page = document.body;
+page.dataset.started = 'yes';
 const at = (id) => document.getElementById(id);
 await breath(); // reading the modules was one task, which needs no longer one behind it
 const stage = stageOrReason(at('stage'));
@@ -58,7 +61,7 @@ function stageOrReason(canvas) {
 
 /** Fetch the entry; when its version is new, load it beside the old one and swap. */
 async function refresh(piece) {
-  const told = await getJson(`/v1/assets/${encodeURIComponent(piece.key)}`);
+  const told = await getCachedJson(`/v1/assets/${encodeURIComponent(piece.key)}`);
   const before = piece.entry;
   if (before && before.version === told.version) return;
   const entry = await checked(told);
@@ -76,13 +79,17 @@ function newer(before, { name, entry }) {
 }
 
 async function showHints(piece, entry) {
-  const manifest = await getJson(entry.manifest.url).catch(() => ({}));
+  const manifest = await loadManifest(entry).catch(() => ({}));
   const points = piece.entry || !pieces.includes(piece) ? null : hintsOf(manifest, entry.size_m);
   if (!points) return;
   piece.showHints(points);
   redraw();
   page.dataset.hints = manifest.anchors.xyz_m.length / 3;
   if (present().length === 0) controls.target.copy(frame(camera, entry.size_m));
+}
+
+async function loadManifest({ manifest: { url, sha256 } }) {
+  return JSON.parse(new TextDecoder().decode(await loadFile({ url, sha256, file: 'manifest.json' })));
 }
 
 /** One more thing is there: all stand side by side, or where people put them, and all of them are in view. */
@@ -106,7 +113,7 @@ function look() {
 
 function describe() {
   redraw();
-  caption(present(), pieces.length);
+  caption(present(), pieces.length, pieces.filter(hasFailed).length);
   showThings(pieces, { chosen, onChoose: (piece) => moving(true, piece), onRemove: remove });
   showQuickLook(pieces.length === 1 ? present()[0]?.entry : null);
   const [first] = present();
@@ -197,29 +204,46 @@ async function follow() {
   }
 }
 
-async function attempt(piece) {
-  try {
-    await refresh(piece);
-  } catch (problem) {
-    failed(piece, problem);
+const attempts = new Map(); // piece → its attempt that has not ended: a second one would load the same files again
+
+function attempt(piece) {
+  if (!attempts.has(piece)) {
+    const ended = refresh(piece).catch((problem) => failed(piece, problem)).finally(() => attempts.delete(piece));
+    attempts.set(piece, ended);
   }
+  return attempts.get(piece);
 }
 
 /** Once something stands there, a lost connection is no reason to take it away; that its owner took it back is one. */
 function failed(piece, problem) {
   const news = problem.message !== piece.problem;
   piece.problem = problem.message;
+  piece.code = problem.code || 'UNKNOWN';
   if (problem.code === 'ASSET_REMOVED' && piece.entry) {
     remove(piece);
     notice(`${piece.name} was taken back by whoever published it.`, { stays: true });
-  } else if (news && problem.code !== 'OFFLINE' && pieces.length > 1) {
+  } else if (news && !isConnectionProblem(problem) && pieces.length > 1) {
     notice(`${piece.name}: ${problem.message}`);
   }
-  if (present().length === 0) tell(problem);
+  if (present().length === 0) tell(problem, { again: true });
+  else if (!piece.entry) describe();
 }
+
+/** Whether a thing is missing for a reason that trying again may mend; one that is not published yet is on its way. */
+const hasFailed = ({ entry, code }) => !entry && Boolean(code) && !['ASSET_UNKNOWN', 'CATALOGUE_BEHIND'].includes(code);
+
+at('again').addEventListener('click', () => {
+  if (present().length === 0) return location.reload(); // whatever hangs in this page goes with it
+  at('again').hidden = true;
+  pieces.filter(hasFailed).forEach((piece) => {
+    piece.code = '';
+    attempt(piece);
+  });
+  describe();
+});
 
 at('address').textContent = location.href;
 at('qr').src = `/v1/assets/${encodeURIComponent(pieces[0]?.key ?? '')}/qr.svg`;
 at('qr').hidden = pieces.length !== 1; // the code of several would be that of the first
-keepShell();
+registerServiceWorker();
 follow();
