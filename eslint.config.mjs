@@ -46,7 +46,7 @@ const workers = ['services/web/**/*-worker.js'];
 const onPages = ['services/web/shared/register-service-worker.js'];
 
 export default [
-  { ignores: ['services/web/shared/', 'services/web/vendor/', 'node_modules/', '.venv/', 'clients/', 'build/', 'dist/', 'demo/', 'out/'] },
+  { ignores: ['services/web/vendor/', 'node_modules/', '.venv/', 'clients/', 'build/', 'dist/', 'demo/', 'out/'] },
   js.configs.recommended,
   {
     linterOptions: { reportUnusedDisableDirectives: 'error' },

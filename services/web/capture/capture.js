@@ -1,4 +1,3 @@
-// @ts-check
 // The capture page (/): choose files, name the object, upload, watch the job, see the result.
 import { chosenFiles, chosenName, startFileChoice } from './file-choice.js';
 import { showUploadProgress, startUploadProgress } from './job-progress.js';
@@ -9,6 +8,7 @@ import { element, fillList } from '../shared/dom.js';
 
 /** @import { CaptureReceipt, Job, JobRequest, Presets } from '../shared/types.d.ts' */
 
+document.body.dataset.started = 'yes';
 const page = {
   form: element('form', HTMLFormElement),
   preset: element('preset', HTMLSelectElement),
@@ -18,6 +18,9 @@ const page = {
   receipt: element('receipt', HTMLElement),
   stripped: element('stripped', HTMLElement),
 };
+const jobKey = randomKey(); // trying again does not start a second job
+/** @type {CaptureReceipt | null} */
+let receipt = null; // of the upload: trying again does not send it twice
 
 /** Fills the list of presets with what the workers offer. Without an answer only the automatic choice is there. */
 async function offerPresets() {
@@ -36,11 +39,10 @@ async function send() {
   page.cancel.hidden = true;
   startUploadProgress();
   try {
-    /** @type {CaptureReceipt} */
-    const receipt = await uploadCapture(chosenFiles(), name, showUploadProgress);
+    receipt ??= await uploadCapture(chosenFiles(), name, showUploadProgress);
     showReceipt(receipt);
     /** @type {Job} */
-    const job = await postJson('/v1/jobs', jobRequest(receipt, name), { 'Idempotency-Key': randomKey() });
+    const job = await postJson('/v1/jobs', jobRequest(receipt, name), { 'Idempotency-Key': jobKey });
     location.hash = `job=${job.id}`;
     watchJob(job);
   } catch (error) {
@@ -86,6 +88,12 @@ function resumeJob() {
   if (id) getJson(`/v1/jobs/${encodeURIComponent(id)}`).then(watchJob, showTrouble);
 }
 
+/** Tries again after a lost connection: to watch the job, or to send the files. */
+function retry() {
+  if (location.hash) location.reload();
+  else page.form.requestSubmit();
+}
+
 /** Starts again with an empty form. */
 function restart() {
   location.hash = '';
@@ -96,6 +104,8 @@ page.form.addEventListener('submit', (event) => {
   event.preventDefault();
   send();
 });
+element('retry', HTMLButtonElement).addEventListener('click', retry);
+element('reload', HTMLButtonElement).addEventListener('click', () => location.reload());
 for (const id of ['again', 'another']) element(id, HTMLButtonElement).addEventListener('click', restart);
 // An upload that is interrupted is lost: the browser asks before it leaves the page.
 window.addEventListener('beforeunload', (event) => {

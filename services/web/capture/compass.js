@@ -1,4 +1,3 @@
-// @ts-check
 // The compass: in which direction the phone's camera looks. Works only after a tap, and only over HTTPS.
 
 const TIMEOUT_MS = 700; // how long to wait for the compass once the person is back from the camera

@@ -1,4 +1,3 @@
-// @ts-check
 // The form's first two parts: which files to send, and the name of the object.
 import { mayHaveCompass, readHeading, startCompass } from './compass.js';
 import { guide, setHeading } from './guidance.js';

@@ -1,4 +1,3 @@
-// @ts-check
 // Guidance while photos are chosen: how many there are, which would do harm, and how far around the object they go.
 import { child, create, element } from '../shared/dom.js';
 import { differenceOf } from './photo-quality.js';

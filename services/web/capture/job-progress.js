@@ -1,4 +1,3 @@
-// @ts-check
 // Progress of an upload and of a job: the bar, the list of stages, the time left, and the curve of the training's loss.
 import { create, element } from '../shared/dom.js';
 

@@ -1,10 +1,10 @@
-// @ts-check
 // Watches a job until it has ended, and shows its progress, its result, or why it failed.
 import { showJobProgress, showProgressNote, startJobProgress } from './job-progress.js';
 import { showState, showTrouble } from './page-state.js';
 import { showResult } from './result.js';
-import { Problem, followJob, getJson, postJson, toProblem } from '../shared/api.js';
+import { followJob, getJson, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { Problem, toProblem } from '../shared/problems.js';
 
 /** @import { Job, JobState } from '../shared/types.d.ts' */
 
@@ -13,6 +13,7 @@ const FINAL = ['SUCCEEDED', 'FAILED', 'CANCELLED'];
 
 const page = {
   work: element('work', HTMLElement),
+  lost: element('lost', HTMLElement),
   cancel: element('cancel', HTMLButtonElement),
   coming: element('coming', HTMLElement),
   ready: element('ready', HTMLElement),
@@ -33,9 +34,18 @@ export function watchJob(job) {
   page.cancel.addEventListener('click', () => cancelJob(address));
   showJob(job);
   if (ended) return;
-  const stop = followJob(job.id, (type, data) => {
-    if (type === 'progress') showJobProgress(data);
-    else queue = queue.then(reload);
+  const stop = followJob(job.id, {
+    onProgress(progress) {
+      page.lost.hidden = true;
+      showJobProgress(progress);
+    },
+    onChange() {
+      page.lost.hidden = true;
+      queue = queue.then(reload);
+    },
+    onLost() {
+      page.lost.hidden = false; // the job goes on without this page, which connects again by itself
+    },
   });
 
   async function reload() {

@@ -1,7 +1,6 @@
-// @ts-check
 // Which part of the capture page is shown: the form, the job's progress, or an error.
-import { toProblem } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { isConnectionProblem, toProblem } from '../shared/problems.js';
 
 /** @typedef {'choosing' | 'sending' | 'working' | 'trouble' | 'done'} PageState */
 
@@ -11,6 +10,7 @@ const page = {
   trouble: element('trouble', HTMLElement),
   reason: element('reason', HTMLElement),
   hints: element('hints', HTMLElement),
+  retry: element('retry', HTMLButtonElement),
 };
 
 /**
@@ -33,5 +33,6 @@ export function showTrouble(error) {
   document.body.dataset.code = code;
   page.reason.textContent = file && !message.includes(file) ? `${file}: ${message}` : message;
   fillList(page.hints, hints);
+  page.retry.hidden = !isConnectionProblem(error);
   showState('trouble');
 }

@@ -1,6 +1,6 @@
-// @ts-check
 // Queue of photos to measure. A web worker measures them, or the page's own thread where a browser cannot draw in a worker.
 import { measurePhoto } from './photo-quality.js';
+import { PHOTO_WORKER_MS } from '../shared/time-limits.js';
 
 /** @import { PhotoAnswer, PhotoQuality, PhotoRequest } from './photo-quality.js' */
 
@@ -12,6 +12,7 @@ let worker = null;
 let canUseWorker = typeof Worker !== 'undefined' && typeof OffscreenCanvas !== 'undefined';
 /** @type {Promise<PhotoQuality | null>} */
 let previous = Promise.resolve(null);
+let silenceTimer = 0;
 
 /**
  * Measures a photo. Resolves to null for a file that this browser cannot decode.
@@ -26,6 +27,7 @@ export function queuePhoto(file) {
     const request = { number: ++lastNumber, file };
     pending.set(request.number, { file, resolve });
     target.postMessage(request);
+    if (pending.size === 1) limitSilence(target);
   });
 }
 
@@ -35,14 +37,32 @@ function startWorker() {
     const { number, quality } = /** @type {PhotoAnswer} */ (event.data);
     pending.get(number)?.resolve(quality);
     pending.delete(number);
+    limitSilence(started);
   });
   // A browser without module workers, or one that was offline when it loaded the worker.
-  started.addEventListener('error', () => {
-    canUseWorker = false;
-    for (const { file, resolve } of pending.values()) measureHere(file).then(resolve);
-    pending.clear();
-  });
+  started.addEventListener('error', () => giveUp(started));
   return started;
+}
+
+/**
+ * Waits for the worker's next answer, while there is one to come.
+ * @param {Worker} started
+ */
+function limitSilence(started) {
+  clearTimeout(silenceTimer);
+  if (pending.size > 0) silenceTimer = setTimeout(() => giveUp(started), PHOTO_WORKER_MS);
+}
+
+/**
+ * Ends the worker, and measures its photos on the page's own thread.
+ * @param {Worker} started
+ */
+function giveUp(started) {
+  clearTimeout(silenceTimer);
+  started.terminate();
+  canUseWorker = false;
+  for (const { file, resolve } of pending.values()) measureHere(file).then(resolve);
+  pending.clear();
 }
 
 /**

@@ -1,4 +1,3 @@
-// @ts-check
 // The web worker that measures photos, one at a time, so that the page stays responsive.
 import { measurePhoto } from './photo-quality.js';
 

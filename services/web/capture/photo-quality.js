@@ -1,4 +1,3 @@
-// @ts-check
 // Measures the quality of a photo on a small copy of it: sharpness, darkness, overexposure, and a hash that finds copies. The
 // measures and limits are those of the worker, which leaves out what the page warns of (services/edge/photos/screening.py);
 // overexposure alone is measured only here.

@@ -1,4 +1,3 @@
-// @ts-check
 // Checks a set of photos: which of them would do harm, and how far around the object they go.
 import { isCopy } from './photo-quality.js';
 

@@ -1,4 +1,3 @@
-// @ts-check
 // The lists of the result: which photos were used, why others were left out, and which sides need more photos.
 import { child, create, fillList } from '../shared/dom.js';
 

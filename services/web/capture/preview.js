@@ -1,4 +1,3 @@
-// @ts-check
 // Small preview of an asset that turns by itself and by hand.
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { Model } from '../graphics/model.js';

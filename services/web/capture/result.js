@@ -1,9 +1,9 @@
-// @ts-check
 // The result of a job: the preview that turns, the address of the viewer, which photos were used, and the quality figures.
 import { durationText } from './job-progress.js';
 import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
 import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
+import { PREVIEW_MODULES_MS, withTimeLimit } from '../shared/time-limits.js';
 
 /** @import { AssetEntry, Job, Manifest, PublishedVersion, QualityFigures } from '../shared/types.d.ts' */
 /** @typedef {(value: number) => string} Format */
@@ -66,7 +66,7 @@ async function showVersion({ asset_key: key }, published) {
   page.link.textContent = view;
   page.qr.src = `/v1/assets/${encodeURIComponent(key)}/qr.svg`;
   // Only now: a phone that merely uploads never loads the 3D library.
-  const { showPreview } = await import('./preview.js');
+  const { showPreview } = await withTimeLimit(import('./preview.js'), PREVIEW_MODULES_MS);
   /** @type {AssetEntry} */
   const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
   await showManifest(entry);

@@ -1,9 +1,8 @@
-// @ts-check
 // A card of the collection page: an asset's picture, name, labels and state, and a box to choose it.
-import { toProblem } from '../shared/api.js';
 import { create } from '../shared/dom.js';
-import { manifestOf } from '../shared/signed-catalogue.js';
-import { bytesOf } from '../shared/verified-cache.js';
+import { isConnectionProblem, toProblem } from '../shared/problems.js';
+import { loadManifest } from '../shared/signed-catalogue.js';
+import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { AssetFile, Collection, CollectionRow, Manifest } from '../shared/types.d.ts' */
 
@@ -12,6 +11,7 @@ import { bytesOf } from '../shared/verified-cache.js';
  * @property {boolean} chosen
  * @property {(label: string) => void} onLabel is called with a label that was clicked
  * @property {(yes: boolean) => boolean} onChoose is called when the box was clicked; returns whether the asset is chosen now
+ * @property {() => void} onLost is called when the server did not serve the picture
  */
 
 const PICTURES = ['thumbnail.webp', 'preview.png']; // the first that there is
@@ -26,6 +26,7 @@ export class Card {
   #row;
   #picture = create('img', { alt: '', width: 256, height: 256, decoding: 'async' });
   #facts;
+  #onLost;
   /** @type {Manifest | null} */
   #manifest = null;
   /** @type {string[]} */
@@ -41,7 +42,8 @@ export class Card {
    * @param {CollectionRow} row
    * @param {CardOptions} options
    */
-  constructor(collection, row, { chosen, onLabel, onChoose }) {
+  constructor(collection, row, { chosen, onLabel, onChoose, onLost }) {
+    this.#onLost = onLost;
     this.#collection = collection;
     this.#row = row;
     this.#facts = create('p', { className: 'facts', textContent: row.state });
@@ -57,7 +59,7 @@ export class Card {
   async loadPicture() {
     const { dataset } = this.element;
     try {
-      const manifest = await manifestOf(this.#collection, this.#row);
+      const manifest = await loadManifest(this.#collection, this.#row);
       this.#manifest = manifest;
       if (manifest.origin === 'guess') this.#facts.textContent = 'a guess from one photo';
       const file = PICTURES.map((name) => this.#findFile(name)).find(Boolean);
@@ -66,7 +68,8 @@ export class Card {
     } catch (error) {
       const { code, message } = toProblem(error);
       dataset.picture = code === 'UNKNOWN' ? 'none' : code;
-      if (code === 'ASSET_TAMPERED') this.#facts.textContent = message;
+      this.#facts.textContent = code === 'ASSET_TAMPERED' ? message : 'Its picture could not be loaded.';
+      if (isConnectionProblem(error)) this.#onLost();
     }
   }
 
@@ -107,7 +110,7 @@ export class Card {
    * @returns {Promise<string>} an object URL
    */
   async #loadUrl(file) {
-    const bytes = await bytesOf(file);
+    const bytes = await loadFile(file);
     const url = URL.createObjectURL(new Blob([bytes], { type: MEDIA_TYPES[file.file.split('.').pop() ?? ''] }));
     if (this.#disposed) URL.revokeObjectURL(url);
     else this.#urls.push(url);

@@ -1,12 +1,11 @@
-// @ts-check
 // The collection page (/browse/{name}): pictures of all assets of a collection, to search, to open, and to choose from.
 import { Card } from './card.js';
 import { PER_PAGE, search } from './search.js';
-import { toProblem } from '../shared/api.js';
 import { element } from '../shared/dom.js';
-import { counted } from '../shared/messages.js';
-import { keepShell } from '../shared/register-service-worker.js';
-import { newest } from '../shared/signed-catalogue.js';
+import { formatCount } from '../shared/format.js';
+import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
+import { registerServiceWorker } from '../shared/register-service-worker.js';
+import { withNewest } from '../shared/signed-catalogue.js';
 
 /** @import { SearchResult } from './search.js' */
 /** @import { CollectionRow } from '../shared/types.d.ts' */
@@ -15,11 +14,13 @@ const MOST_CHOSEN = 24; // things in one scene of the viewer
 const TYPING_MS = 200; // between two letters of one word
 const LOAD_AHEAD = '300px'; // pictures are loaded before they scroll into view
 
+document.body.dataset.started = 'yes';
 const page = {
   name: element('name', HTMLElement),
   form: element('form', HTMLFormElement),
   search: element('search', HTMLInputElement),
   summary: element('said', HTMLElement),
+  retry: element('again', HTMLButtonElement),
   grid: element('grid', HTMLElement),
   pages: element('pages', HTMLElement),
   pageNumber: element('where', HTMLElement),
@@ -51,8 +52,10 @@ let typingTimer = 0;
 async function show() {
   const request = ++lastRequest;
   document.body.setAttribute('aria-busy', 'true');
+  page.retry.hidden = true;
+  if (document.body.dataset.state === 'error') page.summary.textContent = 'Loading …';
   try {
-    const result = await newest(name, (collection) => search(collection, query, pageNumber));
+    const result = await withNewest(name, (collection) => search(collection, query, pageNumber));
     if (request === lastRequest) showResult(result);
   } catch (error) {
     if (request === lastRequest) showError(error);
@@ -72,6 +75,7 @@ function showResult({ rows, count, exact, collection }) {
       chosen: chosenKeys.has(row.key),
       onLabel: searchFor,
       onChoose: (yes) => choose(row.key, yes),
+      onLost: () => (page.retry.hidden = false),
     });
     cards.set(card.element, card);
   }
@@ -101,7 +105,7 @@ function showPageNumber(pages) {
  */
 function summaryText(count, exact, size) {
   /** @param {number} many */
-  const things = (many) => `${counted(many)} ${many === 1 ? 'thing' : 'things'}`;
+  const things = (many) => `${formatCount(many)} ${many === 1 ? 'thing' : 'things'}`;
   if (count === 0) return query ? `Nothing matches “${query}”.` : 'Nothing is here yet.';
   if (!query) return exact ? things(count) : `About ${things(size)}`;
   return `${exact ? things(count) : `More than ${things(count)}`} for “${query}”`;
@@ -131,13 +135,14 @@ function loadVisible(entries) {
  * @param {unknown} error
  */
 function showError(error) {
-  const { code, message, hints } = toProblem(error);
+  const problem = toProblem(error);
   removeCards();
   page.pages.hidden = true;
   document.body.dataset.state = 'error';
-  document.body.dataset.code = code;
-  const nothingYet = code === 'COLLECTION_UNKNOWN' && name === 'default';
-  page.summary.textContent = nothingYet ? 'Nothing is here yet.' : [message, ...hints].join(' ');
+  document.body.dataset.code = problem.code;
+  const nothingYet = problem.code === 'COLLECTION_UNKNOWN' && name === 'default';
+  page.summary.textContent = nothingYet ? 'Nothing is here yet.' : sentences(problem);
+  page.retry.hidden = nothingYet;
 }
 
 // ---- searching and turning pages --------------------------------------------------------------------------------------
@@ -210,19 +215,20 @@ function clearChoice() {
 async function reloadIfChanged() {
   if (document.hidden) return;
   try {
-    const version = await newest(name, async (collection) => collection.version);
+    const version = await withNewest(name, async (collection) => collection.version);
     if (version !== shownVersion) show();
   } catch (error) {
-    if (toProblem(error).code !== 'OFFLINE') showError(error);
+    if (!isConnectionProblem(error)) showError(error);
   }
 }
 
 listenToSearch();
+page.retry.addEventListener('click', show);
 page.clear.addEventListener('click', clearChoice);
 document.addEventListener('visibilitychange', reloadIfChanged);
 if (name !== 'default') {
   page.name.textContent = name;
   document.title = `${name} · capture2vr`;
 }
-keepShell();
+registerServiceWorker();
 show();

@@ -1,6 +1,5 @@
-// @ts-check
 // Search in a collection: the assets whose name, key or labels contain all words, a page at a time.
-import { rowsOf } from '../shared/signed-catalogue.js';
+import { loadRows } from '../shared/signed-catalogue.js';
 
 /** @import { Collection, CollectionRow, Shard } from '../shared/types.d.ts' */
 
@@ -37,7 +36,7 @@ export async function search(collection, query, pageNumber) {
       exact = false; // enough for this page, and to know that another one follows
       break;
     }
-    for (const row of (await loadRows(collection, shard)).filter((each) => each.state !== 'removed' && matches(each))) {
+    for (const row of (await rowsOf(collection, shard)).filter((each) => each.state !== 'removed' && matches(each))) {
       count += 1;
       if (count > end - PER_PAGE && count <= end) rows.push(row);
     }
@@ -50,8 +49,8 @@ export async function search(collection, query, pageNumber) {
  * @param {Collection} collection
  * @param {Shard} shard
  */
-async function loadRows(collection, shard) {
-  const rows = rowCache.get(shard.sha256) ?? (await rowsOf(collection, shard));
+async function rowsOf(collection, shard) {
+  const rows = rowCache.get(shard.sha256) ?? (await loadRows(collection, shard));
   rowCache.set(shard.sha256, rows);
   for (const sha256 of rowCache.keys()) if (!collection.shards.some((each) => each.sha256 === sha256)) rowCache.delete(sha256);
   return rows;

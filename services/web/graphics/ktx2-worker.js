@@ -1,4 +1,3 @@
-// @ts-check
 // Web worker that transcodes KTX2 pictures into a format that the graphics card knows, with all their mipmaps. Basis Universal's
 // wrapper makes functions from text (eval), which the page's security policy forbids; this file has a policy of its own, which
 // allows just that.

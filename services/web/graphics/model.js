@@ -1,7 +1,6 @@
-// @ts-check
 // One version of an asset: its levels of detail as they are loaded, the one that is shown, and freeing the others' memory.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { decoded } from './glb-loader.js';
+import { loadLevel } from './glb-loader.js';
 import { dispose } from './scene.js';
 
 /** @import { AssetEntry } from '../shared/types.d.ts' */
@@ -98,7 +97,7 @@ export class Model {
    * @param {boolean} urgent nothing else is shown yet
    */
   async #load(place, urgent) {
-    const level = await decoded(this.lods[place], this.#renderer, { hurry: urgent });
+    const level = await loadLevel(this.lods[place], this.#renderer, { urgent });
     if (!this.#disposed) await this.#prepare(level);
     if (this.#disposed) {
       dispose(level);

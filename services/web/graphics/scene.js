@@ -1,4 +1,3 @@
-// @ts-check
 // What the pages draw with: renderer, light, a camera that sees the whole of a thing, and freeing memory of the graphics card.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 
@@ -76,7 +75,8 @@ export function hintsOf({ anchors }, size) {
  * @returns {THREE.Material[]}
  */
 export function materialsOf(object) {
-  return object instanceof THREE.Mesh || object instanceof THREE.Points ? [object.material].flat() : [];
+  const materials = 'material' in object ? [object.material].flat() : [];
+  return materials.filter((material) => material instanceof THREE.Material);
 }
 
 /**

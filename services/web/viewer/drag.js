@@ -1,4 +1,3 @@
-// @ts-check
 // Dragging things on the page: by mouse, by one finger or two, and by keys. While it is off, the same gestures move the camera.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { pickItem } from './hit-test.js';

@@ -1,4 +1,3 @@
-// @ts-check
 // Grabbing: one hand carries and turns an item, two hands also scale it. A controller's pointer is a hand too.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { SCALES } from './saved-placement.js';

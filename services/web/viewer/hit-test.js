@@ -1,4 +1,3 @@
-// @ts-check
 // Hit tests: which item of the scene a hand touches, or a ray points at.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 

@@ -1,4 +1,3 @@
-// @ts-check
 // Layout of the things in a scene, and the choice of their levels of detail. Numbers only, no graphics.
 
 // A level is fine enough while the thing's diameter takes less than this share of the view's height.

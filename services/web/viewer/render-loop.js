@@ -1,4 +1,3 @@
-// @ts-check
 // The render loop: in each frame, which levels of detail to show, and whether there is anything new to draw.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { chooseLevels } from './layout-and-lod.js';

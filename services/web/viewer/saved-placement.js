@@ -1,4 +1,3 @@
-// @ts-check
 // Saves where people put things in the browser's local storage. What is stored there may be old, full, or changed by hand.
 
 const STORAGE_KEY = 'capture2vr:placed';

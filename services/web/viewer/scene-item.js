@@ -1,4 +1,3 @@
-// @ts-check
 // An asset in the scene: its place, the version that is shown, and how large it is in view. A new version keeps the place.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { deletePlacement, loadPlacement, savePlacement } from './saved-placement.js';
@@ -20,6 +19,7 @@ export class SceneItem {
   /** @type {number[]} */
   loadedLevels = []; // of detail, in the order in which they came
   problem = ''; // the last message about this item
+  code = ''; // of that problem
   /** @type {THREE.Points | null} */
   #hints = null;
 

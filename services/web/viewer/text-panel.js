@@ -1,4 +1,3 @@
-// @ts-check
 // A panel of text in the room: the text of the page cannot be seen in a headset.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 

@@ -1,4 +1,3 @@
-// @ts-check
 // Controllers and hands in the headset: how they look, what they grab, and what their buttons do.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';

@@ -1,4 +1,3 @@
-// @ts-check
 // The session in a headset: two buttons that start it, for VR and for passthrough (AR), and where the scene stands in the room.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { createTextPanel } from './text-panel.js';

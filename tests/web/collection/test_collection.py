@@ -172,14 +172,6 @@ def test_a_picture_that_was_changed_is_not_shown(page: Page, shelf: Site) -> Non
         picture.write_bytes(content)
 
 
-KEPT = """async () => {
-    const shell = await caches.open('shell-1');
-    const loaded = performance.getEntriesByType('resource').map(({ name }) => name);
-    const needed = ['/browse/', '/v1/collections/default', ...loaded.filter((name) => name.includes('/web/'))];
-    return (await Promise.all(needed.map((each) => shell.match(each)))).every(Boolean);
-}"""
-
-
 def test_after_one_visit_the_page_needs_no_server(browser: Browser, shelf: Site, tmp_path: Path) -> None:
     context = browser.new_context(viewport=PHONE, device_scale_factor=1)
     context.set_default_timeout(PATIENCE_MS)
@@ -189,8 +181,7 @@ def test_after_one_visit_the_page_needs_no_server(browser: Browser, shelf: Site,
         page = context.new_page()
         visit(page, site)
         expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
-        while not page.evaluate(KEPT):
-            page.wait_for_timeout(100)
+        expect(page.locator("body")).to_have_attribute("data-offline", "ready")
         url = site.url
     page.goto(f"{url}/browse/default")
     expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
