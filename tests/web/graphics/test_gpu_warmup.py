@@ -13,9 +13,9 @@ pytestmark = pytest.mark.browser
 
 _STRIP_BYTES = 1 << 20
 
-# Draws a picture of stripes from a card that got it by `uploadTexture` and from one that got it whole: once pixel by pixel,
-# and once shrunk to an eighth, where only mips show. Tells the bytes of each strip, how many bytes of the two drawings
-# differ, and how many colours they have.
+# Draws a picture of stripes from a card that got it by `uploadTexture` and from one that got it whole: once pixel by
+# pixel, and once shrunk to an eighth, where only mips show. Tells the bytes of each strip, how many bytes of the two
+# drawings differ, and how many colours they have.
 _DRAWN = """async ([width, height, lost]) => {
     const THREE = await import('/web/vendor/three-0.187.0.module.js');
     const { uploadTexture } = await import('/web/graphics/gpu-warmup.js');
