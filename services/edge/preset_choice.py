@@ -17,7 +17,7 @@ from services.edge.field.noise import SCALES, noise_level
 from services.edge.mesh.spacing import point_spacing
 from services.edge.points.nouns import Points
 
-Preset = Literal["draft", "standard", "fine", "scene"]
+PresetName = Literal["draft", "standard", "fine", "scene"]
 
 FEWEST = 200  # points: of fewer, the neighbours that train a patch are a tenth of the cloud and more
 ROOM_M = 3.0  # longest side above which a metric capture is a room or a street, not an object
@@ -45,7 +45,7 @@ class Traits:
 class Choice:
     """The chosen preset's name, and the reason in words."""
 
-    preset: Preset
+    preset: PresetName
     because: str
 
 

@@ -24,7 +24,7 @@ from tests.support.patience import PATIENCE_S
 from tests.support.scripted_work import Making
 
 TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
-SHORT = {"lease_s": 1.0, "silence_s": 6.0, "attach_for_s": 1.0, "retry_s": 0.05, "presets": ("draft", "fine")}
+SHORT = {"lease_s": 3.0, "silence_s": 15.0, "attach_for_s": 2.0, "retry_s": 0.05, "presets": ("draft", "fine")}
 
 
 @asynccontextmanager

@@ -14,7 +14,7 @@ from services.edge.jobs.points_archive import VERSION
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
 from services.edge.worker.capabilities import Capabilities
 
-CHOICES: tuple[str, ...] = get_args(preset_choice.Preset)
+CHOICES: tuple[str, ...] = get_args(preset_choice.PresetName)
 """Names of the presets that the automatic choice may choose."""
 
 

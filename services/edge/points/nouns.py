@@ -45,8 +45,8 @@ class Points:
 
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
     metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report;
-    unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing; empty
-    where the capture's files are not on this machine.
+    unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing;
+    empty where the capture's files are not on this machine.
     """
 
     xyz: Floats

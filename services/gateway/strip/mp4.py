@@ -198,7 +198,7 @@ def _samples_per_chunk(data: Buffer, body: int, chunks: int) -> list[int]:
     """Expand the run-length coded sample-to-chunk table to one sample count per chunk."""
     flat = struct.unpack_from(f">{3 * _count(data, body + 4, 12)}I", data, body + 8)
     firsts, counts = flat[::3], flat[1::3]
-    ends = [*firsts[1:], chunks + 1]
+    ends = [*firsts, chunks + 1][1:]  # an empty table is legal: the samples of a fragmented film are listed elsewhere
     spread: list[int] = []
     for first, end, count in zip(firsts, ends, counts, strict=True):
         spread += [count] * (min(end, chunks + 1) - first)

@@ -90,6 +90,13 @@ def test_only_the_samples_of_the_removed_track_are_blanked() -> None:
     assert removed == ("track meta",)
 
 
+def test_a_removed_track_may_have_empty_tables() -> None:
+    tables = (box(kind, bytes(4 + length)) for kind, length in ((b"stsc", 4), (b"stsz", 8), (b"stco", 4)))
+    media = box(b"mdia", box(b"hdlr", bytes(8), b"meta", bytes(12)), box(b"minf", box(b"stbl", *tables)))
+    film = filmed(box(b"trak", box(b"tkhd", bytes(84)), media))
+    assert cleaned(mp4.clean, film)[1] == ("track meta",)
+
+
 @pytest.mark.parametrize("kind", [b"sbtl", b"text", b"GoPr", b"camm", b"mett"])
 def test_tracks_that_are_no_picture_or_sound_go(kind: bytes) -> None:
     assert cleaned(mp4.clean, filmed(places(0, kind=kind)))[1] == (f"track {kind.decode()}",)
