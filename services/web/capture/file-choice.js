@@ -56,6 +56,7 @@ async function addFiles(id, input) {
   showFiles();
 }
 
+/** Shows what is chosen: how many files and megabytes, guidance for photos, and the names of other files. */
 function showFiles() {
   const bytes = files.reduce((sum, file) => sum + file.size, 0);
   const count = files.length === 1 ? '1 file' : `${files.length} files`;

@@ -99,6 +99,7 @@ function forget({ file, thumbnailUrl }) {
 
 // ---- drawing --------------------------------------------------------------------------------------------------------
 
+/** Shows the guidance for the files as far as they are measured. */
 function draw() {
   const chosen = files.flatMap((file) => photos.get(file) ?? []);
   const films = files.filter(isFilm).length;

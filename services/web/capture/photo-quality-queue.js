@@ -31,6 +31,7 @@ export function queuePhoto(file) {
   });
 }
 
+/** Starts the worker. Without it, or after an error in it, the page's own thread measures the photos. */
 function startWorker() {
   const started = new Worker('/web/capture/photo-quality-worker.js', { type: 'module' });
   started.addEventListener('message', (event) => {

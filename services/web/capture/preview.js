@@ -1,12 +1,12 @@
 // Small preview of an asset that turns by itself and by hand.
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { Model } from '../graphics/model.js';
-import { frame, makeStage } from '../graphics/scene.js';
+import { createStage, frame } from '../graphics/scene.js';
 
 /** @import { AssetEntry } from '../shared/types.d.ts' */
 
 const TURN_S = 15; // for a whole turn
-/** @type {ReturnType<typeof makeStage> | null} */
+/** @type {ReturnType<typeof createStage> | null} */
 let stage = null; // one for the page: browsers limit the number of WebGL contexts
 let removeModel = () => {}; // what is shown now
 
@@ -16,7 +16,7 @@ let removeModel = () => {}; // what is shown now
  * @param {AssetEntry} entry
  */
 export async function showPreview(canvas, entry) {
-  stage ??= makeStage(canvas);
+  stage ??= createStage(canvas);
   const { renderer, scene, camera } = stage;
   const model = new Model(entry, renderer);
   await model.start();

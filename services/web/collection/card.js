@@ -20,6 +20,7 @@ const TURNING = 'turning.webp'; // an animation
 const MEDIA_TYPES = { webp: 'image/webp', png: 'image/png' }; // by the ending of the file: no other kind is shown
 const SHOWN_LABELS = 6;
 
+/** A card: an item of the page's list. */
 export class Card {
   element = create('li');
   #collection;
@@ -87,11 +88,13 @@ export class Card {
     if (url && this.#stillUrl !== null) this.#picture.src = url;
   }
 
+  /** Shows the still picture again. */
   #stopAnimation() {
     if (this.#stillUrl) this.#picture.src = this.#stillUrl;
     this.#stillUrl = null;
   }
 
+  /** Loads the animation, once. Null where the asset has none. */
   #loadAnimation() {
     const file = this.#findFile(TURNING);
     if (!file) return null;

@@ -111,6 +111,7 @@ function summaryText(count, exact, size) {
   return `${exact ? things(count) : `More than ${things(count)}`} for “${query}”`;
 }
 
+/** Removes all cards and frees the memory of their pictures. */
 function removeCards() {
   for (const card of cards.values()) card.dispose();
   cards.clear();
@@ -172,6 +173,7 @@ function writeAddress() {
   history.replaceState(null, '', [location.pathname, written.toString()].filter(Boolean).join('?'));
 }
 
+/** Listens to the search field, and to the buttons that turn the page. */
 function listenToSearch() {
   page.search.value = query;
   page.search.addEventListener('input', () => {
@@ -205,6 +207,7 @@ function choose(key, yes) {
   return chosenKeys.has(key);
 }
 
+/** Chooses nothing. */
 function clearChoice() {
   for (const key of [...chosenKeys]) choose(key, false);
   for (const box of page.grid.querySelectorAll('input')) box.checked = false;

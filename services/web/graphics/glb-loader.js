@@ -43,6 +43,7 @@ export function loadLevel(lod, renderer, { urgent = false } = {}) {
   });
 }
 
+/** Load the next level of the queue, unless enough are being loaded. */
 async function loadNext() {
   if (running >= AT_ONCE) return;
   const request = queue.shift();

@@ -13,6 +13,7 @@ export function meshDecoder() {
   return { ...MeshoptDecoder, decodeGltfBufferAsync };
 }
 
+/** Start the workers that decode meshes. */
 function startWorkers() {
   try {
     MeshoptDecoder.useWorkers(WORKERS);

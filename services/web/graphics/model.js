@@ -9,6 +9,7 @@ const RETRY_MS = 2000; // doubles from try to try
 const LONGEST_RETRY_MS = 60_000;
 const RELEASE_MS = 3000; // how long a level that is too fine is kept: who steps back often comes back at once
 
+/** The levels of detail of one version. */
 export class Model {
   /** @type {(THREE.Group | undefined)[]} */
   #levels = []; // by their place in `lods`; none is loaded before all coarser ones are
@@ -125,6 +126,7 @@ export class Model {
     delete this.#levels[finest];
   }
 
+  /** Makes one level visible and hides the others. */
   #show() {
     this.#levels.forEach((level, place) => {
       if (level) level.visible = place === this.shown;

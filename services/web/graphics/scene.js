@@ -12,7 +12,7 @@ const POINT_SHARE = 1 / 40; // size of a point of the hints, of the thing's diam
  * @param {HTMLCanvasElement} canvas
  * @returns {Stage}
  */
-export function makeStage(canvas) {
+export function createStage(canvas) {
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   renderer.debug.checkShaderErrors = false; // asking for them waits for the graphics card
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));

@@ -16,10 +16,13 @@ export class Problem extends Error {
 
 const CHECK_CONNECTION = ['Check the connection and try again.'];
 
+/** The server cannot be reached. */
 export const offline = () => new Problem({ code: 'OFFLINE', detail: 'The server cannot be reached.', hints: CHECK_CONNECTION });
 
+/** The server was silent for too long. */
 export const noAnswer = () => new Problem({ code: 'NO_ANSWER', detail: 'The server does not answer.', hints: CHECK_CONNECTION });
 
+/** A file was loaded, but cannot be decoded. */
 export const undecodable = () => new Problem({
   code: 'NOT_DECODED',
   detail: 'The 3D file was loaded, but this browser could not open it.',

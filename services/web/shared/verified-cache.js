@@ -6,7 +6,8 @@ import { Problem } from './problems.js';
 
 const NAME = 'assets-1';
 
-/** @typedef {{url: string, sha256: string, file: string}} CatalogueFile a file as a catalogue names it; `file` is its name for people */
+/** @import { AssetFile } from './types.d.ts' */
+/** @typedef {Pick<AssetFile, 'url' | 'sha256' | 'file'>} CatalogueFile a file as a catalogue names it; `file` is its name for people */
 
 /**
  * Load a file of a catalogue, from the device where it has it.

@@ -21,6 +21,7 @@ const GROWTH_PX = 1 / 800; // natural logarithm of the growth for a pixel of scr
 const TURN_PX = 0.01; // radians for a pixel
 const LOW_VIEW = 0.2; // sine of the angle between view and floor below which dragging on the floor would jump far
 
+/** Drag controls for all items of a scene, on one canvas. */
 export class DragControls {
   #camera;
   #canvas;

@@ -11,6 +11,7 @@ import { SCALES } from './saved-placement.js';
 
 const LEAST_DISTANCE_M = 0.02; // between two hands: nearer ones would scale by the noise of tracking
 
+/** Which hands hold which items. */
 export class Grabber {
   /** @type {Map<SceneItem, Grip>} */
   #grips = new Map();

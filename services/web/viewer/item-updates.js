@@ -15,6 +15,7 @@ const NOT_YET = ['ASSET_UNKNOWN', 'CATALOGUE_BEHIND']; // not published yet: it 
  * @property {(item: SceneItem, error: unknown) => void} onError
  */
 
+/** Polls the catalogue for the items of a scene. */
 export class ItemUpdates {
   #callbacks;
   /** @type {Map<SceneItem, Promise<void>>} */

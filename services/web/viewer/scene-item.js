@@ -11,6 +11,7 @@ const HALF_VIEW = Math.tan(Math.PI / 8); // half the height of a view of 45 degr
 const NEAR_M = 0.01; // from inside a thing all of it counts as in view
 const DEFAULT_PLACEMENT = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
 
+/** An asset in the scene. */
 export class SceneItem {
   /** @type {AssetEntry | null} */
   entry = null; // of the version that is shown
@@ -122,6 +123,7 @@ export class SceneItem {
     this.place();
   }
 
+  /** Width, height and depth in metres. */
   get #size() {
     if (!this.entry) throw new Error(`${this.key} is not loaded, so its size is not known.`);
     return this.entry.size_m;

@@ -11,7 +11,7 @@ import { SceneItem, isLoaded } from './scene-item.js';
 import { XrInput } from './xr-input.js';
 import { XrSession } from './xr-session.js';
 import { pause, prepare } from '../graphics/gpu-warmup.js';
-import { frame, hintsOf, makeStage } from '../graphics/scene.js';
+import { createStage, frame, hintsOf } from '../graphics/scene.js';
 import { getCachedJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
@@ -41,7 +41,7 @@ const page = {
 };
 
 await pause(); // between two long tasks of the main thread: loading the modules, and creating the WebGL context
-const stage = createStage();
+const stage = startStage();
 await pause();
 const { renderer, scene, camera } = stage;
 const root = new THREE.Group(); // what moves in front of the wearer: all things, and the floor under them
@@ -73,9 +73,10 @@ const updates = new ItemUpdates({
   onError: showItemError,
 });
 
-function createStage() {
+/** Creates the stage, or says that this browser has no WebGL. */
+function startStage() {
   try {
-    return makeStage(page.canvas);
+    return createStage(page.canvas);
   } catch (error) {
     showError(new Problem({ code: 'NO_WEBGL', detail: 'This browser cannot show 3D.', hints: ['Open this address in another one.'] }));
     throw error;

@@ -38,6 +38,7 @@ const COLOUR = 0xdfe5f0; // of rays and hands: visible in front of the floor and
 /** @type {Press[]} */
 const PRESSES = ['select', 'squeeze'];
 
+/** The two inputs of a headset: controllers or hands. */
 export class XrInput {
   #callbacks;
   #inputs;
@@ -179,17 +180,20 @@ function createInput(renderer, scene, place) {
   return input;
 }
 
+/** A line from the hand to what it points at. */
 function createRay() {
   const geometry = new THREE.BufferGeometry().setFromPoints([new THREE.Vector3(), new THREE.Vector3(0, 0, -1)]);
   return new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.7 }));
 }
 
+/** A capsule in place of the controller. */
 function createController() {
   const controller = new THREE.Mesh(new THREE.CapsuleGeometry(0.018, 0.08, 4, 12), new THREE.MeshStandardMaterial({ color: 0x3a3f49 }));
   controller.rotation.x = Math.PI / 2;
   return controller;
 }
 
+/** Spheres for the joints of a hand, none of them shown yet. */
 function createJoints() {
   const joints = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 8, 6), new THREE.MeshStandardMaterial({ color: COLOUR }), JOINTS);
   joints.count = 0;

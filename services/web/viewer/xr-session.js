@@ -26,6 +26,7 @@ const NAMES = { vr: 'VR', ar: 'AR' };
 const MODES = ['vr', 'ar'];
 const HELP = ['Squeeze or pinch to take hold; two hands scale and turn.', 'B, Y, or a long pinch beside it puts it back.'];
 
+/** The session in a headset, and its two buttons. */
 export class XrSession {
   #world;
   #buttons;
@@ -105,6 +106,7 @@ export class XrSession {
     await this.#world.renderer.xr.setSession(session);
   }
 
+  /** Prepares the scene for the headset. */
   #started() {
     if (!this.#mode) return;
     const { scene } = this.#world;
@@ -119,6 +121,7 @@ export class XrSession {
     this.#callbacks.onMode(this.#mode);
   }
 
+  /** Puts the scene back as the page shows it. */
   #ended() {
     const { scene, root } = this.#world;
     scene.background = null;
