@@ -67,8 +67,7 @@ async function startWorkers() {
  */
 async function startWorker(module) {
   const worker = new Worker(WORKER);
-  // A worker's script that does not come says no more than that.
-  const broken = new Promise((_, reject) => (worker.onerror = () => reject(offline())));
+  const broken = new Promise((_, reject) => (worker.onerror = () => reject(undecodable())));
   try {
     await Promise.race([ask(worker, { module }), broken]);
   } catch (error) {
