@@ -52,15 +52,16 @@ class Line:
         self._changes.append((pattern, change))
 
     def mend(self) -> None:
-        """End all faults; connections that hang are closed."""
+        """End all faults and changes, time limits included; connections that hang are closed."""
         self._silent = self._stops = None
+        self._changes.clear()
         self._mended.set()
         self._mended = threading.Event()
         if self._listener.fileno() < 0:
             self._listen(self._port)
 
-    def set_time_limits(self, **limits_ms: int) -> None:
-        """Serve shared/time-limits.js with other values, and pages whose start is waited for as long as the network."""
+    def set_time_limits(self, *, start_ms: int | None = None, **limits_ms: int) -> None:
+        """Serve shared/time-limits.js with other values, and pages that have to start within `start_ms`."""
 
         def replace(text: str) -> str:
             for name, value in limits_ms.items():
@@ -69,8 +70,8 @@ class Line:
             return text
 
         self.change("/shared/time-limits.js", replace)
-        start_ms = str(limits_ms.get("NETWORK_SILENCE_MS", 30_000))
-        self.change("^/(view|browse|$)", lambda html: html.replace('silence-ms="30000"', f'silence-ms="{start_ms}"'))
+        if start_ms:
+            self.change("^/(view|browse|$)", lambda html: re.sub(r'silence-ms="\d+"', f'silence-ms="{start_ms}"', html))
 
     def asset_files(self) -> list[str]:
         """The levels of detail that were asked for since the last call."""
@@ -106,13 +107,14 @@ class Line:
                 mended.wait()
                 return
             with socket.create_connection(self.to) as server:
-                server.sendall(_plain(head))
+                changed = any(re.search(pattern, path) for pattern, _ in self._changes)
+                server.sendall(_plain(head, anew=changed))
                 if stops and re.search(stops[0], path):
                     answer = self._changed(path, _all(server))
                     body = answer.index(b"\r\n\r\n") + 4
                     client.sendall(answer[: body + int(stops[1] * (len(answer) - body))])
                     mended.wait()
-                elif any(re.search(pattern, path) for pattern, _ in self._changes):
+                elif changed:
                     client.sendall(self._changed(path, _all(server)))
                 else:
                     _pump(client, server)
@@ -125,6 +127,7 @@ class Line:
         text = body.decode()
         for change in changes:
             text = change(text)
+        head = re.sub(rb"(?i)\r\n(etag|last-modified):[^\r]*", b"", head)  # the text as it was has other ones
         head = re.sub(rb"(?i)(content-length:) *\d+", rb"\1 %d" % len(text.encode()), head)
         return head + b"\r\n\r\n" + text.encode()
 
@@ -135,10 +138,10 @@ def line_to(url: str) -> Line:
     return Line((parts.hostname or "", parts.port or 0))
 
 
-def _plain(request: bytes) -> bytes:
-    """A request whose answer is not compressed, and ends with the connection."""
+def _plain(request: bytes, *, anew: bool) -> bytes:
+    """A request whose answer is not compressed, and ends with the connection; anew: never "not modified"."""
     head, _, body = request.partition(b"\r\n\r\n")
-    dropped = (b"connection:", b"accept-encoding:")
+    dropped = (b"connection:", b"accept-encoding:", *((b"if-none-match:", b"if-modified-since:") if anew else ()))
     first, *lines = [line for line in head.split(b"\r\n") if not line.lower().startswith(dropped)]
     return b"\r\n".join([first, b"Connection: close", *lines]) + b"\r\n\r\n" + body
 

@@ -77,8 +77,7 @@ async function startWorkers() {
  */
 async function startWorker(module) {
   const worker = new Worker(WORKER);
-  // A worker whose script does not come says no more than that.
-  const broken = new Promise((_, reject) => (worker.onerror = () => reject(offline())));
+  const broken = new Promise((_, reject) => (worker.onerror = () => reject(undecodable())));
   try {
     await Promise.race([ask(worker, { module }), broken]);
   } catch (error) {

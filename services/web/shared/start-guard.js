@@ -16,11 +16,16 @@
     if (event.target instanceof HTMLScriptElement || event instanceof ErrorEvent) fail();
   }
 
+  /** Whether the style sheets are there: until then a browser draws nothing, though scripts may run. */
+  function hasStyle() {
+    return [...document.querySelectorAll('link[rel=stylesheet]')].every((link) => /** @type {HTMLLinkElement} */ (link).sheet);
+  }
+
   function fail() {
     clearTimeout(timer);
     watch.disconnect();
     window.removeEventListener('error', onError, true);
-    if (document.body?.dataset.started) return;
+    if (document.body?.dataset.started && hasStyle()) return;
     window.stop(); // a style sheet that does not come keeps the browser from drawing anything
     const body = document.body ?? document.documentElement.appendChild(document.createElement('body'));
     Object.assign(body.dataset, { state: 'error', code: 'NOT_STARTED' });

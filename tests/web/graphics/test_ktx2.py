@@ -119,6 +119,34 @@ def test_a_transcoder_that_was_lost_on_the_way_is_fetched_again(page: Page, site
     assert places_of(shown(page, f"{site.url}/view/cube-ktx2"), 0)[0] > 0.03
 
 
+@pytest.mark.parametrize(
+    ("file", "script"),
+    [
+        ("basis-transcoder.wasm", None),
+        ("ktx2-worker.js", None),
+        ("ktx2-worker.js", "onmessage = () => {};"),
+        ("ktx2-worker.js", "throw new Error('broken');"),
+    ],
+)
+def test_a_transcoder_that_never_comes_or_never_answers_is_said(
+    page: Page, site: Site, file: str, script: str | None
+) -> None:
+    line = line_to(site.url)
+    line.set_time_limits(NETWORK_SILENCE_MS=2000, PICTURE_WORKER_MS=2000)
+    if script is None:
+        line.silence(file)
+    else:
+        line.change(file, lambda _: script)
+    page.goto(f"{line.url}/view/cube-ktx2")
+    server = file.endswith(".wasm")
+    words = "The server does not answer" if server else "The 3D file was loaded, but this browser could not open it."
+    expect(page.locator("#said")).to_contain_text(words)
+    line.mend()
+    page.get_by_role("button", name="Try again").click()
+    expect(page.locator("body")).to_have_attribute("data-loaded", "1 0")
+    assert places_of(stage(page), 0)[0] > 0.03
+
+
 def test_one_visit_is_enough_for_the_next_to_need_no_server(browser: Browser, site: Site) -> None:
     line = line_to(site.url)
     address = f"{line.url}/view/cube-ktx2"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -38,7 +39,7 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 @pytest.fixture
 def cup(store: LocalStore, bundle: Bundle, request: pytest.FixtureRequest) -> str:  # noqa: F811
     """The key of an asset of this test's own."""
-    key = request.node.name.removeprefix("test_")[:60]
+    key = re.sub(r"[^a-z0-9]+", "-", request.node.name.removeprefix("test_"))[:99]
     publish(bundle, store, key=key)
     return key
 
@@ -126,3 +127,95 @@ def test_a_file_that_was_changed_on_the_server_is_not_shown(
     finally:
         for path, content in zip(changed, before, strict=True):
             path.write_bytes(content)
+
+
+HASTY_MS = {"CACHED_COPY_MS": 1000, "NETWORK_SILENCE_MS": 4000}
+
+
+def _visit_once(context: BrowserContext, address: str) -> None:
+    page = _visited(context, address)
+    expect_offline_ready(page)
+    page.close()
+
+
+@pytest.mark.parametrize("fault", ["never answers", "stops in the middle of every answer"])
+def test_a_server_that_hangs_is_done_without(context: BrowserContext, line: Line, cup: str, fault: str) -> None:
+    line.set_time_limits(**HASTY_MS)
+    address = f"{line.url}/view/{cup}"
+    _visit_once(context, address)
+    if fault == "never answers":
+        line.silence()
+    else:
+        line.stop_midway("")
+    _visited(context, address)
+
+
+CUT_SHORT = """async ([name, ending]) => {
+    const names = (await caches.keys()).filter((each) => each.startsWith(name));
+    for (const cache of await Promise.all(names.map((each) => caches.open(each)))) {
+        for (const request of (await cache.keys()).filter(({ url }) => url.endsWith(ending))) {
+            const { headers } = await cache.match(request);
+            const text = await (await cache.match(request)).text();
+            await cache.put(request, new Response(text.slice(0, text.length / 2), { headers }));
+            return true;
+        }
+    }
+    return false;
+}"""
+
+
+@pytest.mark.parametrize(
+    ("cache", "file", "words"),
+    [
+        ("shell-", "/viewer.js", "This page could not be loaded completely."),
+        ("catalogue-", "", "The server cannot be reached."),
+    ],
+)
+def test_a_damaged_copy_is_not_used(
+    context: BrowserContext, line: Line, cup: str, cache: str, file: str, words: str
+) -> None:
+    address = f"{line.url}/view/{cup}"
+    page = _visited(context, address)
+    expect_offline_ready(page)
+    assert page.evaluate(CUT_SHORT, [cache, file or f"/v1/assets/{cup}"])
+    page.close()
+    line.cut()
+    page = context.new_page()
+    page.goto(address, wait_until="commit")
+    expect(page.get_by_text(words)).to_be_visible()
+    line.mend()
+    page.get_by_role("button", name="Try again").click()
+    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+
+
+def test_pages_that_were_cached_in_part_are_not_used(context: BrowserContext, line: Line, cup: str) -> None:
+    """The last file of the shell never comes: the cache is not complete, and the next visit completes it."""
+    line.set_time_limits(**HASTY_MS)
+    line.silence("basis-transcoder.wasm")
+    address = f"{line.url}/view/{cup}"
+    page = _visited(context, address)
+    assert page.get_attribute("body", "data-offline") != "ready"
+    line.mend()
+    page.close()
+    _visit_once(context, address)
+    line.cut()
+    _visited(context, address)
+
+
+def test_a_new_version_of_the_pages_replaces_the_cached_one_as_a_whole(
+    context: BrowserContext, line: Line, cup: str
+) -> None:
+    address = f"{line.url}/view/{cup}"
+    _visit_once(context, address)
+    line.change("/web/shell.json", lambda text: text.replace('"version":"', '"version":"new-'))
+    line.change("/viewer/viewer.js", lambda text: text + "document.body.dataset.release = 'new';")
+    page = _visited(context, address)
+    page.wait_for_function(
+        """async () => {
+            const names = (await caches.keys()).filter((name) => name.startsWith('shell-'));
+            return names.length === 1 && names[0].startsWith('shell-new-');
+        }"""
+    )
+    page.close()
+    line.cut()
+    expect(_visited(context, address).locator("body")).to_have_attribute("data-release", "new")
