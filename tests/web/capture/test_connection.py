@@ -85,10 +85,10 @@ def test_photos_are_looked_at_on_the_page_when_their_worker_never_answers(page: 
     page.goto(line.url)
     found = page.evaluate(
         """async () => {
-            const { look } = await import('/web/capture/photo-quality-queue.js');
+            const { queuePhoto } = await import('/web/capture/photo-quality-queue.js');
             const canvas = Object.assign(document.createElement('canvas'), { width: 64, height: 64 });
             const blob = await new Promise((resolve) => canvas.toBlob(resolve, 'image/png'));
-            return Boolean(await look(new File([blob], 'a.png', { type: 'image/png' })));
+            return Boolean(await queuePhoto(new File([blob], 'a.png', { type: 'image/png' })));
         }"""
     )
     assert found
