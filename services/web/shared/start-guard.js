@@ -1,5 +1,6 @@
 // Watches over the page until its own script has started: a module that does not come, or that stops the page with an error, is said in a
-// sentence with a button. The gateway puts this text into the page itself, because a file of its own might not come either.
+// sentence with a button. The gateway puts this text into the page itself, because a file of its own might not come either,
+// ahead of the style sheet, which scripts behind it wait for.
 (() => {
   const SENTENCE = 'This page could not be loaded completely. Check the connection and try again.';
   const silenceMs = Number(/** @type {HTMLScriptElement} */ (document.currentScript).dataset.silenceMs);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 import urllib.request
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from services.cli.up import Stack
-from tests.support.screenshots import difference, drawn, expect_picture, stage
+from tests.support.patience import PATIENCE_S
+from tests.support.screenshots import await_frames, difference, drawn, expect_picture, stage
 
 pytestmark = pytest.mark.browser
 
@@ -56,11 +58,12 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
     canvas = page.locator("#preview")
     canvas.scroll_into_view_if_needed()
-    page.wait_for_timeout(500)
+    await_frames(page)
     first = canvas.screenshot()
     assert drawn(first) > 0.1
-    page.wait_for_timeout(1500)
-    assert difference(first, canvas.screenshot()) > 0.01, "the preview does not turn"
+    until = time.monotonic() + PATIENCE_S
+    while difference(first, canvas.screenshot()) < 0.01:
+        assert time.monotonic() < until, "the preview does not turn"
     expect(page.locator("#link")).to_have_text(f"{stack.url}/view/My-blue-bowl")
     expect_picture(page, "#qr")
 

@@ -15,6 +15,7 @@ from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.store import IMMUTABLE, NO_CACHE
+from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
 from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
 from tests.web.conftest import PATIENCE_MS, PHONE
@@ -117,7 +118,7 @@ def test_a_thing_turns_while_it_is_pointed_at_unless_motion_is_unwelcome(page: P
     expect(picture).to_have_attribute("src", str(still))
     page.emulate_media(reduced_motion="reduce")
     page.locator("[data-key=boot]").hover()
-    page.wait_for_timeout(200)
+    await_frames(page)
     expect(picture).to_have_attribute("src", str(still))
 
 

@@ -18,7 +18,7 @@ from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
 from tests.support.lines import line_to
-from tests.support.screenshots import difference, drawn, places_of, stage
+from tests.support.screenshots import await_frames, difference, drawn, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import BLUE, GREEN, RED, bundle_of
 from tests.web.conftest import PATIENCE_MS, without_a_past
@@ -70,7 +70,7 @@ def shown(page: Page, address: str) -> bytes:
     """The thing at an address, once its levels are there."""
     page.goto(address)
     expect(page.locator("body")).to_have_attribute("data-loaded", "1 0")
-    page.wait_for_timeout(300)  # a frame or two
+    await_frames(page)
     return stage(page)
 
 

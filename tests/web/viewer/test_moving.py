@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
 from tests.support.headsets import Hand, enter, frames, wear
-from tests.support.screenshots import halves, places_of, stage
+from tests.support.screenshots import await_frames, halves, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import RED, box
 from tests.web.conftest import without_a_past
@@ -169,7 +169,7 @@ def test_beside_a_thing_and_without_the_button_the_mouse_moves_the_camera(page: 
     page.get_by_role("button", name="Move", exact=True).click()
     drag(page, (20, 150), (140, 150))
     assert moved(page) == near(0, 0, 0, 1)
-    page.wait_for_timeout(300)
+    await_frames(page)
     assert stage(page) != before, "the view has turned"
 
 
