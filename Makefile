@@ -1,11 +1,11 @@
 # make demo         a simulated phone capture through everything, ending with the viewer's URL; CAPTURE=path takes your own
 # make test         everything that can be checked on this machine; FAST=1 leaves out browser, S3, Docker and what is slow
-# make lint         ruff, mypy and the import contracts alone
+# make lint         ruff, mypy and the import contracts alone; eslint and the TypeScript compiler for the pages' JavaScript
 # make bench        all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
 # make proto        services/edge/api from proto/
 # make drawing      docs/rooms.svg from the imports
 # make setup        .venv with the product; make test-setup adds what tests need
-# make clean        remove .venv, and what builds and demos left
+# make clean        remove .venv and node_modules, and what builds and demos left
 # All do their own set-up: .venv here, system packages through apt when root. A PyTorch that .venv has already, such as the
 # CPU build, stays.
 SHELL := /bin/bash
@@ -31,17 +31,26 @@ help:
 	PYTHON="$(PYTHON)" bash deploy/setup.sh tests
 	touch $@
 
+# What checks the pages' JavaScript; the set-up above has installed Node. The pages themselves use none of it.
+node_modules/.ready: package.json package-lock.json | .venv/.test-ready
+	@command -v npm >/dev/null || { echo "make: eslint and the TypeScript compiler need npm; install Node 18 or newer" >&2; exit 1; }
+	npm ci --no-audit --no-fund --loglevel=error
+	touch $@
+
 setup: .venv/.ready
-test-setup: .venv/.test-ready
+test-setup: .venv/.test-ready node_modules/.ready
 
 demo: .venv/.ready
 	.venv/bin/capture2vr demo $(if $(CAPTURE),"$(CAPTURE)") $(DEMO_FLAGS)
 
-lint: .venv/.test-ready
+lint: .venv/.test-ready node_modules/.ready
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
+	node_modules/.bin/tsc -p tsconfig.json
+	node_modules/.bin/tsc -p tsconfig.workers.json
+	node_modules/.bin/eslint --cache --cache-location node_modules/.cache/eslint/ --max-warnings 0 .
 
 test: lint
 	.venv/bin/pytest -n $(TEST_PROCESSES) $(if $(FAST),-m "not (browser or s3 or docker or slow)")
@@ -56,4 +65,4 @@ drawing: .venv/.test-ready
 	.venv/bin/python docs/draw_rooms.py
 
 clean:
-	rm -rf .venv build dist demo out
+	rm -rf .venv node_modules build dist demo out

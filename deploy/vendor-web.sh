@@ -29,6 +29,12 @@ sed -i -E "s#(from|import) '(\./three\.core\.js)'#\1 './$(name core)'#; s#from '
 # Our own modules name the version too.
 sed -i -E "s#/three-[0-9]+\.[0-9]+\.[0-9]+\.#/three-$version.#" "$vendor"/../*/*.js
 cp package/LICENSE "$vendor/three-$version.LICENSE"
+# Types for the TypeScript compiler of `make lint`, which looks for a module's types beside it: those of npm's @types/three.
+types() { echo "export * from '$2';" >"$vendor/three-$version.$1.d.ts"; }
+types module three
+types orbit-controls three/addons/controls/OrbitControls.js
+types gltf-loader three/addons/loaders/GLTFLoader.js
+types meshopt-decoder three/addons/libs/meshopt_decoder.module.js
 {
   cat <<'NOTICE'
 three-*.basis-transcoder.js and .wasm, and what is in them:
@@ -40,3 +46,5 @@ Copyright © 2016–2026 Binomial LLC. All rights reserved except as granted und
 NOTICE
   sed '/END OF TERMS AND CONDITIONS/q' "$vendor/../../../LICENSE"
 } >"$vendor/three-$version.basis-transcoder.LICENSE"
+echo "vendor-web: now set @types/three in package.json to the version nearest to $version, and run
+  npm install --omit-lockfile-registry-resolved" >&2

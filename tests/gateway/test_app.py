@@ -81,6 +81,7 @@ async def test_pages_run_only_what_is_ours(tmp_path: Path) -> None:
         assert module.headers["cache-control"] == "no-cache"
         known = {"If-None-Match": module.headers["etag"]}
         assert (await client.get("/web/shared/api.js", headers=known)).status_code == 304
+        assert (await client.get("/web/shared/types.d.ts")).status_code == 404, "for the compiler alone"
 
 
 async def test_one_worker_may_make_functions_of_text_and_nothing_else(tmp_path: Path) -> None:

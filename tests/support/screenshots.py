@@ -14,6 +14,15 @@ def stage(page: Page) -> bytes:
     return page.locator("#stage").screenshot(style="header, footer { visibility: hidden }")
 
 
+def await_frames(page: Page) -> None:
+    """Until the page has drawn what it was told before: some frames, however long they take."""
+    page.evaluate(
+        """async () => {
+            for (let frame = 0; frame < 3; frame++) await new Promise((done) => requestAnimationFrame(done));
+        }"""
+    )
+
+
 def drawn(png: bytes) -> float:
     """Share of the picture that differs from its upper left corner."""
     pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)

@@ -11,6 +11,8 @@ from urllib.parse import urlsplit
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.staticfiles import StaticFiles
+from pydantic import BaseModel
+from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
 from services.gateway.errors import Problem
@@ -29,6 +31,9 @@ _VERSIONED = re.compile(r"-\d+\.\d+\.\d+\.")  # a file whose name has its versio
 # policy, no network access.
 _WORKER_POLICY = "default-src 'none'; script-src 'self' 'unsafe-eval'"
 _IMMUTABLE = "public, max-age=31536000, immutable"
+_START_GUARD = re.compile(r'<script src="/web/shared/start-guard\.js"([^>]*)></script>')
+_SHELL_PAGES = {"/browse/default": "collection/collection.html", "/view/any": "viewer/view.html"}
+_SHELL_SUFFIXES = {".css", ".js", ".svg", ".wasm"}
 _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest levels leave most of a headset's budget
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 
@@ -65,15 +70,41 @@ async def browse_collection(name: str, request: Request) -> Response:
     return _page("collection/collection.html", request)
 
 
+class Shell(BaseModel):
+    """What the service worker caches: the addresses of the pages that open without the server, and of all files that
+    they load. `version` changes with any of them.
+    """
+
+    version: str
+    files: list[str]
+
+
+@router.get("/web/shell.json", response_model=Shell)
+def list_shell(response: Response) -> Shell:
+    """List the pages that open without the server, each for all of its kind, and all files that they load."""
+    files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]
+    files = [path for path in files if path.parent != WEB / "capture"]  # that page needs the server in any case
+    digest = hashlib.sha256()
+    for content in (*(_html(name).encode() for name in _SHELL_PAGES.values()), *(path.read_bytes() for path in files)):
+        digest.update(hashlib.sha256(content).digest())
+    response.headers["Cache-Control"] = "no-cache"
+    addresses = [f"/web/{path.relative_to(WEB).as_posix()}" for path in files]
+    return Shell(version=digest.hexdigest()[:16], files=[*_SHELL_PAGES, *addresses])
+
+
 def _check_keys(keys: list[str]) -> None:
     if not all(map(valid_key, keys)):
         raise Problem(404, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
 
 
 class WebFiles(StaticFiles):
-    """Static files of the pages. Files with a version in their name are cached for ever, others are revalidated."""
+    """Static files of the pages. Files with a version in their name are cached for ever, others are revalidated.
+    Type declarations (.d.ts) are not served.
+    """
 
     async def get_response(self, path: str, scope: Scope) -> Response:
+        if path.endswith(".d.ts"):
+            raise HTTPException(404)  # types, which only the TypeScript compiler reads
         response = await super().get_response(path, scope)
         response.headers["Cache-Control"] = _IMMUTABLE if _VERSIONED.search(path) else "no-cache"
         if Path(path).name == "service-worker.js":
@@ -84,10 +115,17 @@ class WebFiles(StaticFiles):
 
 
 def _page(name: str, request: Request) -> Response:
-    html = (WEB / name).read_text(encoding="utf-8")
+    html = _html(name)
     policy = _content_security_policy(html, _origins(request.app.state.store, request.app.state.settings))
     headers = {"Cache-Control": "no-cache", "Content-Security-Policy": policy}
     return Response(html, media_type="text/html", headers=headers)
+
+
+def _html(name: str) -> str:
+    """Return a page's text, with the script that guards its start inline: as a file it might fail to load as well."""
+    guard = (WEB / "shared" / "start-guard.js").read_text(encoding="utf-8")
+    html = (WEB / name).read_text(encoding="utf-8")
+    return _START_GUARD.sub(lambda found: f"<script{found[1]}>\n{guard}</script>", html)
 
 
 def _content_security_policy(html: str, assets: str) -> str:

@@ -1,37 +1,70 @@
-// Where the phone's camera looks, as far as the phone tells: only after a tap, and only over HTTPS.
+// The compass: in which direction the phone's camera looks. Works only after a tap, and only over HTTPS.
 
-const FRESH_MS = 700; // how long to wait for a word of the compass once the person is back from the camera
-const LEVEL = 0.3; // least share of the view that is level: a camera that looks straight down looks nowhere
-const EVENT = 'ondeviceorientationabsolute' in window ? 'deviceorientationabsolute' : 'deviceorientation';
+const TIMEOUT_MS = 700; // how long to wait for the compass once the person is back from the camera
+const LEVEL = 0.3; // least share of the view that is level: a camera that looks straight down has no direction
+const ABSOLUTE_EVENT = 'ondeviceorientationabsolute' in window;
 
-/** Whether it is worth a button: a phone, on a page that may ask. */
+/** @typedef {Pick<DeviceOrientationEvent, 'alpha' | 'beta' | 'gamma'>} Orientation angles of the device in degrees */
+
+/** Whether to offer the compass: on a phone, on a page that is allowed to ask for it. */
 export function mayHaveCompass() {
   return window.isSecureContext && 'DeviceOrientationEvent' in window && navigator.maxTouchPoints > 0;
 }
 
-/** Ask for it, in answer to a tap. Resolves to whether directions come. */
+/**
+ * Asks the person for permission to use the compass, in answer to a tap.
+ * @returns {Promise<boolean>} whether the compass works
+ */
 export async function startCompass() {
-  const asked = await DeviceOrientationEvent.requestPermission?.().catch(() => 'denied'); // iOS asks, Android does not
-  return asked !== 'denied' && (await heading()) !== null;
+  // iOS asks, Android does not; TypeScript does not know the method of iOS.
+  const events = /** @type {{ requestPermission?: () => Promise<string> }} */ (DeviceOrientationEvent);
+  const permission = await events.requestPermission?.().catch(() => 'denied');
+  return permission !== 'denied' && (await readHeading()) !== null;
 }
 
-/** Degrees clockwise from where the compass begins, or null where none comes or the camera looks down. */
-export function heading() {
+/**
+ * Reads the compass once.
+ * @returns {Promise<number | null>} degrees clockwise from north, or from where a compass without north begins; null
+ *   without an answer, or where the camera looks down
+ */
+export function readHeading() {
   return new Promise((resolve) => {
-    const done = (event) => {
-      if (event?.alpha === null) return; // what a browser says first that has no sensor yet, or never will
-      clearTimeout(timer);
-      window.removeEventListener(EVENT, done);
-      resolve(event ? headingOf(event) : null);
+    /** @param {DeviceOrientationEvent} event */
+    const read = (event) => {
+      if (event.alpha !== null) finish(headingOf(event)); // a browser without a sensor, or without one yet, sends null
     };
-    const timer = setTimeout(done, FRESH_MS);
-    window.addEventListener(EVENT, done);
+    /** @param {number | null} heading */
+    const finish = (heading) => {
+      clearTimeout(timer);
+      stopListening();
+      resolve(heading);
+    };
+    const timer = setTimeout(() => finish(null), TIMEOUT_MS);
+    const stopListening = listen(read);
   });
 }
 
-/** Of the back of the device, which its camera looks out of (W3C Device Orientation, worked example). */
+/**
+ * Listens to the compass.
+ * @param {(event: DeviceOrientationEvent) => void} listener
+ * @returns {() => void} a function that stops it
+ */
+function listen(listener) {
+  if (ABSOLUTE_EVENT) {
+    window.addEventListener('deviceorientationabsolute', listener);
+    return () => window.removeEventListener('deviceorientationabsolute', listener);
+  }
+  window.addEventListener('deviceorientation', listener);
+  return () => window.removeEventListener('deviceorientation', listener);
+}
+
+/**
+ * Computes the direction of the back of the device, where its camera is (W3C Device Orientation, worked example).
+ * @param {Orientation} orientation
+ * @returns {number | null} degrees clockwise, 0 to 360; null where the camera looks up or down
+ */
 export function headingOf({ alpha, beta, gamma }) {
-  const [a, b, g] = [alpha, beta, gamma].map((degrees) => (degrees * Math.PI) / 180);
+  const [a, b, g] = [alpha, beta, gamma].map((degrees) => ((degrees ?? 0) * Math.PI) / 180);
   const east = -Math.cos(a) * Math.sin(g) - Math.sin(a) * Math.sin(b) * Math.cos(g);
   const north = -Math.sin(a) * Math.sin(g) + Math.cos(a) * Math.sin(b) * Math.cos(g);
   if (Math.hypot(east, north) < LEVEL) return null;

@@ -1,203 +1,214 @@
-// Guidance while photos are chosen: how many, which would do harm, and how far round the thing they go.
-import { change, isCopy } from './photo-quality.js';
-import { look } from './photo-quality-queue.js';
+// Guidance while photos are chosen: how many there are, which would do harm, and how far around the object they go.
+import { child, create, element } from '../shared/dom.js';
+import { differenceOf } from './photo-quality.js';
+import { queuePhoto } from './photo-quality-queue.js';
+import { ADVISED, FEWEST, coverageOf, findFaults, isMeasured } from './photo-set.js';
 
-const ADVISED = [15, 30]; // photos
-const FEWEST = 3; // that anything can be made of
-const BLURRED = 0.4; // sharpness, of the median of the set
-const MOST_BLURRED = 0.3; // of the photos: the others say what is sharp here
-const MOST_WHITE = 0.5; // of a photo's pixels
-const STEP = 360 / ADVISED[0]; // degrees that one photo adds at most
-const NEW = 0.6; // change against the most similar photo that counts as a whole step; 2 degrees make 0.25
-const COMPASS_SHARE = 0.5; // of the photos that must have a direction before the compass is believed
-const REDRAW_MS = 100;
+/** @import { Coverage, Photo } from './photo-set.js' */
+/** @typedef {{ item: HTMLLIElement, file: File, sentence: string }} FaultItem an item of the list of photos that would do harm */
 
-const at = (id) => document.getElementById(id);
-const known = new Map(); // file → { look: null where it cannot be seen, changes: Map of other files, url, heading }
+const REDRAW_MS = 100; // results of several photos are drawn together
+
+const page = {
+  guide: element('guide', HTMLElement),
+  count: element('count', HTMLElement),
+  advice: element('advice', HTMLElement),
+  ring: element('ring', SVGElement),
+  arcs: element('arcs', SVGElement),
+  degrees: element('turn', SVGElement),
+  coverage: element('seen', HTMLElement),
+  faults: element('faulty', HTMLElement),
+  faultCount: element('faulty-count', HTMLElement),
+  faultList: element('faults', HTMLUListElement),
+  removeAll: element('remove-all', HTMLButtonElement),
+};
+
+/** @type {Map<File, Photo>} */
+const photos = new Map();
+/** @type {WeakMap<File, number | null>} */
+const headings = new WeakMap(); // degrees clockwise
+/** @type {File[]} */
 let files = [];
+/** @type {FaultItem[]} */
+let faultItems = [];
+/** @type {(files: File[]) => void} */
 let removeFiles = () => {};
-let timer = 0;
+let redrawTimer = 0;
 
+/** @param {File} file */
 const isPhoto = (file) => file.type.startsWith('image/') || /\.(jpe?g|png|webp|heic|heif|avif|tiff?)$/i.test(file.name);
+/** @param {File} file */
 const isFilm = (file) => file.type.startsWith('video/') || /\.(mp4|mov|m4v|webm|mkv)$/i.test(file.name);
 
-/** Tell a photo's direction, in degrees clockwise, before it is shown. */
-export function noteHeading(file, degrees) {
-  known.set(file, { ...known.get(file), heading: degrees });
+/**
+ * Stores the direction in which a photo was taken; to be called before `guide` gets the photo.
+ * @param {File} file
+ * @param {number | null} degrees clockwise, or null where the compass gave none
+ */
+export function setHeading(file, degrees) {
+  headings.set(file, degrees);
 }
 
-/** Guide through these files, if they are photos and films alone, and tell whether; `onRemove(files)` takes some away. */
+/**
+ * Shows guidance for these files, where all of them are photos and films.
+ * @param {File[]} chosen
+ * @param {(files: File[]) => void} onRemove is called with files that the person wants to remove
+ * @returns {boolean} whether guidance is shown
+ */
 export function guide(chosen, onRemove) {
   [files, removeFiles] = [chosen, onRemove];
-  for (const file of known.keys()) if (!files.includes(file)) forget(file);
+  for (const photo of photos.values()) if (!files.includes(photo.file)) forget(photo);
   const guided = files.length > 0 && files.every((file) => isPhoto(file) || isFilm(file));
-  at('guide').hidden = !guided;
+  page.guide.hidden = !guided;
   if (!guided) return false;
-  for (const file of files.filter(isPhoto)) if (!('look' in (known.get(file) ?? {}))) see(file);
+  for (const file of files.filter(isPhoto)) if (!photos.has(file)) measure(file);
   draw();
   return true;
 }
 
-async function see(file) {
-  const seen = { heading: null, ...known.get(file), look: undefined, changes: new Map() };
-  known.set(file, seen);
-  seen.look = await look(file);
-  if (known.get(file) !== seen) return; // removed meanwhile
-  if (seen.look) seen.url = URL.createObjectURL(seen.look.thumbnail);
-  for (const [other, { look: theirs, changes }] of known) {
-    if (!theirs || !seen.look || other === file) continue;
-    const changed = change(seen.look, theirs);
-    seen.changes.set(other, changed);
-    changes.set(file, changed);
+/**
+ * Measures a photo, and compares it with those that are measured already.
+ * @param {File} file
+ */
+async function measure(file) {
+  /** @type {Photo} */
+  const photo = { file, differences: new Map(), thumbnailUrl: '', heading: headings.get(file) ?? null };
+  photos.set(file, photo);
+  const quality = await queuePhoto(file);
+  if (photos.get(file) !== photo) return; // removed meanwhile
+  photo.quality = quality;
+  if (quality) {
+    photo.thumbnailUrl = URL.createObjectURL(quality.thumbnail);
+    for (const other of [...photos.values()].filter(isMeasured)) {
+      if (other.file === file) continue;
+      const difference = differenceOf(quality, other.quality);
+      photo.differences.set(other.file, difference);
+      other.differences.set(file, difference);
+    }
   }
-  clearTimeout(timer);
-  timer = setTimeout(draw, REDRAW_MS);
+  clearTimeout(redrawTimer);
+  redrawTimer = setTimeout(draw, REDRAW_MS);
 }
 
-function forget(file) {
-  URL.revokeObjectURL(known.get(file).url);
-  known.delete(file);
-  for (const { changes } of known.values()) changes?.delete(file);
+/** @param {Photo} photo */
+function forget({ file, thumbnailUrl }) {
+  URL.revokeObjectURL(thumbnailUrl);
+  photos.delete(file);
+  for (const { differences } of photos.values()) differences.delete(file);
 }
 
-// ---- judging --------------------------------------------------------------------------------------------------------
+// ---- drawing --------------------------------------------------------------------------------------------------------
 
-/** File → a sentence, for those that would do harm. */
-function faults(photos) {
-  const seen = photos.filter((file) => known.get(file)?.look);
-  const found = new Map();
-  for (const [place, file] of seen.entries()) {
-    const { look: mine, changes } = known.get(file);
-    const original = seen.slice(0, place).find((other) => !found.has(other) && isCopy(mine, known.get(other).look, changes.get(other)));
-    if (mine.dark) found.set(file, 'Almost black. Take it again with more light.');
-    else if (mine.white > MOST_WHITE) found.set(file, 'More than half of it is plain white. Use less light, or tap on the thing before you take it.');
-    else if (original) found.set(file, `Shows the same as ${original.name}. Take a step to the side between photos.`);
-  }
-  for (const file of blurred(seen.filter((each) => !found.has(each)))) found.set(file, 'Blurred, next to the others. Hold still, or use more light.');
-  return found;
-}
-
-function blurred(photos) {
-  const judged = photos.filter((file) => known.get(file).look.sharpness);
-  if (judged.length === 0) return [];
-  const sharpness = judged.map((file) => known.get(file).look.sharpness);
-  const usual = [0, 1, 2, 3].map((step) => median(sharpness.map((each) => each[step])));
-  const shares = sharpness.map((each) => Math.min(...each.map((value, step) => value / usual[step])));
-  const worst = judged.map((file, place) => [shares[place], file]).sort(([one], [other]) => one - other);
-  return worst.slice(0, Math.floor(MOST_BLURRED * photos.length)).filter(([share]) => share < BLURRED).map(([, file]) => file);
-}
-
-function median(values) {
-  const sorted = [...values].sort((one, other) => one - other);
-  return (sorted[Math.floor((sorted.length - 1) / 2)] + sorted[Math.floor(sorted.length / 2)]) / 2;
-}
-
-/** How far round they go: arcs of degrees, their sum, and how that is known. */
-function spread(photos) {
-  const directed = photos.map((file) => known.get(file)?.heading).filter((degrees) => typeof degrees === 'number');
-  if (directed.length >= FEWEST && directed.length >= COMPASS_SHARE * photos.length) {
-    const arcs = merged(directed.map((degrees) => [degrees - STEP / 2, degrees + STEP / 2]));
-    const left = photos.length - directed.length;
-    return { arcs, about: 'About', how: `, by the compass${left ? `; ${left} without a direction ${left === 1 ? 'is' : 'are'} not counted` : ''}` };
-  }
-  const steps = photos.map((file, place) => {
-    const nearest = Math.min(...photos.slice(0, place).map((other) => known.get(file).changes.get(other) ?? Infinity));
-    return STEP * Math.min(1, nearest / NEW);
-  });
-  const sum = Math.min(360, steps.reduce((total, step) => total + step, 0));
-  return { arcs: [[0, sum]], about: 'Up to about', how: ': a guess from how much the photos change, for this page cannot see where you stood' };
-}
-
-/** Arcs [from, to] of a circle as arcs that do not overlap, within 0 to 360. */
-function merged(arcs) {
-  const flat = arcs.flatMap(([from, to]) => [[from, to], [from + 360, to + 360], [from - 360, to - 360]]);
-  const within = flat.map(([from, to]) => [Math.max(0, from), Math.min(360, to)]).filter(([from, to]) => from < to);
-  const done = [];
-  for (const [from, to] of within.sort(([one], [other]) => one - other)) {
-    const last = done.at(-1);
-    if (last && from <= last[1]) last[1] = Math.max(last[1], to);
-    else done.push([from, to]);
-  }
-  return done;
-}
-
-// ---- showing --------------------------------------------------------------------------------------------------------
-
+/** Shows the guidance for the files as far as they are measured. */
 function draw() {
-  const photos = files.filter(isPhoto);
-  const films = files.filter(isFilm);
-  const seen = photos.filter((file) => known.get(file)?.look);
-  at('ring').toggleAttribute('hidden', seen.length === 0); // an SVG has no such property
-  at('seen').hidden = seen.length === 0;
-  at('count').textContent = counted(photos.length, films.length);
-  at('advice').textContent = advice(photos, films);
-  const found = faults(photos);
-  drawRing(spread(seen.filter((file) => !found.has(file))));
-  drawFaults(found);
-  document.body.dataset.looked = photos.every((file) => known.get(file)?.look !== undefined) ? photos.length : '';
+  const chosen = files.flatMap((file) => photos.get(file) ?? []);
+  const films = files.filter(isFilm).length;
+  const measured = chosen.filter(isMeasured);
+  const faults = findFaults(measured);
+  page.ring.toggleAttribute('hidden', measured.length === 0); // an SVG has no such property
+  page.coverage.hidden = measured.length === 0;
+  page.count.textContent = countText(chosen.length, films);
+  page.advice.textContent = adviceFor(chosen, films);
+  drawCoverage(coverageOf(measured.filter(({ file }) => !faults.has(file))));
+  drawFaults(faults);
+  document.body.dataset.looked = chosen.every(({ quality }) => quality !== undefined) ? String(chosen.length) : '';
 }
 
-function counted(photos, films) {
-  const said = [photos === 1 ? '1 photo' : photos && `${photos} photos`, films === 1 ? '1 film' : films && `${films} films`];
-  return said.filter(Boolean).join(' and ');
+/**
+ * @param {number} photoCount
+ * @param {number} filmCount
+ */
+function countText(photoCount, filmCount) {
+  const parts = [photoCount === 1 ? '1 photo' : photoCount && `${photoCount} photos`, filmCount === 1 ? '1 film' : filmCount && `${filmCount} films`];
+  return parts.filter(Boolean).join(' and ');
 }
 
-function advice(photos, films) {
-  const unseen = photos.filter((file) => known.get(file)?.look === null).length;
-  const left = unseen ? ` ${unseen} cannot be looked at in this browser; the server will.` : '';
-  if (films.length && photos.length < FEWEST) return `Its best pictures are chosen for you.${films.length > 1 ? ' Only the largest film is used.' : ''}`;
-  if (films.length) return `There are photos enough, so the film is not used.${left}`;
-  if (photos.length < FEWEST) return `At least ${FEWEST} are needed; ${ADVISED.join(' to ')} from all around are best.${left}`;
-  if (photos.length < ADVISED[0]) return `${ADVISED.join(' to ')} are best: ${ADVISED[0] - photos.length} more, from where there is none yet.${left}`;
-  if (photos.length <= ADVISED[1]) return `A good number.${left}`;
-  return `More than ${ADVISED[1]} take longer and seldom show more.${left}`;
+/**
+ * @param {Photo[]} chosen
+ * @param {number} films
+ */
+function adviceFor(chosen, films) {
+  const unknown = chosen.filter(({ quality }) => quality === null).length;
+  const rest = unknown ? ` ${unknown} cannot be looked at in this browser; the server will.` : '';
+  const count = chosen.length;
+  if (films && count < FEWEST) return `Its best pictures are chosen for you.${films > 1 ? ' Only the largest film is used.' : ''}`;
+  if (films) return `There are photos enough, so the film is not used.${rest}`;
+  if (count < FEWEST) return `At least ${FEWEST} are needed; ${ADVISED.join(' to ')} from all around are best.${rest}`;
+  if (count < ADVISED[0]) return `${ADVISED.join(' to ')} are best: ${ADVISED[0] - count} more, from where there is none yet.${rest}`;
+  if (count <= ADVISED[1]) return `A good number.${rest}`;
+  return `More than ${ADVISED[1]} take longer and seldom show more.${rest}`;
 }
 
-function drawRing({ arcs, about, how }) {
-  const seen = arcs.reduce((sum, [from, to]) => sum + to - from, 0);
-  at('arcs').replaceChildren(...arcs.map(([from, to]) => arc(from, to)));
-  at('turn').textContent = `${Math.round(seen / 10) * 10}°`;
-  at('seen').textContent = `${about} ${Math.round(seen / 10) * 10}° seen${how}.`;
+/**
+ * Draws the ring that fills as the person walks around the object.
+ * @param {Coverage} coverage
+ */
+function drawCoverage({ arcs, about, how }) {
+  const sum = arcs.reduce((total, [from, to]) => total + to - from, 0);
+  const degrees = `${Math.round(sum / 10) * 10}°`;
+  page.arcs.replaceChildren(...arcs.map(([from, to]) => createArc(from, to)));
+  page.degrees.textContent = degrees;
+  page.coverage.textContent = `${about} ${degrees} seen${how}.`;
 }
 
-function arc(from, to) {
-  const made = document.createElementNS('http://www.w3.org/2000/svg', 'circle');
-  const drawn = { cx: 40, cy: 40, r: 34, pathLength: 360, 'stroke-dasharray': `${to - from} 360`, 'stroke-dashoffset': -from };
-  for (const [name, value] of Object.entries(drawn)) made.setAttribute(name, value);
-  return made;
+/**
+ * @param {number} from degrees
+ * @param {number} to degrees
+ */
+function createArc(from, to) {
+  const arc = document.createElementNS('http://www.w3.org/2000/svg', 'circle');
+  const attributes = { cx: 40, cy: 40, r: 34, pathLength: 360, 'stroke-dasharray': `${to - from} 360`, 'stroke-dashoffset': -from };
+  for (const [name, value] of Object.entries(attributes)) arc.setAttribute(name, String(value));
+  return arc;
 }
 
-function drawFaults(found) {
-  const wanted = files.filter((file) => found.has(file));
-  at('faulty').hidden = wanted.length === 0;
-  at('faulty-count').textContent = wanted.length === 1 ? '1 photo may do harm' : `${wanted.length} photos may do harm`;
-  at('remove-all').hidden = wanted.length < 2;
-  const shown = new Map([...at('faults').children].map((item) => [item.file, item]));
-  const items = wanted.map((file) => (shown.get(file)?.sentence === found.get(file) ? shown.get(file) : fault(file, found.get(file))));
-  if (items.length === shown.size && items.every((item, place) => item === at('faults').children[place])) return;
-  const focused = document.activeElement; // moving an item takes its focus away
-  at('faults').replaceChildren(...items);
-  if (at('faults').contains(focused)) focused.focus();
+/**
+ * Lists the photos that would do harm. Items that stay the same are not replaced, so that the keyboard's focus stays.
+ * @param {Map<File, string>} faults
+ */
+function drawFaults(faults) {
+  const wanted = files.flatMap((file) => ({ file, sentence: faults.get(file) ?? '' })).filter(({ sentence }) => sentence);
+  page.faults.hidden = wanted.length === 0;
+  page.faultCount.textContent = wanted.length === 1 ? '1 photo may do harm' : `${wanted.length} photos may do harm`;
+  page.removeAll.hidden = wanted.length < 2;
+  const items = wanted.map(({ file, sentence }) => {
+    const shown = faultItems.find((each) => each.file === file && each.sentence === sentence);
+    return shown ?? createFaultItem(file, sentence);
+  });
+  if (items.length === faultItems.length && items.every((item, place) => item === faultItems[place])) return;
+  faultItems = items;
+  const focus = document.activeElement; // moving an item takes its focus away
+  page.faultList.replaceChildren(...items.map(({ item }) => item));
+  if (focus instanceof HTMLElement && page.faultList.contains(focus)) focus.focus();
 }
 
-function fault(file, sentence) {
-  const item = document.createElement('li');
-  Object.assign(item, { file, sentence });
-  const picture = Object.assign(document.createElement('img'), { src: known.get(file).url, alt: '', width: 64, height: 64 });
-  const words = document.createElement('p');
-  words.append(Object.assign(document.createElement('strong'), { textContent: file.name }), ` ${sentence}`);
-  const button = Object.assign(document.createElement('button'), { type: 'button', textContent: 'Remove', ariaLabel: `Remove ${file.name}` });
+/**
+ * @param {File} file
+ * @param {string} sentence
+ * @returns {FaultItem}
+ */
+function createFaultItem(file, sentence) {
+  const item = create('li');
+  const picture = create('img', { src: photos.get(file)?.thumbnailUrl ?? '', alt: '', width: 64, height: 64 });
+  const text = create('p');
+  text.append(create('strong', { textContent: file.name }), ` ${sentence}`);
+  const button = create('button', { type: 'button', textContent: 'Remove', ariaLabel: `Remove ${file.name}` });
   button.addEventListener('click', () => remove([file], item.nextElementSibling ?? item.previousElementSibling));
-  item.append(picture, words, button);
-  return item;
+  item.append(picture, text, button);
+  return { item, file, sentence };
 }
 
-/** Take files away; the keyboard goes on at `next`, the item of another one. */
-function remove(gone, next) {
-  const follower = next?.file;
-  removeFiles(gone);
-  const item = [...at('faults').children].find((each) => each.file === follower);
-  (item?.querySelector('button') ?? at('guide')).focus();
+/**
+ * Removes files. The keyboard's focus goes to the item `next`, or to the guidance where that is gone too.
+ * @param {File[]} unwanted
+ * @param {Element | null} next
+ */
+function remove(unwanted, next) {
+  const follower = faultItems.find(({ item }) => item === next)?.file;
+  removeFiles(unwanted);
+  const shown = faultItems.find(({ file }) => file === follower);
+  if (shown) child(shown.item, 'button', HTMLButtonElement).focus();
+  else page.guide.focus();
 }
 
-at('remove-all').addEventListener('click', () => remove([...at('faults').children].map((item) => item.file)));
+page.removeAll.addEventListener('click', () => remove(faultItems.map(({ file }) => file), null));

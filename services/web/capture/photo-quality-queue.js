@@ -1,43 +1,84 @@
-// Photos are looked at in a worker, or beside the page where a browser cannot draw in one.
-import { lookAt } from './photo-quality.js';
+// Queue of photos to measure. A web worker measures them, or the page's own thread where a browser cannot draw in a worker.
+import { measurePhoto } from './photo-quality.js';
+import { PHOTO_WORKER_MS } from '../shared/time-limits.js';
 
-const waiting = new Map(); // number of a question → what to do with its answer
-let asked = 0;
+/** @import { PhotoAnswer, PhotoQuality, PhotoRequest } from './photo-quality.js' */
+
+/** @type {Map<number, { file: Blob, resolve: (quality: PhotoQuality | null) => void }>} */
+const pending = new Map(); // by the number of the request
+let lastNumber = 0;
+/** @type {Worker | null} */
 let worker = null;
-let mayWork = typeof Worker !== 'undefined' && typeof OffscreenCanvas !== 'undefined';
-let before = Promise.resolve();
+let canUseWorker = typeof Worker !== 'undefined' && typeof OffscreenCanvas !== 'undefined';
+/** @type {Promise<PhotoQuality | null>} */
+let previous = Promise.resolve(null);
+let silenceTimer = 0;
 
-/** What photo-quality.js tells of a file, or null for one that this browser cannot show. */
-export function look(file) {
-  if (!mayWork) return lookHere(file);
-  worker ??= started();
+/**
+ * Measures a photo. Resolves to null for a file that this browser cannot decode.
+ * @param {Blob} file
+ * @returns {Promise<PhotoQuality | null>}
+ */
+export function queuePhoto(file) {
+  if (!canUseWorker) return measureHere(file);
+  const target = (worker ??= startWorker());
   return new Promise((resolve) => {
-    waiting.set(++asked, { file, resolve });
-    worker.postMessage({ number: asked, file });
+    /** @type {PhotoRequest} */
+    const request = { number: ++lastNumber, file };
+    pending.set(request.number, { file, resolve });
+    target.postMessage(request);
+    if (pending.size === 1) limitSilence(target);
   });
 }
 
-function started() {
-  const made = new Worker('/web/capture/photo-quality-worker.js', { type: 'module' });
-  made.addEventListener('message', ({ data: { number, look: found } }) => {
-    waiting.get(number)?.resolve(found);
-    waiting.delete(number);
+/** Starts the worker. Without it, or after an error in it, the page's own thread measures the photos. */
+function startWorker() {
+  const started = new Worker('/web/capture/photo-quality-worker.js', { type: 'module' });
+  started.addEventListener('message', (event) => {
+    const { number, quality } = /** @type {PhotoAnswer} */ (event.data);
+    pending.get(number)?.resolve(quality);
+    pending.delete(number);
+    limitSilence(started);
   });
-  // A browser without module workers, or one that lost its connection: the photos are seen all the same.
-  made.addEventListener('error', () => {
-    mayWork = false;
-    for (const { file, resolve } of waiting.values()) lookHere(file).then(resolve);
-    waiting.clear();
-  });
-  return made;
+  // A browser without module workers, or one that was offline when it loaded the worker.
+  started.addEventListener('error', () => giveUp(started));
+  return started;
 }
 
-function lookHere(file) {
-  const found = before.then(() => lookAt(file, canvasOf)).catch(() => null);
-  before = found;
-  return found;
+/**
+ * Waits for the worker's next answer, while there is one to come.
+ * @param {Worker} started
+ */
+function limitSilence(started) {
+  clearTimeout(silenceTimer);
+  if (pending.size > 0) silenceTimer = setTimeout(() => giveUp(started), PHOTO_WORKER_MS);
 }
 
-function canvasOf(width, height) {
+/**
+ * Ends the worker, and measures its photos on the page's own thread.
+ * @param {Worker} started
+ */
+function giveUp(started) {
+  clearTimeout(silenceTimer);
+  started.terminate();
+  canUseWorker = false;
+  for (const { file, resolve } of pending.values()) measureHere(file).then(resolve);
+  pending.clear();
+}
+
+/**
+ * Measures a photo on the page's own thread, after the one before.
+ * @param {Blob} file
+ */
+function measureHere(file) {
+  previous = previous.then(() => measurePhoto(file, createCanvas)).catch(() => null);
+  return previous;
+}
+
+/**
+ * @param {number} width
+ * @param {number} height
+ */
+function createCanvas(width, height) {
   return Object.assign(document.createElement('canvas'), { width, height });
 }

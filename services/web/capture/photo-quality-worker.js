@@ -1,11 +1,17 @@
-// The worker that looks at photos, one at a time, so that a person can go on while it does.
-import { lookAt } from './photo-quality.js';
+// The web worker that measures photos, one at a time, so that the page stays responsive.
+import { measurePhoto } from './photo-quality.js';
 
-let before = Promise.resolve(); // a decoded photo takes 50 MB: never two
+/** @import { PhotoAnswer, PhotoRequest } from './photo-quality.js' */
 
-addEventListener('message', ({ data: { number, file } }) => {
-  before = before.then(async () => {
-    const look = await lookAt(file, (width, height) => new OffscreenCanvas(width, height)).catch(() => null);
-    postMessage({ number, look });
+/** @type {Promise<void>} */
+let queue = Promise.resolve(); // a decoded photo takes 50 MB: never two at once
+
+addEventListener('message', (event) => {
+  const { number, file } = /** @type {PhotoRequest} */ (event.data);
+  queue = queue.then(async () => {
+    const quality = await measurePhoto(file, (width, height) => new OffscreenCanvas(width, height)).catch(() => null);
+    /** @type {PhotoAnswer} */
+    const answer = { number, quality };
+    postMessage(answer);
   });
 });

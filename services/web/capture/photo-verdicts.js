@@ -1,6 +1,11 @@
-// Which photos an asset was made of, why the others were left out, and from where to shoot again.
+// The lists of the result: which photos were used, why others were left out, and which sides need more photos.
+import { child, create, fillList } from '../shared/dom.js';
 
-const FAULTS = {
+/** @import { CaptureSummary, PhotoVerdict } from '../shared/types.d.ts' */
+
+/** @type {Record<string, string>} */
+const REASONS = {
+  ok: 'used',
   blur: 'blurred',
   dark: 'too dark',
   duplicate: 'a copy',
@@ -8,25 +13,34 @@ const FAULTS = {
   unreadable: 'unreadable',
 };
 
-/** The verdicts of a manifest's capture on `details`; nothing where it was neither photos nor a film. */
-export function showUsed(details, { photos: verdicts = [], format } = {}) {
-  const left = verdicts.filter(({ verdict }) => verdict !== 'ok');
+/**
+ * Lists which photos were used and which not. Hides the list of a capture that has neither photos nor a film.
+ * @param {HTMLElement} details the element to fill
+ * @param {CaptureSummary} [capture] of the manifest
+ */
+export function showVerdicts(details, { photos: verdicts = [], format } = {}) {
+  const rejected = verdicts.filter(({ verdict }) => verdict !== 'ok');
   const used = verdicts.filter(({ verdict }) => verdict === 'ok');
+  const kind = format === 'video' ? 'pictures of the film' : 'photos';
   details.hidden = verdicts.length === 0;
-  details.querySelector('summary').textContent = `Used ${used.length} of ${verdicts.length} ${format === 'video' ? 'pictures of the film' : 'photos'}`;
-  details.querySelector('ul').replaceChildren(...left.map(line), ...used.map(line));
+  child(details, 'summary', HTMLElement).textContent = `Used ${used.length} of ${verdicts.length} ${kind}`;
+  child(details, 'ul', HTMLUListElement).replaceChildren(...[...rejected, ...used].map(verdictItem));
 }
 
-function line({ name, verdict, advice }) {
-  const item = document.createElement('li');
+/** @param {PhotoVerdict} verdict */
+function verdictItem({ name, verdict, advice }) {
+  const item = create('li');
   item.dataset.verdict = verdict;
-  const told = verdict === 'ok' ? 'used' : (FAULTS[verdict] ?? verdict);
-  item.append(Object.assign(document.createElement('strong'), { textContent: name }), ` ${told}${advice ? `. ${advice}` : ''}`);
+  item.append(create('strong', { textContent: name }), ` ${REASONS[verdict] ?? verdict}${advice ? `. ${advice}` : ''}`);
   return item;
 }
 
-/** The sides of the thing that the capture shows too little of, on `details`; nothing where all was seen well. */
-export function showUnseen(details, { unseen: sides = [] } = {}) {
+/**
+ * Lists the sides of the object that the capture shows too little of. Hides the list where there is none.
+ * @param {HTMLElement} details the element to fill
+ * @param {CaptureSummary} [capture] of the manifest
+ */
+export function showUnseenSides(details, { unseen: sides = [] } = {}) {
   details.hidden = sides.length === 0;
-  details.querySelector('ul').replaceChildren(...sides.map(({ advice }) => Object.assign(document.createElement('li'), { textContent: advice })));
+  fillList(child(details, 'ul', HTMLUListElement), sides.map(({ advice }) => advice));
 }

@@ -1,105 +1,151 @@
-// One thing on the page of a collection: its picture, name, labels and state, and a box to choose it by.
-import { manifestOf } from '../shared/signed-catalogue.js';
-import { bytesOf } from '../shared/verified-cache.js';
+// A card of the collection page: an asset's picture, name, labels and state, and a box to choose it.
+import { create } from '../shared/dom.js';
+import { isConnectionProblem, toProblem } from '../shared/problems.js';
+import { loadManifest } from '../shared/signed-catalogue.js';
+import { loadFile } from '../shared/verified-cache.js';
 
-const PICTURES = ['thumbnail.webp', 'preview.png']; // the first that there is
-const TURNING = 'turning.webp';
-const TYPES = { webp: 'image/webp', png: 'image/png' }; // of a file by its ending: no other kind is shown
-const STATES = { preview: 'preview', refined: 'refined' };
-const SHOWN_LABELS = 6;
+/** @import { AssetFile, Collection, CollectionRow, Manifest } from '../shared/types.d.ts' */
 
 /**
- * A list item for a row of the collection. `onLabel(label)` hears of clicks, `onChoose(yes)` answers whether it is chosen.
- * Its `look()` loads the picture, to be called once it comes into view; `leave()` frees it.
+ * @typedef {object} CardOptions
+ * @property {boolean} chosen
+ * @property {(label: string) => void} onLabel is called with a label that was clicked
+ * @property {(yes: boolean) => boolean} onChoose is called when the box was clicked; returns whether the asset is chosen now
+ * @property {() => void} onLost is called when the server did not serve the picture
  */
-export function cardOf(collection, row, { chosen, onLabel, onChoose }) {
-  const item = document.createElement('li');
-  item.dataset.key = row.key;
-  const link = made('a', { href: `/view/${encodeURIComponent(row.key)}` });
-  const picture = made('img', { alt: '', width: 256, height: 256, decoding: 'async' });
-  link.append(picture, made('span', { className: 'name', dir: 'auto', textContent: row.label }));
-  const facts = made('p', { className: 'facts', textContent: STATES[row.state] || '' });
-  const box = made('input', { type: 'checkbox', checked: chosen });
-  box.setAttribute('aria-label', `Choose ${row.label}`);
-  box.addEventListener('change', () => (box.checked = onChoose(box.checked)));
-  const check = made('label', { className: 'check' });
-  check.append(box, 'Choose');
-  item.append(link, facts, ...labelsOf(row, onLabel), check);
-  return Object.assign(item, animated(item, picture, looker(collection, row, { item, picture, facts })));
+
+const PICTURES = ['thumbnail.webp', 'preview.png']; // the first that there is
+const TURNING = 'turning.webp'; // an animation
+/** @type {Record<string, string>} */
+const MEDIA_TYPES = { webp: 'image/webp', png: 'image/png' }; // by the ending of the file: no other kind is shown
+const SHOWN_LABELS = 6;
+
+/** A card: an item of the page's list. */
+export class Card {
+  element = create('li');
+  #collection;
+  #row;
+  #picture = create('img', { alt: '', width: 256, height: 256, decoding: 'async' });
+  #facts;
+  #onLost;
+  /** @type {Manifest | null} */
+  #manifest = null;
+  /** @type {string[]} */
+  #urls = []; // object URLs, which hold memory until they are revoked
+  #disposed = false;
+  /** @type {Promise<string | null> | null} */
+  #animation = null; // object URL; null until it is asked for
+  /** @type {string | null} */
+  #stillUrl = null; // of the picture, while the animation may be shown in its place
+
+  /**
+   * @param {Collection} collection
+   * @param {CollectionRow} row
+   * @param {CardOptions} options
+   */
+  constructor(collection, row, { chosen, onLabel, onChoose, onLost }) {
+    this.#onLost = onLost;
+    this.#collection = collection;
+    this.#row = row;
+    this.#facts = create('p', { className: 'facts', textContent: row.state });
+    const link = create('a', { href: `/view/${encodeURIComponent(row.key)}` });
+    link.append(this.#picture, create('span', { className: 'name', dir: 'auto', textContent: row.label }));
+    this.element.dataset.key = row.key;
+    this.element.append(link, this.#facts, ...createLabels(row, onLabel), createCheckbox(row, chosen, onChoose));
+    for (const kind of ['pointerenter', 'focusin']) this.element.addEventListener(kind, () => this.#startAnimation());
+    for (const kind of ['pointerleave', 'focusout']) this.element.addEventListener(kind, () => this.#stopAnimation());
+  }
+
+  /** Loads the picture. To be called when the card comes into view. */
+  async loadPicture() {
+    const { dataset } = this.element;
+    try {
+      const manifest = await loadManifest(this.#collection, this.#row);
+      this.#manifest = manifest;
+      if (manifest.origin === 'guess') this.#facts.textContent = 'a guess from one photo';
+      const file = PICTURES.map((name) => this.#findFile(name)).find(Boolean);
+      if (file) this.#picture.src = await this.#loadUrl(file);
+      dataset.picture = file ? file.file : 'none';
+    } catch (error) {
+      const { code, message } = toProblem(error);
+      dataset.picture = code === 'UNKNOWN' ? 'none' : code;
+      this.#facts.textContent = code === 'ASSET_TAMPERED' ? message : 'Its picture could not be loaded.';
+      if (isConnectionProblem(error)) this.#onLost();
+    }
+  }
+
+  /** Frees the memory of the pictures. */
+  dispose() {
+    this.#disposed = true;
+    for (const url of this.#urls) URL.revokeObjectURL(url);
+  }
+
+  /** Shows the animation while the card is pointed at or has the focus, unless the person wants less motion. */
+  async #startAnimation() {
+    if (this.#stillUrl !== null || matchMedia('(prefers-reduced-motion: reduce)').matches) return;
+    this.#stillUrl = this.#picture.src;
+    const url = await this.#loadAnimation();
+    if (url && this.#stillUrl !== null) this.#picture.src = url;
+  }
+
+  /** Shows the still picture again. */
+  #stopAnimation() {
+    if (this.#stillUrl) this.#picture.src = this.#stillUrl;
+    this.#stillUrl = null;
+  }
+
+  /** Loads the animation, once. Null where the asset has none. */
+  #loadAnimation() {
+    const file = this.#findFile(TURNING);
+    if (!file) return null;
+    this.#animation ??= this.#loadUrl(file).catch(() => null);
+    return this.#animation;
+  }
+
+  /** @param {string} name */
+  #findFile(name) {
+    return this.#manifest?.files.find(({ file }) => file === name);
+  }
+
+  /**
+   * Loads a picture's file.
+   * @param {AssetFile} file
+   * @returns {Promise<string>} an object URL
+   */
+  async #loadUrl(file) {
+    const bytes = await loadFile(file);
+    const url = URL.createObjectURL(new Blob([bytes], { type: MEDIA_TYPES[file.file.split('.').pop() ?? ''] }));
+    if (this.#disposed) URL.revokeObjectURL(url);
+    else this.#urls.push(url);
+    return url;
+  }
 }
 
-function labelsOf({ labels }, onLabel) {
+/**
+ * @param {CollectionRow} row
+ * @param {boolean} chosen
+ * @param {(yes: boolean) => boolean} onChoose
+ */
+function createCheckbox({ label }, chosen, onChoose) {
+  const box = create('input', { type: 'checkbox', checked: chosen, ariaLabel: `Choose ${label}` });
+  box.addEventListener('change', () => (box.checked = onChoose(box.checked)));
+  const check = create('label', { className: 'check' });
+  check.append(box, 'Choose');
+  return check;
+}
+
+/**
+ * Creates the line of labels; nothing for an asset without any.
+ * @param {CollectionRow} row
+ * @param {(label: string) => void} onLabel
+ */
+function createLabels({ labels }, onLabel) {
   if (labels.length === 0) return [];
-  const line = made('p', { className: 'labels' });
+  const line = create('p', { className: 'labels' });
   for (const label of labels.slice(0, SHOWN_LABELS)) {
-    const button = made('button', { type: 'button', dir: 'auto', textContent: label, title: `Everything labelled ${label}` });
+    const button = create('button', { type: 'button', dir: 'auto', textContent: label, title: `Everything labelled ${label}` });
     button.addEventListener('click', () => onLabel(label));
     line.append(button);
   }
   return [line];
-}
-
-/** {look, leave, turning}: the still picture's life, and the address of the moving one, loaded when it is first asked for. */
-function looker(collection, row, { item, picture, facts }) {
-  const addresses = [];
-  let manifest = null;
-  let gone = false;
-  let moving = null;
-
-  async function addressOf(file) {
-    const bytes = await bytesOf(file);
-    const address = URL.createObjectURL(new Blob([bytes], { type: TYPES[file.file.split('.').pop()] }));
-    if (gone) URL.revokeObjectURL(address);
-    else addresses.push(address);
-    return address;
-  }
-
-  const fileNamed = (name) => manifest?.files.find(({ file }) => file === name);
-
-  return {
-    async look() {
-      try {
-        manifest = await manifestOf(collection, row);
-        if (manifest.origin === 'guess') facts.textContent = 'a guess from one photo';
-        const file = PICTURES.map(fileNamed).find(Boolean);
-        if (file) picture.src = await addressOf(file);
-        item.dataset.picture = file ? file.file : 'none';
-      } catch (problem) {
-        item.dataset.picture = problem.code || 'none';
-        if (problem.code === 'ASSET_TAMPERED') facts.textContent = problem.message;
-      }
-    },
-    turning: () => {
-      const file = fileNamed(TURNING);
-      if (!file) return null;
-      moving ??= addressOf(file).catch(() => null);
-      return moving;
-    },
-    leave() {
-      gone = true;
-      addresses.forEach((address) => URL.revokeObjectURL(address));
-    },
-  };
-}
-
-/** While pointed at or focused, the thing turns, unless the person has asked their device for less motion. */
-function animated(item, picture, { look, leave, turning }) {
-  let still = null;
-  async function start() {
-    if (still !== null || matchMedia('(prefers-reduced-motion: reduce)').matches) return;
-    still = picture.src;
-    const address = await turning();
-    if (address && still !== null) picture.src = address;
-  }
-  function stop() {
-    if (still) picture.src = still;
-    still = null;
-  }
-  for (const kind of ['pointerenter', 'focusin']) item.addEventListener(kind, start);
-  for (const kind of ['pointerleave', 'focusout']) item.addEventListener(kind, stop);
-  return { look, leave };
-}
-
-function made(kind, facts) {
-  return Object.assign(document.createElement(kind), facts);
 }

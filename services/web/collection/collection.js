@@ -1,201 +1,237 @@
-// /browse/{name}: the pictures of all things of a collection, a page at a time, to search, to open, and to choose from.
-import { cardOf } from './card.js';
-import { newest, rowsOf } from '../shared/signed-catalogue.js';
-import { keepShell } from '../shared/register-service-worker.js';
-import { counted } from '../shared/messages.js';
+// The collection page (/browse/{name}): pictures of all assets of a collection, to search, to open, and to choose from.
+import { Card } from './card.js';
+import { PER_PAGE, search } from './search.js';
+import { element } from '../shared/dom.js';
+import { formatCount } from '../shared/format.js';
+import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
+import { registerServiceWorker } from '../shared/register-service-worker.js';
+import { withNewest } from '../shared/signed-catalogue.js';
 
-const PER_PAGE = 48; // divides into rows of 2, 3, 4 and 6
-const MOST = 24; // things in one scene, as the viewer has it
+/** @import { SearchResult } from './search.js' */
+/** @import { CollectionRow } from '../shared/types.d.ts' */
+
+const MOST_CHOSEN = 24; // things in one scene of the viewer
 const TYPING_MS = 200; // between two letters of one word
-const AHEAD = '300px'; // pictures are loaded before they scroll into view
+const LOAD_AHEAD = '300px'; // pictures are loaded before they scroll into view
 
-const page = document.body;
-const at = (id) => document.getElementById(id);
-const name = decodeURIComponent(location.pathname.split('/').pop());
-const asked = new URLSearchParams(location.search);
-const chosen = new Set();
-const rowsBy = new Map(); // sha256 of a shard → its rows
-const seeing = new IntersectionObserver(seen, { rootMargin: AHEAD });
+document.body.dataset.started = 'yes';
+const page = {
+  name: element('name', HTMLElement),
+  form: element('form', HTMLFormElement),
+  search: element('search', HTMLInputElement),
+  summary: element('said', HTMLElement),
+  retry: element('again', HTMLButtonElement),
+  grid: element('grid', HTMLElement),
+  pages: element('pages', HTMLElement),
+  pageNumber: element('where', HTMLElement),
+  previous: element('before', HTMLButtonElement),
+  next: element('next', HTMLButtonElement),
+  choice: element('chosen', HTMLElement),
+  choiceCount: element('count', HTMLElement),
+  open: element('open', HTMLAnchorElement),
+  clear: element('none', HTMLButtonElement),
+};
 
-let wanted = asked.get('q') || '';
-let number = Math.max(1, Math.floor(Number(asked.get('page'))) || 1);
-let turn = 0; // of showing: an older one that is still loading shows nothing any more
-let version = 0; // of what is shown
+const name = decodeURIComponent(location.pathname.split('/').pop() ?? '');
+const parameters = new URLSearchParams(location.search);
+/** @type {Set<string>} */
+const chosenKeys = new Set();
+/** @type {Map<Element, Card>} */
+const cards = new Map(); // by their elements
+const visibility = new IntersectionObserver(loadVisible, { rootMargin: LOAD_AHEAD });
 
-// ---- finding ----------------------------------------------------------------------------------------------------------
-
-/** The rows of a page, and how many match: exactly, or, where not every shard had to be read, at least. */
-async function find(collection) {
-  const until = number * PER_PAGE;
-  const matching = matcherOf(wanted);
-  const rows = [];
-  let count = 0;
-  let exact = true;
-  for (const shard of collection.shards) {
-    if (count > until) {
-      exact = false; // enough for this page and to know that another one follows
-      break;
-    }
-    for (const row of (await known(collection, shard)).filter((each) => each.state !== 'removed' && matching(each))) {
-      count += 1;
-      if (count > until - PER_PAGE && count <= until) rows.push(row);
-    }
-  }
-  return { rows, count, exact, collection };
-}
-
-/** Rows that were read stay in memory: who types a word searches all of them with every letter. */
-async function known(collection, shard) {
-  const { sha256 } = shard;
-  if (!rowsBy.has(sha256)) rowsBy.set(sha256, await rowsOf(collection, shard));
-  for (const other of rowsBy.keys()) if (!collection.shards.some((each) => each.sha256 === other)) rowsBy.delete(other);
-  return rowsBy.get(sha256);
-}
-
-/** Every word is part of the name, of the key or of a label; case and accents do not count. */
-function matcherOf(text) {
-  const words = plain(text).split(/\s+/).filter(Boolean);
-  return ({ key, label, labels }) => {
-    const text = plain([label, key, ...labels].join('\n'));
-    return words.every((word) => text.includes(word));
-  };
-}
-
-const plain = (text) => text.normalize('NFKD').replace(/\p{M}/gu, '').toLowerCase();
+let query = parameters.get('q') || '';
+let pageNumber = Math.max(1, Math.floor(Number(parameters.get('page'))) || 1);
+let lastRequest = 0; // an older one that is still loading shows nothing any more
+let shownVersion = 0; // of the collection
+let typingTimer = 0;
 
 // ---- showing ----------------------------------------------------------------------------------------------------------
 
+/** Searches, and shows the page of results. */
 async function show() {
-  const mine = ++turn;
-  page.setAttribute('aria-busy', 'true');
+  const request = ++lastRequest;
+  document.body.setAttribute('aria-busy', 'true');
+  page.retry.hidden = true;
+  if (document.body.dataset.state === 'error') page.summary.textContent = 'Loading …';
   try {
-    const found = await newest(name, find);
-    if (mine === turn) fill(found);
-  } catch (problem) {
-    if (mine === turn) tell(problem);
+    const result = await withNewest(name, (collection) => search(collection, query, pageNumber));
+    if (request === lastRequest) showResult(result);
+  } catch (error) {
+    if (request === lastRequest) showError(error);
   }
-  page.removeAttribute('aria-busy');
+  document.body.removeAttribute('aria-busy');
 }
 
-function fill({ rows, count, exact, collection }) {
-  if (rows.length === 0 && number > 1) return turnTo(1); // the page is gone: things were taken back
-  empty();
-  const cards = rows.map((row) => cardOf(collection, row, {
-    chosen: chosen.has(row.key),
-    onLabel: search,
-    onChoose: (yes) => choose(row.key, yes),
-  }));
-  at('grid').append(...cards);
-  cards.forEach((card) => seeing.observe(card));
-  const whole = collection.shards.reduce((sum, shard) => sum + shard.count, 0);
-  at('said').textContent = summary(count, exact, whole);
-  const pages = exact ? Math.ceil(count / PER_PAGE) : null;
-  at('pages').hidden = number === 1 && pages !== null && pages <= 1;
-  at('where').textContent = pages ? `Page ${number} of ${pages}` : `Page ${number}`;
-  at('before').disabled = number === 1;
-  at('next').disabled = pages !== null && number >= pages;
-  version = collection.version;
-  page.dataset.state = 'shown';
-  page.dataset.version = version;
-  delete page.dataset.code;
+/** @param {SearchResult} result */
+function showResult({ rows, count, exact, collection }) {
+  if (rows.length === 0 && pageNumber > 1) {
+    goToPage(1); // this page is gone: assets were removed
+    return;
+  }
+  removeCards();
+  for (const row of rows) {
+    const card = new Card(collection, row, {
+      chosen: chosenKeys.has(row.key),
+      onLabel: searchFor,
+      onChoose: (yes) => choose(row.key, yes),
+      onLost: () => (page.retry.hidden = false),
+    });
+    cards.set(card.element, card);
+  }
+  page.grid.append(...cards.keys());
+  for (const item of cards.keys()) visibility.observe(item);
+  const size = collection.shards.reduce((sum, shard) => sum + shard.count, 0);
+  page.summary.textContent = summaryText(count, exact, size);
+  showPageNumber(exact ? Math.ceil(count / PER_PAGE) : null);
+  shownVersion = collection.version;
+  document.body.dataset.state = 'shown';
+  document.body.dataset.version = String(shownVersion);
+  delete document.body.dataset.code;
 }
 
-function summary(count, exact, whole) {
-  const things = (many) => `${counted(many)} ${many === 1 ? 'thing' : 'things'}`;
-  if (!wanted) return count === 0 ? 'Nothing is here yet.' : exact ? things(count) : `About ${things(whole)}`;
-  if (count === 0) return `Nothing matches “${wanted}”.`;
-  return `${exact ? things(count) : `More than ${things(count)}`} for “${wanted}”`;
+/** @param {number | null} pages null where it is not known how many there are */
+function showPageNumber(pages) {
+  page.pages.hidden = pageNumber === 1 && pages !== null && pages <= 1;
+  page.pageNumber.textContent = pages ? `Page ${pageNumber} of ${pages}` : `Page ${pageNumber}`;
+  page.previous.disabled = pageNumber === 1;
+  page.next.disabled = pages !== null && pageNumber >= pages;
 }
 
-function empty() {
-  for (const card of at('grid').children) card.leave();
-  seeing.disconnect();
-  at('grid').replaceChildren();
+/**
+ * @param {number} count of assets that match
+ * @param {boolean} exact whether that is all of them
+ * @param {number} size of the collection
+ */
+function summaryText(count, exact, size) {
+  /** @param {number} many */
+  const things = (many) => `${formatCount(many)} ${many === 1 ? 'thing' : 'things'}`;
+  if (count === 0) return query ? `Nothing matches “${query}”.` : 'Nothing is here yet.';
+  if (!query) return exact ? things(count) : `About ${things(size)}`;
+  return `${exact ? things(count) : `More than ${things(count)}`} for “${query}”`;
 }
 
-function seen(entries) {
+/** Removes all cards and frees the memory of their pictures. */
+function removeCards() {
+  for (const card of cards.values()) card.dispose();
+  cards.clear();
+  visibility.disconnect();
+  page.grid.replaceChildren();
+}
+
+/**
+ * Loads the pictures of cards that come into view.
+ * @param {IntersectionObserverEntry[]} entries
+ */
+function loadVisible(entries) {
   for (const { isIntersecting, target } of entries) {
     if (!isIntersecting) continue;
-    seeing.unobserve(target);
-    target.look();
+    visibility.unobserve(target);
+    cards.get(target)?.loadPicture();
   }
 }
 
-/** Nothing of a catalogue that is refused is shown, not even what stood here before. */
-function tell(problem) {
-  empty();
-  at('pages').hidden = true;
-  page.dataset.state = 'error';
-  page.dataset.code = problem.code || 'UNKNOWN';
+/**
+ * Shows an error in place of all cards: nothing of a catalogue that was refused may be seen, not even what was shown before.
+ * @param {unknown} error
+ */
+function showError(error) {
+  const problem = toProblem(error);
+  removeCards();
+  page.pages.hidden = true;
+  document.body.dataset.state = 'error';
+  document.body.dataset.code = problem.code;
   const nothingYet = problem.code === 'COLLECTION_UNKNOWN' && name === 'default';
-  at('said').textContent = nothingYet ? 'Nothing is here yet.' : [problem.message, ...(problem.hints || [])].join(' ');
+  page.summary.textContent = nothingYet ? 'Nothing is here yet.' : sentences(problem);
+  page.retry.hidden = nothingYet;
 }
 
 // ---- searching and turning pages --------------------------------------------------------------------------------------
 
-function search(text) {
-  at('search').value = text;
-  if (text.trim() === wanted) return;
-  wanted = text.trim();
-  number = 1;
-  note();
+/** @param {string} text */
+function searchFor(text) {
+  page.search.value = text;
+  if (text.trim() === query) return;
+  query = text.trim();
+  pageNumber = 1;
+  writeAddress();
   show();
 }
 
-function turnTo(page) {
-  number = page;
-  note();
-  show().then(() => at('name').scrollIntoView());
+/** @param {number} number */
+function goToPage(number) {
+  pageNumber = number;
+  writeAddress();
+  show().then(() => page.name.scrollIntoView());
 }
 
-/** In the address, for whoever comes back or sends it to others. */
-function note() {
-  const facts = [...(wanted ? [['q', wanted]] : []), ...(number > 1 ? [['page', number]] : [])];
-  history.replaceState(null, '', `${location.pathname}${facts.length ? `?${new URLSearchParams(facts)}` : ''}`);
+/** Writes the search and the page into the address, for who comes back or sends it to others. */
+function writeAddress() {
+  const written = new URLSearchParams();
+  if (query) written.set('q', query);
+  if (pageNumber > 1) written.set('page', String(pageNumber));
+  history.replaceState(null, '', [location.pathname, written.toString()].filter(Boolean).join('?'));
 }
 
-let typing = 0;
-at('search').value = wanted;
-at('search').addEventListener('input', () => {
-  clearTimeout(typing);
-  typing = setTimeout(() => search(at('search').value), TYPING_MS);
-});
-at('form').addEventListener('submit', (event) => {
-  event.preventDefault();
-  search(at('search').value);
-});
-at('before').addEventListener('click', () => turnTo(number - 1));
-at('next').addEventListener('click', () => turnTo(number + 1));
+/** Listens to the search field, and to the buttons that turn the page. */
+function listenToSearch() {
+  page.search.value = query;
+  page.search.addEventListener('input', () => {
+    clearTimeout(typingTimer);
+    typingTimer = setTimeout(() => searchFor(page.search.value), TYPING_MS);
+  });
+  page.form.addEventListener('submit', (event) => {
+    event.preventDefault();
+    searchFor(page.search.value);
+  });
+  page.previous.addEventListener('click', () => goToPage(pageNumber - 1));
+  page.next.addEventListener('click', () => goToPage(pageNumber + 1));
+}
 
 // ---- choosing ---------------------------------------------------------------------------------------------------------
 
-/** Whether it is chosen now. */
+/**
+ * Chooses an asset to open, or no longer.
+ * @param {string} key
+ * @param {boolean} yes
+ * @returns {boolean} whether it is chosen now
+ */
 function choose(key, yes) {
-  if (yes && chosen.size < MOST) chosen.add(key);
-  if (!yes) chosen.delete(key);
-  at('chosen').hidden = chosen.size === 0;
-  at('count').textContent = chosen.size < MOST ? `${chosen.size} chosen` : `${chosen.size} chosen, which is as many as a headset draws`;
-  at('open').textContent = chosen.size === 1 ? 'Open it' : 'Open together';
-  at('open').href = `/view?${new URLSearchParams([...chosen].map((each) => ['key', each]))}`;
-  return chosen.has(key);
+  if (yes && chosenKeys.size < MOST_CHOSEN) chosenKeys.add(key);
+  if (!yes) chosenKeys.delete(key);
+  const count = chosenKeys.size;
+  page.choice.hidden = count === 0;
+  page.choiceCount.textContent = count < MOST_CHOSEN ? `${count} chosen` : `${count} chosen, which is as many as a headset draws`;
+  page.open.textContent = count === 1 ? 'Open it' : 'Open together';
+  page.open.href = `/view?${new URLSearchParams([...chosenKeys].map((each) => ['key', each]))}`;
+  return chosenKeys.has(key);
 }
 
-at('none').addEventListener('click', () => {
-  for (const key of [...chosen]) choose(key, false);
-  for (const box of at('grid').querySelectorAll(':checked')) box.checked = false;
-  at('search').focus();
-});
+/** Chooses nothing. */
+function clearChoice() {
+  for (const key of [...chosenKeys]) choose(key, false);
+  for (const box of page.grid.querySelectorAll('input')) box.checked = false;
+  page.search.focus();
+}
 
-// Whoever comes back to this page finds it as the collection is by then.
-document.addEventListener('visibilitychange', () => {
+/** Shows the collection as it is by now, when the person comes back to this page. */
+async function reloadIfChanged() {
   if (document.hidden) return;
-  const changed = (now) => (now === version ? null : show());
-  newest(name, async (collection) => collection.version).then(changed, (problem) => problem.code === 'OFFLINE' || tell(problem));
-});
+  try {
+    const version = await withNewest(name, async (collection) => collection.version);
+    if (version !== shownVersion) show();
+  } catch (error) {
+    if (!isConnectionProblem(error)) showError(error);
+  }
+}
 
+listenToSearch();
+page.retry.addEventListener('click', show);
+page.clear.addEventListener('click', clearChoice);
+document.addEventListener('visibilitychange', reloadIfChanged);
 if (name !== 'default') {
-  at('name').textContent = name;
+  page.name.textContent = name;
   document.title = `${name} · capture2vr`;
 }
-keepShell();
+registerServiceWorker();
 show();

@@ -1,51 +1,90 @@
-// From a file's bytes to something that can be drawn without holding up the page: meshes are unpacked by workers and pictures
-// by the browser, the coarsest levels first, and the finer ones whenever the page has nothing else to do.
+// Loads GLB files without holding up the page: meshes are decoded by workers and pictures by the browser, the coarsest levels first, and
+// the finer ones whenever the page has nothing else to do.
 import { ktx2 } from './ktx2.js';
+import { meshDecoder } from './mesh-decoder.js';
 import { GLTFLoader } from '../vendor/three-0.187.0.gltf-loader.js';
-import { MeshoptDecoder } from '../vendor/three-0.187.0.meshopt-decoder.js';
-import { bytesOf } from '../shared/verified-cache.js';
+import { Problem, undecodable } from '../shared/problems.js';
+import { DECODE_MS, withTimeLimit } from '../shared/time-limits.js';
+import { loadFile } from '../shared/verified-cache.js';
 
-const WORKERS = 2; // a headset has few cores to spare
-const AT_ONCE = 2; // one comes over the network while another is unpacked
-const PATIENCE_MS = 200; // a page that draws all the time is never idle
+/** @import { Group, WebGLRenderer } from '../vendor/three-0.187.0.module.js' */
+/** @import { LodFile } from '../shared/types.d.ts' */
 
-const waiting = [];
-let busy = 0;
-let hired = false;
+/**
+ * A level of detail that waits to be loaded.
+ * @typedef {object} Request
+ * @property {LodFile} lod
+ * @property {WebGLRenderer} renderer
+ * @property {boolean} urgent before all others, and without waiting for the page to be idle
+ * @property {(level: Group) => void} resolve
+ * @property {(error: unknown) => void} reject
+ */
 
-/** What a catalogue's level ({url, sha256, file, level}) shows on a renderer, as a THREE.Group. Throws what loading throws. */
-export function decoded(lod, renderer, { hurry = false } = {}) {
+const AT_ONCE = 2; // one comes over the network while another is decoded
+const IDLE_MS = 200; // a page that draws all the time is never idle
+
+/** @type {Request[]} */
+const queue = [];
+let running = 0;
+
+/**
+ * Load a level of detail.
+ * @param {LodFile} lod
+ * @param {WebGLRenderer} renderer that will draw it
+ * @param {{ urgent?: boolean }} [options]
+ * @returns {Promise<Group>}
+ * @throws {Problem} NOT_DECODED, and what loading throws
+ */
+export function loadLevel(lod, renderer, { urgent = false } = {}) {
   return new Promise((resolve, reject) => {
-    waiting.push({ lod, renderer, hurry, resolve, reject });
-    waiting.sort((one, other) => other.hurry - one.hurry || other.lod.level - one.lod.level);
-    next();
+    queue.push({ lod, renderer, urgent, resolve, reject });
+    queue.sort((one, other) => Number(other.urgent) - Number(one.urgent) || other.lod.level - one.lod.level);
+    loadNext();
   });
 }
 
-async function next() {
-  if (busy >= AT_ONCE || waiting.length === 0) return;
-  busy += 1;
-  const { lod, renderer, hurry, resolve, reject } = waiting.shift();
+/** Load the next level of the queue, unless enough are being loaded. */
+async function loadNext() {
+  if (running >= AT_ONCE) return;
+  const request = queue.shift();
+  if (!request) return;
+  const { lod, renderer, urgent, resolve, reject } = request;
+  running += 1;
   try {
-    hire();
-    const bytes = await bytesOf(lod);
-    if (!hurry) await idle();
-    const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder).register(ktx2(renderer));
-    resolve((await loader.parseAsync(bytes, '')).scene);
+    const bytes = await loadFile(lod);
+    if (!urgent) await idle();
+    resolve(await decode(bytes, renderer));
   } catch (error) {
     reject(error);
   }
-  busy -= 1;
-  next();
+  running -= 1;
+  loadNext();
 }
 
-/** The workers, when there is something to unpack: starting them would hold up a page that begins. */
-function hire() {
-  if (!hired && MeshoptDecoder.supported) MeshoptDecoder.useWorkers(WORKERS);
-  hired = true;
+/**
+ * Decode a GLB file.
+ * @param {ArrayBuffer} bytes
+ * @param {WebGLRenderer} renderer
+ * @returns {Promise<Group>}
+ * @throws {Problem} NOT_DECODED, and what loading the KTX2 transcoder throws
+ */
+async function decode(bytes, renderer) {
+  const loader = new GLTFLoader().setMeshoptDecoder(meshDecoder()).register(ktx2(renderer));
+  try {
+    return (await withTimeLimit(loader.parseAsync(bytes, ''), DECODE_MS)).scene;
+  } catch (error) {
+    console.error(error); // what the person reads says nothing of the file's faults
+    throw error instanceof Problem ? error : undecodable();
+  }
 }
 
+/**
+ * Wait until the page has nothing else to do.
+ * @returns {Promise<unknown>}
+ */
 function idle() {
-  const wait = window.requestIdleCallback || ((done) => setTimeout(done)); // Safari has none
-  return new Promise((done) => wait(done, { timeout: PATIENCE_MS }));
+  return new Promise((resolve) => {
+    if ('requestIdleCallback' in window) window.requestIdleCallback(resolve, { timeout: IDLE_MS });
+    else setTimeout(resolve); // Safari
+  });
 }

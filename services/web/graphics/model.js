@@ -1,46 +1,57 @@
-// One version of an asset: its levels of detail as they come, the one that is shown, and the memory of those that are not.
+// One version of an asset: its levels of detail as they are loaded, the one that is shown, and freeing the others' memory.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { decoded } from './glb-loader.js';
+import { loadLevel } from './glb-loader.js';
 import { dispose } from './scene.js';
 
-const RETRY_MS = 2000; // doubles from try to try
-const RETRY_MOST_MS = 60_000;
-const RELEASE_MS = 3000; // a finer level than is wanted goes after this: who steps back often comes back at once
+/** @import { AssetEntry } from '../shared/types.d.ts' */
 
+const RETRY_MS = 2000; // doubles from try to try
+const LONGEST_RETRY_MS = 60_000;
+const RELEASE_MS = 3000; // how long a level that is too fine is kept: who steps back often comes back at once
+
+/** The levels of detail of one version. */
 export class Model {
-  #levels = []; // by their place in `lods`: none is there without all the coarser ones
+  /** @type {(THREE.Group | undefined)[]} */
+  #levels = []; // by their place in `lods`; none is loaded before all coarser ones are
   #wanted;
-  #pause = RETRY_MS;
+  #retryMs = RETRY_MS;
   #loading = false;
-  #unwantedSince = 0;
+  #tooFineSince = 0;
+  #disposed = false;
+  #renderer;
+  #prepare;
+  #onLevel;
 
   /**
-   * entry     of the catalogue: its files are shown as they are, so their hashes must have been checked
-   * renderer  what it will be drawn by
-   * prepare   async (group): makes what the graphics card needs, before it is drawn for the first time
-   * onLevel   is told of each level that has come
+   * @param {AssetEntry} entry with the hashes of its files checked: they are shown as they are
+   * @param {THREE.WebGLRenderer} renderer
+   * @param {object} [options]
+   * @param {(level: THREE.Group) => Promise<void>} [options.prepare] makes what the graphics card needs, before the first drawing
+   * @param {(level: number) => void} [options.onLevel] is called for each level that has come
    */
   constructor(entry, renderer, { prepare = async () => {}, onLevel = () => {} } = {}) {
     this.lods = [...entry.lods].sort((one, other) => one.level - other.level);
     this.object = new THREE.Group();
     this.object.name = entry.key;
-    this.disposed = false;
-    this.renderer = renderer;
-    this.prepare = prepare;
-    this.onLevel = onLevel;
+    this.#renderer = renderer;
+    this.#prepare = prepare;
+    this.#onLevel = onLevel;
     this.#wanted = this.lods.length - 1;
   }
 
-  /** Resolves once the coarsest level is there. Throws what loading throws. */
+  /** Loads the coarsest level. Throws what loading throws. */
   async start() {
     await this.#load(this.lods.length - 1, true);
   }
 
-  /** Show this level (a place in `lods`), and until it is there the finest that is. */
+  /**
+   * Shows a level, and until it is loaded the finest that is.
+   * @param {number} place in `lods`
+   */
   want(place) {
     this.#wanted = place;
     this.#refine();
-    this.#release();
+    this.#releaseFinest();
   }
 
   /** Place in `lods` of the level that is shown. */
@@ -48,68 +59,77 @@ export class Model {
     return Math.max(this.#finest, this.#wanted);
   }
 
-  /** The coarsest level: to be picked by, because few triangles are quickly searched. */
+  /** The coarsest level, for hit tests: few triangles are searched quickly. */
   get coarsest() {
     return this.#levels[this.lods.length - 1];
   }
 
-  /** Free all memory; what is still on its way is freed when it comes. */
+  /** Frees all memory, and later that of a level that is being loaded. */
   dispose() {
-    this.disposed = true;
-    this.#levels.forEach(dispose);
+    this.#disposed = true;
+    for (const level of this.#levels) if (level) dispose(level);
     this.#levels = [];
     this.object.removeFromParent();
   }
 
+  /** Place in `lods` of the finest level that is loaded. */
   get #finest() {
     const place = this.#levels.findIndex(Boolean);
     return place < 0 ? this.lods.length - 1 : place;
   }
 
+  /** Loads one finer level after the other, until the wanted one is there. */
   async #refine() {
-    if (this.#loading || this.disposed || this.#finest <= this.#wanted) return;
+    if (this.#loading || this.#disposed || this.#finest <= this.#wanted) return;
     this.#loading = true;
     try {
       await this.#load(this.#finest - 1, false);
-      this.#pause = RETRY_MS;
+      this.#retryMs = RETRY_MS;
     } catch {
-      await new Promise((resolve) => setTimeout(resolve, this.#pause));
-      this.#pause = Math.min(2 * this.#pause, RETRY_MOST_MS);
+      await new Promise((resolve) => setTimeout(resolve, this.#retryMs));
+      this.#retryMs = Math.min(2 * this.#retryMs, LONGEST_RETRY_MS);
     }
     this.#loading = false;
     this.#refine();
   }
 
-  async #load(place, hurry) {
-    const level = await decoded(this.lods[place], this.renderer, { hurry });
-    if (!this.disposed) await this.prepare(level);
-    if (this.disposed) {
+  /**
+   * @param {number} place in `lods`
+   * @param {boolean} urgent nothing else is shown yet
+   */
+  async #load(place, urgent) {
+    const level = await loadLevel(this.lods[place], this.#renderer, { urgent });
+    if (!this.#disposed) await this.#prepare(level);
+    if (this.#disposed) {
       dispose(level);
       return;
     }
     this.#levels[place] = level;
     this.object.add(level);
     this.#show();
-    this.onLevel(this.lods[place].level);
+    this.#onLevel(this.lods[place].level);
   }
 
-  #release() {
+  /** Frees the finest level, once it has been finer than wanted for a while. */
+  #releaseFinest() {
     this.#show();
     const finest = this.#finest;
-    if (finest >= this.#wanted || this.#loading) {
-      this.#unwantedSince = 0;
+    const level = this.#levels[finest];
+    if (!level || finest >= this.#wanted || this.#loading) {
+      this.#tooFineSince = 0;
       return;
     }
-    this.#unwantedSince ||= performance.now();
-    if (performance.now() - this.#unwantedSince < RELEASE_MS) return;
-    dispose(this.#levels[finest]);
-    this.#levels[finest].removeFromParent();
+    this.#tooFineSince ||= performance.now();
+    if (performance.now() - this.#tooFineSince < RELEASE_MS) return;
+    dispose(level);
+    level.removeFromParent();
     delete this.#levels[finest];
   }
 
+  /** Makes one level visible and hides the others. */
   #show() {
     this.#levels.forEach((level, place) => {
-      level.visible = place === this.shown;
+      if (level) level.visible = place === this.shown;
     });
   }
 }

@@ -1,8 +1,18 @@
-// What both pages draw on: a renderer, light, a camera that sees the whole of a thing, and freeing memory.
+// What the pages draw with: renderer, light, a camera that sees the whole of a thing, and freeing memory of the graphics card.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 
-/** A renderer, a scene with soft light, and a camera that fit `canvas`. */
-export function makeStage(canvas) {
+/** @import { Manifest, SizeM } from '../shared/types.d.ts' */
+
+/** @typedef {{ renderer: THREE.WebGLRenderer, scene: THREE.Scene, camera: THREE.PerspectiveCamera }} Stage */
+
+const POINT_SHARE = 1 / 40; // size of a point of the hints, of the thing's diameter
+
+/**
+ * Creates a renderer, a scene with soft light, and a camera that fit a canvas. Throws where the browser has no WebGL.
+ * @param {HTMLCanvasElement} canvas
+ * @returns {Stage}
+ */
+export function createStage(canvas) {
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   renderer.debug.checkShaderErrors = false; // asking for them waits for the graphics card
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
@@ -25,7 +35,13 @@ export function makeStage(canvas) {
   return { renderer, scene, camera };
 }
 
-/** Place the camera so that a box of `size` metres around `target` fills the view: a box standing on the floor where none is told. */
+/**
+ * Places the camera so that a box fills the view.
+ * @param {THREE.PerspectiveCamera} camera
+ * @param {SizeM | THREE.Vector3Tuple} size in metres
+ * @param {THREE.Vector3} [target] the middle of the box; without it the box stands on the floor
+ * @returns {THREE.Vector3} the target
+ */
 export function frame(camera, size, target = new THREE.Vector3(0, size[1] / 2, 0)) {
   const radius = Math.max(0.05, Math.hypot(size[0], size[1], size[2]) / 2);
   const half = Math.min(camera.fov, camera.fov * camera.aspect) / 2;
@@ -38,30 +54,57 @@ export function frame(camera, size, target = new THREE.Vector3(0, size[1] / 2, 0
   return target;
 }
 
-/** The manifest's few hundred points as THREE.Points, to be seen while the first level is on its way; null without any. */
-export function hintsOf(manifest, size) {
-  const { xyz_m: places, rgb } = manifest.anchors || {};
-  if (!places?.length) return null;
+/**
+ * Creates the manifest's few hundred points, which are shown until the first level of detail is loaded.
+ * @param {Partial<Manifest>} manifest
+ * @param {SizeM} size
+ * @returns {THREE.Points | null} null where the manifest has none
+ */
+export function hintsOf({ anchors }, size) {
+  if (!anchors?.xyz_m?.length) return null;
   const geometry = new THREE.BufferGeometry();
-  const colours = Float32Array.from(rgb, (value) => new THREE.Color().setRGB(value / 255, 0, 0, THREE.SRGBColorSpace).r);
-  geometry.setAttribute('position', new THREE.Float32BufferAttribute(places, 3));
+  const colours = Float32Array.from(anchors.rgb, (value) => new THREE.Color().setRGB(value / 255, 0, 0, THREE.SRGBColorSpace).r);
+  geometry.setAttribute('position', new THREE.Float32BufferAttribute(anchors.xyz_m, 3));
   geometry.setAttribute('color', new THREE.Float32BufferAttribute(colours, 3));
-  return new THREE.Points(geometry, new THREE.PointsMaterial({ size: Math.hypot(...size) / 40, vertexColors: true }));
+  return new THREE.Points(geometry, new THREE.PointsMaterial({ size: Math.hypot(...size) * POINT_SHARE, vertexColors: true }));
 }
 
-/** Free an asset's GPU memory. */
+/**
+ * The materials of an object of the scene; none of one without materials.
+ * @param {THREE.Object3D} object
+ * @returns {THREE.Material[]}
+ */
+export function materialsOf(object) {
+  const materials = 'material' in object ? [object.material].flat() : [];
+  return materials.filter((material) => material instanceof THREE.Material);
+}
+
+/**
+ * The textures of a material.
+ * @param {THREE.Material} material
+ * @returns {THREE.Texture[]}
+ */
+export function texturesOf(material) {
+  return Object.values(material).filter((value) => value instanceof THREE.Texture);
+}
+
+/**
+ * Frees what an object and all below it hold on the graphics card.
+ * @param {THREE.Object3D} object
+ */
 export function dispose(object) {
   object.traverse((node) => {
-    if (!node.isMesh && !node.isPoints) return;
+    if (!(node instanceof THREE.Mesh || node instanceof THREE.Points)) return;
     node.geometry.dispose();
-    for (const material of [node.material].flat()) {
-      for (const value of Object.values(material)) if (value?.isTexture) freed(value);
+    for (const material of materialsOf(node)) {
+      texturesOf(material).forEach(disposeTexture);
       material.dispose();
     }
   });
 }
 
-function freed(texture) {
+/** @param {THREE.Texture} texture */
+function disposeTexture(texture) {
   texture.dispose();
-  texture.image?.close?.(); // a decoded picture waits for no garbage collector: it has up to 16 MB
+  if (texture.image instanceof ImageBitmap) texture.image.close(); // up to 16 MB, which the garbage collector would free late
 }

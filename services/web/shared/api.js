@@ -1,64 +1,128 @@
-// The gateway's HTTP API, as both pages use it.
+// The gateway's HTTP API, as all pages use it.
+import { deleteEntry, openCache, readEntry, writeEntry } from './cache-storage.js';
+import { fetchBytes } from './network.js';
+import { Problem, isConnectionProblem, noAnswer, offline } from './problems.js';
+import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
-/** A problem document (RFC 9457) as an exception: `message` is for people, `code` for programs. */
-export class Problem extends Error {
-  constructor(document) {
-    super(document.detail || document.title || 'Something went wrong.');
-    this.code = document.code || 'UNKNOWN';
-    this.file = document.file || '';
-    this.hints = document.hints || [];
-    this.status = document.status || 0;
-  }
-}
+/** @import { CaptureReceipt, JobProgress } from './types.d.ts' */
 
-const OFFLINE = { code: 'OFFLINE', detail: 'The server cannot be reached.', hints: ['Check the connection and try again.'] };
+const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
+const GATEWAY_ERRORS = [502, 503, 504]; // a proxy's word that the server behind it cannot be reached
+const GONE = [404, 410];
 
-/** Parse an answer's body, or throw it as a Problem. */
-function opened(status, text) {
-  let body = {};
+/**
+ * Parse the body of an answer.
+ * @template T
+ * @param {number} status
+ * @param {string} text
+ * @returns {T} what the caller declares: the server's document is trusted to have that shape
+ * @throws {Problem} where the status or the body is an error
+ */
+function parseAnswer(status, text) {
+  /** @type {T} */
+  let body;
   try {
     body = JSON.parse(text);
   } catch {
-    body = { detail: `The server answered ${status}.` };
+    throw new Problem({ status, detail: `The server answered ${status}, with something that this page cannot read.`, hints: ['Try again later.'] });
   }
   if (status >= 200 && status < 300) return body;
   throw new Problem({ status, ...body });
 }
 
+/** @param {ArrayBuffer} bytes */
+const decodeText = (bytes) => new TextDecoder().decode(bytes);
+
+/**
+ * GET a JSON document.
+ * @template T
+ * @param {string} url
+ * @returns {Promise<T>} what the caller declares
+ * @throws {Problem} OFFLINE, NO_ANSWER, and what the server says
+ */
 export async function getJson(url) {
-  const answer = await fetch(url, { cache: 'no-cache' }).catch(() => {
-    throw new Problem(OFFLINE);
-  });
-  return opened(answer.status, await answer.text());
+  const { response, bytes } = await fetchBytes(url, { cache: 'no-cache' });
+  return parseAnswer(response.status, decodeText(bytes));
 }
 
+/**
+ * GET a JSON document, network first: the answer is cached, and shown again while the server cannot be reached.
+ * @template T
+ * @param {string} url
+ * @returns {Promise<T>} what the caller declares
+ * @throws {Problem} as `getJson`
+ */
+export async function getCachedJson(url) {
+  const cache = await openCache(CATALOGUE);
+  const copy = await readEntry(cache, url);
+  const silenceMs = copy ? CACHED_COPY_MS : NETWORK_SILENCE_MS;
+  try {
+    const { response, bytes } = await fetchBytes(url, { cache: 'no-cache', silenceMs });
+    if (GATEWAY_ERRORS.includes(response.status) && copy) throw offline();
+    if (GONE.includes(response.status)) await deleteEntry(cache, url);
+    /** @type {T} */
+    const document = parseAnswer(response.status, decodeText(bytes));
+    if (!copy || decodeText(copy.bytes) !== decodeText(bytes)) await writeEntry(cache, url, bytes, response.headers);
+    return document;
+  } catch (problem) {
+    if (copy && isConnectionProblem(problem)) return JSON.parse(decodeText(copy.bytes));
+    throw problem;
+  }
+}
+
+/**
+ * POST a JSON document.
+ * @template T
+ * @param {string} url
+ * @param {unknown} body
+ * @param {Record<string, string>} [headers]
+ * @returns {Promise<T>} what the caller declares
+ * @throws {Problem} as `getJson`
+ */
 export async function postJson(url, body, headers = {}) {
-  const answer = await fetch(url, {
+  const { response, bytes } = await fetchBytes(url, {
     method: 'POST',
     headers: { 'Content-Type': 'application/json', ...headers },
     body: JSON.stringify(body),
-  }).catch(() => {
-    throw new Problem(OFFLINE);
   });
-  return opened(answer.status, await answer.text());
+  return parseAnswer(response.status, decodeText(bytes));
 }
 
-/** Upload files as one capture. XMLHttpRequest, because fetch tells nothing of an upload's progress. */
+/**
+ * Upload files as one capture. XMLHttpRequest, because fetch tells nothing of an upload's progress.
+ * @param {File[]} files
+ * @param {string} name
+ * @param {(fraction: number) => void} onProgress
+ * @returns {Promise<CaptureReceipt>}
+ * @throws {Problem} OFFLINE, NO_ANSWER, and what the server says
+ */
 export function uploadCapture(files, name, onProgress) {
   const form = new FormData();
   form.append('name', name);
   for (const file of files) form.append('files', file, file.webkitRelativePath || file.name);
   return new Promise((resolve, reject) => {
     const request = new XMLHttpRequest();
-    request.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);
+    let timer = 0;
+    const restart = (/** @type {number} */ limitMs) => {
+      clearTimeout(timer);
+      timer = setTimeout(() => request.abort(), limitMs);
+    };
+    request.upload.onprogress = (event) => {
+      restart(NETWORK_SILENCE_MS);
+      if (event.lengthComputable) onProgress(event.loaded / event.total);
+    };
+    request.upload.onload = () => restart(UPLOAD_CHECK_MS);
     request.onload = () => {
       try {
-        resolve(opened(request.status, request.responseText));
+        resolve(parseAnswer(request.status, request.responseText));
       } catch (problem) {
         reject(problem);
       }
     };
-    request.onerror = () => reject(new Problem(OFFLINE));
+    request.onabort = () => reject(noAnswer());
+    request.onerror = () => reject(offline());
+    request.onloadend = () => clearTimeout(timer);
+    restart(NETWORK_SILENCE_MS);
     request.open('POST', '/v1/captures');
     request.send(form);
   });
@@ -67,35 +131,76 @@ export function uploadCapture(files, name, onProgress) {
 const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds
 
 /**
- * Follow a job over server-sent events; what was missed while the connection was away is replayed.
- * `onEvent(type, data)` hears every event, and `open` whenever the stream (re)opens; returns a function that stops.
+ * @typedef {object} JobCallbacks
+ * @property {(progress: JobProgress) => void} onProgress
+ * @property {() => void} onChange is called when the job may have changed, and whenever the stream opens
+ * @property {() => void} onLost is called when the stream was silent for too long or was closed; it is then opened again
  */
-export function followJob(id, onEvent) {
-  let source = null;
-  let timer = 0;
-  let seen = 0;
+
+/**
+ * Follow a job over server-sent events; events that were missed while the connection was lost are replayed.
+ * @param {string} id
+ * @param {JobCallbacks} callbacks
+ * @returns {() => void} stops following
+ */
+export function followJob(id, { onProgress, onChange, onLost }) {
+  /** @type {EventSource | undefined} */
+  let source;
+  let reconnect = 0;
+  let silence = 0;
+  let last = 0; // number of the last event
+  function restartSilence() {
+    clearTimeout(silence);
+    silence = setTimeout(lose, EVENTS_SILENCE_MS);
+  }
+  /** @param {MessageEvent} event */
+  function received(event) {
+    restartSilence();
+    last = Number(event.lastEventId) || last;
+  }
+  function lose() {
+    stop();
+    onLost();
+    reconnect = setTimeout(connect, RECONNECT_MS);
+  }
+  function stop() {
+    clearTimeout(reconnect);
+    clearTimeout(silence);
+    source?.close();
+  }
   function connect() {
-    source = new EventSource(`/v1/jobs/${id}/events?after=${seen}`);
-    source.onopen = () => onEvent('open', {});
-    for (const type of ['progress', 'published', 'state']) {
-      source.addEventListener(type, (event) => {
-        seen = Number(event.lastEventId) || seen;
-        onEvent(type, JSON.parse(event.data));
+    const stream = new EventSource(`/v1/jobs/${id}/events?after=${last}`);
+    source = stream;
+    restartSilence();
+    stream.onopen = () => {
+      restartSilence();
+      onChange();
+    };
+    stream.addEventListener('heartbeat', restartSilence);
+    stream.addEventListener('progress', (event) => {
+      received(event);
+      onProgress(JSON.parse(event.data));
+    });
+    for (const type of ['published', 'state']) {
+      stream.addEventListener(type, (event) => {
+        received(event);
+        onChange();
       });
     }
     // A browser reconnects by itself where the connection breaks, but never after an error's answer (a proxy's 502).
-    source.onerror = () => {
-      if (source.readyState === EventSource.CLOSED) timer = setTimeout(connect, RECONNECT_MS);
+    stream.onerror = () => {
+      if (stream.readyState === EventSource.CLOSED) lose();
     };
   }
   connect();
-  return () => {
-    clearTimeout(timer);
-    source.close();
-  };
+  return stop;
 }
 
-/** "My grandmother's dress!" -> "My-grandmother-s-dress": the characters that an asset key may have. */
+/**
+ * "My grandmother's dress!" -> "My-grandmother-s-dress": the characters that an asset key may have.
+ * @param {string} name
+ * @returns {string}
+ */
 export function keyFrom(name) {
   const plain = name.normalize('NFKD').replace(/[\u0300-\u036f]/g, '');
   return plain.replace(/[^A-Za-z0-9._-]+/g, '-').replace(/^[^A-Za-z0-9]+|[-._]+$/g, '').slice(0, 100);

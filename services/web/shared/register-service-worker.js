@@ -1,18 +1,16 @@
-// The service worker, and what it keeps of the very first visit, of which it saw nothing because it came later.
+// Registers the service worker, which caches the pages and their modules for visits without the server.
 
-const SETTLED_MS = 1500; // by then what the page needs to begin with has been asked for
-
-export async function keepShell() {
-  if (!navigator.serviceWorker) return;
-  const first = !navigator.serviceWorker.controller;
+/**
+ * Register the service worker. No part of a page waits for it: a browser may take as long as it likes to start it, or never do so.
+ * `data-offline="ready"` on the body says that the pages are cached.
+ */
+export async function registerServiceWorker() {
   try {
-    await navigator.serviceWorker.register('/web/shared/service-worker.js', { scope: '/' });
-    const { active } = await navigator.serviceWorker.ready;
-    if (!first) return;
-    await new Promise((resolve) => setTimeout(resolve, SETTLED_MS));
-    const loaded = performance.getEntriesByType('resource').map(({ name }) => name);
-    active.postMessage({ keep: [location.href, ...new Set(loaded)] });
+    await navigator.serviceWorker.register('/web/shared/service-worker.js', { scope: '/', type: 'module' });
+    await navigator.serviceWorker.ready;
+    document.body.dataset.offline = 'ready';
   } catch {
-    // A private window does without.
+    // Private windows, plain http, and browsers without modules in service workers: the pages need the server at every visit.
+    document.body.dataset.offline = 'unavailable';
   }
 }

@@ -1,60 +1,66 @@
-// Files of assets, kept on the device under their hash: what was loaded once needs no network again, and what has
-// rotted or was tampered with is never shown.
-import { Problem } from './api.js';
+// Files of assets, cached on the device under their hash: a file that was loaded once needs no network again, and one that has rotted or was
+// tampered with is never shown.
+import { checksum, deleteCache, openCache, readEntry, writeEntry } from './cache-storage.js';
+import { fetchBytes } from './network.js';
+import { Problem } from './problems.js';
 
 const NAME = 'assets-1';
 
-/** The bytes of a catalogue's file ({url, sha256, file}) as an ArrayBuffer. Throws Problem ASSET_TAMPERED, ASSET_ABSENT. */
-export async function bytesOf(file) {
-  const vault = await opened();
-  const place = `/vault/${file.sha256}`;
-  const kept = await vault?.match(place);
-  if (kept) {
-    const bytes = await kept.arrayBuffer();
-    if (await means(bytes, file.sha256)) return bytes;
-    await vault.delete(place);
-  }
-  const bytes = await fetched(file);
-  await keep(vault, place, bytes);
+/** @import { AssetFile } from './types.d.ts' */
+/** @typedef {Pick<AssetFile, 'url' | 'sha256' | 'file'>} CatalogueFile a file as a catalogue names it; `file` is its name for people */
+
+/**
+ * Load a file of a catalogue, from the device where it has it.
+ * @param {CatalogueFile} file
+ * @returns {Promise<ArrayBuffer>}
+ * @throws {Problem} ASSET_TAMPERED, ASSET_ABSENT, OFFLINE, NO_ANSWER
+ */
+export async function loadFile(file) {
+  const cache = await openCache(NAME);
+  const key = `/vault/${file.sha256}`;
+  const copy = await readEntry(cache, key, file.sha256);
+  if (copy) return copy.bytes;
+  const bytes = await fetchFile(file);
+  await storeFile(cache, key, bytes);
   return bytes;
 }
 
-async function fetched(file) {
-  // The browser's own cache may have rotted too: what is wrong once is asked for again, from the server.
-  for (const cache of ['default', 'reload']) {
-    const answer = await fetch(file.url, { cache });
-    if (!answer.ok) {
-      throw new Problem({ code: 'ASSET_ABSENT', status: answer.status, detail: `${file.file} is not where the catalogue says.` });
+/**
+ * @param {CatalogueFile} file
+ * @returns {Promise<ArrayBuffer>}
+ */
+async function fetchFile(file) {
+  // The browser's own cache may have rotted too: a wrong file is asked for once more, from the server.
+  for (const cache of /** @type {const} */ (['default', 'reload'])) {
+    const { response, bytes } = await fetchBytes(file.url, { cache });
+    if (!response.ok) {
+      const hints = ['Try again later.'];
+      throw new Problem({ code: 'ASSET_ABSENT', status: response.status, detail: `${file.file} is not where the catalogue says.`, hints });
     }
-    const bytes = await answer.arrayBuffer();
-    if (await means(bytes, file.sha256)) return bytes;
+    if (await hasHash(bytes, file.sha256)) return bytes;
   }
   const hints = ['It was changed on its way or at its place. Tell whoever runs this server.'];
   throw new Problem({ code: 'ASSET_TAMPERED', detail: `${file.file} is not what the catalogue promises, so it is not shown.`, hints });
 }
 
-/** Whether bytes have the hash. Only where the browser lets pages compute one: over https, or on this machine. */
-async function means(bytes, sha256) {
-  if (!crypto.subtle) return true;
-  const digest = new Uint8Array(await crypto.subtle.digest('SHA-256', bytes));
-  return Array.from(digest, (value) => value.toString(16).padStart(2, '0')).join('') === sha256;
+/**
+ * Whether bytes have the hash. Only where the browser lets pages compute one: over https, or on this machine.
+ * @param {ArrayBuffer} bytes
+ * @param {string} sha256
+ * @returns {Promise<boolean>}
+ */
+async function hasHash(bytes, sha256) {
+  return [sha256, ''].includes(await checksum(bytes));
 }
 
-async function opened() {
-  try {
-    return await caches.open(NAME);
-  } catch {
-    return null; // not over plain http, and not in every private window
-  }
-}
-
-/** Kept for the next visit; where the device is full, everything kept makes place once. */
-async function keep(vault, place, bytes) {
-  const copy = () => new Response(bytes.slice(0), { headers: { 'Content-Type': 'application/octet-stream' } });
-  try {
-    await vault?.put(place, copy());
-  } catch {
-    await caches.delete(NAME);
-    await (await opened())?.put(place, copy()).catch(() => {}); // it was shown; the next visit fetches it again
-  }
+/**
+ * Cache a file for the next visit; where the device is full, all other files are deleted once.
+ * @param {Cache | null} cache
+ * @param {string} key
+ * @param {ArrayBuffer} bytes
+ */
+async function storeFile(cache, key, bytes) {
+  if (!cache || (await writeEntry(cache, key, bytes, { 'Content-Type': 'application/octet-stream' }))) return;
+  await deleteCache(NAME);
+  await writeEntry(await openCache(NAME), key, bytes); // without success the next visit fetches it again
 }

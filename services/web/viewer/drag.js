@@ -1,160 +1,253 @@
-// Moving things on the page: by mouse, by one finger or two, and by keys. Off, the same gestures move the camera.
+// Dragging things on the page: by mouse, by one finger or two, and by keys. While it is off, the same gestures move the camera.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { met } from './hit-test.js';
+import { pickItem } from './hit-test.js';
 import { SCALES } from './saved-placement.js';
 
-const STEP_M = 0.05;
-const TURN = Math.PI / 12;
-const GROW = 1.1; // by one key press
-const WHEEL = 1 / 800; // of a natural logarithm for a pixel of scrolling: a notch is about a tenth
-const TURN_PX = 0.01; // radians for a pixel
-const FLAT = 0.2; // sine of the angle below which a view along the floor makes dragging on it too wild
+/** @import { LoadedItem, SceneItem } from './scene-item.js' */
+/** @typedef {{ x: number, y: number }} Point on the canvas, in pixels */
+/** @typedef {{ item: LoadedItem, plane: THREE.Plane, turning: boolean }} Drag a drag that goes on, on a plane */
 
 /**
- * Returns {on(yes), choose(piece)}. pieces(): what there is to move; `onMoved(piece)` hears when one was let go;
- * `onChosen(piece)` whom the keys mean.
+ * @typedef {object} DragCallbacks
+ * @property {() => LoadedItem[]} items what can be moved
+ * @property {(item: LoadedItem) => void} onMove is called when an item was moved and let go
+ * @property {(item: SceneItem) => void} onSelect is called with the item that the keys move from now on
  */
-export function makeArranger({ camera, canvas }, { pieces, onMoved, onChosen }) {
-  let active = false;
-  let chosen = null;
-  const fingers = new Map(); // pointer id → its last place on the canvas
-  let drag = null; // { piece, plane, turning }
-  const caster = new THREE.Raycaster();
 
-  const listen = (kind, does) => canvas.addEventListener(kind, (event) => active && does(event), { capture: true, passive: false });
-  listen('pointerdown', down);
-  listen('pointermove', move);
-  listen('pointerup', up);
-  listen('pointercancel', up);
-  listen('wheel', wheel);
-  listen('keydown', key);
-  listen('contextmenu', (event) => event.preventDefault());
+const STEP_M = 0.05; // by one key press
+const TURN = Math.PI / 12; // by one key press
+const GROWTH = 1.1; // by one key press
+const GROWTH_PX = 1 / 800; // natural logarithm of the growth for a pixel of scrolling: a notch is about a tenth
+const TURN_PX = 0.01; // radians for a pixel
+const LOW_VIEW = 0.2; // sine of the angle between view and floor below which dragging on the floor would jump far
 
-  function choose(piece) {
-    chosen = piece;
-    onChosen(piece);
+/** Drag controls for all items of a scene, on one canvas. */
+export class DragControls {
+  #camera;
+  #canvas;
+  #callbacks;
+  #enabled = false;
+  /** @type {SceneItem | null} */
+  #selected = null; // by the list of the page or by a click
+  /** @type {Map<number, Point>} */
+  #pointers = new Map(); // where each finger or mouse was last, by the id of the pointer
+  /** @type {Drag | null} */
+  #drag = null;
+  #raycaster = new THREE.Raycaster();
+
+  /**
+   * @param {THREE.PerspectiveCamera} camera
+   * @param {HTMLCanvasElement} canvas
+   * @param {DragCallbacks} callbacks
+   */
+  constructor(camera, canvas, callbacks) {
+    this.#camera = camera;
+    this.#canvas = canvas;
+    this.#callbacks = callbacks;
+    this.#listen('pointerdown', (event) => this.#pointerDown(event));
+    this.#listen('pointermove', (event) => this.#pointerMove(event));
+    this.#listen('pointerup', (event) => this.#pointerUp(event));
+    this.#listen('pointercancel', (event) => this.#pointerUp(event));
+    this.#listen('wheel', (event) => this.#scroll(event));
+    this.#listen('keydown', (event) => this.#keyDown(event));
+    this.#listen('contextmenu', (event) => event.preventDefault());
   }
 
-  function down(event) {
-    const hit = met(pieces(), aimed(event));
-    if (!hit && !drag) return; // beside everything: the camera's
-    mine(event);
-    canvas.focus();
-    canvas.setPointerCapture(event.pointerId);
-    fingers.set(event.pointerId, placeOf(event));
-    if (drag) return;
+  /**
+   * Switches dragging on or off.
+   * @param {boolean} enabled
+   */
+  enable(enabled) {
+    this.#enabled = enabled;
+    this.#pointers.clear();
+    this.#drag = null;
+  }
+
+  /**
+   * Selects the item that the keys move.
+   * @param {SceneItem} item
+   */
+  select(item) {
+    this.#selected = item;
+    this.#callbacks.onSelect(item);
+  }
+
+  /**
+   * Calls a listener while dragging is on, before the controls of the camera get the event.
+   * @template {keyof HTMLElementEventMap} K
+   * @param {K} kind
+   * @param {(event: HTMLElementEventMap[K]) => void} listener
+   */
+  #listen(kind, listener) {
+    this.#canvas.addEventListener(kind, (event) => this.#enabled && listener(event), { capture: true, passive: false });
+  }
+
+  /** @param {PointerEvent} event */
+  #pointerDown(event) {
+    const hit = this.#pick(event);
+    if (!hit && !this.#drag) return; // beside everything: this moves the camera
+    consume(event);
+    this.#canvas.focus();
+    this.#canvas.setPointerCapture(event.pointerId);
+    this.#pointers.set(event.pointerId, pointOf(event));
+    if (this.#drag || !hit) return;
     const turning = event.button === 2 || event.ctrlKey;
-    drag = { piece: hit.piece, plane: planeThrough(hit.point, event.shiftKey), turning };
-    choose(hit.piece);
+    this.#drag = { item: hit.item, plane: this.#dragPlane(hit.point, event.shiftKey), turning };
+    this.select(hit.item);
   }
 
-  function move(event) {
-    const was = fingers.get(event.pointerId);
-    if (!drag || !was) return;
-    mine(event);
-    const now = placeOf(event);
-    const others = [...fingers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
-    if (others.length > 0) byTwo(was, now, others[0]);
-    else if (drag.turning) turn(drag.piece, (now.x - was.x) * TURN_PX);
-    else slide(was, now);
-    fingers.set(event.pointerId, now);
+  /** @param {PointerEvent} event */
+  #pointerMove(event) {
+    const before = this.#pointers.get(event.pointerId);
+    if (!this.#drag || !before) return;
+    consume(event);
+    const now = pointOf(event);
+    const others = [...this.#pointers].filter(([id]) => id !== event.pointerId).map(([, point]) => point);
+    if (others.length > 0) scaleAndTurn(this.#drag.item, before, now, others[0]);
+    else if (this.#drag.turning) turn(this.#drag.item, (now.x - before.x) * TURN_PX);
+    else this.#slide(this.#drag, before, now);
+    this.#pointers.set(event.pointerId, now);
   }
 
-  function slide(was, now) {
-    const [from, to] = [was, now].map((place) => aimed(place).ray.intersectPlane(drag.plane, new THREE.Vector3()));
-    if (from && to) drag.piece.group.position.add(to.sub(from));
+  /** @param {PointerEvent} event */
+  #pointerUp(event) {
+    if (!this.#pointers.delete(event.pointerId) || !this.#drag) return;
+    consume(event);
+    if (this.#pointers.size > 0) return;
+    this.#callbacks.onMove(this.#drag.item);
+    this.#drag = null;
   }
 
-  /** The finger that moved scales and turns about the one that rests. */
-  function byTwo(was, now, rest) {
-    const [before, after] = [was, now].map((place) => ({ x: place.x - rest.x, y: place.y - rest.y }));
-    scale(drag.piece, Math.hypot(after.x, after.y) / Math.max(1, Math.hypot(before.x, before.y)));
-    turn(drag.piece, Math.atan2(before.y, before.x) - Math.atan2(after.y, after.x));
-  }
-
-  function up(event) {
-    if (!fingers.delete(event.pointerId) || !drag) return;
-    mine(event);
-    if (fingers.size > 0) return;
-    onMoved(drag.piece);
-    drag = null;
-  }
-
-  function wheel(event) {
-    const hit = met(pieces(), aimed(event));
+  /** @param {WheelEvent} event */
+  #scroll(event) {
+    const hit = this.#pick(event);
     if (!hit) return;
-    mine(event);
-    choose(hit.piece);
-    scale(hit.piece, Math.exp(-event.deltaY * WHEEL));
-    onMoved(hit.piece);
+    consume(event);
+    this.select(hit.item);
+    scale(hit.item, Math.exp(-event.deltaY * GROWTH_PX));
+    this.#callbacks.onMove(hit.item);
   }
 
-  function key(event) {
-    const piece = chosen || pieces()[0];
-    const does = piece && KEYS[event.key];
-    if (!does || event.altKey || event.ctrlKey || event.metaKey) return;
-    mine(event);
-    does(piece, camera);
-    onMoved(piece);
+  /** @param {KeyboardEvent} event */
+  #keyDown(event) {
+    const items = this.#callbacks.items();
+    const item = items.find((each) => each === this.#selected) ?? items[0];
+    const action = KEYS[event.key];
+    if (!item || !action || event.altKey || event.ctrlKey || event.metaKey) return;
+    consume(event);
+    action(item, this.#camera);
+    this.#callbacks.onMove(item);
   }
 
-  function aimed({ x, y }) {
-    const { left, top, width, height } = canvas.getBoundingClientRect();
-    caster.setFromCamera(new THREE.Vector2((2 * (x - left)) / width - 1, 1 - (2 * (y - top)) / height), camera);
-    return caster;
+  /**
+   * Moves an item along the plane of its drag.
+   * @param {Drag} drag
+   * @param {Point} before
+   * @param {Point} now
+   */
+  #slide({ item, plane }, before, now) {
+    const from = this.#castRay(before).ray.intersectPlane(plane, new THREE.Vector3());
+    const to = this.#castRay(now).ray.intersectPlane(plane, new THREE.Vector3());
+    if (from && to) item.group.position.add(to.sub(from));
   }
 
-  /** The floor at this height, or, to lift it and where one looks along the floor, the plane that faces the camera. */
-  function planeThrough(point, lifting) {
-    const view = camera.getWorldDirection(new THREE.Vector3());
-    const upright = lifting || Math.abs(view.y) < FLAT;
+  /** @param {Point} point */
+  #pick(point) {
+    return pickItem(this.#callbacks.items(), this.#castRay(point));
+  }
+
+  /**
+   * The ray from the camera through a point of the canvas.
+   * @param {Point} point
+   */
+  #castRay({ x, y }) {
+    const { left, top, width, height } = this.#canvas.getBoundingClientRect();
+    this.#raycaster.setFromCamera(new THREE.Vector2((2 * (x - left)) / width - 1, 1 - (2 * (y - top)) / height), this.#camera);
+    return this.#raycaster;
+  }
+
+  /**
+   * The plane to drag on: level, or facing the camera in order to lift the item and where the camera looks along the floor.
+   * @param {THREE.Vector3} point on the plane
+   * @param {boolean} lifting
+   */
+  #dragPlane(point, lifting) {
+    const view = this.#camera.getWorldDirection(new THREE.Vector3());
+    const upright = lifting || Math.abs(view.y) < LOW_VIEW;
     const normal = upright ? view.setY(0).normalize() : new THREE.Vector3(0, 1, 0);
     return new THREE.Plane().setFromNormalAndCoplanarPoint(normal, point);
   }
-
-  return {
-    choose,
-    on(yes) {
-      active = yes;
-      fingers.clear();
-      drag = null;
-    },
-  };
 }
 
+/** @type {Record<string, (item: LoadedItem, camera: THREE.Camera) => void>} */
 const KEYS = {
-  ArrowLeft: (piece, camera) => step(piece, camera, -1, 0),
-  ArrowRight: (piece, camera) => step(piece, camera, 1, 0),
-  ArrowUp: (piece, camera) => step(piece, camera, 0, 1),
-  ArrowDown: (piece, camera) => step(piece, camera, 0, -1),
-  PageUp: (piece) => (piece.group.position.y += STEP_M),
-  PageDown: (piece) => (piece.group.position.y -= STEP_M),
-  ',': (piece) => turn(piece, TURN),
-  '.': (piece) => turn(piece, -TURN),
-  '+': (piece) => scale(piece, GROW),
-  '-': (piece) => scale(piece, 1 / GROW),
+  ArrowLeft: (item, camera) => step(item, camera, -1, 0),
+  ArrowRight: (item, camera) => step(item, camera, 1, 0),
+  ArrowUp: (item, camera) => step(item, camera, 0, 1),
+  ArrowDown: (item, camera) => step(item, camera, 0, -1),
+  PageUp: ({ group }) => (group.position.y += STEP_M),
+  PageDown: ({ group }) => (group.position.y -= STEP_M),
+  ',': (item) => turn(item, TURN),
+  '.': (item) => turn(item, -TURN),
+  '+': (item) => scale(item, GROWTH),
+  '-': (item) => scale(item, 1 / GROWTH),
 };
 
-/** A step on the floor, to the right and away as the camera sees it. */
-function step(piece, camera, right, away) {
+/**
+ * Scales and turns an item with two fingers: one moves, the other rests.
+ * @param {LoadedItem} item
+ * @param {Point} before of the finger that moves
+ * @param {Point} now of the finger that moves
+ * @param {Point} rest the other finger
+ */
+function scaleAndTurn(item, before, now, rest) {
+  const [from, to] = [before, now].map((point) => ({ x: point.x - rest.x, y: point.y - rest.y }));
+  scale(item, Math.hypot(to.x, to.y) / Math.max(1, Math.hypot(from.x, from.y)));
+  turn(item, Math.atan2(from.y, from.x) - Math.atan2(to.y, to.x));
+}
+
+/**
+ * Moves an item one step on the floor, as the camera sees it.
+ * @param {LoadedItem} item
+ * @param {THREE.Camera} camera
+ * @param {number} right steps
+ * @param {number} away steps
+ */
+function step({ group }, camera, right, away) {
   const ahead = camera.getWorldDirection(new THREE.Vector3()).setY(0).normalize();
-  const beside = new THREE.Vector3(-ahead.z, 0, ahead.x);
-  piece.group.position.addScaledVector(beside, right * STEP_M).addScaledVector(ahead, away * STEP_M);
+  const side = new THREE.Vector3(-ahead.z, 0, ahead.x);
+  group.position.addScaledVector(side, right * STEP_M).addScaledVector(ahead, away * STEP_M);
 }
 
-function turn(piece, angle) {
-  piece.group.quaternion.premultiply(new THREE.Quaternion().setFromAxisAngle(new THREE.Vector3(0, 1, 0), angle));
+/**
+ * @param {LoadedItem} item
+ * @param {number} angle radians about the vertical
+ */
+function turn({ group }, angle) {
+  group.quaternion.premultiply(new THREE.Quaternion().setFromAxisAngle(new THREE.Vector3(0, 1, 0), angle));
 }
 
-function scale(piece, factor) {
-  piece.group.scale.setScalar(THREE.MathUtils.clamp(piece.group.scale.x * factor, ...SCALES));
+/**
+ * @param {LoadedItem} item
+ * @param {number} factor
+ */
+function scale({ group }, factor) {
+  group.scale.setScalar(THREE.MathUtils.clamp(group.scale.x * factor, ...SCALES));
 }
 
-function placeOf({ x, y }) {
+/**
+ * @param {Point} event
+ * @returns {Point}
+ */
+function pointOf({ x, y }) {
   return { x, y };
 }
 
-function mine(event) {
+/**
+ * Keeps an event from the controls of the camera and from the browser.
+ * @param {Event} event
+ */
+function consume(event) {
   event.preventDefault();
   event.stopImmediatePropagation();
 }

@@ -1,75 +1,144 @@
-// What hands do to the things that they hold: one hand carries and turns, two hands also scale. Pointers are hands too.
+// Grabbing: one hand carries and turns an item, two hands also scale it. A controller's pointer is a hand too.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { SCALES } from './saved-placement.js';
 
-const APART_M = 0.02; // two hands that touch would scale by the noise of tracking
+/** @import { SceneItem } from './scene-item.js' */
 
-/** `onLetGo(piece)` is told when the last hand has let go. */
-export function makeGrasp(onLetGo = () => {}) {
-  const holds = new Map(); // piece → {hands, from: their matrices when they took hold, start: the piece's}
+/**
+ * How an item is held. `from`: the hands' matrices, and `start` the item's, when the hands took hold.
+ * @typedef {{ hands: THREE.Object3D[], from: THREE.Matrix4[], start: THREE.Matrix4 }} Grip
+ */
 
-  function begin(piece, hands) {
-    if (hands.length === 0) return holds.delete(piece);
-    piece.group.updateWorldMatrix(true, false);
-    const from = hands.map((hand) => hand.matrixWorld.clone());
-    return holds.set(piece, { hands, from, start: piece.group.matrixWorld.clone() });
+const LEAST_DISTANCE_M = 0.02; // between two hands: nearer ones would scale by the noise of tracking
+
+/** Which hands hold which items. */
+export class Grabber {
+  /** @type {Map<SceneItem, Grip>} */
+  #grips = new Map();
+  #onRelease;
+
+  /** @param {(item: SceneItem) => void} onRelease is called when the last hand has let go of an item */
+  constructor(onRelease) {
+    this.#onRelease = onRelease;
   }
 
-  return {
-    take(hand, piece) {
-      this.letGo(hand);
-      begin(piece, [...(holds.get(piece)?.hands || []), hand].slice(-2));
-    },
-    letGo(hand) {
-      const piece = this.heldBy(hand);
-      if (!piece) return;
-      begin(piece, holds.get(piece).hands.filter((each) => each !== hand));
-      if (!holds.has(piece)) onLetGo(piece);
-    },
-    letGoOf(piece) {
-      holds.delete(piece);
-    },
-    heldBy: (hand) => [...holds.keys()].find((piece) => holds.get(piece).hands.includes(hand)),
-    /** How many hands hold it. */
-    handsOn: (piece) => holds.get(piece)?.hands.length || 0,
-    /** After the hands have moved: move what they hold. */
-    carry() {
-      for (const [piece, { hands, from, start }] of holds) {
-        if (hands.some((hand) => !hand.visible)) continue; // it is out of the headset's sight, not at its last place
-        const now = hands.map((hand) => hand.matrixWorld);
-        const moved = hands.length === 2 ? byTwo(from, now, start) : now[0].clone().multiply(from[0].clone().invert());
-        put(piece, moved.multiply(start));
-      }
-    },
-    /** Turn what a hand holds about the vertical, and push it away or pull it near along the hand's ray. */
-    nudge(hand, { turn, push_m: push }) {
-      const piece = this.heldBy(hand);
-      if (!piece || this.handsOn(piece) !== 1) return;
-      const middle = new THREE.Vector3().setFromMatrixPosition(piece.group.matrixWorld);
-      const ahead = new THREE.Vector3(0, 0, -push).transformDirection(hand.matrixWorld).multiplyScalar(Math.abs(push));
-      const about = new THREE.Matrix4().makeTranslation(middle.clone().add(ahead)).multiply(new THREE.Matrix4().makeRotationY(turn));
-      put(piece, about.multiply(new THREE.Matrix4().makeTranslation(middle.negate())).multiply(piece.group.matrixWorld));
-      begin(piece, [hand]);
-    },
-  };
+  /**
+   * A hand takes hold of an item, and lets go of the one that it had.
+   * @param {THREE.Object3D} hand
+   * @param {SceneItem} item
+   */
+  grab(hand, item) {
+    this.release(hand);
+    this.#grip(item, [...(this.#grips.get(item)?.hands ?? []), hand].slice(-2));
+  }
+
+  /**
+   * A hand lets go of what it holds.
+   * @param {THREE.Object3D} hand
+   */
+  release(hand) {
+    const item = this.itemIn(hand);
+    if (!item) return;
+    this.#grip(item, this.#handsOn(item).filter((each) => each !== hand));
+    if (!this.#grips.has(item)) this.#onRelease(item);
+  }
+
+  /**
+   * All hands let go of an item. `onRelease` is not called.
+   * @param {SceneItem} item
+   */
+  drop(item) {
+    this.#grips.delete(item);
+  }
+
+  /**
+   * The item that a hand holds.
+   * @param {THREE.Object3D} hand
+   */
+  itemIn(hand) {
+    return [...this.#grips.keys()].find((item) => this.#handsOn(item).includes(hand));
+  }
+
+  /**
+   * How many hands hold an item.
+   * @param {SceneItem} item
+   */
+  handCount(item) {
+    return this.#handsOn(item).length;
+  }
+
+  /** Moves the items after the hands have moved. */
+  moveItems() {
+    for (const [item, { hands, from, start }] of this.#grips) {
+      if (hands.some((hand) => !hand.visible)) continue; // the headset does not see it, and its last place is old
+      const now = hands.map((hand) => hand.matrixWorld);
+      const move = hands.length === 2 ? twoHandMove(from, now, start) : now[0].clone().multiply(from[0].clone().invert());
+      setWorldMatrix(item, move.multiply(start));
+    }
+  }
+
+  /**
+   * Turns what a hand holds about the vertical, and pushes it away along the hand's ray, or pulls it near.
+   * @param {THREE.Object3D} hand
+   * @param {{ turn: number, push_m: number }} by radians and metres
+   */
+  turnAndPush(hand, { turn, push_m: push }) {
+    const item = this.itemIn(hand);
+    if (!item || this.handCount(item) !== 1) return;
+    const middle = new THREE.Vector3().setFromMatrixPosition(item.group.matrixWorld);
+    const ahead = new THREE.Vector3(0, 0, -push).transformDirection(hand.matrixWorld).multiplyScalar(Math.abs(push));
+    const rotation = new THREE.Matrix4().makeTranslation(middle.clone().add(ahead)).multiply(new THREE.Matrix4().makeRotationY(turn));
+    const toOrigin = new THREE.Matrix4().makeTranslation(middle.negate());
+    setWorldMatrix(item, rotation.multiply(toOrigin).multiply(item.group.matrixWorld));
+    this.#grip(item, [hand]);
+  }
+
+  /** @param {SceneItem} item */
+  #handsOn(item) {
+    return this.#grips.get(item)?.hands ?? [];
+  }
+
+  /**
+   * Begins to hold an item with these hands, from where all of them are now.
+   * @param {SceneItem} item
+   * @param {THREE.Object3D[]} hands none lets go of it
+   */
+  #grip(item, hands) {
+    if (hands.length === 0) {
+      this.#grips.delete(item);
+      return;
+    }
+    item.group.updateWorldMatrix(true, false);
+    const from = hands.map((hand) => hand.matrixWorld.clone());
+    this.#grips.set(item, { hands, from, start: item.group.matrixWorld.clone() });
+  }
 }
 
-/** (4,4) the similarity that takes the line between two hands from where it was to where it is, within the scales allowed. */
-function byTwo(from, now, start) {
+/**
+ * The similarity that takes the line between two hands from where it was to where it is, within the scales that are allowed.
+ * @param {THREE.Matrix4[]} from of both hands
+ * @param {THREE.Matrix4[]} now of both hands
+ * @param {THREE.Matrix4} start of the item
+ */
+function twoHandMove(from, now, start) {
   const [a, b, c, d] = [...from, ...now].map((matrix) => new THREE.Vector3().setFromMatrixPosition(matrix));
   const [before, after] = [b.clone().sub(a), d.clone().sub(c)];
   const size = start.getMaxScaleOnAxis();
-  const wanted = Math.max(APART_M, after.length()) / Math.max(APART_M, before.length());
+  const wanted = Math.max(LEAST_DISTANCE_M, after.length()) / Math.max(LEAST_DISTANCE_M, before.length());
   const scale = THREE.MathUtils.clamp(wanted, SCALES[0] / size, SCALES[1] / size);
   const turn = new THREE.Quaternion().setFromUnitVectors(before.normalize(), after.normalize());
   const back = new THREE.Matrix4().makeTranslation(a.add(b).multiplyScalar(-0.5));
   return new THREE.Matrix4().compose(c.add(d).multiplyScalar(0.5), turn, new THREE.Vector3().setScalar(scale)).multiply(back);
 }
 
-/** Give a piece this place in the world. */
-function put(piece, world) {
-  const local = piece.group.parent.matrixWorld.clone().invert().multiply(world);
-  local.decompose(piece.group.position, piece.group.quaternion, piece.group.scale);
-  piece.group.scale.setScalar(THREE.MathUtils.clamp(piece.group.scale.x, ...SCALES)); // no drift between the axes
-  piece.group.updateMatrixWorld();
+/**
+ * Places an item in the world.
+ * @param {SceneItem} item
+ * @param {THREE.Matrix4} world
+ */
+function setWorldMatrix({ group }, world) {
+  const parent = group.parent?.matrixWorld ?? new THREE.Matrix4();
+  parent.clone().invert().multiply(world).decompose(group.position, group.quaternion, group.scale);
+  group.scale.setScalar(THREE.MathUtils.clamp(group.scale.x, ...SCALES)); // the axes must not drift apart
+  group.updateMatrixWorld();
 }

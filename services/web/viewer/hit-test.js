@@ -1,42 +1,77 @@
-// Which thing a hand or a ray means.
+// Hit tests: which item of the scene a hand touches, or a ray points at.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 
-const REACH_M = 0.06; // a hand this near to a thing's box takes it without pointing
+/** @import { LoadedItem } from './scene-item.js' */
+/** @typedef {{ item: LoadedItem, point: THREE.Vector3, distance: number }} Hit with a point in the world, in metres */
 
-/** The piece whose box the point in the world is in or next to, or null. */
-export function within(pieces, point) {
-  const near = (piece) => {
-    const local = piece.group.worldToLocal(point.clone());
-    return piece.box.distanceToPoint(local) * piece.group.matrixWorld.getMaxScaleOnAxis();
+const REACH_M = 0.06; // a hand this near to an item's box takes it without pointing
+
+/**
+ * Finds the item whose box a point in the world is in, or next to.
+ * @param {LoadedItem[]} items
+ * @param {THREE.Vector3} point
+ * @returns {LoadedItem | null}
+ */
+export function findTouchedItem(items, point) {
+  /** @param {LoadedItem} item */
+  const distanceTo = (item) => {
+    const local = item.group.worldToLocal(point.clone());
+    return item.box.distanceToPoint(local) * item.group.matrixWorld.getMaxScaleOnAxis();
   };
-  const [nearest] = shownOf(pieces).map((piece) => [near(piece), piece]).sort((one, other) => one[0] - other[0]);
-  return nearest && nearest[0] < REACH_M ? nearest[1] : null;
+  const distances = withMesh(items).map((item) => ({ item, distance: distanceTo(item) }));
+  const [nearest] = distances.sort((one, other) => one.distance - other.distance);
+  return nearest && nearest.distance < REACH_M ? nearest.item : null;
 }
 
-/** {piece, point} that the THREE.Raycaster meets first: by the mesh, else, because scans have holes, by the box; or null. */
-export function met(pieces, caster) {
-  const found = (way) => shownOf(pieces).map((piece) => way(piece, caster)).filter(Boolean);
-  const first = (hits) => hits.sort((one, other) => one.distance - other.distance)[0];
-  return first(found(onMesh)) || first(found(onBox)) || null;
+/**
+ * Finds the first item that a ray hits: by its mesh, or else by its box, because scans have holes.
+ * @param {LoadedItem[]} items
+ * @param {THREE.Raycaster} raycaster
+ * @returns {Hit | null}
+ */
+export function pickItem(items, raycaster) {
+  /** @param {(item: LoadedItem, raycaster: THREE.Raycaster) => Hit | null} test */
+  const firstHit = (test) => {
+    const hits = withMesh(items).flatMap((item) => test(item, raycaster) ?? []);
+    return hits.sort((one, other) => one.distance - other.distance).at(0);
+  };
+  return firstHit(hitMesh) ?? firstHit(hitBox) ?? null;
 }
 
-/** Distance in metres to the first box that the ray meets, or null: quick enough for every frame. */
-export function metBox(pieces, caster) {
-  const hits = shownOf(pieces).map((piece) => onBox(piece, caster)).filter(Boolean);
+/**
+ * Distance in metres to the first box that a ray hits: fast enough for every frame.
+ * @param {LoadedItem[]} items
+ * @param {THREE.Raycaster} raycaster
+ * @returns {number | null}
+ */
+export function distanceToFirstBox(items, raycaster) {
+  const hits = withMesh(items).flatMap((item) => hitBox(item, raycaster) ?? []);
   return hits.length ? Math.min(...hits.map((hit) => hit.distance)) : null;
 }
 
-const shownOf = (pieces) => pieces.filter((piece) => piece.model?.coarsest);
+/** @param {LoadedItem[]} items */
+const withMesh = (items) => items.filter((item) => item.model?.coarsest);
 
-function onMesh(piece, caster) {
-  const [hit] = caster.intersectObject(piece.model.coarsest, true);
-  return hit && { piece, point: hit.point, distance: hit.distance };
+/**
+ * @param {LoadedItem} item
+ * @param {THREE.Raycaster} raycaster
+ * @returns {Hit | null}
+ */
+function hitMesh(item, raycaster) {
+  const mesh = item.model.coarsest;
+  const [hit] = mesh ? raycaster.intersectObject(mesh, true) : [];
+  return hit ? { item, point: hit.point, distance: hit.distance } : null;
 }
 
-function onBox(piece, caster) {
-  const ray = caster.ray.clone().applyMatrix4(piece.group.matrixWorld.clone().invert());
-  const point = ray.intersectBox(piece.box, new THREE.Vector3());
+/**
+ * @param {LoadedItem} item
+ * @param {THREE.Raycaster} raycaster
+ * @returns {Hit | null}
+ */
+function hitBox(item, raycaster) {
+  const ray = raycaster.ray.clone().applyMatrix4(item.group.matrixWorld.clone().invert());
+  const point = ray.intersectBox(item.box, new THREE.Vector3());
   if (!point) return null;
-  point.applyMatrix4(piece.group.matrixWorld);
-  return { piece, point, distance: point.distanceTo(caster.ray.origin) };
+  point.applyMatrix4(item.group.matrixWorld);
+  return { item, point, distance: point.distanceTo(raycaster.ray.origin) };
 }

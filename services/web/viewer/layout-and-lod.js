@@ -1,26 +1,39 @@
-// Where the things of a scene stand by themselves, and which level of detail each of them gets. Numbers only, no graphics.
+// Layout of the things in a scene, and the choice of their levels of detail. Numbers only, no graphics.
 
 // A level is fine enough while the thing's diameter takes less than this share of the view's height.
 const FINE_ENOUGH = [Infinity, 0.3, 0.1];
-const KEEP = 0.85; // of that share, before a finer level is given up again: nobody stands so still that none would flicker
+const HYSTERESIS = 0.85; // of that share, before a finer level is given up: otherwise small movements would make it flicker
 const GAP = 0.15; // between neighbours, of their mean width
-const GAP_M = 0.1; // at least: a hand fits in between
-const ONE_ROW = 4; // things that stand beside each other; more make several rows
+const LEAST_GAP_M = 0.1; // a hand fits in between
+const ONE_ROW = 4; // up to this many things stand in one row; more make several rows
+
+/** @import { SizeM } from '../shared/types.d.ts' */
+/** @typedef {{ level: number, triangles: number }} Lod a level of detail; level 0 is the finest */
+/** @typedef {[x: number, z: number]} FloorPoint in metres */
 
 /**
- * The level of each thing, as a place in its `lods`, finest first.
- *
- * things  [{share, lods: [{level, triangles}], now}]: share of the view's height that its diameter takes; now: the level it has
- * budget  triangles of all together. The coarsest levels are given whatever they cost. Then all become finer by one level
- *         as far as they want to and the budget goes, the largest in view first, before any becomes finer by two.
+ * A thing in view.
+ * @typedef {object} ThingInView
+ * @property {number} share of the view's height that its diameter takes
+ * @property {Lod[]} lods finest first
+ * @property {number} now place in `lods` of the level that is shown now
  */
-export function planned(things, budget) {
+
+/**
+ * Chooses the level of detail of each thing within a budget of triangles. The coarsest levels are shown whatever they cost.
+ * Then all things become finer by one level as far as they should and the budget allows, the largest in view first, before
+ * any becomes finer by two.
+ * @param {ThingInView[]} things
+ * @param {number} budget triangles of all things together
+ * @returns {number[]} a place in `lods` for each thing
+ */
+export function chooseLevels(things, budget) {
   const levels = things.map(({ lods }) => lods.length - 1);
-  const wanted = things.map(wantedOf);
-  let left = budget - things.reduce((sum, { lods }) => sum + lods.at(-1).triangles, 0);
-  const nearFirst = things.map((_, place) => place).sort((a, b) => things[b].share - things[a].share);
+  const wanted = things.map(wantedLevel);
+  let left = budget - things.reduce((sum, { lods }) => sum + lods[lods.length - 1].triangles, 0);
+  const largestFirst = things.map((_, place) => place).sort((one, other) => things[other].share - things[one].share);
   for (let round = Math.max(0, ...levels); round > 0; round--) {
-    for (const place of nearFirst) {
+    for (const place of largestFirst) {
       const { lods } = things[place];
       const level = levels[place];
       if (level === 0 || level > round || wanted[place] >= level) continue;
@@ -33,31 +46,44 @@ export function planned(things, budget) {
   return levels;
 }
 
-function wantedOf({ share, lods, now }) {
+/**
+ * The coarsest level that is fine enough.
+ * @param {ThingInView} thing
+ */
+function wantedLevel({ share, lods, now }) {
   for (let place = lods.length - 1; place > 0; place--) {
     const limit = FINE_ENOUGH[Math.min(lods[place].level, FINE_ENOUGH.length - 1)];
-    if (share < (now < place ? KEEP * limit : limit)) return place;
+    if (share < (now < place ? HYSTERESIS * limit : limit)) return place;
   }
   return 0;
 }
 
-/** Floor centres [[x, z]] in metres of boxes [[width, height, depth]]: side by side, in rows one behind the other; the first row at z = 0. */
-export function sideBySide(sizes) {
-  const across = sizes.length <= ONE_ROW ? sizes.length : Math.ceil(Math.sqrt(2 * sizes.length));
+/**
+ * Places boxes side by side, in rows one behind the other. The first row is at z = 0.
+ * @param {SizeM[]} sizes
+ * @returns {FloorPoint[]} the centre of each box on the floor
+ */
+export function placeSideBySide(sizes) {
+  const perRow = sizes.length <= ONE_ROW ? sizes.length : Math.ceil(Math.sqrt(2 * sizes.length));
+  /** @type {FloorPoint[]} */
   const places = [];
   let front = 0;
-  for (let first = 0; first < sizes.length; first += across) {
-    const row = sizes.slice(first, first + across);
+  for (let first = 0; first < sizes.length; first += perRow) {
+    const row = sizes.slice(first, first + perRow);
     const depth = Math.max(...row.map((size) => size[2]));
     const middle = first === 0 ? 0 : front - depth / 2;
-    places.push(...centres(row).map((x) => [x, middle]));
-    front = middle - depth / 2 - gapOf(row);
+    for (const x of rowCentres(row)) places.push([x, middle]);
+    front = middle - depth / 2 - rowGap(row);
   }
   return places;
 }
 
-function centres(row) {
-  const gap = gapOf(row);
+/**
+ * The x of the centre of each box in a row.
+ * @param {SizeM[]} row
+ */
+function rowCentres(row) {
+  const gap = rowGap(row);
   const whole = row.reduce((sum, size) => sum + size[0] + gap, -gap);
   let left = -whole / 2;
   return row.map(([width]) => {
@@ -67,6 +93,7 @@ function centres(row) {
   });
 }
 
-function gapOf(row) {
-  return Math.max(GAP_M, (GAP * row.reduce((sum, size) => sum + size[0], 0)) / row.length);
+/** @param {SizeM[]} row */
+function rowGap(row) {
+  return Math.max(LEAST_GAP_M, (GAP * row.reduce((sum, size) => sum + size[0], 0)) / row.length);
 }

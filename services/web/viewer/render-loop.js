@@ -1,63 +1,88 @@
-// Each frame: which level of detail each thing gets, and whether there is anything new to draw.
+// The render loop: in each frame, which levels of detail to show, and whether there is anything new to draw.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { planned } from './layout-and-lod.js';
+import { chooseLevels } from './layout-and-lod.js';
 
-const SCENE_TRIANGLES = 1_000_000; // what a Quest 3 draws in time with room to spare; every thing is one draw call
-const STILL_MS = 300; // after the last change: what was handed to the card comes with the next frame
-const LONGEST_S = 0.1; // of a step: a page that slept does not push things through the wall
-const CHANGING = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'];
+/** @import { Stage } from '../graphics/scene.js' */
+/** @import { LoadedItem } from './scene-item.js' */
+
+const SCENE_TRIANGLES = 1_000_000; // a Quest 3 draws them in time with room to spare; every thing is one draw call
+const REDRAW_MS = 300; // after the last change: what was sent to the graphics card comes with the next frame
+const LONGEST_FRAME_S = 0.1; // a page that was in the background must not push things through the wall
+const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'];
 
 /**
- * Begin to draw. On the page a picture is drawn when something has changed: a still thing costs a phone's battery nothing,
- * and the graphics card is free to take in what is being loaded. Returns {redraw()}, to be told of changes.
- * present(): the pieces; in a headset `onHeadset(seconds)` is called before each frame and `onDrawn()` behind it.
+ * What the render loop asks and calls.
+ * @typedef {object} FrameCallbacks
+ * @property {() => LoadedItem[]} items
+ * @property {{ update: () => boolean }} controls of the camera on the page
+ * @property {(seconds: number) => void} onHeadsetFrame before each frame in a headset
+ * @property {() => void} onDrawn after each frame that was drawn
  */
-export function drawing({ renderer, scene, camera }, { present, controls, onHeadset, onDrawn }) {
-  const page = document.body;
-  let changing = Infinity; // until the first thing is there
+
+/**
+ * Starts the render loop. On the page a frame is drawn only when something has changed: a phone's battery lasts longer, and
+ * the graphics card is free for what is being loaded.
+ * @param {Stage} stage
+ * @param {FrameCallbacks} callbacks
+ * @returns {{ redraw: () => void }} redraw: to be called after a change
+ */
+export function startRenderLoop({ renderer, scene, camera }, { items, controls, onHeadsetFrame, onDrawn }) {
+  let drawUntil = Infinity; // until the first thing is there
   let last = performance.now();
 
   function redraw() {
-    if (present().length > 0) changing = performance.now() + STILL_MS;
+    if (items().length > 0) drawUntil = performance.now() + REDRAW_MS;
   }
 
-  for (const kind of CHANGING) renderer.domElement.addEventListener(kind, redraw, true);
+  for (const kind of REDRAW_EVENTS) renderer.domElement.addEventListener(kind, redraw, true);
   new ResizeObserver(redraw).observe(renderer.domElement);
 
   renderer.setAnimationLoop((now) => {
-    const seconds = Math.min(LONGEST_S, Math.max(0, now - last) / 1000);
+    const seconds = Math.min(LONGEST_FRAME_S, Math.max(0, now - last) / 1000);
     last = now;
-    const worn = renderer.xr.isPresenting;
-    if (worn) onHeadset(seconds);
+    const inHeadset = renderer.xr.isPresenting;
+    if (inHeadset) onHeadsetFrame(seconds);
     else if (controls.update()) redraw();
-    chooseLevels(worn ? renderer.xr.getCamera() : camera);
-    report();
-    if (!worn && now > changing) return;
+    showLevels(items(), inHeadset ? renderer.xr.getCamera() : camera);
+    reportState(items(), renderer.info.memory);
+    if (!inHeadset && now > drawUntil) return;
     renderer.render(scene, camera);
     onDrawn();
   });
 
-  function chooseLevels(seen) {
-    const there = present();
-    const eye = new THREE.Vector3().setFromMatrixPosition(seen.matrixWorld);
-    const things = there.map((piece) => ({ share: piece.share(eye), lods: piece.model.lods, now: piece.model.shown }));
-    planned(things, SCENE_TRIANGLES).forEach((level, place) => there[place].model.want(level));
-  }
-
-  /** What can be asked of the page: levels that came, the level shown, what the graphics card holds. */
-  function report() {
-    const there = present();
-    if (there.length === 0) return;
-    const all = (what) => there.map(what).join('; ');
-    mark('loaded', all((piece) => piece.loaded.join(' ')));
-    mark('lod', all(({ model }) => model.lods[model.shown].level));
-    mark('geometries', String(renderer.info.memory.geometries));
-    mark('textures', String(renderer.info.memory.textures));
-  }
-
-  function mark(name, value) {
-    if (page.dataset[name] !== value && value) page.dataset[name] = value; // each writing would cost a restyling
-  }
-
   return { redraw };
+}
+
+/**
+ * Shows the level of detail of each item that fits its size in view.
+ * @param {LoadedItem[]} items
+ * @param {THREE.Camera} camera
+ */
+function showLevels(items, camera) {
+  const eye = new THREE.Vector3().setFromMatrixPosition(camera.matrixWorld);
+  const things = items.map((item) => ({ share: item.viewShare(eye), lods: item.model.lods, now: item.model.shown }));
+  chooseLevels(things, SCENE_TRIANGLES).forEach((level, place) => items[place].model.want(level));
+}
+
+/**
+ * Writes into the page's data attributes, for tests and for scripts: the levels that were loaded, the levels that are shown,
+ * and what the graphics card holds.
+ * @param {LoadedItem[]} items
+ * @param {{ geometries: number, textures: number }} memory
+ */
+function reportState(items, { geometries, textures }) {
+  if (items.length === 0) return;
+  setData('loaded', items.map((item) => item.loadedLevels.join(' ')).join('; '));
+  setData('lod', items.map(({ model }) => model.lods[model.shown].level).join('; '));
+  setData('geometries', String(geometries));
+  setData('textures', String(textures));
+}
+
+/**
+ * @param {string} name
+ * @param {string} value
+ */
+function setData(name, value) {
+  const { dataset } = document.body;
+  if (dataset[name] !== value && value) dataset[name] = value; // not in every frame: writing makes the browser compute styles
 }

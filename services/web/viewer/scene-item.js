@@ -1,49 +1,73 @@
-// One thing in a scene: where it stands, what is shown there, and how far away it is. Versions come and go; the place stays.
+// An asset in the scene: its place, the version that is shown, and how large it is in view. A new version keeps the place.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { forget, remember, remembered } from './saved-placement.js';
+import { deletePlacement, loadPlacement, savePlacement } from './saved-placement.js';
 import { Model } from '../graphics/model.js';
 import { dispose } from '../graphics/scene.js';
 
-const HALF_VIEW = Math.tan(Math.PI / 8); // half the height of a view of 45 degrees, one metre ahead
-const NEAR_M = 0.01; // whoever stands inside a thing sees all of it
+/** @import { AssetEntry } from '../shared/types.d.ts' */
+/** @typedef {SceneItem & { entry: AssetEntry, model: Model }} LoadedItem */
 
-export class Piece {
-  entry = null;
+const HALF_VIEW = Math.tan(Math.PI / 8); // half the height of a view of 45 degrees, one metre ahead
+const NEAR_M = 0.01; // from inside a thing all of it counts as in view
+const DEFAULT_PLACEMENT = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
+
+/** An asset in the scene. */
+export class SceneItem {
+  /** @type {AssetEntry | null} */
+  entry = null; // of the version that is shown
+  /** @type {Model | null} */
   model = null;
-  loaded = [];
-  problem = ''; // what was last said of it
+  /** @type {number[]} */
+  loadedLevels = []; // of detail, in the order in which they came
+  problem = ''; // the last message about this item
+  code = ''; // of that problem
+  /** @type {THREE.Points | null} */
   #hints = null;
 
+  /** @param {string} key of the asset */
   constructor(key) {
     this.key = key;
     this.group = new THREE.Group(); // in the frame of the scene's root: its floor, in metres
-    this.home = new THREE.Vector3(); // where it stands by itself
+    this.home = new THREE.Vector3(); // the default place
   }
 
+  /** Its name for people. */
   get name() {
     return this.entry?.label || this.key;
   }
 
   /**
-   * Load a version and show it in place of the one before, which stays until then; renderer, prepare: of model.js; `onChange()`
-   * hears of each level. Throws what loading throws.
+   * Loads a version, then shows it in place of the one before. Throws what loading throws.
+   * @param {AssetEntry} entry
+   * @param {THREE.WebGLRenderer} renderer
+   * @param {{ prepare: (group: THREE.Group) => Promise<void>, onChange: () => void }} options prepare: of gpu-warmup.js;
+   *   onChange: is called for each level of detail that has come
    */
   async show(entry, renderer, { prepare, onChange }) {
-    const loaded = [];
-    const model = new Model(entry, renderer, { prepare, onLevel: (level) => onChange(loaded.push(level)) });
+    /** @type {number[]} */
+    const loadedLevels = [];
+    /** @param {number} level */
+    const onLevel = (level) => {
+      loadedLevels.push(level);
+      onChange();
+    };
+    const model = new Model(entry, renderer, { prepare, onLevel });
     try {
       await model.start();
-    } catch (problem) {
+    } catch (error) {
       model.dispose();
-      throw problem;
+      throw error;
     }
     this.showHints(null);
     this.model?.dispose();
-    Object.assign(this, { entry, model, loaded });
+    Object.assign(this, { entry, model, loadedLevels });
     this.group.add(model.object);
   }
 
-  /** Points that stand for the thing while nothing else does; null takes them away. */
+  /**
+   * Shows points in place of the mesh until it is loaded.
+   * @param {THREE.Points | null} points null removes them
+   */
   showHints(points) {
     if (this.#hints) {
       this.#hints.removeFromParent();
@@ -53,7 +77,7 @@ export class Piece {
     if (points) this.group.add(points);
   }
 
-  /** Take it out of the scene, with all its memory. */
+  /** Removes the item from the scene and frees its memory. */
   remove() {
     this.showHints(null);
     this.model?.dispose();
@@ -61,37 +85,56 @@ export class Piece {
     this.group.removeFromParent();
   }
 
-  /** Its box in the frame of its group, as (3,) metres from and to. */
+  /** Its box in the frame of its group, in metres. */
   get box() {
-    const [width, height, depth] = this.entry.size_m;
+    const [width, height, depth] = this.#size;
     return new THREE.Box3(new THREE.Vector3(-width / 2, 0, -depth / 2), new THREE.Vector3(width / 2, height, depth / 2));
   }
 
-  /** Share of the view's height that its diameter takes, seen from `eye` in the world. */
-  share(eye) {
-    const [width, height, depth] = this.entry.size_m;
+  /**
+   * Share of the view's height that its diameter takes.
+   * @param {THREE.Vector3} eye in the world
+   */
+  viewShare(eye) {
+    const [width, height, depth] = this.#size;
     const middle = new THREE.Vector3(0, height / 2, 0).applyMatrix4(this.group.matrixWorld);
     const diameter = Math.hypot(width, height, depth) * this.group.matrixWorld.getMaxScaleOnAxis();
     return diameter / (2 * HALF_VIEW * Math.max(NEAR_M, eye.distanceTo(middle)));
   }
 
-  /** Put it where it was left, or where it stands by itself. */
+  /** Places the item where the person left it, or at its default place. */
   place() {
-    const { offset_m: offset, turn, scale } = remembered(this.key) || { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
+    const { offset_m: offset, turn, scale } = loadPlacement(this.key) ?? DEFAULT_PLACEMENT;
     this.group.position.fromArray(offset).add(this.home);
-    this.group.quaternion.fromArray(turn);
+    this.group.quaternion.set(turn[0], turn[1], turn[2], turn[3]);
     this.group.scale.setScalar(scale);
     this.group.updateMatrixWorld();
   }
 
-  /** Remember where it stands now. */
-  leave() {
+  /** Saves where the item stands now. */
+  savePlace() {
     const offset = this.group.position.clone().sub(this.home);
-    remember(this.key, { offset_m: offset.toArray(), turn: this.group.quaternion.toArray(), scale: this.group.scale.x });
+    savePlacement(this.key, { offset_m: offset.toArray(), turn: this.group.quaternion.toArray(), scale: this.group.scale.x });
   }
 
-  reset() {
-    forget([this.key]);
+  /** Puts the item back to its default place. */
+  resetPlace() {
+    deletePlacement(this.key);
     this.place();
   }
+
+  /** Width, height and depth in metres. */
+  get #size() {
+    if (!this.entry) throw new Error(`${this.key} is not loaded, so its size is not known.`);
+    return this.entry.size_m;
+  }
+}
+
+/**
+ * Whether a version of the item is shown.
+ * @param {SceneItem} item
+ * @returns {item is LoadedItem}
+ */
+export function isLoaded(item) {
+  return item.entry !== null;
 }

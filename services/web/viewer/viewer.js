@@ -1,225 +1,310 @@
-// /view/{key} and /view?key=a&key=b: things on a screen or in a headset, side by side where there are several.
+// The viewer page (/view/{key}, /view?key=a&key=b): things on a screen or in a headset, side by side where there are several.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
-import { getJson } from '../shared/api.js';
-import { makeArranger } from './drag.js';
-import { checked } from '../shared/signed-catalogue.js';
-import { drawing } from './render-loop.js';
-import { makeGrasp } from './grab.js';
-import { makeHands } from './xr-input.js';
-import { offerSessions } from './xr-session.js';
-import { keepShell } from '../shared/register-service-worker.js';
-import { Piece } from './scene-item.js';
-import { sideBySide } from './layout-and-lod.js';
-import { breath, prepare } from '../graphics/gpu-warmup.js';
-import { frame, hintsOf, makeStage } from '../graphics/scene.js';
-import { caption, notice, showQuickLook, showThings, tell } from '../shared/messages.js';
+import { DragControls } from './drag.js';
+import { Grabber } from './grab.js';
+import { ItemUpdates, hasFailed } from './item-updates.js';
+import { placeSideBySide } from './layout-and-lod.js';
+import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
+import { startRenderLoop } from './render-loop.js';
+import { SceneItem, isLoaded } from './scene-item.js';
+import { XrInput } from './xr-input.js';
+import { XrSession } from './xr-session.js';
+import { pause, prepare } from '../graphics/gpu-warmup.js';
+import { createStage, frame, hintsOf } from '../graphics/scene.js';
+import { getCachedJson } from '../shared/api.js';
+import { element } from '../shared/dom.js';
+import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
+import { registerServiceWorker } from '../shared/register-service-worker.js';
+import { checkEntry } from '../shared/signed-catalogue.js';
+import { loadFile } from '../shared/verified-cache.js';
 
-const POLL_MS = 3000; // while a refined version may come
-const CALM_MS = 15_000; // once everything is refined
-const LEAST_MS = 1000; // between two questions, however many things there are
+/** @import { LoadedItem } from './scene-item.js' */
+/** @import { AssetEntry, Manifest } from '../shared/types.d.ts' */
+
 const MOST = 24; // things in one scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
   ? 'Drag a thing to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.'
   : 'Drag a thing to move it. Two fingers scale and turn it.';
 
-const page = document.body;
-const at = (id) => document.getElementById(id);
-await breath(); // reading the modules was one task, which needs no longer one behind it
-const stage = stageOrReason(at('stage'));
-await breath();
+document.body.dataset.started = 'yes';
+const page = {
+  canvas: element('stage', HTMLCanvasElement),
+  collection: element('collection', HTMLAnchorElement),
+  move: element('move', HTMLButtonElement),
+  reset: element('reset', HTMLButtonElement),
+  retry: element('again', HTMLButtonElement),
+  vr: element('enter-vr', HTMLButtonElement),
+  ar: element('enter-ar', HTMLButtonElement),
+  qr: element('qr', HTMLImageElement),
+  address: element('address', HTMLElement),
+};
+
+await pause(); // between two long tasks of the main thread: loading the modules, and creating the WebGL context
+const stage = startStage();
+await pause();
 const { renderer, scene, camera } = stage;
-const root = new THREE.Group(); // what moves in front of the wearer: all things and the floor under them
-scene.add(root);
+const root = new THREE.Group(); // what moves in front of the wearer: all things, and the floor under them
 const controls = new OrbitControls(camera, renderer.domElement);
-controls.enableDamping = true;
-controls.listenToKeyEvents(renderer.domElement);
 
-let pieces = keysOf(location).map((key) => new Piece(key));
-for (const { group } of pieces) root.add(group);
-const present = () => pieces.filter((piece) => piece.entry);
+let items = keysFrom(location).map((key) => new SceneItem(key));
+/** @type {SceneItem | null} */
+let selected = null;
 
-function keysOf({ pathname, search }) {
-  const named = pathname.split('/')[2];
-  const keys = named ? [decodeURIComponent(named)] : new URLSearchParams(search).getAll('key');
-  return [...new Set(keys)].slice(0, MOST);
-}
+const drag = new DragControls(camera, renderer.domElement, { items: loadedItems, onMove: savePlace, onSelect: select });
+const grabber = new Grabber(savePlace);
+const input = new XrInput(renderer, scene, { items: loadedItems, grabber, onReset: resetAll, showHands: () => document.body.dataset.mode === 'vr' });
+const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page.ar }, {
+  height: () => Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
+  onMode: showMode,
+  onPlaced: (metres) => (document.body.dataset.placed = metres.map((value) => value.toFixed(3)).join(' ')),
+  onRefused: (error) => showError(new Problem({ code: 'XR_REFUSED', detail: `The headset did not start: ${error.message}` })),
+});
+const { redraw } = startRenderLoop(stage, {
+  items: loadedItems,
+  controls,
+  onHeadsetFrame: (seconds) => input.update(seconds),
+  onDrawn: () => headset.update(),
+});
+const updates = new ItemUpdates({
+  items: () => items,
+  isVisible: () => !document.hidden || renderer.xr.isPresenting,
+  update,
+  onError: showItemError,
+});
 
-function stageOrReason(canvas) {
+/** Creates the stage, or says that this browser has no WebGL. */
+function startStage() {
   try {
-    return makeStage(canvas);
+    return createStage(page.canvas);
   } catch (error) {
-    tell({ code: 'NO_WEBGL', message: 'This browser cannot show 3D.', hints: ['Open this address in another one.'] });
+    showError(new Problem({ code: 'NO_WEBGL', detail: 'This browser cannot show 3D.', hints: ['Open this address in another one.'] }));
     throw error;
   }
 }
 
+/**
+ * The assets' keys in the page's address.
+ * @param {Location} address
+ */
+function keysFrom({ pathname, search }) {
+  const key = pathname.split('/')[2];
+  const keys = key ? [decodeURIComponent(key)] : new URLSearchParams(search).getAll('key');
+  return [...new Set(keys)].slice(0, MOST);
+}
+
+/** The items that are shown. */
+function loadedItems() {
+  return items.filter(isLoaded);
+}
+
 // ---- what is shown ----------------------------------------------------------------------------------------------------
 
-/** Fetch the entry; when its version is new, load it beside the old one and swap. */
-async function refresh(piece) {
-  const told = await getJson(`/v1/assets/${encodeURIComponent(piece.key)}`);
-  const before = piece.entry;
-  if (before && before.version === told.version) return;
-  const entry = await checked(told);
-  if (!before) showHints(piece, entry);
-  await piece.show(entry, renderer, { prepare: (group) => prepare(stage, group), onChange: redraw });
-  if (!pieces.includes(piece)) return piece.remove(); // it was taken away meanwhile
-  if (!before) arrived();
-  else notice(newer(before, piece));
-  describe();
+/**
+ * Asks for an item's entry. When its version is new, loads it, and shows it in place of the old one.
+ * @param {SceneItem} item
+ */
+async function update(item) {
+  /** @type {AssetEntry} */
+  const unchecked = await getCachedJson(`/v1/assets/${encodeURIComponent(item.key)}`);
+  const before = item.entry;
+  if (before && before.version === unchecked.version) return;
+  const entry = await checkEntry(unchecked);
+  if (!before) showHints(item, entry);
+  await item.show(entry, renderer, { prepare: (group) => prepare(stage, group), onChange: redraw });
+  if (!items.includes(item)) {
+    item.remove(); // the person has removed it meanwhile
+    return;
+  }
+  if (before) showNotice(updateText(before, entry, item.name));
+  else placeAll();
+  showTexts();
 }
 
-function newer(before, { name, entry }) {
-  const refined = before.state === 'preview' && entry.state === 'refined';
-  return `${refined ? 'The refined version' : 'A new version'} of ${name} took its place: version ${entry.version}.`;
+/**
+ * @param {AssetEntry} before
+ * @param {AssetEntry} now
+ * @param {string} name
+ */
+function updateText(before, now, name) {
+  const refined = before.state === 'preview' && now.state === 'refined';
+  return `${refined ? 'The refined version' : 'A new version'} of ${name} took its place: version ${now.version}.`;
 }
 
-async function showHints(piece, entry) {
-  const manifest = await getJson(entry.manifest.url).catch(() => ({}));
-  const points = piece.entry || !pieces.includes(piece) ? null : hintsOf(manifest, entry.size_m);
-  if (!points) return;
-  piece.showHints(points);
+/**
+ * Shows the manifest's points until the first level of detail is loaded.
+ * @param {SceneItem} item
+ * @param {AssetEntry} entry
+ */
+async function showHints(item, entry) {
+  const { anchors } = await loadManifest(entry).catch(() => ({ anchors: undefined }));
+  const points = item.entry || !items.includes(item) ? null : hintsOf({ anchors }, entry.size_m);
+  if (!points || !anchors) return;
+  item.showHints(points);
   redraw();
-  page.dataset.hints = manifest.anchors.xyz_m.length / 3;
-  if (present().length === 0) controls.target.copy(frame(camera, entry.size_m));
+  document.body.dataset.hints = String(anchors.xyz_m.length / 3);
+  if (loadedItems().length === 0) controls.target.copy(frame(camera, entry.size_m));
 }
 
-/** One more thing is there: all stand side by side, or where people put them, and all of them are in view. */
-function arrived() {
-  const places = sideBySide(present().map((piece) => piece.entry.size_m));
-  present().forEach((piece, place) => {
-    piece.home.set(places[place][0], 0, places[place][1]);
-    if (grasp.handsOn(piece) === 0) piece.place();
+/**
+ * @param {AssetEntry} entry
+ * @returns {Promise<Manifest>}
+ */
+async function loadManifest({ manifest: { url, sha256 } }) {
+  const bytes = await loadFile({ url, sha256, file: 'manifest.json' });
+  return JSON.parse(new TextDecoder().decode(bytes));
+}
+
+/** Places all items side by side, or where the person put them, and shows all of them. */
+function placeAll() {
+  const places = placeSideBySide(loadedItems().map(({ entry }) => entry.size_m));
+  loadedItems().forEach((item, index) => {
+    const [x, z] = places[index];
+    item.home.set(x, 0, z);
+    if (grabber.handCount(item) === 0) item.place();
   });
-  moved();
-  look();
+  reportPlaces();
+  frameAll();
 }
 
-function look() {
-  if (renderer.xr.isPresenting || present().length === 0) return;
-  const whole = new THREE.Box3();
-  for (const piece of present()) whole.union(piece.box.applyMatrix4(piece.group.matrixWorld));
-  const [size, middle] = [whole.getSize(new THREE.Vector3()), whole.getCenter(new THREE.Vector3())];
+/** Moves the camera of the page so that all items are in view. */
+function frameAll() {
+  if (renderer.xr.isPresenting || loadedItems().length === 0) return;
+  const box = new THREE.Box3();
+  for (const item of loadedItems()) box.union(item.box.applyMatrix4(item.group.matrixWorld));
+  const [size, middle] = [box.getSize(new THREE.Vector3()), box.getCenter(new THREE.Vector3())];
   controls.target.copy(frame(camera, size.toArray(), middle));
 }
 
-function describe() {
+/** Shows the texts about the items: the caption, the list, and the links. */
+function showTexts() {
   redraw();
-  caption(present(), pieces.length);
-  showThings(pieces, { chosen, onChoose: (piece) => moving(true, piece), onRemove: remove });
-  showQuickLook(pieces.length === 1 ? present()[0]?.entry : null);
-  const [first] = present();
-  if (first) at('collection').href = `/browse/${encodeURIComponent(first.entry.collections?.[0] || 'default')}`;
+  const loaded = loadedItems();
+  showCaption(loaded, items.length, items.filter(hasFailed).length);
+  showList(items, { selected, onSelect: (item) => allowMoving(true, item), onRemove: remove });
+  showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
+  const collection = loaded.at(0)?.entry.collections?.[0] || 'default';
+  if (loaded.length > 0) page.collection.href = `/browse/${encodeURIComponent(collection)}`;
 }
 
-/** Take a thing out of the scene, and out of the page's address. */
-function remove(piece) {
-  grasp.letGoOf(piece);
-  pieces = pieces.filter((each) => each !== piece);
-  piece.remove();
-  if (pieces.length === 0) return;
-  history.replaceState(null, '', `/view?${new URLSearchParams(pieces.map(({ key }) => ['key', key]))}`);
-  arrived();
-  describe();
-}
-
-function reset() {
-  for (const piece of present()) {
-    grasp.letGoOf(piece);
-    piece.reset();
-  }
-  look();
-  moved();
+/**
+ * Removes an item from the scene and from the page's address.
+ * @param {SceneItem} item
+ */
+function remove(item) {
+  grabber.drop(item);
+  items = items.filter((each) => each !== item);
+  item.remove();
+  if (items.length === 0) return;
+  history.replaceState(null, '', `/view?${new URLSearchParams(items.map(({ key }) => ['key', key]))}`);
+  placeAll();
+  showTexts();
 }
 
 // ---- moving -----------------------------------------------------------------------------------------------------------
 
-let chosen = null;
-const arranger = makeArranger({ camera, canvas: renderer.domElement }, { pieces: present, onMoved: left, onChosen: choose });
-const grasp = makeGrasp(left);
-const hands = makeHands(renderer, scene, { pieces: present, grasp, onReset: reset, ownHands: () => page.dataset.mode === 'vr' });
-
-function left(piece) {
-  piece.leave();
-  headset.understood();
-  moved();
+/**
+ * Saves where an item stands, after the person has moved it.
+ * @param {SceneItem} item
+ */
+function savePlace(item) {
+  item.savePlace();
+  headset.hideHelp(); // the wearer knows how by now
+  reportPlaces();
 }
 
-/** Where things stand, for who looks at the page from outside. */
-function moved() {
-  const short = (numbers) => numbers.map((value) => value.toFixed(3)).join(' ');
+/** Puts all items back to their default places. */
+function resetAll() {
+  for (const item of loadedItems()) {
+    grabber.drop(item);
+    item.resetPlace();
+  }
+  frameAll();
+  reportPlaces();
+}
+
+/** Writes the places and scales of the items into the page's data attributes, for tests and for scripts. */
+function reportPlaces() {
+  /** @param {LoadedItem} item */
+  const placeText = ({ group }) => [...group.position.toArray(), group.scale.x].map((value) => value.toFixed(3)).join(' ');
   redraw();
-  page.dataset.moved = present().map(({ group }) => `${short(group.position.toArray())} ${group.scale.x.toFixed(3)}`).join('; ');
+  document.body.dataset.moved = loadedItems().map(placeText).join('; ');
 }
 
-function choose(piece) {
-  chosen = piece;
-  describe();
+/** @param {SceneItem} item */
+function select(item) {
+  selected = item;
+  showTexts();
 }
 
-function moving(yes, piece = null) {
-  at('move').setAttribute('aria-pressed', yes);
-  arranger.on(yes);
-  if (piece) arranger.choose(piece);
-  notice(yes ? MOVE_HELP : '', { stays: true });
+/**
+ * Lets gestures and keys move the items, or the camera.
+ * @param {boolean} allowed
+ * @param {SceneItem} [item] to select
+ */
+function allowMoving(allowed, item) {
+  page.move.setAttribute('aria-pressed', String(allowed));
+  drag.enable(allowed);
+  if (item) drag.select(item);
+  showNotice(allowed ? MOVE_HELP : '', { stays: true });
 }
 
-at('move').addEventListener('click', () => moving(at('move').getAttribute('aria-pressed') !== 'true'));
-at('reset').addEventListener('click', reset);
+/** @param {string} mode of the headset: "vr", "ar", or "" when a session has ended */
+function showMode(mode) {
+  document.body.dataset.xr = mode ? 'on' : 'off';
+  document.body.dataset.mode = mode;
+  input.releaseAll();
+  frameAll(); // the camera was left where the headset was
+  redraw();
+}
 
-// ---- the headset, and each frame --------------------------------------------------------------------------------------
+// ---- errors -----------------------------------------------------------------------------------------------------------
 
-const headset = offerSessions({ renderer, scene, root }, { vr: at('enter-vr'), ar: at('enter-ar') }, {
-  height: () => Math.max(0, ...present().map((piece) => piece.entry.size_m[1])),
-  onMode(mode) {
-    page.dataset.xr = mode ? 'on' : 'off';
-    page.dataset.mode = mode;
-    hands.letGo();
-    look(); // the camera was left where the headset was
-    redraw();
-  },
-  onPlaced: (metres) => (page.dataset.placed = metres.map((value) => value.toFixed(3)).join(' ')),
-  onRefused: (error) => tell({ code: 'XR_REFUSED', message: `The headset did not start: ${error.message}` }),
-});
-
-const { redraw } = drawing(stage, { present, controls, onHeadset: hands.tick, onDrawn: headset.tick });
-
-// ---- what is new ------------------------------------------------------------------------------------------------------
-
-async function follow() {
-  await Promise.all(pieces.map(attempt));
-  for (let turn = 0; pieces.length > 0; turn++) {
-    const mayChange = pieces.some(({ entry }) => entry?.state !== 'refined');
-    const pause = Math.max(LEAST_MS, (mayChange ? POLL_MS : CALM_MS) / pieces.length);
-    await new Promise((resolve) => setTimeout(resolve, pause));
-    if (!document.hidden || renderer.xr.isPresenting) await attempt(pieces[turn % pieces.length]);
+/**
+ * Shows why an item could not be updated. It stays in the scene when the connection was lost, but not when its publisher removed it.
+ * @param {SceneItem} item
+ * @param {unknown} error
+ */
+function showItemError(item, error) {
+  const { code, message } = toProblem(error);
+  const isNew = message !== item.problem;
+  item.problem = message;
+  item.code = code;
+  if (code === 'ASSET_REMOVED' && item.entry) {
+    remove(item);
+    showNotice(`${item.name} was taken back by whoever published it.`, { stays: true });
+  } else if (isNew && !isConnectionProblem(error) && items.length > 1) {
+    showNotice(`${item.name}: ${message}`);
   }
+  if (loadedItems().length === 0) showError(error, { canRetry: true });
+  else if (!item.entry) showTexts();
 }
 
-async function attempt(piece) {
-  try {
-    await refresh(piece);
-  } catch (problem) {
-    failed(piece, problem);
+/** Tries again to load the items that could not be loaded. */
+function retry() {
+  if (loadedItems().length === 0) {
+    location.reload(); // whatever hangs in this page is gone with it
+    return;
   }
-}
-
-/** Once something stands there, a lost connection is no reason to take it away; that its owner took it back is one. */
-function failed(piece, problem) {
-  const news = problem.message !== piece.problem;
-  piece.problem = problem.message;
-  if (problem.code === 'ASSET_REMOVED' && piece.entry) {
-    remove(piece);
-    notice(`${piece.name} was taken back by whoever published it.`, { stays: true });
-  } else if (news && problem.code !== 'OFFLINE' && pieces.length > 1) {
-    notice(`${piece.name}: ${problem.message}`);
+  page.retry.hidden = true;
+  for (const item of items.filter(hasFailed)) {
+    item.code = '';
+    updates.update(item);
   }
-  if (present().length === 0) tell(problem);
+  showTexts();
 }
 
-at('address').textContent = location.href;
-at('qr').src = `/v1/assets/${encodeURIComponent(pieces[0]?.key ?? '')}/qr.svg`;
-at('qr').hidden = pieces.length !== 1; // the code of several would be that of the first
-keepShell();
-follow();
+// ---- start ------------------------------------------------------------------------------------------------------------
+
+scene.add(root);
+for (const { group } of items) root.add(group);
+controls.enableDamping = true;
+controls.listenToKeyEvents(renderer.domElement);
+page.move.addEventListener('click', () => allowMoving(page.move.getAttribute('aria-pressed') !== 'true'));
+page.reset.addEventListener('click', resetAll);
+page.retry.addEventListener('click', retry);
+page.address.textContent = location.href;
+page.qr.src = `/v1/assets/${encodeURIComponent(items[0]?.key ?? '')}/qr.svg`;
+page.qr.hidden = items.length !== 1; // the code of several would be that of the first
+registerServiceWorker();
+updates.poll();

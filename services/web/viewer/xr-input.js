@@ -1,141 +1,217 @@
-// Controllers and hands in the headset: what they look like, what they take hold of, and what their buttons do.
+// Controllers and hands in the headset: how they look, what they grab, and what their buttons do.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { met, metBox, within } from './hit-test.js';
+import { distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';
 
-const RAY_M = 2; // of a ray that meets nothing
-const RESET_MS = 1500; // a pinch or trigger held on nothing: longer than anyone searches for a thing
-const [B_OR_Y, STICK_X, STICK_Y] = [5, 2, 3]; // places in the gamepad of the WebXR mapping "xr-standard"
-const DEAD = 0.2; // a thumbstick at rest is not quite at rest
-const TURN_PER_S = 1.5; // radians, the stick pushed to its end
-const PUSH_M_PER_S = 0.8;
-const JOINTS = 25; // of a hand in WebXR
-const JOINT_M = 0.008; // radius, where the device tells none
-const SLIM = 0.7; // of the radius: a hand of whole ones would hide what it holds
-const INK = 0xdfe5f0; // of rays and hands: seen against the floor and against a room
+/** @import { Grabber } from './grab.js' */
+/** @import { LoadedItem } from './scene-item.js' */
+/** @typedef {'select' | 'squeeze'} Press the trigger or a pinch, and the grip */
 
 /**
- * Two inputs in the scene. Returns {tick(seconds), letGo()}; tick is called in each frame of a session.
- * pieces(): what there is to take; grasp: of grab.js; onReset(): asked for by B, by Y, or by a long pinch on nothing;
- * ownHands(): whether the wearer's hands must be drawn, because passthrough does not show them.
+ * One of the two inputs.
+ * @typedef {object} Input
+ * @property {THREE.XRTargetRaySpace} pointer
+ * @property {THREE.Line} ray
+ * @property {Map<Press, number>} presses since when each is pressed, in milliseconds
+ * @property {XRInputSource | null} source null while it is not connected
+ * @property {boolean} resetPressed
+ * @property {(visible: boolean) => void} drawHand
  */
-export function makeHands(renderer, scene, { pieces, grasp, onReset, ownHands }) {
-  const hands = [0, 1].map((place) => handOf(renderer, scene, place));
-  const caster = new THREE.Raycaster();
 
-  for (const { pointer, pressed } of hands) {
-    for (const kind of ['select', 'squeeze']) {
-      pointer.addEventListener(`${kind}start`, () => press(pointer, pressed, kind));
-      pointer.addEventListener(`${kind}end`, () => release(pointer, pressed, kind));
+/**
+ * @typedef {object} XrInputCallbacks
+ * @property {() => LoadedItem[]} items what can be grabbed
+ * @property {Grabber} grabber
+ * @property {() => void} onReset is called for B, Y, or a long pinch on nothing
+ * @property {() => boolean} showHands whether the wearer's hands must be drawn, because passthrough does not show them
+ */
+
+const RAY_M = 2; // of a ray that hits nothing
+const RESET_MS = 1500; // a pinch or trigger held on nothing: longer than anyone searches for a thing
+const [B_OR_Y, STICK_X, STICK_Y] = [5, 2, 3]; // places in the gamepad of the WebXR mapping "xr-standard"
+const DEAD_ZONE = 0.2; // a thumbstick at rest is not quite at 0
+const TURN_PER_S = 1.5; // radians, with the stick pushed to its end
+const PUSH_M_PER_S = 0.8;
+const JOINTS = 25; // of a hand in WebXR
+const JOINT_M = 0.008; // radius, where the device gives none
+const JOINT_SHARE = 0.7; // of the radius: full-size hands would hide what they hold
+const COLOUR = 0xdfe5f0; // of rays and hands: visible in front of the floor and of a room
+/** @type {Press[]} */
+const PRESSES = ['select', 'squeeze'];
+
+/** The two inputs of a headset: controllers or hands. */
+export class XrInput {
+  #callbacks;
+  #inputs;
+  #raycaster = new THREE.Raycaster();
+
+  /**
+   * @param {THREE.WebGLRenderer} renderer
+   * @param {THREE.Scene} scene
+   * @param {XrInputCallbacks} callbacks
+   */
+  constructor(renderer, scene, callbacks) {
+    this.#callbacks = callbacks;
+    this.#inputs = [0, 1].map((place) => createInput(renderer, scene, place));
+    for (const input of this.#inputs) this.#listen(input);
+  }
+
+  /**
+   * Moves what the hands hold, and reads the buttons. To be called before each frame in a headset.
+   * @param {number} seconds since the last frame
+   */
+  update(seconds) {
+    const { items, grabber, onReset, showHands } = this.#callbacks;
+    for (const input of this.#inputs) {
+      const { pointer, presses, ray, source } = input;
+      pointer.updateMatrixWorld();
+      input.drawHand(showHands());
+      ray.scale.z = grabber.itemIn(pointer) ? 0.05 : distanceToFirstBox(items(), this.#castRay(pointer)) || RAY_M;
+      if (performance.now() - (presses.get('select') ?? Infinity) > RESET_MS) {
+        presses.set('select', Infinity);
+        onReset();
+      }
+      if (source?.gamepad) this.#readButtons(input, source.gamepad, seconds);
+    }
+    grabber.moveItems();
+  }
+
+  /** Lets go of everything. */
+  releaseAll() {
+    for (const { pointer } of this.#inputs) this.#callbacks.grabber.release(pointer);
+  }
+
+  /** @param {Input} input */
+  #listen(input) {
+    const { pointer, presses } = input;
+    for (const press of PRESSES) {
+      pointer.addEventListener(`${press}start`, () => this.#start(input, press));
+      pointer.addEventListener(`${press}end`, () => this.#end(input, press));
     }
     pointer.addEventListener('disconnected', () => {
-      pressed.clear();
-      grasp.letGo(pointer);
+      presses.clear();
+      this.#callbacks.grabber.release(pointer);
     });
   }
 
-  function press(pointer, pressed, kind) {
-    pressed.set(kind, performance.now());
-    if (pressed.size > 1) return; // the other finger has taken it already
-    const piece = meant(pointer);
-    if (piece) {
-      pressed.clear();
-      pressed.set(kind, Infinity); // never long enough for a reset
-      grasp.take(pointer, piece);
-    }
+  /**
+   * @param {Input} input
+   * @param {Press} press
+   */
+  #start({ pointer, presses }, press) {
+    presses.set(press, performance.now());
+    if (presses.size > 1) return; // the other finger has grabbed it already
+    const item = this.#findItem(pointer);
+    if (!item) return;
+    presses.clear();
+    presses.set(press, Infinity); // never long enough for a reset
+    this.#callbacks.grabber.grab(pointer, item);
   }
 
-  function release(pointer, pressed, kind) {
-    pressed.delete(kind);
-    if (pressed.size === 0) grasp.letGo(pointer);
+  /**
+   * @param {Input} input
+   * @param {Press} press
+   */
+  #end({ pointer, presses }, press) {
+    presses.delete(press);
+    if (presses.size === 0) this.#callbacks.grabber.release(pointer);
   }
 
-  function meant(pointer) {
+  /**
+   * The item that a hand touches or points at.
+   * @param {THREE.Object3D} pointer
+   */
+  #findItem(pointer) {
     pointer.updateMatrixWorld();
     const here = new THREE.Vector3().setFromMatrixPosition(pointer.matrixWorld);
-    return within(pieces(), here) || met(pieces(), aimed(pointer))?.piece;
+    const items = this.#callbacks.items();
+    return findTouchedItem(items, here) ?? pickItem(items, this.#castRay(pointer))?.item;
   }
 
-  function aimed(pointer) {
-    caster.ray.origin.setFromMatrixPosition(pointer.matrixWorld);
-    caster.ray.direction.set(0, 0, -1).transformDirection(pointer.matrixWorld);
-    return caster;
+  /** @param {THREE.Object3D} pointer */
+  #castRay(pointer) {
+    this.#raycaster.ray.origin.setFromMatrixPosition(pointer.matrixWorld);
+    this.#raycaster.ray.direction.set(0, 0, -1).transformDirection(pointer.matrixWorld);
+    return this.#raycaster;
   }
 
-  function tick(seconds) {
-    for (const hand of hands) {
-      const { pointer, pressed, source } = hand;
-      pointer.updateMatrixWorld();
-      hand.bend(ownHands());
-      hand.ray.scale.z = grasp.heldBy(pointer) ? 0.05 : metBox(pieces(), aimed(pointer)) || RAY_M;
-      if (performance.now() - pressed.get('select') > RESET_MS) {
-        pressed.set('select', Infinity);
-        onReset();
-      }
-      if (source()?.gamepad) buttons(hand, source().gamepad, seconds);
-    }
-    grasp.carry();
+  /**
+   * @param {Input} input
+   * @param {Gamepad} gamepad
+   * @param {number} seconds since the last frame
+   */
+  #readButtons(input, { buttons, axes }, seconds) {
+    const { grabber, onReset } = this.#callbacks;
+    const pressed = Boolean(buttons[B_OR_Y]?.pressed);
+    if (pressed && !input.resetPressed) onReset();
+    input.resetPressed = pressed;
+    const [x, y] = [axes[STICK_X] || 0, axes[STICK_Y] || 0].map((value) => (Math.abs(value) < DEAD_ZONE ? 0 : value));
+    if (x || y) grabber.turnAndPush(input.pointer, { turn: x * TURN_PER_S * seconds, push_m: -y * PUSH_M_PER_S * seconds });
   }
-
-  function buttons(hand, { buttons: all, axes }, seconds) {
-    const reset = Boolean(all[B_OR_Y]?.pressed);
-    if (reset && !hand.reset) onReset();
-    hand.reset = reset;
-    const [across, along] = [axes[STICK_X] || 0, axes[STICK_Y] || 0].map((value) => (Math.abs(value) < DEAD ? 0 : value));
-    if (across || along) grasp.nudge(hand.pointer, { turn: across * TURN_PER_S * seconds, push_m: -along * PUSH_M_PER_S * seconds });
-  }
-
-  return { tick, letGo: () => hands.forEach(({ pointer }) => grasp.letGo(pointer)) };
 }
 
-/** A pointer with its ray, the controller's body, and the joints of a hand, as far as the device tracks them. */
-function handOf(renderer, scene, place) {
+/**
+ * Adds an input to the scene: a pointer with its ray, the controller, and the joints of a hand, as far as the device tracks them.
+ * @param {THREE.WebGLRenderer} renderer
+ * @param {THREE.Scene} scene
+ * @param {number} place 0 or 1
+ * @returns {Input}
+ */
+function createInput(renderer, scene, place) {
   const pointer = renderer.xr.getController(place);
   const grip = renderer.xr.getControllerGrip(place);
-  const joints = renderer.xr.getHand(place);
-  const ray = rayMade();
-  const body = bodyMade();
-  const knuckles = knucklesMade();
-  let source = null;
+  const hand = renderer.xr.getHand(place);
+  const [ray, controller, joints] = [createRay(), createController(), createJoints()];
+  /** @param {boolean} visible */
+  const drawHand = (visible) => drawJoints(joints, visible ? hand : null);
+  /** @type {Input} */
+  const input = { pointer, ray, presses: new Map(), source: null, resetPressed: false, drawHand };
   pointer.add(ray);
-  grip.add(body);
-  joints.add(knuckles);
+  grip.add(controller);
+  hand.add(joints);
   pointer.addEventListener('connected', ({ data }) => {
-    source = data;
+    input.source = data;
     ray.visible = data.targetRayMode === 'tracked-pointer';
-    body.visible = ray.visible && !data.hand;
+    controller.visible = ray.visible && !data.hand;
   });
   pointer.addEventListener('disconnected', () => {
-    source = null;
+    input.source = null;
   });
-  scene.add(pointer, grip, joints);
-  return { pointer, ray, pressed: new Map(), source: () => source, reset: false, bend: (drawn) => bend(knuckles, drawn ? joints : null) };
+  scene.add(pointer, grip, hand);
+  return input;
 }
 
-function rayMade() {
+/** A line from the hand to what it points at. */
+function createRay() {
   const geometry = new THREE.BufferGeometry().setFromPoints([new THREE.Vector3(), new THREE.Vector3(0, 0, -1)]);
-  return new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: INK, transparent: true, opacity: 0.7 }));
+  return new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.7 }));
 }
 
-function bodyMade() {
-  const body = new THREE.Mesh(new THREE.CapsuleGeometry(0.018, 0.08, 4, 12), new THREE.MeshStandardMaterial({ color: 0x3a3f49 }));
-  body.rotation.x = Math.PI / 2;
-  return body;
+/** A capsule in place of the controller. */
+function createController() {
+  const controller = new THREE.Mesh(new THREE.CapsuleGeometry(0.018, 0.08, 4, 12), new THREE.MeshStandardMaterial({ color: 0x3a3f49 }));
+  controller.rotation.x = Math.PI / 2;
+  return controller;
 }
 
-function knucklesMade() {
-  const made = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 8, 6), new THREE.MeshStandardMaterial({ color: INK }), JOINTS);
-  made.count = 0;
-  made.frustumCulled = false; // it is where the joints are, not where it stands
-  return made;
+/** Spheres for the joints of a hand, none of them shown yet. */
+function createJoints() {
+  const joints = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 8, 6), new THREE.MeshStandardMaterial({ color: COLOUR }), JOINTS);
+  joints.count = 0;
+  joints.frustumCulled = false; // its spheres are at the hand's joints, not at its own place
+  return joints;
 }
 
-/** Put a sphere at every joint: all of a hand in one draw call. None without a hand. */
-function bend(knuckles, hand) {
-  const joints = Object.values(hand?.joints || {}).filter((joint) => joint.visible);
-  knuckles.count = joints.length;
+/**
+ * Puts a sphere at each joint: all of a hand in one draw call. None without a hand.
+ * @param {THREE.InstancedMesh} mesh
+ * @param {THREE.XRHandSpace | null} hand
+ */
+function drawJoints(mesh, hand) {
+  const joints = Object.values(hand?.joints ?? {}).filter((joint) => joint.visible);
+  mesh.count = joints.length;
   joints.forEach((joint, place) => {
-    const size = new THREE.Vector3().setScalar(SLIM * (joint.jointRadius || JOINT_M));
-    knuckles.setMatrixAt(place, new THREE.Matrix4().compose(joint.position, joint.quaternion, size));
+    const size = new THREE.Vector3().setScalar(JOINT_SHARE * (joint.jointRadius || JOINT_M));
+    mesh.setMatrixAt(place, new THREE.Matrix4().compose(joint.position, joint.quaternion, size));
   });
-  knuckles.instanceMatrix.needsUpdate = true;
+  mesh.instanceMatrix.needsUpdate = true;
 }

@@ -1,129 +1,189 @@
-// The session in a headset: two buttons that begin it, VR and passthrough, and where the scene stands in the room.
+// The session in a headset: two buttons that start it, for VR and for passthrough (AR), and where the scene stands in the room.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { createTextPanel } from './text-panel.js';
 import { dispose } from '../graphics/scene.js';
-import { signOf } from './text-panel.js';
+import { element } from '../shared/dom.js';
 
-const AHEAD_M = 1.5; // arm's length and a step: the whole of a person-sized thing is in view
-const EYE_SHARE = 0.75; // small things are lifted so that their middle is at this share of the eyes' height
-const SMALL_M = 0.8; // a thing lower than this would lie at one's feet
-const HALL_M = 20; // of the floor's grid, a metre a field
-const SIGN_S = 12; // long enough to read two lines, once
-const WANTED = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-tracking'] };
-const NAMES = { vr: 'VR', ar: 'AR' };
-const HELP = ['Squeeze or pinch to take hold; two hands scale and turn.', 'B, Y, or a long pinch beside it puts it back.'];
+/** @typedef {'vr' | 'ar'} Mode */
+/** @typedef {{ renderer: THREE.WebGLRenderer, scene: THREE.Scene, root: THREE.Group }} World root: what is placed in front of the wearer */
 
 /**
- * Offer what the device can on `buttons` {vr, ar}. Returns {tick(), placed()}: tick after each frame.
- * height(): metres of the tallest thing; `onMode('vr' | 'ar' | '')` hears of sessions, `onPlaced(metres)` where the scene
- * stands, `onRefused(error)` of a headset that does not start.
+ * @typedef {object} XrSessionCallbacks
+ * @property {() => number} height of the tallest thing, in metres
+ * @property {(mode: Mode | '') => void} onMode is called when a session begins, and with '' when it ends
+ * @property {(metres: number[]) => void} onPlaced is called with the place of the scene
+ * @property {(error: Error) => void} onRefused is called when the headset does not start
  */
-export function offerSessions({ renderer, scene, root }, buttons, { height, onMode, onPlaced, onRefused }) {
-  let mode = '';
-  let placed = true;
-  let sign = null;
-  let signUntil = 0;
-  const floor = new THREE.GridHelper(HALL_M, HALL_M, 0x59616e, 0x31363f);
-  const dusk = new THREE.Color(0x16181c);
-  renderer.xr.enabled = true;
-  renderer.xr.setReferenceSpaceType('local-floor');
 
-  for (const [kind, button] of Object.entries(buttons)) {
-    button.addEventListener('click', async () => {
-      const session = renderer.xr.getSession();
-      if (session) return session.end();
-      button.disabled = true; // a second request while the first is asked for would be refused
-      await begin(kind).catch(onRefused);
-      button.disabled = false;
+const AHEAD_M = 1.5; // a thing as large as a person is in view
+const EYE_SHARE = 0.75; // small things are lifted so that their middle is at this share of the eyes' height
+const SMALL_M = 0.8; // a thing lower than this would lie at the wearer's feet
+const FLOOR_M = 20; // of the floor's grid, a metre for each field
+const HELP_S = 12; // long enough to read two lines
+const FEATURES = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-tracking'] };
+const NAMES = { vr: 'VR', ar: 'AR' };
+/** @type {Mode[]} */
+const MODES = ['vr', 'ar'];
+const HELP = ['Squeeze or pinch to take hold; two hands scale and turn.', 'B, Y, or a long pinch beside it puts it back.'];
+
+/** The session in a headset, and its two buttons. */
+export class XrSession {
+  #world;
+  #buttons;
+  #callbacks;
+  /** @type {Mode | ''} */
+  #mode = '';
+  #placed = true;
+  /** @type {ReturnType<typeof createTextPanel> | null} */
+  #help = null;
+  #helpUntil = 0;
+  #floor = new THREE.GridHelper(FLOOR_M, FLOOR_M, 0x59616e, 0x31363f);
+  #background = new THREE.Color(0x16181c);
+
+  /**
+   * Offers the sessions that the device can start.
+   * @param {World} world
+   * @param {Record<Mode, HTMLButtonElement>} buttons
+   * @param {XrSessionCallbacks} callbacks
+   */
+  constructor(world, buttons, callbacks) {
+    this.#world = world;
+    this.#buttons = buttons;
+    this.#callbacks = callbacks;
+    const { xr } = world.renderer;
+    xr.enabled = true;
+    xr.setReferenceSpaceType('local-floor');
+    xr.addEventListener('sessionstart', () => this.#started());
+    xr.addEventListener('sessionend', () => this.#ended());
+    for (const mode of MODES) buttons[mode].addEventListener('click', () => this.#toggle(mode));
+    navigator.xr?.addEventListener('devicechange', () => {
+      if (!this.#mode) this.#offer();
     });
+    this.#offer();
   }
 
-  async function begin(kind) {
-    const session = await navigator.xr.requestSession(`immersive-${kind}`, WANTED);
-    mode = kind; // three.js tells of the start before setSession resolves
-    await renderer.xr.setSession(session);
+  /** Places the scene once the headset's pose is known. To be called after each frame. */
+  update() {
+    const { renderer } = this.#world;
+    if (this.#help && performance.now() > this.#helpUntil) this.hideHelp();
+    if (this.#placed || !renderer.xr.isPresenting || this.#callbacks.height() === 0) return;
+    /** @type {THREE.ArrayCamera} */
+    const camera = renderer.xr.getCamera(); // without cameras before the first frame
+    if (camera.cameras.length === 0) return;
+    this.#placeAhead(camera);
+    this.#placed = true;
   }
 
-  renderer.xr.addEventListener('sessionstart', () => {
-    placed = false;
+  /** Removes the panel with the help. */
+  hideHelp() {
+    if (!this.#help) return;
+    this.#help.removeFromParent();
+    dispose(this.#help);
+    this.#help = null;
+  }
+
+  /**
+   * Starts a session, or ends the one that runs.
+   * @param {Mode} mode
+   */
+  async #toggle(mode) {
+    const session = this.#world.renderer.xr.getSession();
+    if (session) {
+      session.end();
+      return;
+    }
+    const button = this.#buttons[mode];
+    button.disabled = true; // the browser would refuse a second request
+    await this.#start(mode).catch(this.#callbacks.onRefused);
+    button.disabled = false;
+  }
+
+  /** @param {Mode} mode */
+  async #start(mode) {
+    if (!navigator.xr) throw new Error('this browser has no WebXR');
+    const session = await navigator.xr.requestSession(`immersive-${mode}`, FEATURES);
+    this.#mode = mode; // three.js sends 'sessionstart' before setSession resolves
+    await this.#world.renderer.xr.setSession(session);
+  }
+
+  /** Prepares the scene for the headset. */
+  #started() {
+    if (!this.#mode) return;
+    const { scene } = this.#world;
+    this.#placed = false;
     // In passthrough the room itself is the background and the floor.
-    scene.background = mode === 'vr' ? dusk : null;
-    if (mode === 'vr') scene.add(floor);
-    named(`Leave ${NAMES[mode]}`);
-    onMode(mode);
-  });
-  renderer.xr.addEventListener('sessionend', () => {
+    scene.background = this.#mode === 'vr' ? this.#background : null;
+    if (this.#mode === 'vr') scene.add(this.#floor);
+    for (const mode of MODES) {
+      this.#buttons[mode].textContent = `Leave ${NAMES[this.#mode]}`;
+      this.#buttons[mode].hidden = mode !== this.#mode;
+    }
+    this.#callbacks.onMode(this.#mode);
+  }
+
+  /** Puts the scene back as the page shows it. */
+  #ended() {
+    const { scene, root } = this.#world;
     scene.background = null;
-    floor.removeFromParent();
-    takeSign();
+    this.#floor.removeFromParent();
+    this.hideHelp();
     root.position.set(0, 0, 0);
     root.rotation.set(0, 0, 0);
     root.updateMatrixWorld(true);
-    named(null);
-    mode = '';
-    onMode('');
-  });
-
-  function named(leave) {
-    for (const [kind, button] of Object.entries(buttons)) button.textContent = leave || `Enter ${NAMES[kind]}`;
-    if (leave) Object.entries(buttons).forEach(([kind, button]) => (button.hidden = kind !== mode));
-    else offer();
+    for (const mode of MODES) this.#buttons[mode].textContent = `Enter ${NAMES[mode]}`;
+    this.#offer();
+    this.#mode = '';
+    this.#callbacks.onMode('');
   }
 
-  async function offer() {
-    for (const [kind, button] of Object.entries(buttons)) {
-      button.hidden = !(await navigator.xr?.isSessionSupported(`immersive-${kind}`).catch(() => false));
+  /** Shows a button for each kind of session that the device supports, and without any the way to open the page in a headset. */
+  async #offer() {
+    for (const mode of MODES) {
+      const supported = await navigator.xr?.isSessionSupported(`immersive-${mode}`).catch(() => false);
+      this.#buttons[mode].hidden = !supported;
     }
-    document.getElementById('headset').hidden = Object.values(buttons).some((button) => !button.hidden);
+    element('headset', HTMLElement).hidden = MODES.some((mode) => !this.#buttons[mode].hidden);
   }
 
-  function takeSign() {
-    if (!sign) return;
-    sign.removeFromParent();
-    dispose(sign);
-    sign = null;
-  }
-
-  /** Stand the scene 1.5 m ahead of where the wearer looks, on the floor, or at a comfortable height when it is small. */
-  function placeAhead(xrCamera) {
-    const eye = between(xrCamera.cameras);
-    const ahead = new THREE.Vector3(0, 0, -1).transformDirection(xrCamera.matrixWorld).setY(0);
+  /**
+   * Places the scene 1.5 m ahead of where the wearer looks: on the floor, or at a comfortable height when it is small.
+   * @param {THREE.ArrayCamera} camera
+   */
+  #placeAhead(camera) {
+    const { root } = this.#world;
+    const eye = middleOf(camera.cameras);
+    const ahead = new THREE.Vector3(0, 0, -1).transformDirection(camera.matrixWorld).setY(0);
     if (ahead.lengthSq() < 1e-6) ahead.set(0, 0, -1);
     ahead.normalize();
-    const tallest = height();
+    const height = this.#callbacks.height();
     root.position.copy(eye).addScaledVector(ahead, AHEAD_M);
-    root.position.y = tallest < SMALL_M ? Math.max(0, eye.y * EYE_SHARE - tallest / 2) : 0;
+    root.position.y = height < SMALL_M ? Math.max(0, eye.y * EYE_SHARE - height / 2) : 0;
     root.rotation.set(0, Math.atan2(-ahead.x, -ahead.z), 0);
     root.updateMatrixWorld(true);
-    putSign(eye, ahead);
-    onPlaced(root.position.toArray());
+    this.#showHelp(eye, ahead);
+    this.#callbacks.onPlaced(root.position.toArray());
   }
 
-  function putSign(eye, ahead) {
-    sign = signOf(HELP);
-    sign.position.copy(eye).addScaledVector(ahead, AHEAD_M);
-    sign.position.y = eye.y + 0.35; // above what one looks at
-    sign.rotation.y = root.rotation.y;
-    scene.add(sign);
-    signUntil = performance.now() + 1000 * SIGN_S;
+  /**
+   * @param {THREE.Vector3} eye
+   * @param {THREE.Vector3} ahead unit vector
+   */
+  #showHelp(eye, ahead) {
+    const help = createTextPanel(HELP);
+    help.position.copy(eye).addScaledVector(ahead, AHEAD_M);
+    help.position.y = eye.y + 0.35; // above the things
+    help.rotation.y = this.#world.root.rotation.y;
+    this.#world.scene.add(help);
+    this.#help = help;
+    this.#helpUntil = performance.now() + 1000 * HELP_S;
   }
-
-  navigator.xr?.addEventListener('devicechange', () => mode || offer());
-  offer();
-  return {
-    tick() {
-      if (sign && performance.now() > signUntil) takeSign();
-      // After a frame was drawn the headset's pose is known.
-      if (placed || !renderer.xr.isPresenting || renderer.xr.getCamera().cameras.length === 0 || height() === 0) return;
-      placeAhead(renderer.xr.getCamera());
-      placed = true;
-    },
-    /** The wearer knows by now what the sign says. */
-    understood: takeSign,
-  };
 }
 
-/** The middle between the eyes: three.js puts the camera that stands for both into one of them at first. */
-function between(eyes) {
+/**
+ * The middle between the eyes. Not the camera that stands for both: three.js puts that one into an eye at first.
+ * @param {THREE.Camera[]} eyes
+ */
+function middleOf(eyes) {
   const sum = new THREE.Vector3();
   for (const eye of eyes) sum.add(new THREE.Vector3().setFromMatrixPosition(eye.matrixWorld));
   return sum.divideScalar(eyes.length);

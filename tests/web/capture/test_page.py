@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 import urllib.request
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from services.cli.up import Stack
-from tests.support.screenshots import difference, drawn, expect_picture, stage
+from tests.support.patience import PATIENCE_S
+from tests.support.screenshots import await_frames, difference, drawn, expect_picture, stage
 
 pytestmark = pytest.mark.browser
 
@@ -33,7 +35,7 @@ def bowl(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def _choose(page: Page, path: Path) -> None:
+def choose(page: Page, path: Path) -> None:
     with page.expect_file_chooser() as chooser:
         page.get_by_text("Choose files").click()
     chooser.value.set_files(path)
@@ -43,7 +45,7 @@ def _choose(page: Page, path: Path) -> None:
 def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> None:
     page.goto(stack.url)
     expect(page.get_by_role("button", name="Send")).to_be_disabled()
-    _choose(page, bowl)
+    choose(page, bowl)
     expect(page.locator("#chosen")).to_contain_text("1 file")
     expect(page.locator("#name")).to_have_value("blue bowl")
     page.locator("#name").fill("My blue bowl")
@@ -56,11 +58,12 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
     canvas = page.locator("#preview")
     canvas.scroll_into_view_if_needed()
-    page.wait_for_timeout(500)
+    await_frames(page)
     first = canvas.screenshot()
     assert drawn(first) > 0.1
-    page.wait_for_timeout(1500)
-    assert difference(first, canvas.screenshot()) > 0.01, "the preview does not turn"
+    until = time.monotonic() + PATIENCE_S
+    while difference(first, canvas.screenshot()) < 0.01:
+        assert time.monotonic() < until, "the preview does not turn"
     expect(page.locator("#link")).to_have_text(f"{stack.url}/view/My-blue-bowl")
     expect_picture(page, "#qr")
 
@@ -72,7 +75,7 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
 
 def test_a_reloaded_page_goes_on_watching(page: Page, stack: Stack, bowl: Path) -> None:
     page.goto(stack.url)
-    _choose(page, bowl)
+    choose(page, bowl)
     page.get_by_role("button", name="Send").click()
     page.wait_for_url("**/#job=*")
     page.reload()
@@ -90,7 +93,7 @@ def test_a_proxys_error_in_mid_job_does_not_end_the_watching(page: Page, stack: 
 
     page.route("**/events*", refuse_once)
     page.goto(stack.url)
-    _choose(page, bowl)
+    choose(page, bowl)
     page.get_by_role("button", name="Send").click()
     expect(page.locator("body")).to_have_attribute("data-state", "done")
     assert refused
@@ -99,7 +102,7 @@ def test_a_proxys_error_in_mid_job_does_not_end_the_watching(page: Page, stack: 
 def test_what_cannot_be_drawn_is_ready_all_the_same(page: Page, stack: Stack, bowl: Path) -> None:
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     page.goto(stack.url)
-    _choose(page, bowl)
+    choose(page, bowl)
     page.get_by_role("button", name="Send").click()
     expect(page.locator("body")).to_have_attribute("data-state", "done")
     expect(page.locator("#undrawn")).to_be_visible()
@@ -111,7 +114,7 @@ def test_what_is_no_capture_is_told_with_its_name(page: Page, stack: Stack, tmp_
     bad = tmp_path / "not-a-scan.ply"
     bad.write_text("this is a shopping list\n" * 100)
     page.goto(stack.url)
-    _choose(page, bad)
+    choose(page, bad)
     page.get_by_role("button", name="Send").click()
     trouble = page.get_by_role("alert")
     expect(trouble).to_be_visible()
@@ -122,7 +125,7 @@ def test_what_is_no_capture_is_told_with_its_name(page: Page, stack: Stack, tmp_
 
 def test_a_name_from_any_script_cannot_break_the_key(page: Page, stack: Stack, bowl: Path) -> None:
     page.goto(stack.url)
-    _choose(page, bowl)
+    choose(page, bowl)
     page.locator("#name").fill("Éléphant / ../ 象 <b>")
     expect(page.locator("#key")).to_have_text("Elephant-..-b")
     page.locator("#name").fill("象")
@@ -139,7 +142,7 @@ def test_photos_can_be_taken_and_the_page_fits_a_phone(page: Page, stack: Stack)
 
 def test_an_asset_made_here_is_in_the_catalogue(page: Page, stack: Stack, bowl: Path) -> None:
     page.goto(stack.url)
-    _choose(page, bowl)
+    choose(page, bowl)
     page.locator("#name").fill("catalogued")
     page.get_by_role("button", name="Send").click()
     expect(page.locator("body")).to_have_attribute("data-state", "done")
@@ -151,7 +154,7 @@ def test_an_asset_made_here_is_in_the_catalogue(page: Page, stack: Stack, bowl: 
 
 def test_a_training_is_seen_and_its_certificate_read(page: Page, stack: Stack, bowl: Path) -> None:
     page.goto(stack.url)
-    _choose(page, bowl)
+    choose(page, bowl)
     options = page.locator("#preset option")
     expect(options.first).to_contain_text("Automatic")
     assert not any("baseline" in text for text in options.all_text_contents())
@@ -192,7 +195,7 @@ def test_a_failure_behind_the_preview_leaves_it_on_show(page: Page, stack: Stack
 
     page.route(re.compile(r"/v1/jobs/job_[0-9a-f]+$"), fail)
     page.goto(stack.url)
-    _choose(page, bowl)
+    choose(page, bowl)
     page.locator("#name").fill("half done")
     page.get_by_role("button", name="Send").click()
     trouble = page.get_by_role("alert")

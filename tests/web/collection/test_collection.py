@@ -15,6 +15,7 @@ from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.store import IMMUTABLE, NO_CACHE
+from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
 from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
 from tests.web.conftest import PATIENCE_MS, PHONE
@@ -117,7 +118,7 @@ def test_a_thing_turns_while_it_is_pointed_at_unless_motion_is_unwelcome(page: P
     expect(picture).to_have_attribute("src", str(still))
     page.emulate_media(reduced_motion="reduce")
     page.locator("[data-key=boot]").hover()
-    page.wait_for_timeout(200)
+    await_frames(page)
     expect(picture).to_have_attribute("src", str(still))
 
 
@@ -172,14 +173,6 @@ def test_a_picture_that_was_changed_is_not_shown(page: Page, shelf: Site) -> Non
         picture.write_bytes(content)
 
 
-KEPT = """async () => {
-    const shell = await caches.open('shell-1');
-    const loaded = performance.getEntriesByType('resource').map(({ name }) => name);
-    const needed = ['/browse/', '/v1/collections/default', ...loaded.filter((name) => name.includes('/web/'))];
-    return (await Promise.all(needed.map((each) => shell.match(each)))).every(Boolean);
-}"""
-
-
 def test_after_one_visit_the_page_needs_no_server(browser: Browser, shelf: Site, tmp_path: Path) -> None:
     context = browser.new_context(viewport=PHONE, device_scale_factor=1)
     context.set_default_timeout(PATIENCE_MS)
@@ -189,8 +182,7 @@ def test_after_one_visit_the_page_needs_no_server(browser: Browser, shelf: Site,
         page = context.new_page()
         visit(page, site)
         expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
-        while not page.evaluate(KEPT):
-            page.wait_for_timeout(100)
+        expect(page.locator("body")).to_have_attribute("data-offline", "ready")
         url = site.url
     page.goto(f"{url}/browse/default")
     expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")

@@ -13,12 +13,12 @@ pytestmark = pytest.mark.browser
 
 _STRIP_BYTES = 1 << 20
 
-# Draws a picture of stripes from a card that got it by `handOver` and from one that got it whole: once pixel by pixel,
-# and once shrunk to an eighth, where only mips show. Tells the bytes of each strip, how many bytes of the two drawings
-# differ, and how many colours they have.
+# Draws a picture of stripes from a card that got it by `uploadTexture` and from one that got it whole: once pixel by
+# pixel, and once shrunk to an eighth, where only mips show. Tells the bytes of each strip, how many bytes of the two
+# drawings differ, and how many colours they have.
 _DRAWN = """async ([width, height, lost]) => {
     const THREE = await import('/web/vendor/three-0.187.0.module.js');
-    const { handOver } = await import('/web/graphics/gpu-warmup.js');
+    const { uploadTexture } = await import('/web/graphics/gpu-warmup.js');
     const soon = (ms = 0) => new Promise((done) => setTimeout(done, ms));
     const paper = new OffscreenCanvas(width, height);
     const pen = paper.getContext('2d');
@@ -70,7 +70,7 @@ _DRAWN = """async ([width, height, lost]) => {
         return { strips, pixels };
     }
 
-    const strips = await shown(handOver);
+    const strips = await shown(uploadTexture);
     const whole = await shown((renderer, texture) => renderer.initTexture(texture));
     const other = (place) => (pixel, at) => pixel !== whole.pixels[place][at];
     const differ = strips.pixels.map((drawn, place) => drawn.filter(other(place)).length);

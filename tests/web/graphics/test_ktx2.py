@@ -4,7 +4,6 @@ a server."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -18,11 +17,12 @@ from services.edge.texture.bake import jpeg_of
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
-from tests.support.screenshots import difference, drawn, places_of, stage
+from tests.support.lines import line_to
+from tests.support.screenshots import await_frames, difference, drawn, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import BLUE, GREEN, RED, bundle_of
 from tests.web.conftest import PATIENCE_MS, without_a_past
-from tests.web.shared.test_offline import Line
+from tests.web.shared.test_offline import expect_offline_ready
 
 pytestmark = pytest.mark.browser
 SIDE = 128
@@ -70,7 +70,7 @@ def shown(page: Page, address: str) -> bytes:
     """The thing at an address, once its levels are there."""
     page.goto(address)
     expect(page.locator("body")).to_have_attribute("data-loaded", "1 0")
-    page.wait_for_timeout(300)  # a frame or two
+    await_frames(page)
     return stage(page)
 
 
@@ -119,26 +119,43 @@ def test_a_transcoder_that_was_lost_on_the_way_is_fetched_again(page: Page, site
     assert places_of(shown(page, f"{site.url}/view/cube-ktx2"), 0)[0] > 0.03
 
 
-KEPT = """async (names) => {
-    for (let turn = 0; turn < 150; turn++) {
-        const kept = (await (await caches.open('shell-1')).keys()).map(({ url }) => url);
-        if (names.every((name) => kept.some((url) => url.endsWith(name)))) return true;
-        await new Promise((done) => setTimeout(done, 100));
-    }
-    return false;
-}"""
+@pytest.mark.parametrize(
+    ("file", "script"),
+    [
+        ("basis-transcoder.wasm", None),
+        ("ktx2-worker.js", None),
+        ("ktx2-worker.js", "onmessage = () => {};"),
+        ("ktx2-worker.js", "throw new Error('broken');"),
+    ],
+)
+def test_a_transcoder_that_never_comes_or_never_answers_is_said(
+    page: Page, site: Site, file: str, script: str | None
+) -> None:
+    line = line_to(site.url)
+    line.set_time_limits(NETWORK_SILENCE_MS=2000, PICTURE_WORKER_MS=2000)
+    if script is None:
+        line.silence(file)
+    else:
+        line.change(file, lambda _: script)
+    page.goto(f"{line.url}/view/cube-ktx2")
+    server = file.endswith(".wasm")
+    words = "The server does not answer" if server else "The 3D file was loaded, but this browser could not open it."
+    expect(page.locator("#said")).to_contain_text(words)
+    line.mend()
+    page.get_by_role("button", name="Try again").click()
+    expect(page.locator("body")).to_have_attribute("data-loaded", "1 0")
+    assert places_of(stage(page), 0)[0] > 0.03
 
 
 def test_one_visit_is_enough_for_the_next_to_need_no_server(browser: Browser, site: Site) -> None:
-    parts = urlsplit(site.url)
-    line = Line((parts.hostname or "", parts.port or 0))
+    line = line_to(site.url)
     address = f"{line.url}/view/cube-ktx2"
     context = browser.new_context(viewport={"width": 400, "height": 400}, device_scale_factor=1)
     context.set_default_timeout(PATIENCE_MS)
     try:
         page = context.new_page()
         online = shown(page, address)
-        assert page.evaluate(KEPT, ["/view/", "viewer.js", *UNPACKING])
+        expect_offline_ready(page)
         line.cut()
         page.close()
         offline = shown(context.new_page(), address)

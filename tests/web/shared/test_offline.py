@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import socket
-import threading
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
@@ -17,6 +14,7 @@ from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
+from tests.support.lines import Line, line_to
 from tests.support.screenshots import drawn, stage
 from tests.web.conftest import PATIENCE_MS, PHONE
 from tests.web.viewer.test_viewer import store  # noqa: F401 - a fixture is used by its name
@@ -24,60 +22,10 @@ from tests.web.viewer.test_viewer import store  # noqa: F401 - a fixture is used
 pytestmark = pytest.mark.browser
 
 
-@dataclass
-class Line:
-    """A TCP line to the gateway under an address of its own, which can be cut and counts what is asked for."""
-
-    to: tuple[str, int]
-    asked: list[str] = field(default_factory=list)
-    _listener: socket.socket = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self._listener.getsockname()[1]}"
-
-    def cut(self) -> None:
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-
-    def files(self) -> list[str]:
-        """The files of assets that were asked for since the last time."""
-        asked, self.asked = self.asked, []
-        return [path for path in asked if path.endswith(".glb")]
-
-    def _serve(self) -> None:
-        while True:
-            try:
-                client, _ = self._listener.accept()
-            except OSError:
-                return
-            threading.Thread(target=self._answer, args=(client,), daemon=True).start()
-
-    def _answer(self, client: socket.socket) -> None:
-        """One request: the connection is closed behind its answer, so that requests can be counted by their heads."""
-        with client, socket.create_connection(self.to) as server:
-            head = b""
-            while b"\r\n\r\n" not in head:
-                part = client.recv(65536)
-                if not part:
-                    return
-                head += part
-            self.asked.append(head.split(b" ", 2)[1].decode())
-            lines = [line for line in head.split(b"\r\n") if not line.lower().startswith(b"connection:")]
-            server.sendall(b"\r\n".join([lines[0], b"Connection: close", *lines[1:]]))
-            while part := server.recv(65536):
-                client.sendall(part)
-
-
 @pytest.fixture
 def line(stack: Stack) -> Line:
     """A line of this test's own: a browser's caches and workers belong to an address."""
-    parts = urlsplit(stack.url)
-    return Line((parts.hostname or "", parts.port or 0))
+    return line_to(stack.url)
 
 
 @pytest.fixture
@@ -91,7 +39,7 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 @pytest.fixture
 def cup(store: LocalStore, bundle: Bundle, request: pytest.FixtureRequest) -> str:  # noqa: F811
     """The key of an asset of this test's own."""
-    key = request.node.name.removeprefix("test_")[:60]
+    key = re.sub(r"[^a-z0-9]+", "-", request.node.name.removeprefix("test_"))[:99]
     publish(bundle, store, key=key)
     return key
 
@@ -105,12 +53,9 @@ def _visited(context: BrowserContext, address: str) -> Page:
     return page
 
 
-def _settled(page: Page) -> None:
-    """Until the service worker serves this address and has seen the page and its modules."""
-    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
-    page.wait_for_function("() => navigator.serviceWorker.controller !== null")
-    page.reload()
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+def expect_offline_ready(page: Page) -> None:
+    """Until the browser has all that a visit without the server needs."""
+    expect(page.locator("body")).to_have_attribute("data-offline", "ready")
 
 
 def test_a_second_visit_loads_no_file_and_a_third_needs_no_server(
@@ -118,14 +63,14 @@ def test_a_second_visit_loads_no_file_and_a_third_needs_no_server(
 ) -> None:
     address = f"{line.url}/view/{cup}"
     first = _visited(context, address)
-    assert len(line.files()) == 3
-    _settled(first)
+    assert len(line.asset_files()) == 3
+    expect_offline_ready(first)
     first.close()
     _visited(context, address).close()
-    assert line.files() == []
+    assert line.asset_files() == []
     line.cut()
     third = _visited(context, address)
-    assert line.files() == []
+    assert line.asset_files() == []
     assert third.locator("#label").inner_text() == "Bowl"
 
 
@@ -137,7 +82,7 @@ ROT = """async () => {
         await vault.put(place, new Response(bytes));
     }
 }"""
-KEPT = """async () => {
+FILES = """async () => {
     const vault = await caches.open('assets-1');
     const kept = {};
     for (const place of await vault.keys()) {
@@ -153,11 +98,11 @@ def test_what_has_rotted_on_the_device_is_replaced(context: BrowserContext, line
     address = f"{line.url}/view/{cup}"
     page = _visited(context, address)
     page.evaluate(ROT)
-    rotten = page.evaluate(KEPT)
-    assert len(rotten) == 3
+    rotten = page.evaluate(FILES)
+    assert len(rotten) == 4, "three levels of detail and the manifest"
     assert all(name != content for name, content in rotten.items())
     page.close()
-    healed = _visited(context, address).evaluate(KEPT)
+    healed = _visited(context, address).evaluate(FILES)
     assert healed == {name: name for name in rotten}
 
 
@@ -178,7 +123,99 @@ def test_a_file_that_was_changed_on_the_server_is_not_shown(
         expect(page.locator("body")).to_have_attribute("data-code", "ASSET_TAMPERED")
         expect(page.locator("#said")).to_contain_text("not what the catalogue promises")
         assert drawn(stage(page)) == 0 or page.get_attribute("body", "data-hints")
-        assert page.evaluate("caches.open('assets-1').then((vault) => vault.keys()).then((keys) => keys.length)") == 0
+        assert len(page.evaluate(FILES)) == 1, "the manifest alone"
     finally:
         for path, content in zip(changed, before, strict=True):
             path.write_bytes(content)
+
+
+HASTY_MS = {"CACHED_COPY_MS": 1000, "NETWORK_SILENCE_MS": 4000}
+
+
+def _visit_once(context: BrowserContext, address: str) -> None:
+    page = _visited(context, address)
+    expect_offline_ready(page)
+    page.close()
+
+
+@pytest.mark.parametrize("fault", ["never answers", "stops in the middle of every answer"])
+def test_a_server_that_hangs_is_done_without(context: BrowserContext, line: Line, cup: str, fault: str) -> None:
+    line.set_time_limits(**HASTY_MS)
+    address = f"{line.url}/view/{cup}"
+    _visit_once(context, address)
+    if fault == "never answers":
+        line.silence()
+    else:
+        line.stop_midway("")
+    _visited(context, address)
+
+
+CUT_SHORT = """async ([name, ending]) => {
+    const names = (await caches.keys()).filter((each) => each.startsWith(name));
+    for (const cache of await Promise.all(names.map((each) => caches.open(each)))) {
+        for (const request of (await cache.keys()).filter(({ url }) => url.endsWith(ending))) {
+            const { headers } = await cache.match(request);
+            const text = await (await cache.match(request)).text();
+            await cache.put(request, new Response(text.slice(0, text.length / 2), { headers }));
+            return true;
+        }
+    }
+    return false;
+}"""
+
+
+@pytest.mark.parametrize(
+    ("cache", "file", "words"),
+    [
+        ("shell-", "/viewer.js", "This page could not be loaded completely."),
+        ("catalogue-", "", "The server cannot be reached."),
+    ],
+)
+def test_a_damaged_copy_is_not_used(
+    context: BrowserContext, line: Line, cup: str, cache: str, file: str, words: str
+) -> None:
+    address = f"{line.url}/view/{cup}"
+    page = _visited(context, address)
+    expect_offline_ready(page)
+    assert page.evaluate(CUT_SHORT, [cache, file or f"/v1/assets/{cup}"])
+    page.close()
+    line.cut()
+    page = context.new_page()
+    page.goto(address, wait_until="commit")
+    expect(page.get_by_text(words)).to_be_visible()
+    line.mend()
+    page.get_by_role("button", name="Try again").click()
+    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+
+
+def test_pages_that_were_cached_in_part_are_not_used(context: BrowserContext, line: Line, cup: str) -> None:
+    """The last file of the shell never comes: the cache is not complete, and the next visit completes it."""
+    line.set_time_limits(**HASTY_MS)
+    line.silence("basis-transcoder.wasm")
+    address = f"{line.url}/view/{cup}"
+    page = _visited(context, address)
+    assert page.get_attribute("body", "data-offline") != "ready"
+    line.mend()
+    page.close()
+    _visit_once(context, address)
+    line.cut()
+    _visited(context, address)
+
+
+def test_a_new_version_of_the_pages_replaces_the_cached_one_as_a_whole(
+    context: BrowserContext, line: Line, cup: str
+) -> None:
+    address = f"{line.url}/view/{cup}"
+    _visit_once(context, address)
+    line.change("/web/shell.json", lambda text: text.replace('"version":"', '"version":"new-'))
+    line.change("/viewer/viewer.js", lambda text: text + "document.body.dataset.release = 'new';")
+    page = _visited(context, address)
+    page.wait_for_function(
+        """async () => {
+            const names = (await caches.keys()).filter((name) => name.startsWith('shell-'));
+            return names.length === 1 && names[0].startsWith('shell-new-');
+        }"""
+    )
+    page.close()
+    line.cut()
+    expect(_visited(context, address).locator("body")).to_have_attribute("data-release", "new")

@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
 from tests.support.headsets import Hand, enter, frames, wear
-from tests.support.screenshots import halves, places_of, stage
+from tests.support.screenshots import await_frames, halves, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import RED, box
 from tests.web.conftest import without_a_past
@@ -169,7 +169,7 @@ def test_beside_a_thing_and_without_the_button_the_mouse_moves_the_camera(page: 
     page.get_by_role("button", name="Move", exact=True).click()
     drag(page, (20, 150), (140, 150))
     assert moved(page) == near(0, 0, 0, 1)
-    page.wait_for_timeout(300)
+    await_frames(page)
     assert stage(page) != before, "the view has turned"
 
 
@@ -214,19 +214,19 @@ MEDDLED = [
 def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, viewer: str) -> None:
     page.goto(viewer)
     read = """async (kept) => {
-        const { remembered } = await import('/web/viewer/saved-placement.js');
+        const { loadPlacement } = await import('/web/viewer/saved-placement.js');
         localStorage.setItem('capture2vr:placed', kept);
-        return remembered('cube');
+        return loadPlacement('cube');
     }"""
     assert [page.evaluate(read, kept) for kept in MEDDLED] == [None] * len(MEDDLED)
     good = '[["cube", [1, 0, -1, 0, 1, 0, 0, 2]]]'
     assert page.evaluate(read, good) == {"offset_m": [1, 0, -1], "turn": [0, 1, 0, 0], "scale": 2}
     many = """async () => {
-        const { remember, remembered } = await import('/web/viewer/saved-placement.js');
+        const { loadPlacement, savePlacement } = await import('/web/viewer/saved-placement.js');
         const placement = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
-        for (let each = 0; each < 300; each++) remember(`k${each}`, placement);
+        for (let each = 0; each < 300; each++) savePlacement(`k${each}`, placement);
         const kept = JSON.parse(localStorage.getItem('capture2vr:placed'));
-        return [remembered('k0'), remembered('k299').scale, kept.length];
+        return [loadPlacement('k0'), loadPlacement('k299').scale, kept.length];
     }"""
     assert page.evaluate(many) == [None, 1, 200]
 

@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove
 from tests.support.headsets import Hand, enter, wear
-from tests.support.screenshots import halves, places_of, stage
+from tests.support.screenshots import await_frames, halves, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import BLUE, GREEN, RED, box, bundle_of, picture_of, textured_glb
 from tests.web.conftest import without_a_past
@@ -38,7 +38,7 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 def both(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/view?key=red&key=blue&key=red")
     expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0; 2 1 0")
-    page.wait_for_timeout(200)  # a frame or two
+    await_frames(page)
 
 
 def test_two_stand_side_by_side_and_each_is_taken_for_itself(
@@ -75,7 +75,7 @@ def test_what_is_taken_away_leaves_the_address_and_the_memory(page: Page, site: 
     expect(page.locator("#label")).to_have_text("Blue box")
     expect(page.locator("#things")).to_be_hidden()
     assert page.url == f"{site.url}/view?key=blue"
-    page.wait_for_timeout(200)
+    await_frames(page)
     assert int(page.get_attribute("body", "data-geometries")) < with_both
     assert places_of(stage(page), 0)[0] == 0
     assert places_of(stage(page), 2)[0] > 0.02
@@ -107,7 +107,7 @@ def test_a_new_version_takes_the_place_of_the_old_one_where_that_was_put(page: P
     publish(box("Kite", GREEN), site.store, key="kite", job="a")
     expect(page.locator("#notice")).to_contain_text("The refined version of Kite took its place: version 2")
     expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
-    page.wait_for_timeout(200)
+    await_frames(page)
     assert page.get_attribute("body", "data-moved") == put
     assert places_of(stage(page), 0)[0] == 0
     assert places_of(stage(page), 1)[0] > 0.02
@@ -121,7 +121,7 @@ def test_what_its_owner_took_back_goes_while_the_rest_stays(page: Page, site: Si
     expect(page.locator("#said")).to_contain_text("1 more is on the way")
     remove(site.store, "leaver")
     expect(page.locator("#notice")).to_contain_text("Leaver was taken back")
-    page.wait_for_timeout(200)
+    await_frames(page)
     assert places_of(stage(page), 0)[0] > 0.01
     assert places_of(stage(page), 1)[0] == 0
 
@@ -133,7 +133,7 @@ def test_a_picture_in_the_file_is_its_colour_and_leaves_with_it(page: Page, site
     page.add_init_script("DOMTokenList.prototype.supports = (word) => word === 'ar';")
     page.goto(f"{site.url}/view?key=painted&key=red")
     expect(page.locator("body")).to_have_attribute("data-loaded", "1 0; 2 1 0")
-    page.wait_for_timeout(200)
+    await_frames(page)
     assert places_of(stage(page), 1)[0] > 0.02
     assert int(page.get_attribute("body", "data-textures")) >= 1
     expect(page.locator("#quick-look")).to_be_hidden()
@@ -169,10 +169,10 @@ def test_levels_keep_the_budget_and_boxes_their_distance(page: Page, site: Site)
     sizes = [random.uniform(0.05, 3, (int(random.integers(1, 25)), 3)).tolist() for _ in range(100)]
     page.goto(f"{site.url}/view/red")
     script = """async ([scenes, budgets, sizes]) => {
-        const { planned, sideBySide } = await import('/web/viewer/layout-and-lod.js');
-        const free = (things) => planned(things, Infinity);
-        const kept = scenes.map((things, place) => planned(things, budgets[place]));
-        return [kept, scenes.map(free), sizes.map(sideBySide)];
+        const { chooseLevels, placeSideBySide } = await import('/web/viewer/layout-and-lod.js');
+        const free = (things) => chooseLevels(things, Infinity);
+        const kept = scenes.map((things, place) => chooseLevels(things, budgets[place]));
+        return [kept, scenes.map(free), sizes.map(placeSideBySide)];
     }"""
     within, free, placed = page.evaluate(script, [scenes, budgets, sizes])
     for scene, budget, levels, wanted in zip(scenes, budgets, within, free, strict=True):

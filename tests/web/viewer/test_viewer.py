@@ -13,7 +13,7 @@ from services.cli.up import Stack
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from tests.support.screenshots import drawn, expect_picture, stage
+from tests.support.screenshots import await_frames, drawn, expect_picture, stage
 
 pytestmark = pytest.mark.browser
 KEY = "bowl"
@@ -46,7 +46,7 @@ def test_points_stand_for_the_thing_until_its_mesh_is_there(page: Page, stack: S
     page.route("**/lod*", lambda route: route.abort())
     page.goto(f"{stack.url}/view/{KEY}")
     expect(page.locator("body")).to_have_attribute("data-hints", "512")
-    page.wait_for_timeout(300)  # a frame or two
+    await_frames(page)
     assert drawn(stage(page)) > 0.01
     page.unroute("**/lod*")
     expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
@@ -129,11 +129,11 @@ def test_in_vr_it_stands_ahead_at_true_size(headset: Page, stack: Stack) -> None
     x, y, z = map(float, headset.locator("body").get_attribute("data-placed").split())
     assert (x**2 + z**2) ** 0.5 == pytest.approx(1.5, abs=0.02)
     assert y == pytest.approx(1.6 * 0.75 - 0.25, abs=0.02), "a half-metre bowl is lifted to a comfortable height"
-    headset.wait_for_timeout(500)
+    await_frames(headset)
     assert drawn(stage(headset)) > 0.02
     headset.evaluate("xrDevice.activeSession.end()")
     expect(headset.locator("body")).to_have_attribute("data-xr", "off")
-    headset.wait_for_timeout(500)
+    await_frames(headset)
     assert drawn(stage(headset)) > 0.05, "back on the screen it fills the view again"
 
 

@@ -1,0 +1,92 @@
+// The form's first two parts: which files to send, and the name of the object.
+import { mayHaveCompass, readHeading, startCompass } from './compass.js';
+import { guide, setHeading } from './guidance.js';
+import { keyFrom } from '../shared/api.js';
+import { element, fillList } from '../shared/dom.js';
+
+const LISTED = 6; // files named before "and N more"
+const INPUTS = ['files', 'photos', 'film', 'folder'];
+const ADDING = ['photos', 'film']; // inputs whose files are added to those that are chosen already; the others replace them
+
+const page = {
+  chosen: element('chosen', HTMLElement),
+  list: element('list', HTMLElement),
+  compass: element('compass', HTMLButtonElement),
+  name: element('name', HTMLInputElement),
+  key: element('key', HTMLElement),
+  send: element('send', HTMLButtonElement),
+};
+
+/** @type {File[]} */
+let files = [];
+let useCompass = false; // whether the person allows the page to ask the phone where its camera looks
+
+/** The files that are chosen now. */
+export const chosenFiles = () => files;
+
+/** The name of the object as the person wrote it. */
+export const chosenName = () => page.name.value.trim();
+
+/** Listens to the form's file inputs, its compass button, and its name. */
+export function startFileChoice() {
+  for (const id of INPUTS) {
+    const input = element(id, HTMLInputElement);
+    input.addEventListener('change', () => addFiles(id, input));
+  }
+  page.compass.hidden = !mayHaveCompass();
+  page.compass.addEventListener('click', async () => {
+    useCompass = await startCompass();
+    page.compass.disabled = useCompass;
+    page.compass.textContent = useCompass ? 'The compass is used' : 'There is no compass; try again';
+  });
+  page.name.addEventListener('input', showKey);
+}
+
+/**
+ * Takes the files of an input.
+ * @param {string} id
+ * @param {HTMLInputElement} input
+ */
+async function addFiles(id, input) {
+  const added = [...(input.files ?? [])];
+  if (added.length === 0) return;
+  input.value = ''; // so that the same file can be chosen again after it was removed
+  if (id === 'photos' && useCompass && added.length === 1) setHeading(added[0], await readHeading());
+  files = ADDING.includes(id) ? [...files, ...added] : added;
+  showFiles();
+}
+
+/** Shows what is chosen: how many files and megabytes, guidance for photos, and the names of other files. */
+function showFiles() {
+  const bytes = files.reduce((sum, file) => sum + file.size, 0);
+  const count = files.length === 1 ? '1 file' : `${files.length} files`;
+  page.chosen.textContent = files.length ? `${count}, ${(bytes / 1e6).toFixed(1)} MB` : 'Nothing chosen yet.';
+  page.list.hidden = guide(files, removeFiles);
+  const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);
+  if (files.length > LISTED) names.push(`… and ${files.length - LISTED} more`);
+  fillList(page.list, names);
+  if (!page.name.value && files.length) page.name.value = nameFrom(files[0]);
+  showKey();
+}
+
+/** @param {File[]} unwanted */
+function removeFiles(unwanted) {
+  files = files.filter((file) => !unwanted.includes(file));
+  showFiles();
+}
+
+/**
+ * A name for the object from that of its folder, or of its file without the ending.
+ * @param {File} file
+ */
+function nameFrom(file) {
+  const path = (file.webkitRelativePath || file.name).split('/');
+  return (path.length > 1 ? path[0] : path[0].replace(/\.[^.]+$/, '')).replace(/[_-]+/g, ' ');
+}
+
+/** Shows the key that the headset finds the object by, and allows sending once there are files and a name. */
+function showKey() {
+  const key = keyFrom(page.name.value);
+  page.key.textContent = key || '…';
+  page.send.disabled = !(key && files.length);
+}

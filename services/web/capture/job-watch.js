@@ -1,0 +1,102 @@
+// Watches a job until it has ended, and shows its progress, its result, or why it failed.
+import { showJobProgress, showProgressNote, startJobProgress } from './job-progress.js';
+import { showState, showTrouble } from './page-state.js';
+import { showResult } from './result.js';
+import { followJob, getJson, postJson } from '../shared/api.js';
+import { element, fillList } from '../shared/dom.js';
+import { Problem, toProblem } from '../shared/problems.js';
+
+/** @import { Job, JobState } from '../shared/types.d.ts' */
+
+/** @type {JobState[]} */
+const FINAL = ['SUCCEEDED', 'FAILED', 'CANCELLED'];
+
+const page = {
+  work: element('work', HTMLElement),
+  lost: element('lost', HTMLElement),
+  cancel: element('cancel', HTMLButtonElement),
+  coming: element('coming', HTMLElement),
+  ready: element('ready', HTMLElement),
+  warnings: element('warnings', HTMLElement),
+};
+
+/**
+ * Shows a job and follows it until it has ended.
+ * @param {Job} job as it is now
+ */
+export function watchJob(job) {
+  const address = `/v1/jobs/${job.id}`;
+  let ended = FINAL.includes(job.state);
+  /** @type {Promise<void>} */
+  let queue = Promise.resolve(); // one request after the other, so that an older answer never comes last
+  startJobProgress();
+  showState('working');
+  page.cancel.addEventListener('click', () => cancelJob(address));
+  showJob(job);
+  if (ended) return;
+  const stop = followJob(job.id, {
+    onProgress(progress) {
+      page.lost.hidden = true;
+      showJobProgress(progress);
+    },
+    onChange() {
+      page.lost.hidden = true;
+      queue = queue.then(reload);
+    },
+    onLost() {
+      page.lost.hidden = false; // the job goes on without this page, which connects again by itself
+    },
+  });
+
+  async function reload() {
+    if (ended) return;
+    /** @type {Job | null} */
+    const now = await getJson(address).catch(() => null); // offline: asked again once the stream is open again
+    if (!now) return;
+    showJob(now);
+    ended = FINAL.includes(now.state);
+    if (ended) stop();
+  }
+}
+
+/** @param {Job} job */
+function showJob(job) {
+  const final = FINAL.includes(job.state);
+  document.body.dataset.job = job.state;
+  showJobProgress(job);
+  page.cancel.hidden = final || job.state === 'CANCELLING';
+  page.coming.hidden = final || Boolean(job.asset);
+  const published = job.asset ?? job.preview;
+  if (published) showResult(job, published);
+  if (job.state === 'FAILED') showTrouble(new Problem(job.error ?? {}));
+  if (job.state === 'CANCELLED') showTrouble(cancelled(job));
+  if (job.state === 'SUCCEEDED') showSuccess(job);
+}
+
+/** @param {Job} job */
+function cancelled({ preview }) {
+  const hints = preview ? ['Its preview stays.'] : [];
+  return new Problem({ code: 'CANCELLED', detail: 'The job was cancelled.', hints });
+}
+
+/** @param {Job} job */
+function showSuccess({ asset, warnings }) {
+  page.work.hidden = true;
+  page.ready.textContent = asset?.state === 'refined' ? 'It is ready, refined' : 'It is ready';
+  fillList(page.warnings, warnings);
+  document.body.dataset.state = 'done';
+}
+
+/**
+ * Asks the server to cancel the job. When that fails the job goes on, and so does the watching.
+ * @param {string} address of the job
+ */
+async function cancelJob(address) {
+  page.cancel.disabled = true;
+  try {
+    await postJson(`${address}/cancel`, {});
+  } catch (error) {
+    showProgressNote(toProblem(error).message);
+  }
+  page.cancel.disabled = false;
+}

@@ -1,0 +1,38 @@
+// Which part of the capture page is shown: the form, the job's progress, or an error.
+import { element, fillList } from '../shared/dom.js';
+import { isConnectionProblem, toProblem } from '../shared/problems.js';
+
+/** @typedef {'choosing' | 'sending' | 'working' | 'trouble' | 'done'} PageState */
+
+const page = {
+  form: element('form', HTMLFormElement),
+  work: element('work', HTMLElement),
+  trouble: element('trouble', HTMLElement),
+  reason: element('reason', HTMLElement),
+  hints: element('hints', HTMLElement),
+  retry: element('retry', HTMLButtonElement),
+};
+
+/**
+ * Shows the parts of the page that belong to a state.
+ * @param {PageState} state
+ */
+export function showState(state) {
+  document.body.dataset.state = state;
+  page.form.hidden = state !== 'choosing';
+  page.work.hidden = state !== 'sending' && state !== 'working';
+  page.trouble.hidden = state !== 'trouble';
+}
+
+/**
+ * Shows an error: what happened, to which file, and what to do.
+ * @param {unknown} error
+ */
+export function showTrouble(error) {
+  const { code, file, message, hints } = toProblem(error);
+  document.body.dataset.code = code;
+  page.reason.textContent = file && !message.includes(file) ? `${file}: ${message}` : message;
+  fillList(page.hints, hints);
+  page.retry.hidden = !isConnectionProblem(error);
+  showState('trouble');
+}

@@ -1,0 +1,125 @@
+// The result of a job: the preview that turns, the address of the viewer, which photos were used, and the quality figures.
+import { durationText } from './job-progress.js';
+import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
+import { getJson } from '../shared/api.js';
+import { create, element } from '../shared/dom.js';
+import { PREVIEW_MODULES_MS, withTimeLimit } from '../shared/time-limits.js';
+
+/** @import { AssetEntry, Job, Manifest, PublishedVersion, QualityFigures } from '../shared/types.d.ts' */
+/** @typedef {(value: number) => string} Format */
+
+/** @type {Format} */
+const ofSize = (share) => `${(100 * share).toFixed(2)} % of its size`;
+/** @type {Format} */
+const percent = (share) => `${(100 * share).toFixed(1)} %`;
+/** @type {Format} */
+const count = (number) => Math.round(number).toLocaleString('en');
+
+/** @type {[key: keyof QualityFigures, label: string, format: Format][]} */
+const FIGURES = [
+  ['held_out_mean', 'From points it was not shown', ofSize],
+  ['points_to_mesh_median', 'From the scanned points', ofSize],
+  ['coverage', 'Points covered', percent],
+  ['components', 'Pieces', count],
+  ['boundary_loops', 'Open borders', count],
+  ['non_manifold_edges', 'Edges of more than two sides', count],
+  ['triangles', 'Triangles', count],
+  ['steps', 'Steps of training', count],
+  ['seconds', 'Computed in', durationText],
+];
+
+const page = {
+  result: element('result', HTMLElement),
+  view: element('view', HTMLAnchorElement),
+  link: element('link', HTMLElement),
+  qr: element('qr', HTMLImageElement),
+  preview: element('preview', HTMLCanvasElement),
+  notDrawn: element('undrawn', HTMLElement),
+  used: element('used', HTMLElement),
+  unseen: element('unseen', HTMLElement),
+  certificate: element('certificate', HTMLElement),
+  figures: element('figures', HTMLTableElement),
+};
+
+let shownVersion = 0; // of the asset in the preview
+/** @type {Promise<void>} */
+let queue = Promise.resolve(); // one version after the other, so that an older one never replaces a newer one
+
+/**
+ * Shows a version that a job has published, once those before it are shown.
+ * @param {Job} job
+ * @param {PublishedVersion} published
+ */
+export function showResult(job, published) {
+  queue = queue.then(() => showVersion(job, published)).catch(showWithoutPreview);
+}
+
+/**
+ * @param {Job} job
+ * @param {PublishedVersion} published
+ */
+async function showVersion({ asset_key: key }, published) {
+  if (published.version <= shownVersion) return;
+  const view = new URL(`/view/${encodeURIComponent(key)}`, location.href).href;
+  page.result.hidden = false;
+  page.view.href = view;
+  page.link.textContent = view;
+  page.qr.src = `/v1/assets/${encodeURIComponent(key)}/qr.svg`;
+  // Only now: a phone that merely uploads never loads the 3D library.
+  const { showPreview } = await withTimeLimit(import('./preview.js'), PREVIEW_MODULES_MS);
+  /** @type {AssetEntry} */
+  const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
+  await showManifest(entry);
+  await showPreview(page.preview, entry);
+  page.preview.hidden = false;
+  page.notDrawn.hidden = true;
+  shownVersion = entry.version;
+  document.body.dataset.preview = String(shownVersion);
+  document.body.dataset.shown = entry.state;
+}
+
+/** Says that the preview cannot be drawn. The asset is published all the same, and the headset can show it. */
+function showWithoutPreview() {
+  if (shownVersion) return; // an earlier version is shown
+  page.preview.hidden = true;
+  page.notDrawn.hidden = false;
+}
+
+/**
+ * Shows what the manifest says of the capture and of the quality. A refined version has the figures of its preview too.
+ * @param {AssetEntry} entry
+ */
+async function showManifest(entry) {
+  /** @type {Partial<Manifest>} */
+  const { quality, capture } = await getJson(entry.manifest.url).catch(() => ({}));
+  showVerdicts(page.used, capture);
+  showUnseenSides(page.unseen, capture);
+  if (!quality) return;
+  /** @type {[title: string, figures: QualityFigures][]} */
+  const columns = [[entry.state === 'refined' ? 'Refined' : 'Preview', quality]];
+  if (quality.preview) columns.unshift(['Preview', quality.preview]);
+  const rows = FIGURES.filter(([key]) => columns.some(([, figures]) => typeof figures[key] === 'number'));
+  page.figures.replaceChildren(
+    createRow(['', ...columns.map(([title]) => title)]),
+    ...rows.map(([key, label, format]) => createRow([label, ...columns.map(([, figures]) => figureText(figures[key], format))])),
+  );
+  page.certificate.hidden = rows.length === 0;
+}
+
+/**
+ * @param {unknown} value
+ * @param {Format} format
+ */
+function figureText(value, format) {
+  return typeof value === 'number' ? format(value) : '–';
+}
+
+/**
+ * Creates a row of the table: a heading, then cells.
+ * @param {string[]} texts
+ */
+function createRow([label, ...texts]) {
+  const row = create('tr');
+  row.append(create('th', { textContent: label }), ...texts.map((text) => create('td', { textContent: text })));
+  return row;
+}

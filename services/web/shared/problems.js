@@ -1,0 +1,58 @@
+// Problems as exceptions, and the sentences of those that arise on the device. Modules that a worker loads need them too, which has no page.
+
+/** @import { ProblemDocument } from './types.d.ts' */
+
+/** A problem document as an exception: `message` is for people, `code` for programs. */
+export class Problem extends Error {
+  /** @param {ProblemDocument} document */
+  constructor(document) {
+    super(document.detail || document.title || 'Something went wrong.');
+    this.code = document.code || 'UNKNOWN';
+    this.file = document.file || '';
+    this.hints = document.hints || [];
+    this.status = document.status || 0;
+  }
+}
+
+const CHECK_CONNECTION = ['Check the connection and try again.'];
+
+/** The server cannot be reached. */
+export const offline = () => new Problem({ code: 'OFFLINE', detail: 'The server cannot be reached.', hints: CHECK_CONNECTION });
+
+/** The server was silent for too long. */
+export const noAnswer = () => new Problem({ code: 'NO_ANSWER', detail: 'The server does not answer.', hints: CHECK_CONNECTION });
+
+/** A file was loaded, but cannot be decoded. */
+export const undecodable = () => new Problem({
+  code: 'NOT_DECODED',
+  detail: 'The 3D file was loaded, but this browser could not open it.',
+  hints: ['Try again, or open this address in another browser.'],
+});
+
+/**
+ * Whether a problem lies between here and the server, so that a copy on the device may be shown instead.
+ * @param {unknown} error
+ * @returns {boolean}
+ */
+export const isConnectionProblem = (error) => error instanceof Problem && ['OFFLINE', 'NO_ANSWER'].includes(error.code);
+
+/**
+ * Any error as a problem that people can read. One that is no problem is a fault of the page: people only read that there is one.
+ * @param {unknown} error
+ * @returns {Problem}
+ */
+export function toProblem(error) {
+  if (error instanceof Problem) return error;
+  console.error(error);
+  return new Problem({ detail: 'Something in this page went wrong.', hints: ['Try again.'] });
+}
+
+/**
+ * The sentences of an error that people can read.
+ * @param {unknown} error
+ * @returns {string}
+ */
+export function sentences(error) {
+  const { message, hints } = toProblem(error);
+  return [message, ...hints].join(' ');
+}

@@ -1,0 +1,200 @@
+// Shapes of what the server sends and takes, one for each document. Only `make lint` reads this file; no page loads it.
+// The sources: services/gateway/schemas.py (jobs, presets, problems), services/storage/catalogue (entries, collections) and
+// services/edge/asset/manifest.py (manifests).
+
+/** Width, height and depth in metres. */
+export type SizeM = [width: number, height: number, depth: number];
+
+// ---- assets ---------------------------------------------------------------------------------------------------------
+
+export type AssetState = 'preview' | 'refined';
+
+/** A file of an asset. `file`: its name in the asset; `name`: its name in the store; `sha256`: of its bytes, hexadecimal. */
+export interface AssetFile {
+  file: string;
+  name: string;
+  url: string;
+  sha256: string;
+}
+
+/** A level of detail. `level`: 0 is the finest. */
+export interface LodFile extends AssetFile {
+  level: number;
+  triangles: number;
+}
+
+/** The catalogue entry of an asset: GET /v1/assets/{key}. */
+export interface AssetEntry {
+  key: string;
+  version: number;
+  state: AssetState;
+  label?: string;
+  origin?: 'measured' | 'guess';
+  scale_confidence: string;
+  size_m: SizeM;
+  lods: LodFile[];
+  files?: AssetFile[];
+  manifest: AssetFile;
+  preview?: { url: string };
+  collections?: string[];
+}
+
+/** Figures of a manifest's certificate. A manifest from an older worker has fewer. */
+export interface QualityFigures {
+  held_out_mean?: number;
+  points_to_mesh_median?: number;
+  coverage?: number;
+  components?: number;
+  boundary_loops?: number;
+  non_manifold_edges?: number;
+  triangles?: number;
+  steps?: number;
+  seconds?: number;
+}
+
+/** Whether a photo was used. `verdict`: "ok", or why it was left out. */
+export interface PhotoVerdict {
+  name: string;
+  verdict: string;
+  advice: string;
+}
+
+/** What was captured. `unseen`: sides of the object that it shows too little of. */
+export interface CaptureSummary {
+  format?: string;
+  photos?: PhotoVerdict[];
+  unseen?: { advice: string }[];
+}
+
+/** A few coloured points that are shown until the mesh is loaded: flat lists of metres and of sRGB bytes. */
+export interface AnchorPoints {
+  xyz_m: number[];
+  rgb: number[];
+}
+
+/** The manifest of one version. A refined version's `quality.preview` has the figures of the preview that it replaced. */
+export interface Manifest {
+  origin?: 'measured' | 'guess';
+  capture?: CaptureSummary;
+  quality?: QualityFigures & { preview?: QualityFigures };
+  anchors?: AnchorPoints;
+  files: AssetFile[];
+}
+
+// ---- collections (docs/catalogues.md) -------------------------------------------------------------------------------
+
+/** A public key: `key` is its id, `ed25519` the key itself in base64. */
+export interface PublicKey {
+  key: string;
+  ed25519: string;
+}
+
+/** A collection's index with its signatures: GET /v1/collections/{name}. `signed` is JSON, a CollectionIndex. */
+export interface SignedEnvelope {
+  signed: string;
+  signatures: { key: string; ed25519: string }[];
+  base: string;
+}
+
+/** A part of a collection, with the keys `first` to `last`. */
+export interface Shard {
+  name: string;
+  sha256: string;
+  count: number;
+  first: string;
+  last: string;
+}
+
+export interface CollectionIndex {
+  collection: string;
+  version: number;
+  shards: Shard[];
+}
+
+/** A collection as the pages use it. `base`: the address below which all of its objects are. */
+export interface Collection {
+  name: string;
+  version: number;
+  shards: Shard[];
+  base: string;
+}
+
+/** A shard's file. `labels` and `state` of a row are places in `words`. */
+export interface ShardDocument {
+  columns: string[];
+  words: string[];
+  rows: unknown[][];
+}
+
+/** An asset in a collection. `manifest`: its sha256 in base64url without padding. */
+export interface CollectionRow {
+  key: string;
+  label: string;
+  labels: string[];
+  version: number;
+  state: AssetState | 'removed';
+  updated: number;
+  manifest: string;
+}
+
+// ---- jobs -----------------------------------------------------------------------------------------------------------
+
+/** A problem document (RFC 9457): `detail` is for people, `code` for programs. */
+export interface ProblemDocument {
+  code?: string;
+  title?: string;
+  detail?: string;
+  status?: number;
+  file?: string;
+  hints?: string[];
+}
+
+/** What was stored of an upload: POST /v1/captures. `stripped`: metadata that were removed from a file. */
+export interface CaptureReceipt {
+  capture: string;
+  files?: { file: string; stripped?: string[] }[];
+}
+
+/** A job to start: POST /v1/jobs. */
+export interface JobRequest {
+  capture: string;
+  asset_key: string;
+  label: string;
+  preset: string;
+  isolate: boolean | null;
+  longest_m: number | null;
+}
+
+export interface Presets {
+  presets: { name: string; summary: string }[];
+  default: string;
+}
+
+export type JobState = 'QUEUED' | 'RUNNING' | 'CANCELLING' | 'SUCCEEDED' | 'FAILED' | 'CANCELLED';
+
+/** How far a job is: part of a job, and an event of its stream. `losses`: of the training, by their names. */
+export interface JobProgress {
+  stage: string;
+  fraction?: number;
+  eta_s?: number;
+  message?: string;
+  losses?: { total?: number };
+}
+
+/** A version that a job has published. */
+export interface PublishedVersion {
+  key: string;
+  version: number;
+  state: AssetState;
+}
+
+/** A job: GET /v1/jobs/{id}. */
+export interface Job extends JobProgress {
+  id: string;
+  state: JobState;
+  asset_key: string;
+  preview: PublishedVersion | null;
+  asset: PublishedVersion | null;
+  error: ProblemDocument | null;
+  warnings: string[];
+}

@@ -1,0 +1,152 @@
+// Texts of the viewer's page: what is shown, the list of things, notices, and errors.
+import { child, create, element } from '../shared/dom.js';
+import { formatCount } from '../shared/format.js';
+import { sentences, toProblem } from '../shared/problems.js';
+
+/** @import { AssetEntry, SizeM } from '../shared/types.d.ts' */
+/** @typedef {{ key: string, name: string, entry: AssetEntry | null }} ListedItem a thing in the scene; without an entry it is not loaded */
+
+const NOTICE_MS = 10_000; // long enough to read; later it may no longer be true
+
+const page = {
+  label: element('label', HTMLElement),
+  summary: element('said', HTMLElement),
+  notice: element('notice', HTMLElement),
+  retry: element('again', HTMLButtonElement),
+  list: element('things', HTMLElement),
+  quickLook: element('quick-look', HTMLAnchorElement),
+};
+let noticeTimer = 0;
+
+/**
+ * Shows name, size and state of what is shown.
+ * @param {{ name: string, entry: AssetEntry }[]} items those that are loaded
+ * @param {number} wanted how many things were asked for
+ * @param {number} failed how many of them could not be loaded
+ */
+export function showCaption(items, wanted, failed) {
+  if (items.length === 0) return;
+  page.retry.hidden = failed === 0;
+  const entries = items.map(({ entry }) => entry);
+  const name = items.length === 1 ? items[0].name : `${items.length} things`;
+  document.title = `${name} · capture2vr`;
+  page.label.textContent = name;
+  page.summary.textContent = wanted === 1 ? aboutOne(entries[0]) : aboutAll(entries, wanted, failed);
+  const { dataset } = document.body;
+  dataset.version = entries.map(({ version }) => version).join('; ');
+  dataset.state = entries.every(({ state }) => state === 'refined') ? 'refined' : 'preview';
+  delete dataset.code;
+}
+
+/** @param {AssetEntry} entry */
+function aboutOne(entry) {
+  const scale = entry.scale_confidence === 'unknown' ? ' (true size unknown)' : '';
+  const origin = entry.origin === 'guess' ? 'A guess from one photo · ' : '';
+  return `${origin}${sizeText(entry.size_m)}${scale} · ${trianglesText([entry])} · ${entry.state}, version ${entry.version}`;
+}
+
+/**
+ * @param {AssetEntry[]} entries
+ * @param {number} wanted
+ * @param {number} failed
+ */
+function aboutAll(entries, wanted, failed) {
+  const coming = wanted - entries.length - failed;
+  const more = coming > 0 ? `${coming} more ${coming === 1 ? 'is' : 'are'} on the way` : '';
+  return [trianglesText(entries), more, failed > 0 ? `${failed} could not be loaded` : ''].filter(Boolean).join(' · ');
+}
+
+/** @param {SizeM} size */
+function sizeText(size) {
+  return size.map((side) => (side < 1 ? `${(side * 100).toFixed(0)} cm` : `${side.toFixed(2)} m`)).join(' × ');
+}
+
+/** @param {AssetEntry[]} entries */
+function trianglesText(entries) {
+  const sum = entries.reduce((all, { lods }) => all + Math.max(...lods.map(({ triangles }) => triangles)), 0);
+  return `${formatCount(sum)} triangles`;
+}
+
+/**
+ * Lists several things: to select the one that the keys move, and to remove one. Nothing for one alone.
+ * @template {ListedItem} T
+ * @param {T[]} items
+ * @param {{ selected: ListedItem | null, onSelect: (item: T) => void, onRemove: (item: T) => void }} options
+ */
+export function showList(items, { selected, onSelect, onRemove }) {
+  const focus = document.activeElement;
+  const action = focus instanceof HTMLElement && page.list.contains(focus) ? focus.dataset.act : undefined;
+  page.list.hidden = items.length < 2;
+  page.list.replaceChildren(...items.map((item) => createListItem(item, item === selected, () => onSelect(item), () => onRemove(item))));
+  if (action) [...page.list.querySelectorAll('button')].find(({ dataset }) => dataset.act === action)?.focus();
+}
+
+/**
+ * @param {ListedItem} item
+ * @param {boolean} selected
+ * @param {() => void} onSelect
+ * @param {() => void} onRemove
+ */
+function createListItem({ key, name, entry }, selected, onSelect, onRemove) {
+  const item = create('li');
+  item.dataset.key = key;
+  const select = createButton(entry ? name : `${name} …`, `choose ${key}`, onSelect);
+  select.setAttribute('aria-pressed', String(selected));
+  select.disabled = !entry;
+  const remove = createButton('✕', `remove ${key}`, onRemove);
+  remove.setAttribute('aria-label', `Take ${name} away`);
+  item.append(select, remove);
+  return item;
+}
+
+/**
+ * @param {string} text
+ * @param {string} action by which it gets the focus back when the list is drawn anew
+ * @param {() => void} onClick
+ */
+function createButton(text, action, onClick) {
+  const button = create('button', { textContent: text });
+  button.dataset.act = action;
+  button.addEventListener('click', onClick);
+  return button;
+}
+
+/**
+ * Shows the link to an asset's USDZ file, in those of Apple's browsers that show it in the room (Quick Look).
+ * @param {AssetEntry | null | undefined} entry without one the link is hidden
+ */
+export function showQuickLook(entry) {
+  const link = page.quickLook;
+  const file = entry?.files?.find(({ file: name }) => name === 'asset.usdz');
+  const supported = link.relList.supports?.('ar');
+  link.hidden = !file || !supported;
+  if (!file || !supported || link.href === file.url) return;
+  link.href = file.url;
+  child(link, 'img', HTMLImageElement).src = entry?.preview?.url || '/web/shared/icon.svg';
+}
+
+/**
+ * Shows a sentence for a while, or until the next one.
+ * @param {string} text
+ * @param {{ stays?: boolean }} [options] stays: until the next one in any case
+ */
+export function showNotice(text, { stays = false } = {}) {
+  clearTimeout(noticeTimer);
+  page.notice.textContent = text;
+  if (text && !stays) noticeTimer = setTimeout(() => (page.notice.textContent = ''), NOTICE_MS);
+}
+
+/**
+ * Shows an error.
+ * @param {unknown} error
+ * @param {{ canRetry?: boolean }} [options] canRetry: with the button to try again
+ */
+export function showError(error, { canRetry = false } = {}) {
+  document.body.dataset.state = 'error';
+  const problem = toProblem(error);
+  document.body.dataset.code = problem.code;
+  page.summary.textContent = sentences(problem);
+  if (!canRetry) return;
+  page.label.textContent = 'Not loaded';
+  page.retry.hidden = false;
+}
