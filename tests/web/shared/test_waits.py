@@ -180,7 +180,11 @@ HANGING = {
     "shaders that are never ready": (
         "const get = WebGL2RenderingContext.prototype.getProgramParameter;"
         "WebGL2RenderingContext.prototype.getProgramParameter = function (program, name) {"
-        "    return name === 0x91B1 ? false : get.call(this, program, name);"
+        "    return name === 0x91B1 ? false : get.call(this, program, name);"  # COMPLETION_STATUS_KHR
+        "};"
+        "const extension = WebGL2RenderingContext.prototype.getExtension;"
+        "WebGL2RenderingContext.prototype.getExtension = function (name) {"
+        "    return name === 'KHR_parallel_shader_compile' ? {} : extension.call(this, name);"
         "}"
     ),
 }
