@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import pytest
@@ -15,8 +15,9 @@ from tests.referees.s3.server import S3Server, available, running
 from tests.support.small_pictures import draw_small
 
 _IN_CI = os.environ.get("CI") == "true"
-# What costs seconds to start is started once: Chromium and the whole product, and the RADOS Gateway.
-_TOGETHER = {"web": "browser", "storage": "s3", "deploy/test_cdn.py": "s3"}
+# What costs seconds to start is started once: Chromium and the whole product, and the RADOS Gateway. The pages' waits
+# have a Chromium of their own, because they take as long as all other tests of the pages.
+_TOGETHER = {"web/shared": "waits", "web": "browser", "storage": "s3", "deploy/test_cdn.py": "s3"}
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # before anything loads torch
     os.environ["OMP_NUM_THREADS"] = "1"  # threads of two processes on two cores would spin against each other
@@ -33,8 +34,9 @@ class _Together(LoadFileScheduling):
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        file = nodeid.partition("::")[0].removeprefix("tests/")
-        return _TOGETHER.get(file) or _TOGETHER.get(file.partition("/")[0]) or file
+        file = PurePath(nodeid.partition("::")[0]).relative_to("tests")
+        groups = (_TOGETHER.get(path.as_posix()) for path in (file, *file.parents))
+        return next((group for group in groups if group), file.as_posix())
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Together:

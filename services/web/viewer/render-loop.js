@@ -27,11 +27,11 @@ const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'
  * @returns {{ redraw: () => void }} redraw: to be called after a change
  */
 export function startRenderLoop({ renderer, scene, camera }, { items, controls, onHeadsetFrame, onDrawn }) {
-  let drawUntil = Infinity; // until the first thing is there
   let last = performance.now();
+  let drawUntil = last + REDRAW_MS;
 
   function redraw() {
-    if (items().length > 0) drawUntil = performance.now() + REDRAW_MS;
+    drawUntil = performance.now() + REDRAW_MS;
   }
 
   for (const kind of REDRAW_EVENTS) renderer.domElement.addEventListener(kind, redraw, true);
