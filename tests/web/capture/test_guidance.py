@@ -228,6 +228,12 @@ def test_a_film_is_offered_and_explained(page: Page, stack: Stack, photos: list[
     expect(page.locator("#advice")).to_contain_text("the film is not used")
 
 
+def cancel_job(page: Page) -> None:
+    """Cancel the job, and wait until it has ended: the next test's job needs its place."""
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_role("alert")).to_contain_text("The job was cancelled.")
+
+
 def test_a_film_goes_through_gateway_and_worker(page: Page, stack: Stack, tmp_path: Path) -> None:
     path = tmp_path / "walk.mp4"
     with av.open(str(path), "w") as container:
@@ -246,7 +252,7 @@ def test_a_film_goes_through_gateway_and_worker(page: Page, stack: Stack, tmp_pa
     assert (receipt["kind"], receipt["format"], receipt["inspected"]) == ("photos", "video", True)
     assert receipt["frames"] > 3
     assert receipt["files"][0]["stripped"]
-    page.get_by_role("button", name="Cancel").click()
+    cancel_job(page)
 
 
 @pytest.mark.data
@@ -261,7 +267,7 @@ def test_twenty_real_photos_are_guided_and_sent(page: Page, stack: Stack, data_d
     receipt = answer.value.json()
     assert (receipt["kind"], receipt["frames"]) == ("photos", 20)
     assert all("BodySerialNumber" in file["stripped"] for file in receipt["files"])
-    page.get_by_role("button", name="Cancel").click()
+    cancel_job(page)
 
 
 def test_the_job_page_tells_which_photos_were_used(page: Page, stack: Stack) -> None:
