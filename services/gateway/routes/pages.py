@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlsplit
@@ -84,12 +85,19 @@ def list_shell(response: Response) -> Shell:
     """List the pages that open without the server, each for all of its kind, and all files that they load."""
     files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]
     files = [path for path in files if path.parent != WEB / "capture"]  # that page needs the server in any case
-    digest = hashlib.sha256()
-    for content in (*(_html(name).encode() for name in _SHELL_PAGES.values()), *(path.read_bytes() for path in files)):
-        digest.update(hashlib.sha256(content).digest())
+    digest = hashlib.sha256(b"".join(hashlib.sha256(_html(name).encode()).digest() for name in _SHELL_PAGES.values()))
+    for path in files:
+        found = path.stat()
+        digest.update(_file_digest(path, found.st_mtime_ns, found.st_size))
     response.headers["Cache-Control"] = "no-cache"
     addresses = [f"/web/{path.relative_to(WEB).as_posix()}" for path in files]
     return Shell(version=digest.hexdigest()[:16], files=[*_SHELL_PAGES, *addresses])
+
+
+@lru_cache(maxsize=256)
+def _file_digest(path: Path, modified_ns: int, size: int) -> bytes:
+    """Hash a file, again only when it has changed: every visit asks for the shell, and its files are 3 MB."""
+    return hashlib.sha256(path.read_bytes()).digest()
 
 
 def _check_keys(keys: list[str]) -> None:
