@@ -37,7 +37,7 @@ product() {
 
 tests() {
   local packages=()
-  have chromium || packages+=(chromium)
+  have chromium-headless-shell || have chromium || packages+=(chromium-headless-shell)
   have node || packages+=(nodejs)
   have npm || packages+=(npm)
   have radosgw || packages+=(radosgw ceph-mon ceph-osd ceph-common)

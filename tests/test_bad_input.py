@@ -60,11 +60,13 @@ class Product:
 @pytest.fixture(scope="module")
 def product(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Product]:
     data = tmp_path_factory.mktemp("bad") / "data"
-    with run_stack("127.0.0.1", 0, data) as stack, httpx.Client(base_url=stack.url, timeout=PATIENCE_S) as client:
-        publish(bundle(), LocalStore(stack.store_root), key="dress")
-        name = client.get("/v1/assets/dress").json()["files"][0]["name"]
-        client.post("/v1/captures")  # makes the staging folder
-        yield Product(stack.url, data, client, f"/v1/files/{name}")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EDGE_DEVICE", "cpu")  # a worker that looks for a GPU imports PyTorch
+        with run_stack("127.0.0.1", 0, data) as stack, httpx.Client(base_url=stack.url, timeout=PATIENCE_S) as client:
+            publish(bundle(), LocalStore(stack.store_root), key="dress")
+            name = client.get("/v1/assets/dress").json()["files"][0]["name"]
+            client.post("/v1/captures")  # makes the staging folder
+            yield Product(stack.url, data, client, f"/v1/files/{name}")
 
 
 @pytest.fixture
@@ -156,7 +158,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 def test_the_command_line_says_it_in_one_sentence(name: str, run: Run, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     source = BAD[name].make(tmp_path / "in")
-    said = run("run", source, "-o", tmp_path / "out")
+    said = run("run", source, "-o", tmp_path / "out", "--device", "cpu")
     assert said.code == 2
     (line,) = said.lines
     assert source.name in line

@@ -6,7 +6,6 @@ goes a person's way: files chosen on the capture page in Chromium, the preview o
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -20,9 +19,10 @@ from services.cli.progress import StageBar
 from services.cli.push import follow, upload
 from services.cli.up import run_stack
 from tests.conftest import data_folder
+from tests.support.chromium import launch
 from tests.support.screenshots import drawn, stage
 from tests.support.walkaround import render_walkaround
-from tests.web.conftest import CHROMIUM_FLAGS, PHONE
+from tests.web.conftest import PHONE
 
 _SIZE, _PHONE = (1280, 960), (4000, 3000)
 _VIEWS = 25
@@ -94,7 +94,7 @@ def _by_http(url: str, source: Path) -> Iterator[str]:
 def _by_page(url: str, source: Path, kept: Path) -> Iterator[str]:
     """The same as a person sees it, with pictures of the page and of the viewer into the folder `kept`."""
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=CHROMIUM_FLAGS)
+        chromium = launch(playwright)
         page = chromium.new_page(viewport=PHONE, has_touch=True)
         page.set_default_timeout(_PATIENCE_MS)
         page.goto(url)

@@ -7,7 +7,6 @@ milliseconds are upper bounds, bytes and requests are what they are.
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -29,7 +28,7 @@ from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
 from tests.bench.delivery import scan
-from tests.web.conftest import CHROMIUM_FLAGS
+from tests.support.chromium import launch
 
 _KEY = "sheet"
 _SIDES = (2048, 1024, 512)  # texels of the levels' pictures
@@ -62,7 +61,7 @@ def main(arguments: list[str]) -> None:
     print("|---|---|---|---|---|---|---|---|")
     levels = lods(scan())
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=CHROMIUM_FLAGS)
+        chromium = launch(playwright)
         _visits("colours at vertices", _bundle(levels), chromium)
         painted = [_painted(level, side) for level, side in zip(levels, _SIDES, strict=True)]
         _visits("pictures", _bundle(painted), chromium)

@@ -14,13 +14,15 @@ import pytest
 import trimesh
 from PIL import Image
 
-from services.cli.run import run_preset
+from services.cli.errors import BadInput
+from services.cli.run import RunOptions, run_capture, run_preset
 from services.edge.preset import Preset
 from tests.referees.glb_reader import Glb
 from tests.support.clouds import write_ply
 
 # For speed: what is read, fused and oriented is the same at any resolution.
-BRIEFLY = ("--preset", "draft", "--resolution", 72)
+RESOLUTION = 72
+BRIEFLY = ("--preset", "draft", "--resolution", RESOLUTION)
 COARSE = Preset("coarse", resolution=48, most_points=10_000, lod_faces=(2_000,))
 
 
@@ -103,14 +105,12 @@ def test_the_report_tells_how_far_the_reference_is(out: Path) -> None:
     assert f"{found['median']:.3%}" in page
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("content", [b"", b"v 0 0 0\nv 1 0 0\n", b"\0" * 100])
 def test_a_reference_that_is_no_surface_is_refused_before_any_work(content: bytes, bowl: Path, tmp_path: Path) -> None:
     (tmp_path / "known.obj").write_bytes(content)
-    result = capture2vr("run", bowl, "-o", tmp_path / "out", "--reference", tmp_path / "known.obj")
-    assert result.returncode == 2
-    assert "known.obj" in result.stderr
-    assert "Traceback" not in result.stderr
+    named = RunOptions(reference=tmp_path / "known.obj")
+    with pytest.raises(BadInput, match=r"known\.obj"):
+        run_capture(bowl, tmp_path / "out", named, preset="draft", device="auto", resolution=RESOLUTION)
     assert not (tmp_path / "out").exists()
 
 
@@ -132,12 +132,12 @@ def test_the_bundle_is_addressed_by_content(out: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("small_pictures")
 def test_a_zip_gives_the_same_mesh_as_its_file(bowl: Path, out: Path, tmp_path: Path) -> None:
     archive = tmp_path / "upload.zip"
     with zipfile.ZipFile(archive, "w") as zipped:
         zipped.write(bowl, "top/bowl.ply")
-    result = capture2vr("run", archive, "-o", tmp_path / "out", *BRIEFLY)
-    assert result.returncode == 0, result.stderr
+    run_capture(archive, tmp_path / "out", RunOptions(), preset="draft", device="auto", resolution=RESOLUTION)
     assert (tmp_path / "out" / "mesh.ply").read_bytes() == (out / "mesh.ply").read_bytes()
 
 

@@ -1,4 +1,4 @@
-"""The worker with small pictures and checkpoints 1.5 s apart, not 5: `python -m tests.support.hasty_worker edge`."""
+"""The worker with small pictures and checkpoints 0.5 s apart, not 5: `python -m tests.support.hasty_worker edge`."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from tests.support.small_pictures import draw_small
 if __name__ == "__main__":
     with pytest.MonkeyPatch.context() as patch:
         draw_small(patch)
-        patch.setattr(checkpoint, "SECONDS", 1.5)
+        patch.setattr(checkpoint, "SECONDS", 0.5)
         main()

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
+from tests.support.patience import PATIENCE_S
+
 Change = Callable[[str], str]
 
 
@@ -25,6 +27,7 @@ class Line:
     _stops: tuple[str, float] | None = field(default=None, init=False)
     _changes: list[tuple[str, Change]] = field(default_factory=list, init=False)
     _mended: threading.Event = field(default_factory=threading.Event, init=False)
+    _met: threading.Event = field(default_factory=threading.Event, init=False)
     _listener: socket.socket = field(init=False)
 
     def __post_init__(self) -> None:
@@ -47,6 +50,10 @@ class Line:
         """Send this share of an answer's body, and then nothing more."""
         self._stops = (pattern, after)
 
+    def await_fault(self) -> None:
+        """Wait until a request has met the silence, or has got its share of an answer."""
+        assert self._met.wait(PATIENCE_S), f"nothing met the fault; asked for were {self.requests}"
+
     def change(self, pattern: str, change: Change) -> None:
         """Change the text of answers."""
         self._changes.append((pattern, change))
@@ -56,12 +63,12 @@ class Line:
         self._silent = self._stops = None
         self._changes.clear()
         self._mended.set()
-        self._mended = threading.Event()
+        self._mended, self._met = threading.Event(), threading.Event()
         if self._listener.fileno() < 0:
             self._listen(self._port)
 
-    def set_time_limits(self, *, start_ms: int | None = None, **limits_ms: int) -> None:
-        """Serve shared/time-limits.js with other values, and pages that have to start within `start_ms`."""
+    def set_time_limits(self, **limits_ms: int) -> None:
+        """Serve shared/time-limits.js with other values."""
 
         def replace(text: str) -> str:
             for name, value in limits_ms.items():
@@ -70,8 +77,6 @@ class Line:
             return text
 
         self.change("/shared/time-limits.js", replace)
-        if start_ms:
-            self.change("^/(view|browse|$)", lambda html: re.sub(r'silence-ms="\d+"', f'silence-ms="{start_ms}"', html))
 
     def asset_files(self) -> list[str]:
         """The levels of detail that were asked for since the last call."""
@@ -102,17 +107,20 @@ class Line:
                 head += part
             path = head.split(b" ", 2)[1].decode()
             self.requests.append(path)
-            mended, silent, stops = self._mended, self._silent, self._stops
+            mended, met, silent, stops = self._mended, self._met, self._silent, self._stops
             if silent is not None and re.search(silent, path):
+                met.set()
                 mended.wait()
                 return
             with socket.create_connection(self.to) as server:
                 changed = any(re.search(pattern, path) for pattern, _ in self._changes)
-                server.sendall(_plain(head, anew=changed))
-                if stops and re.search(stops[0], path):
+                stopped = bool(stops and re.search(stops[0], path))
+                server.sendall(_plain(head, anew=changed or stopped))
+                if stops and stopped:
                     answer = self._changed(path, _all(server))
                     body = answer.index(b"\r\n\r\n") + 4
                     client.sendall(answer[: body + int(stops[1] * (len(answer) - body))])
+                    met.set()
                     mended.wait()
                 elif changed:
                     client.sendall(self._changed(path, _all(server)))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
 
 from services.cli.up import Stack, run_stack
 from services.edge.capture.nouns import Capture, Cloud
@@ -16,44 +18,41 @@ from services.edge.pipeline import reconstruct
 from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
 from tests.conftest import missing
+from tests.support.chromium import chromium, launch
 from tests.support.npm_packages import installed
+from tests.support.repository import ROOT
 from tests.support.sites import Site, site_at
 from tests.support.small_pictures import draw_small
 
-# Software rendering, and none of the connections that a browser opens for itself.
-CHROMIUM_FLAGS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--use-gl=angle",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-default-apps",
-    "--no-first-run",
-    "--mute-audio",
-]
 PATIENCE_MS = 60_000  # a whole reconstruction fits, on a busy two-core machine
 expect.set_options(timeout=PATIENCE_MS)
 
 BRIEF = """
 summary = "a training of seconds"
-resolution = 48
+resolution = 32
 
 [fit]
-warm_start = 30
-steps = 150
-batch = 200
-pool = 20_000
+warm_start = 10
+steps = 60
+batch = 100
+pool = 5_000
 """
 
 QUICK = """
 summary = "no training, and a coarse mesh"
-resolution = 48
+resolution = 32
+"""
+
+# Python, but for the worker: that one draws small pictures, which otherwise are two thirds of a small job's seconds.
+PYTHON = f"""#!/bin/sh
+cd {ROOT}
+[ "$3" = edge ] && set -- -m tests.support.hasty_worker edge
+exec {sys.executable} "$@"
 """
 
 PHONE = {"width": 390, "height": 844}
+SMALL = {"width": 320, "height": 480}
+"""The smallest phone: a page is drawn in software, and every pixel costs."""
 
 
 @pytest.fixture(scope="package")
@@ -62,10 +61,15 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     presets = tmp_path_factory.mktemp("presets")
     (presets / "brief.toml").write_text(BRIEF)
     (presets / "quick.toml").write_text(QUICK)
+    python = presets / "python"
+    python.write_text(PYTHON)
+    python.chmod(0o755)
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("EDGE_PRESETS", str(presets))
         environment.setenv("OMP_NUM_THREADS", "1")  # Chromium draws on the other core; torch's threads would spin
+        environment.setattr(sys, "executable", str(python))
         with run_stack("127.0.0.1", 0, tmp_path_factory.mktemp("stack")) as stack:
+            environment.undo()  # the services have it
             yield stack
 
 
@@ -79,35 +83,33 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 @pytest.fixture(scope="session")
 def bundle() -> Bundle:
     """A bowl of one metre, made by the product."""
-    direction = np.random.default_rng(0).normal(size=(20_000, 3))
+    direction = np.random.default_rng(0).normal(size=(2000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction[:, 1] = -np.abs(direction[:, 1])
     rgb = ((direction * 0.5 + 0.5) * 255).astype(np.uint8)
     capture = Capture("points", "ply", Cloud(direction * 0.5, rgb), scale_confidence="metric")
     with pytest.MonkeyPatch.context() as patch:
         draw_small(patch)
-        steps = reconstruct(capture, load_preset("draft"), label="Bowl")
+        steps = reconstruct(capture, replace(load_preset("draft"), resolution=32), label="Bowl")
         return next(step for step in steps if isinstance(step, Bundle))
 
 
 @pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     """Debian's Chromium, until this folder's last test: beside Playwright's loop no asynchronous test runs."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
+    if chromium() is None:
         missing("Chromium")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
+        browser = launch(playwright)
         yield browser
         browser.close()
 
 
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
-    """A browser without a past, as wide as a phone. Without service workers, whose requests no test could intercept."""
-    context = browser.new_context(viewport=PHONE, has_touch=True, device_scale_factor=1, service_workers="block")
-    yield context
-    context.close()
+    """A small touch screen of a browser without a past."""
+    with without_a_past(browser, has_touch=True) as context:
+        yield context
 
 
 @pytest.fixture
@@ -128,10 +130,21 @@ def iwer() -> Path:
     return folder / "node_modules" / "iwer" / "build" / "iwer.min.js"
 
 
-def without_a_past(browser: Browser, width: int, height: int) -> Iterator[BrowserContext]:
-    """A window of that size in a browser that keeps nothing, without service workers."""
-    size = {"width": width, "height": height}
-    context = browser.new_context(viewport=size, device_scale_factor=1, service_workers="block")
-    context.set_default_timeout(PATIENCE_MS)
-    yield context
-    context.close()
+@contextmanager
+def without_a_past(
+    browser: Browser, size: ViewportSize = SMALL, *, has_touch: bool = False
+) -> Iterator[BrowserContext]:
+    """A window of a browser that keeps nothing. Without service workers, whose requests no test could intercept."""
+    with browser.new_context(
+        viewport=size, has_touch=has_touch, device_scale_factor=1, service_workers="block"
+    ) as context:
+        context.set_default_timeout(PATIENCE_MS)
+        yield context
+
+
+@contextmanager
+def with_a_past(browser: Browser) -> Iterator[BrowserContext]:
+    """A small window of a browser that keeps what pages keep, from visit to visit."""
+    with browser.new_context(viewport=SMALL, device_scale_factor=1) as context:
+        context.set_default_timeout(PATIENCE_MS)
+        yield context

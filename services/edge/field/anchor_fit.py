@@ -24,6 +24,7 @@ from torch import Tensor
 from services.edge.arrays import DistanceFn, Floats, Ints
 from services.edge.field import checkpoint as checkpoints
 from services.edge.field import noise_trust
+from services.edge.field.adam import Adam
 from services.edge.field.anchor_losses import (
     DISTANCE,
     FLATNESS,
@@ -209,15 +210,14 @@ class _AnchorFit:
         shape.requires_grad_()
         # A tensor, because a captured CUDA graph reads it from a fixed address.
         rate = torch.tensor(self._config.learning_rate, device=self._device)
-        cuda = self._device.type == "cuda"
-        optimiser = torch.optim.Adam([shape], lr=rate, betas=MOMENTS, fused=True, capturable=cuda)
-        done = self._restore(shape, optimiser, rate)
+        optimiser = Adam([shape], rate, MOMENTS)
+        done = self._restore(shape, optimiser)
         if done == current.steps:  # killed after its last step: yield it again, so that the caller gets this field
             yield self._step(done, {}, current, shape)
         values = torch.zeros(len(LOSSES), device=self._device)
 
         def descent() -> None:
-            optimiser.zero_grad(set_to_none=True)
+            optimiser.zero_grad()
             values.copy_(_losses_and_gradient(shape, current))
             optimiser.step()
 
@@ -244,7 +244,7 @@ class _AnchorFit:
             anchors = replace(current.anchors, shape=(shape * current.free).detach().cpu().numpy().copy())
         return Step(before + done, self._total_steps, losses, AnchorField(anchors))
 
-    def _write(self, shape: Tensor, optimiser: torch.optim.Adam, done: int) -> None:
+    def _write(self, shape: Tensor, optimiser: Adam, done: int) -> None:
         """Write the checkpoint, if the last one is old enough."""
         if self._checkpoint is None or time.monotonic() - self._written < checkpoints.SECONDS:
             return
@@ -252,7 +252,7 @@ class _AnchorFit:
         checkpoints.save(self._checkpoint, {"finished": self._finished, "round": current}, self._fingerprint)
         self._written = time.monotonic()
 
-    def _restore(self, shape: Tensor, optimiser: torch.optim.Adam, rate: Tensor) -> int:
+    def _restore(self, shape: Tensor, optimiser: Adam) -> int:
         """Restore the round from the checkpoint, if one was read. Returns how many of its steps are done."""
         if self._state is None:
             return 0
@@ -260,8 +260,6 @@ class _AnchorFit:
         with torch.no_grad():
             shape.copy_(state["shape"])
         optimiser.load_state_dict(state["optimiser"])
-        for group in optimiser.param_groups:
-            group["lr"] = rate  # load_state_dict has replaced it by a copy
         return int(state["done"])
 
 

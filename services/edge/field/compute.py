@@ -16,6 +16,7 @@ from torch import Tensor
 
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
+from services.edge.field.config import BLOCK_BYTES
 from services.edge.parallel import in_threads
 
 _log = logging.getLogger(__name__)
@@ -27,8 +28,6 @@ Out = TypeVar("Out")
 
 Nearest = Callable[[Tensor], Tensor]
 """(M,3) -> index (M,) of the nearest point to each."""
-
-BLOCK_BYTES = 1 << 28  # of distances at once on a GPU: 5,000 queries × 13,000 points; larger blocks are no faster
 
 
 def open_device(name: str) -> torch.device:

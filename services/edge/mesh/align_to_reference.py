@@ -25,6 +25,7 @@ _NEAR = 0.03  # of the surface's size: points farther from it belong to somethin
 _SOME = 20_000  # points: enough for seven unknowns
 _TURNS = 200  # random rotations, besides those that align the axes of inertia: 30 degrees from one to the next
 _FEW, _MORE = 300, 3_000  # points that a rotation is tried with, at first, and if it is among the best
+_COARSE, _FINE = 1_000, 12_000  # points of the reference that these are compared with
 _BEST = 12  # rotations that are tried with more points
 _NEAREST = 0.8  # share of the points that count in a trial: the nearest ones
 _SAMPLES = 100_000  # points of each surface
@@ -107,10 +108,11 @@ def align_to_surface(xyz: Floats, surface: Floats, normals: Floats, start: Float
 def _initial_alignment(xyz: Floats, surface: Floats, rng: np.random.Generator) -> Floats:
     """Similarity (4,4) that brings most of the points near the surface: the best of many rotations."""
     few, more = rng.permutation(xyz)[:_FEW], rng.permutation(xyz)[:_MORE]
-    target = cKDTree(rng.permutation(surface)[: 4 * _MORE])
-    trials = [_refine_by_points(few, target, start, 8) for start in _starts(xyz, surface)]
+    target = rng.permutation(surface)
+    coarse, fine = cKDTree(target[:_COARSE]), cKDTree(target[:_FINE])
+    trials = [_refine_by_points(few, coarse, start, 8) for start in _starts(xyz, surface)]
     tried = sorted(trials, key=lambda each: each[0])
-    best = [_refine_by_points(more, target, start, 25) for _, start in tried[:_BEST]]
+    best = [_refine_by_points(more, fine, start, 25) for _, start in tried[:_BEST]]
     return min(best, key=lambda each: each[0])[1]
 
 

@@ -1,11 +1,9 @@
-"""Estimate how much memory a fit takes, so that a worker knows it before it accepts a job."""
+"""Estimate how much memory a fit takes, so that a worker knows it before it accepts a job. Imports no torch."""
 
 from __future__ import annotations
 
-from services.edge.field.compute import BLOCK_BYTES
-from services.edge.field.config import AnchorConfig
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.queries import WARM_QUERIES, far_batch, pool_size
+from services.edge.field.config import BLOCK_BYTES, AnchorConfig
+from services.edge.paper_field.network_config import WARM_QUERIES, NetworkConfig, far_batch, pool_size
 
 FLOAT, INDEX = 4, 8  # bytes
 WEIGHTS = {"separable": 147_200, "mlp": 463_100}  # most parameters of each network

@@ -11,6 +11,9 @@ from typing import Literal
 UNUSED_KEYS = {"mlp": ("width",)}
 """Keys of `NetworkConfig` that a model does not use, by model."""
 
+PER_POINT = 100  # queries per point: for 10,000 points the full million of the paper
+WARM_QUERIES = 200_000  # most queries of the pool that the warm start uses: 40 steps of 5,000
+
 
 @dataclass(frozen=True, slots=True)
 class Densify:
@@ -86,3 +89,13 @@ class NetworkConfig:
     def total_steps(self) -> int:
         """All steps, the warm start included: 100 % of a progress bar."""
         return self.warm_start + self.loss_steps
+
+
+def pool_size(points: int, config: NetworkConfig) -> int:
+    """Number of queries in the pool of so many points."""
+    return min(config.pool, PER_POINT * points)
+
+
+def far_batch(config: NetworkConfig, batch: int) -> int:
+    """Number of far queries per step."""
+    return round(config.far_share * batch)

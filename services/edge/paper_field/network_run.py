@@ -14,6 +14,7 @@ from torch import Tensor
 
 from services.edge.arrays import Floats
 from services.edge.field import checkpoint as checkpoints
+from services.edge.field.adam import Adam
 from services.edge.field.compute import capture_step
 from services.edge.field.schedule import warm_up_cosine
 from services.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, refuse_divergence
@@ -57,11 +58,9 @@ class NetworkRun:
         self.added: Floats | None = None
         self.memory: Tensor | None = None
         self._best: Best | None = None
-        # A tensor, because a captured CUDA graph reads it from a fixed address; fused, to save 30 launches of kernels.
+        # A tensor, because a captured CUDA graph reads it from a fixed address.
         self._rate = torch.tensor(config.learning_rate, device=device)
-        self._optimiser = torch.optim.Adam(
-            self.network.parameters(), lr=self._rate, fused=True, capturable=device.type == "cuda"
-        )
+        self._optimiser = Adam(self.network.parameters(), self._rate)
         self._held_out = None if held_out is None else torch.as_tensor(held_out, dtype=torch.float32, device=device)
         self._field = learned_field(self.network, xyz)
         self._checkpoint = checkpoint
@@ -100,7 +99,7 @@ class NetworkRun:
         values = torch.zeros(1 + len(weights), device=self.device)
 
         def descent() -> None:
-            self._optimiser.zero_grad(set_to_none=True)
+            self._optimiser.zero_grad()
             terms = objective(j)
             total = total_loss(terms, weights)
             total.backward()  # type: ignore[no-untyped-call]
@@ -164,8 +163,6 @@ class NetworkRun:
         self.done, self.ended, self.memory = state["done"], state["ended"], state["memory"]
         self.network.load_state_dict(state["network"])
         self._optimiser.load_state_dict(state["optimiser"])
-        for group in self._optimiser.param_groups:
-            group["lr"] = self._rate  # load_state_dict has replaced it by a copy
         self.added = None if state["added"] is None else state["added"].cpu().numpy()
         self._best = None if state["best"] is None else Best(**state["best"])
 

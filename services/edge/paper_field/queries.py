@@ -20,14 +20,12 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from services.edge.arrays import DistanceFn, Floats, Ints
-from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.network_config import WARM_QUERIES, NetworkConfig, pool_size
 from services.edge.parallel import in_threads, slices
 
 RANK = 50  # the neighbour whose distance gives σ_p (NeuralPull)
 SPREAD, SPREAD_POINTS = 0.25, 20_000  # s: dense clouds spread their queries over more neighbours (CAP-UDF)
-PER_POINT = 100  # queries per point: for 10,000 points the full million of the paper
 PADDING = 0.1  # of the box on every side, unit frame: the extraction's grid ends nearer than that
-WARM_QUERIES = 200_000  # most queries of the pool that the warm start uses: 40 steps of 5,000
 PART = 1 << 16  # queries of a KD-tree between two yields, at which the caller may stop
 
 
@@ -57,16 +55,6 @@ class Pool:
     def weak_queries(self, j: Tensor) -> Tensor:
         """q_w (M,3) of the pairs j."""
         return self.points[self.weak[self.anchor[j]]] + self.offset[j]
-
-
-def pool_size(points: int, config: NetworkConfig) -> int:
-    """Number of queries in the pool of so many points."""
-    return min(config.pool, PER_POINT * points)
-
-
-def far_batch(config: NetworkConfig, batch: int) -> int:
-    """Number of far queries per step."""
-    return round(config.far_share * batch)
 
 
 def draw_pool(xyz: Floats, config: NetworkConfig, device: torch.device) -> Iterator[Pool | None]:

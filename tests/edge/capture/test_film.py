@@ -235,7 +235,7 @@ def trembling() -> list[np.ndarray]:
 
 SLOPE = np.broadcast_to(np.linspace(180, 220, WIDTH).astype(np.uint8)[None, :, None], (HEIGHT, WIDTH, 3))
 STILLS: dict[str, Callable[[], list[np.ndarray]]] = {
-    "a tripod": lambda: [noisy(VIEWS[0], seed) for seed in range(20)] * 30,
+    "a tripod": lambda: [noisy(VIEWS[0], seed) for seed in range(20)] * 12,
     "a hand that trembles": trembling,
     "a white wall": lambda: [noisy(SLOPE, seed) for seed in range(20)] * 12,
     "a white wall in a flickering light": lambda: [SLOPE - np.uint8(30 * (at % 7 > 3)) for at in range(240)],
@@ -249,7 +249,7 @@ STILLS: dict[str, Callable[[], list[np.ndarray]]] = {
 @pytest.mark.parametrize("still", STILLS)
 def test_nothing_that_moves_has_its_name(still: str, tmp_path: Path) -> None:
     path = encode(tmp_path / "a.mp4", STILLS[still](), group=60)
-    with pytest.raises(CaptureError, match=r"in (20|8) s hardly anything moves") as caught:
+    with pytest.raises(CaptureError, match="in 8 s hardly anything moves") as caught:
         read_capture(path)
     assert (caught.value.code, caught.value.file) == ("CAPTURE_LOW_OVERLAP", "a.mp4")
     assert "walk around the thing" in caught.value.hints[0]
@@ -277,6 +277,7 @@ def test_the_sharpest_of_each_stretch_is_taken(tmp_path: Path) -> None:
 WAYS = st.lists(st.floats(0, 0.05), min_size=1, max_size=300)
 
 
+@settings(max_examples=40)
 @given(steps=WAYS, blur=st.lists(st.floats(0, 1), min_size=300, max_size=300))
 def test_key_frames_are_few_in_order_and_spread(steps: list[float], blur: list[float]) -> None:
     frames = [ScannedFrame(at, *pair) for at, pair in enumerate(zip(blur, np.cumsum(steps).tolist(), strict=False))]
@@ -309,7 +310,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return encode(tmp_path_factory.mktemp("film") / "a.mp4", VIEWS[:30], group=7)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(wanted=st.lists(st.integers(0, 31), min_size=1, max_size=12))
 def test_frames_come_in_any_order(film: Path, wanted: list[int]) -> None:
     video = VideoFrames(film, "a.mp4")
@@ -433,7 +434,7 @@ def test_limits_have_names(limit: str, value: int, code: str, tmp_path: Path, mo
     assert (caught.value.code, caught.value.file) == (code, "a.mp4")
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_damaged_films_are_read_or_named(film: Path, data: st.DataObject) -> None:
     """Cut, or overwritten anywhere: photos that load or have a name for why not."""

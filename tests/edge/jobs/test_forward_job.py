@@ -260,7 +260,7 @@ AWAY = "could not be reached: the field was fitted on this worker"
 async def test_without_central_it_fits_by_itself_and_says_so(
     store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
 ) -> None:
-    with reaching(f"127.0.0.1:{free_port()}") as central:
+    with reaching(f"127.0.0.1:{free_port()}", replace(QUICK, answer_s=0.2)) as central:
         async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
             events = await edge.ended(dome, asset_key="dome", preset="quick")
     assert events[-1].HasField("finished"), events[-1]
@@ -346,7 +346,7 @@ async def test_what_only_an_absent_central_has_is_refused_for_now(
     store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
 ) -> None:
     """The job that comes before the refresh fails as retryable, those behind it are not taken."""
-    patience = replace(QUICK, refresh_s=1.0)
+    patience = replace(QUICK, answer_s=PATIENCE_S, refresh_s=3600.0)
     async with listening(Standing("ticks 1"), tmp_path / "central") as (_, address), relaying(address) as wire:
         with reaching(wire.address, patience) as central:
             async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
@@ -354,9 +354,11 @@ async def test_what_only_an_absent_central_has_is_refused_for_now(
                 assert (await edge.ended(dome, "job_1", preset="theirs"))[-1].HasField("finished")
                 wire.refuses = True
                 wire.cut()
+                central.timeouts = replace(patience, answer_s=0.2)
                 failed = (await edge.ended(dome, "job_2", preset="theirs"))[-1].failure
                 assert (failed.code, failed.retryable) == ("CENTRAL_UNAVAILABLE", True)
-                await until(lambda: not central.takes_jobs)
+                await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(central._refresh(), central._loop))
+                assert not central.takes_jobs
                 assert "theirs" not in {preset.name for preset in (await edge.worker()).presets}
                 with pytest.raises(grpc.aio.AioRpcError, match="CENTRAL_UNAVAILABLE: ") as refused:
                     await edge.ended(dome, "job_3", preset="theirs")
@@ -433,7 +435,7 @@ def free_port() -> int:
 
 
 class Process:
-    """A worker of its own, which can be killed: `capture2vr edge`, configured by EDGE_* and STORAGE_*."""
+    """A worker of its own with small pictures, which can be killed; configured by EDGE_* and STORAGE_*."""
 
     def __init__(self, folder: Path, **variables: object) -> None:
         self.address = f"127.0.0.1:{free_port()}"
@@ -450,7 +452,7 @@ class Process:
 
     def start(self) -> None:
         with self._log.open("ab") as log:
-            command = [sys.executable, "-m", "services.cli", "edge"]
+            command = [sys.executable, "-m", "tests.support.hasty_worker", "edge"]
             self._running = subprocess.Popen(command, cwd=ROOT, env=self._environment, stdout=log, stderr=log)
 
     def kill(self) -> None:
@@ -482,6 +484,7 @@ async def test_a_killed_central_loses_no_job(tmp_path: Path, quick: Path, all_pr
             ending = [event async for event in call][-1].failure
             assert (ending.code, ending.retryable) == ("CENTRAL_LOST", True)
             assert "could not be reached for" in ending.message
+            await until(lambda: not central.takes_jobs)  # or what it said before it was killed would do
             there.start()
             await until(lambda: central.takes_jobs)
             call = edge.reconstruct(dome, asset_key="dome", preset="endless", collection="ada", fence=2)

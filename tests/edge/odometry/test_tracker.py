@@ -28,7 +28,7 @@ from tests.support import captures
 from tests.support.scenes import PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
 
 SENSOR = Sensor(noise_m=0.003, flying=0.3)
-ORBIT = orbit(24, radius=0.8, height=0.6)
+ORBIT = orbit(18, radius=0.8, height=0.6)
 
 
 def things(count: int = 14) -> Scene:

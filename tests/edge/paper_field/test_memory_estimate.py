@@ -12,12 +12,12 @@ from services.edge.field.config import AnchorConfig
 from services.edge.paper_field.memory_estimate import fit_memory_bytes
 from services.edge.paper_field.network_config import NetworkConfig
 
-ANCHORS = AnchorConfig(steps=4, learning_rate=0.1)
-NETWORK = NetworkConfig(steps=4, warm_up=1, batch=5_000, pool=200_000)
+ANCHORS = AnchorConfig(steps=2, learning_rate=0.1)
+NETWORK = NetworkConfig(steps=2, warm_up=1, batch=5_000, pool=200_000)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("config", "points"), [(ANCHORS, 40_000), (NETWORK, 5_000)])
+@pytest.mark.parametrize(("config", "points"), [(ANCHORS, 20_000), (NETWORK, 5_000)])
 def test_a_fit_takes_about_what_is_said(config: AnchorConfig | NetworkConfig, points: int) -> None:
     fit = "fit_anchors" if isinstance(config, AnchorConfig) else "fit_network"
     script = f"""

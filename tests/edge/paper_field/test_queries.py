@@ -8,8 +8,8 @@ import torch
 from scipy.spatial import cKDTree
 
 from services.edge.field.compute import nearest, nearest_by_blocks, rows
-from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.queries import PADDING, Batches, Pool, draw_pool, pool_size
+from services.edge.paper_field.network_config import NetworkConfig, pool_size
+from services.edge.paper_field.queries import PADDING, Batches, Pool, draw_pool
 from tests.support import surfaces
 
 CPU = torch.device("cpu")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,12 +140,12 @@ async def test_a_worker_that_nobody_vouches_for_is_not_spoken_to(
 async def test_central_is_called_with_its_token(authority: Authority, tmp_path: Path) -> None:
     ca = authority.ca.read_bytes()
     async with guarded(settings_of(authority, tmp_path), Standing()) as address:
-        for caller, said in (
-            (ClientCredentials(ca, TOKEN), ""),
-            (ClientCredentials(ca, TOKEN + "x"), "refuses"),
-            (NO_CREDENTIALS, "not be reached"),
+        for caller, said, answer_s in (
+            (ClientCredentials(ca, TOKEN), "", PATIENCE_S),
+            (ClientCredentials(ca, TOKEN + "x"), "refuses", PATIENCE_S),
+            (NO_CREDENTIALS, "not be reached", 0.2),
         ):
-            central = Central(address, QUICK, caller)
+            central = Central(address, replace(QUICK, answer_s=answer_s), caller)
             try:
                 if said:
                     with pytest.raises(CentralUnavailable, match=said):

@@ -1,4 +1,4 @@
-"""kill -9 of worker and gateway by turns while 30 jobs run: in the end every job is done, and none twice."""
+"""kill -9 of worker and gateway by turns while 15 jobs run: in the end every job is done, and none twice."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.slow
 
-_JOBS = 30
-_KILLS = 12
+_JOBS = 15
+_KILLS = 6
 _WITHIN_S = 10 * PATIENCE_S
 
 

@@ -22,13 +22,13 @@ from tests.support.patience import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
-# Of some 12 s, for checkpoints are 1.5 s apart and two are waited for; light, for nothing is learned here.
+# Of some 7 s, for checkpoints are 0.5 s apart and four are waited for; light, for nothing is learned here.
 _PRESET = """
 resolution = 32
 lod_faces = [2000]
 
 [fit]
-steps = 500
+steps = 300
 batch = 100
 pool = 5000
 """
@@ -58,8 +58,8 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
             job = await start(client, "cap_dome", "dome", preset="brief")
             kept = tmp_path / "scratch" / "checkpoints" / job
             for number in (signal.SIGTERM, signal.SIGKILL):
-                before = _written(kept)
-                await in_process_gateway.until(partial(_newer, kept, before))
+                for _ in range(2):  # a run loses no more than it did since the last one: less than half of it
+                    await in_process_gateway.until(partial(_newer, kept, _written(kept)))
                 assert read_entry(store, "dome").state == "preview"
                 edge.end(number)
                 assert _written(kept), "the checkpoint has gone with the worker"
@@ -77,7 +77,7 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
     assert len(runs) == 3
     for former, latter in itertools.pairwise(runs):
         assert latter[0] >= former[-1] // 2, "the training began anew"
-    assert runs[-1][-1] > 400, "the last words of a stage are not all told"
+    assert runs[-1][-1] > 240, "the last words of a stage are not all told"
 
 
 async def _is_ready(client: httpx.AsyncClient) -> bool:

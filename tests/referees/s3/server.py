@@ -77,18 +77,13 @@ def _two_free_ports() -> int:
 
 
 def _stop(pids: list[int]) -> None:
+    """Kill the processes, whose data are deleted next: told to end, the gateway would take five seconds."""
     for pid in pids:
-        _signal(pid, signal.SIGTERM)
+        if _alive(pid):
+            os.kill(pid, signal.SIGKILL)
     deadline = time.monotonic() + _STOP_S
     while any(_alive(pid) for pid in pids) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    for pid in pids:
-        _signal(pid, signal.SIGKILL)
-
-
-def _signal(pid: int, number: signal.Signals) -> None:
-    if _alive(pid):
-        os.kill(pid, number)
+        time.sleep(0.02)
 
 
 def _alive(pid: int) -> bool:

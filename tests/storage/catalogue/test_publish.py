@@ -200,20 +200,20 @@ def _publish_s3(server: S3Server, bucket: str, process: int) -> None:
 
 def _in_processes(target: object, *arguments: object) -> None:
     context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=target, args=(*arguments, number)) for number in range(3)]  # type: ignore[arg-type]
+    processes = [context.Process(target=target, args=(*arguments, number)) for number in range(2)]  # type: ignore[arg-type]
     for process in processes:
         process.start()
     for process in processes:
         process.join()
-    assert [process.exitcode for process in processes] == [0, 0, 0]
+    assert [process.exitcode for process in processes] == [0, 0]
 
 
 @pytest.mark.slow
 def test_rival_processes_share_a_local_root(tmp_path: Path) -> None:
     _in_processes(_publish_local, tmp_path)
     present = read_entry(LocalStore(tmp_path), "dress")
-    assert sorted(each["version"] for each in present.versions) == list(range(1, 10))
-    assert len({each["job"] for each in present.versions}) == 9
+    assert sorted(each["version"] for each in present.versions) == list(range(1, 7))
+    assert len({each["job"] for each in present.versions}) == 6
 
 
 @pytest.mark.s3
@@ -221,8 +221,8 @@ def test_rival_processes_share_a_bucket(s3_server: S3Server) -> None:
     s3_store(s3_server, "rivals")
     _in_processes(_publish_s3, s3_server, "rivals")
     present = read_entry(s3_store(s3_server, "rivals"), "dress")
-    assert sorted(each["version"] for each in present.versions) == list(range(1, 10))
-    assert len({each["job"] for each in present.versions}) == 9
+    assert sorted(each["version"] for each in present.versions) == list(range(1, 7))
+    assert len({each["job"] for each in present.versions}) == 6
 
 
 @pytest.mark.parametrize("key", ["a", "0", "dress", "Dress-2.blue_x", "x" * 100])

@@ -11,6 +11,7 @@ from playwright.sync_api import Page, expect
 
 from services.cli.up import Stack
 from tests.support.lines import Line, line_to
+from tests.support.pages import await_data, time_limit_ms
 from tests.web.capture.test_page import bowl, choose  # noqa: F401 - a fixture is used by its name
 
 pytestmark = pytest.mark.browser
@@ -25,6 +26,19 @@ def line(stack: Stack) -> Iterator[Line]:
     line.cut()
 
 
+@pytest.fixture
+def page(page: Page) -> Page:
+    """A page whose clock can be put forward."""
+    page.clock.install()
+    return page
+
+
+def pass_time(page: Page, line: Line, limit: str) -> None:
+    """Wait until a request has met the fault, and let the time pass that a page waits then."""
+    line.await_fault()
+    page.clock.fast_forward(time_limit_ms(limit))
+
+
 def send(page: Page, line: Line, path: Path, name: str) -> None:
     page.goto(line.url)
     choose(page, path)
@@ -32,16 +46,17 @@ def send(page: Page, line: Line, path: Path, name: str) -> None:
     page.get_by_role("button", name="Send").click()
 
 
-@pytest.mark.parametrize("path", ["/v1/captures", "/v1/jobs$"])
+@pytest.mark.parametrize(("path", "limit"), [("/v1/captures", "UPLOAD_CHECK_MS"), ("/v1/jobs$", "NETWORK_SILENCE_MS")])
 def test_a_server_that_does_not_answer_is_said_and_what_was_sent_is_not_sent_twice(
     page: Page,
     line: Line,
     bowl: Path,  # noqa: F811
     path: str,
+    limit: str,
 ) -> None:
-    line.set_time_limits(NETWORK_SILENCE_MS=5000, UPLOAD_CHECK_MS=5000)
     line.silence(path)
     send(page, line, bowl, f"unheard {len(path)}")
+    pass_time(page, line, limit)
     trouble = page.get_by_role("alert")
     expect(trouble).to_contain_text("The server does not answer.")
     expect(trouble).to_contain_text("Check the connection and try again.")
@@ -57,21 +72,21 @@ def test_a_job_that_is_not_heard_of_any_more_is_said_and_followed_again(
     line: Line,
     bowl: Path,  # noqa: F811
 ) -> None:
-    line.set_time_limits(EVENTS_SILENCE_MS=1000)
     line.silence("/events")
     send(page, line, bowl, "silent job")
+    pass_time(page, line, "EVENTS_SILENCE_MS")
     lost = page.locator("#lost")
     expect(lost).to_contain_text("The server does not answer. Your job goes on there.")
     line.mend()
     lost.get_by_role("button", name="Try again").click()
-    expect(page.locator("body")).to_have_attribute("data-state", "done")
+    await_data(page, state="done")
     expect(lost).to_be_hidden()
 
 
 def test_a_reloaded_page_whose_job_does_not_come_says_so(page: Page, line: Line) -> None:
-    line.set_time_limits(NETWORK_SILENCE_MS=2000)
     line.silence("/v1/jobs/")
     page.goto(f"{line.url}/#job=job_0")
+    pass_time(page, line, "NETWORK_SILENCE_MS")
     expect(page.get_by_role("alert")).to_contain_text("The server does not answer.")
     line.mend()
     page.get_by_role("button", name="Try again").click()

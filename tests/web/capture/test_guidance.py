@@ -14,6 +14,7 @@ from PIL import Image
 from playwright.sync_api import BrowserContext, Page, Route, expect
 
 from services.cli.up import Stack
+from tests.support.pages import await_data
 
 pytestmark = pytest.mark.browser
 
@@ -64,7 +65,7 @@ def choose(page: Page, *paths: Path, button: str = "Choose files") -> None:
 
 
 def looked(page: Page, count: int) -> None:
-    expect(page.locator("body")).to_have_attribute("data-looked", str(count))
+    await_data(page, looked=str(count))
 
 
 def degrees(page: Page) -> int:
@@ -84,20 +85,18 @@ def test_good_photos_are_counted_and_none_is_blamed(page: Page, stack: Stack, ph
     assert degrees(page) > 200
 
 
-@pytest.mark.parametrize("name", SPOILT)
-def test_a_spoilt_photo_is_named_with_its_reason(
-    page: Page, stack: Stack, photos: list[Path], tmp_path: Path, name: str
+def test_spoilt_photos_are_named_with_their_reasons(
+    page: Page, stack: Stack, photos: list[Path], tmp_path: Path
 ) -> None:
-    spoil, reason = SPOILT[name]
-    bad = save(tmp_path, f"{name}.jpg", spoil(view(31).astype(np.float32)))
+    bad = [save(tmp_path, f"{name}.jpg", spoil(view(31).astype(np.float32))) for name, (spoil, _) in SPOILT.items()]
     page.goto(stack.url)
-    choose(page, *photos[:5], bad, *photos[5:])
-    looked(page, 11)
-    faults = page.locator("#faults li")
-    expect(faults).to_have_count(1)
-    expect(faults).to_contain_text(f"{name}.jpg")
-    expect(faults).to_contain_text(reason)
-    assert faults.locator("img").evaluate("image => image.decode().then(() => image.naturalWidth)") == 96
+    choose(page, *photos[:5], *bad, *photos[5:])
+    looked(page, 14)
+    expect(page.locator("#faults li")).to_have_count(4)
+    for name, (_, reason) in SPOILT.items():
+        fault = page.locator("#faults li", has_text=f"{name}.jpg")
+        expect(fault).to_contain_text(reason)
+        assert fault.locator("img").evaluate("image => image.decode().then(() => image.naturalWidth)") == 96
 
 
 def test_copies_add_nothing_and_can_be_removed_by_keyboard(
@@ -152,19 +151,21 @@ def test_scans_are_not_guided(page: Page, stack: Stack, photos: list[Path], tmp_
 
 
 def test_the_page_goes_on_while_photos_are_looked_at(page: Page, stack: Stack, tmp_path: Path) -> None:
-    """Large photos, and no task of the page's own longer than 50 ms."""
+    """Large photos: the page's own thread has 8 ms of work with each, and 65 ms where it looks at them itself."""
     large = cv2.resize(WALL, (4000, 3000))
     paths = [save(tmp_path, f"large_{number}.jpg", np.roll(large, 300 * number, axis=1)) for number in range(4)]
     page.goto(stack.url)
-    page.evaluate(
-        "window.long = []; new PerformanceObserver((list) => long.push(...list.getEntries().map((e) => e.duration)))"
-        ".observe({ type: 'longtask' })"
-    )
+    devtools = page.context.new_cdp_session(page)
+    devtools.send("Performance.enable", {"timeDomain": "threadTicks"})  # CPU time, which other programs do not lengthen
+
+    def worked_s() -> float:
+        told = {each["name"]: each["value"] for each in devtools.send("Performance.getMetrics")["metrics"]}
+        return float(told["TaskDuration"] - told["DevToolsCommandDuration"])
+
+    began = worked_s()
     choose(page, *paths)
     looked(page, 4)
-    assert [
-        spent for spent in page.evaluate("window.long") if spent > 150
-    ] == []  # 50 ms, on a machine that others use too
+    assert worked_s() - began < 4 * 0.03
 
 
 @pytest.mark.parametrize("lost", ["canvas", "script"])

@@ -15,10 +15,11 @@ from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.store import IMMUTABLE, NO_CACHE
+from tests.support.pages import await_data
 from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
 from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
-from tests.web.conftest import PATIENCE_MS, PHONE
+from tests.web.conftest import PHONE, with_a_past
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
@@ -65,10 +66,11 @@ def shown(page: Page) -> list[str]:
 
 def visit(page: Page, site: Site, query: str = "") -> None:
     page.goto(f"{site.url}/browse/default{query}")
-    expect(page.locator("body")).to_have_attribute("data-state", "shown")
+    await_data(page, state="shown")
 
 
 def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) -> None:
+    page.set_viewport_size(PHONE)
     visit(page, shelf)
     assert shown(page) == ["boot", "shoe", "sofa", "zz"], "and no bag"
     expect(page.locator("#said")).to_have_text("4 things")
@@ -125,7 +127,7 @@ def test_a_thing_turns_while_it_is_pointed_at_unless_motion_is_unwelcome(page: P
 def refused(context: BrowserContext, site: Site, code: str, words: str) -> None:
     page = context.new_page()
     page.goto(f"{site.url}/browse/default")
-    expect(page.locator("body")).to_have_attribute("data-code", code)
+    await_data(page, code=code)
     expect(page.locator("#said")).to_contain_text(words)
     assert shown(page) == []
     page.close()
@@ -173,22 +175,26 @@ def test_a_picture_that_was_changed_is_not_shown(page: Page, shelf: Site) -> Non
         picture.write_bytes(content)
 
 
-def test_after_one_visit_the_page_needs_no_server(browser: Browser, shelf: Site, tmp_path: Path) -> None:
-    context = browser.new_context(viewport=PHONE, device_scale_factor=1)
-    context.set_default_timeout(PATIENCE_MS)
+@pytest.fixture
+def page_with_a_past(browser: Browser) -> Iterator[Page]:
+    """A page of a browser that keeps what pages keep."""
+    with with_a_past(browser) as context:
+        yield context.new_page()
+
+
+def test_after_one_visit_the_page_needs_no_server(page_with_a_past: Page, shelf: Site, tmp_path: Path) -> None:
+    page = page_with_a_past
     publish(box("Lamp", RED, files={"thumbnail.webp": picture_of(RED)}), shelf.store, key="lamp", keys=shelf.keys)
     with site_at(tmp_path, shelf.keys) as site:
         publish(box("Lamp", RED, files={"thumbnail.webp": picture_of(RED)}), site.store, key="lamp", keys=site.keys)
-        page = context.new_page()
         visit(page, site)
         expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
-        expect(page.locator("body")).to_have_attribute("data-offline", "ready")
+        await_data(page, offline="ready")
         url = site.url
     page.goto(f"{url}/browse/default")
     expect(page.locator("[data-key=lamp]")).to_have_attribute("data-picture", "thumbnail.webp")
     page.get_by_role("searchbox").fill("lamp")
     expect(page.locator("#said")).to_have_text("1 thing for “lamp”")
-    context.close()
 
 
 def test_ten_thousand_things_are_read_as_far_as_they_are_looked_at(page: Page, tmp_path: Path) -> None:
@@ -227,6 +233,6 @@ def publish_many(site: Site, count: int) -> None:
 
 def test_a_collection_that_is_none_is_said(page: Page, shelf: Site) -> None:
     page.goto(f"{shelf.url}/browse/nobodys")
-    expect(page.locator("body")).to_have_attribute("data-code", "COLLECTION_UNKNOWN")
+    await_data(page, code="COLLECTION_UNKNOWN")
     expect(page.locator("#said")).to_contain_text("nobodys")
     assert page.request.get(f"{shelf.url}/browse/-x").status == 404

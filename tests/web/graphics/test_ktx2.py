@@ -3,12 +3,10 @@ a server."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import trimesh
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 from services.edge.export.glb import to_glb
 from services.edge.export.ktx2 import Ktx2Encoder
@@ -18,11 +16,11 @@ from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
 from tests.support.lines import line_to
+from tests.support.pages import await_data, time_limit_ms
 from tests.support.screenshots import await_frames, difference, drawn, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import BLUE, GREEN, RED, bundle_of
-from tests.web.conftest import PATIENCE_MS, without_a_past
-from tests.web.shared.test_offline import expect_offline_ready
+from tests.web.conftest import with_a_past
 
 pytestmark = pytest.mark.browser
 SIDE = 128
@@ -60,16 +58,10 @@ def published(site: Site, ktx2: Ktx2Encoder) -> None:  # noqa: F811
     publish(cube(ktx2), site.store, key="cube-ktx2")
 
 
-@pytest.fixture
-def context(browser: Browser) -> Iterator[BrowserContext]:
-    """A small window."""
-    yield from without_a_past(browser, 400, 400)
-
-
 def shown(page: Page, address: str) -> bytes:
     """The thing at an address, once its levels are there."""
     page.goto(address)
-    expect(page.locator("body")).to_have_attribute("data-loaded", "1 0")
+    await_data(page, loaded="1 0")
     await_frames(page)
     return stage(page)
 
@@ -115,51 +107,54 @@ def test_a_card_that_knows_less_shows_the_same(page: Page, site: Site) -> None:
 
 
 def test_a_transcoder_that_was_lost_on_the_way_is_fetched_again(page: Page, site: Site) -> None:
+    page.clock.install()
     page.route("**/*.basis-transcoder.wasm", lambda route: route.abort(), times=1)
-    assert places_of(shown(page, f"{site.url}/view/cube-ktx2"), 0)[0] > 0.03
+    with page.expect_event("requestfailed"):
+        page.goto(f"{site.url}/view/cube-ktx2")
+    page.clock.fast_forward(10_000)  # longer than until the page tries again
+    await_data(page, loaded="1 0")
+    assert places_of(stage(page), 0)[0] > 0.03
 
 
-@pytest.mark.parametrize(
-    ("file", "script"),
-    [
-        ("basis-transcoder.wasm", None),
-        ("ktx2-worker.js", None),
-        ("ktx2-worker.js", "onmessage = () => {};"),
-        ("ktx2-worker.js", "throw new Error('broken');"),
-    ],
-)
-def test_a_transcoder_that_never_comes_or_never_answers_is_said(
-    page: Page, site: Site, file: str, script: str | None
-) -> None:
+def test_a_transcoder_that_never_comes_or_never_answers_is_said(page: Page, site: Site) -> None:
+    """A page asks for the transcoder before it starts its workers: that has come before they are missing."""
     line = line_to(site.url)
-    line.set_time_limits(NETWORK_SILENCE_MS=2000, PICTURE_WORKER_MS=2000)
-    if script is None:
-        line.silence(file)
-    else:
-        line.change(file, lambda _: script)
+    page.clock.install()
+    line.silence("basis-transcoder.wasm")
     page.goto(f"{line.url}/view/cube-ktx2")
-    server = file.endswith(".wasm")
-    words = "The server does not answer" if server else "The 3D file was loaded, but this browser could not open it."
-    expect(page.locator("#said")).to_contain_text(words)
+    line.await_fault()
+    page.clock.fast_forward(time_limit_ms("NETWORK_SILENCE_MS"))
+    expect(page.locator("#said")).to_contain_text("The server does not answer")
+    for script, silent in (
+        (None, "ktx2-worker.js"),
+        ("onmessage = () => importScripts('/nothing');", "/nothing"),
+        ("throw new Error('broken');", None),
+    ):
+        line.mend()
+        if script:
+            line.change("ktx2-worker.js", lambda _, script=script: script)
+        if silent:
+            line.silence(silent)
+        page.get_by_role("button", name="Try again").click()
+        if silent:
+            line.await_fault()
+            page.clock.fast_forward(time_limit_ms("PICTURE_WORKER_MS"))
+        expect(page.locator("#said")).to_contain_text("The 3D file was loaded, but this browser could not open it.")
     line.mend()
     page.get_by_role("button", name="Try again").click()
-    expect(page.locator("body")).to_have_attribute("data-loaded", "1 0")
+    await_data(page, loaded="1 0")
     assert places_of(stage(page), 0)[0] > 0.03
 
 
 def test_one_visit_is_enough_for_the_next_to_need_no_server(browser: Browser, site: Site) -> None:
     line = line_to(site.url)
     address = f"{line.url}/view/cube-ktx2"
-    context = browser.new_context(viewport={"width": 400, "height": 400}, device_scale_factor=1)
-    context.set_default_timeout(PATIENCE_MS)
-    try:
+    with with_a_past(browser) as context:
         page = context.new_page()
         online = shown(page, address)
-        expect_offline_ready(page)
+        await_data(page, offline="ready")
         line.cut()
         page.close()
         offline = shown(context.new_page(), address)
         assert drawn(offline) > 0.05
         assert difference(online, offline) < 0.02
-    finally:
-        context.close()

@@ -4,74 +4,75 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.cli.up import Stack
-from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
-from services.storage.local import LocalStore
 from tests.support.lines import Line, line_to
+from tests.support.pages import await_data
 from tests.support.screenshots import drawn, stage
-from tests.web.conftest import PATIENCE_MS, PHONE
-from tests.web.viewer.test_viewer import store  # noqa: F401 - a fixture is used by its name
+from tests.support.sites import Site
+from tests.support.things import RED, box
+from tests.web.conftest import with_a_past
 
 pytestmark = pytest.mark.browser
 
 
 @pytest.fixture
-def line(stack: Stack) -> Line:
+def line(site: Site) -> Line:
     """A line of this test's own: a browser's caches and workers belong to an address."""
-    return line_to(stack.url)
+    return line_to(site.url)
 
 
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
     """A browser that keeps what pages keep, from visit to visit."""
-    context = browser.new_context(viewport=PHONE, device_scale_factor=1)
-    yield context
-    context.close()
+    with with_a_past(browser) as context:
+        yield context
 
 
 @pytest.fixture
-def cup(store: LocalStore, bundle: Bundle, request: pytest.FixtureRequest) -> str:  # noqa: F811
+def cup(site: Site, request: pytest.FixtureRequest) -> str:
     """The key of an asset of this test's own."""
     key = re.sub(r"[^a-z0-9]+", "-", request.node.name.removeprefix("test_"))[:99]
-    publish(bundle, store, key=key)
+    publish(box("Cup", RED), site.store, key=key)
     return key
 
 
 def _visited(context: BrowserContext, address: str) -> Page:
     page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
     page.goto(address)
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
     assert drawn(stage(page)) > 0.05
     return page
 
 
-def expect_offline_ready(page: Page) -> None:
+def _visit_once(context: BrowserContext, address: str) -> None:
     """Until the browser has all that a visit without the server needs."""
-    expect(page.locator("body")).to_have_attribute("data-offline", "ready")
+    page = _visited(context, address)
+    await_data(page, offline="ready")
+    page.close()
 
 
-def test_a_second_visit_loads_no_file_and_a_third_needs_no_server(
+def test_a_second_visit_loads_no_file_and_later_ones_need_no_server(
     context: BrowserContext, line: Line, cup: str
 ) -> None:
+    line.set_time_limits(CACHED_COPY_MS=300)  # a service worker's clock cannot be put forward
     address = f"{line.url}/view/{cup}"
-    first = _visited(context, address)
+    _visit_once(context, address)
     assert len(line.asset_files()) == 3
-    expect_offline_ready(first)
-    first.close()
-    _visited(context, address).close()
-    assert line.asset_files() == []
-    line.cut()
-    third = _visited(context, address)
-    assert line.asset_files() == []
-    assert third.locator("#label").inner_text() == "Bowl"
+    for fault in (None, partial(line.stop_midway, ""), line.silence, line.cut):
+        if fault:
+            fault()
+        page = _visited(context, address)
+        assert page.locator("#label").inner_text() == "Cup"
+        assert line.requests or fault == line.cut, "the server was asked first"
+        assert line.asset_files() == []
+        page.close()
 
 
 ROT = """async () => {
@@ -107,12 +108,9 @@ def test_what_has_rotted_on_the_device_is_replaced(context: BrowserContext, line
 
 
 def test_a_file_that_was_changed_on_the_server_is_not_shown(
-    context: BrowserContext,
-    line: Line,
-    cup: str,
-    store: LocalStore,  # noqa: F811
+    context: BrowserContext, line: Line, cup: str, site: Site
 ) -> None:
-    changed = [Path(store.path(lod["name"])) for lod in read_entry(store, cup).document["lods"]]
+    changed = [Path(site.store.path(lod["name"])) for lod in read_entry(site.store, cup).document["lods"]]
     before = [path.read_bytes() for path in changed]
     for path, content in zip(changed, before, strict=True):
         path.chmod(0o644)
@@ -120,34 +118,13 @@ def test_a_file_that_was_changed_on_the_server_is_not_shown(
     try:
         page = context.new_page()
         page.goto(f"{line.url}/view/{cup}")
-        expect(page.locator("body")).to_have_attribute("data-code", "ASSET_TAMPERED")
+        await_data(page, code="ASSET_TAMPERED")
         expect(page.locator("#said")).to_contain_text("not what the catalogue promises")
         assert drawn(stage(page)) == 0 or page.get_attribute("body", "data-hints")
         assert len(page.evaluate(FILES)) == 1, "the manifest alone"
     finally:
         for path, content in zip(changed, before, strict=True):
             path.write_bytes(content)
-
-
-HASTY_MS = {"CACHED_COPY_MS": 1000, "NETWORK_SILENCE_MS": 4000}
-
-
-def _visit_once(context: BrowserContext, address: str) -> None:
-    page = _visited(context, address)
-    expect_offline_ready(page)
-    page.close()
-
-
-@pytest.mark.parametrize("fault", ["never answers", "stops in the middle of every answer"])
-def test_a_server_that_hangs_is_done_without(context: BrowserContext, line: Line, cup: str, fault: str) -> None:
-    line.set_time_limits(**HASTY_MS)
-    address = f"{line.url}/view/{cup}"
-    _visit_once(context, address)
-    if fault == "never answers":
-        line.silence()
-    else:
-        line.stop_midway("")
-    _visited(context, address)
 
 
 CUT_SHORT = """async ([name, ending]) => {
@@ -164,36 +141,31 @@ CUT_SHORT = """async ([name, ending]) => {
 }"""
 
 
-@pytest.mark.parametrize(
-    ("cache", "file", "words"),
-    [
-        ("shell-", "/viewer.js", "This page could not be loaded completely."),
-        ("catalogue-", "", "The server cannot be reached."),
-    ],
-)
-def test_a_damaged_copy_is_not_used(
-    context: BrowserContext, line: Line, cup: str, cache: str, file: str, words: str
-) -> None:
+def test_damaged_copies_are_not_used(context: BrowserContext, line: Line, cup: str) -> None:
     address = f"{line.url}/view/{cup}"
-    page = _visited(context, address)
-    expect_offline_ready(page)
-    assert page.evaluate(CUT_SHORT, [cache, file or f"/v1/assets/{cup}"])
-    page.close()
-    line.cut()
-    page = context.new_page()
-    page.goto(address, wait_until="commit")
-    expect(page.get_by_text(words)).to_be_visible()
-    line.mend()
-    page.get_by_role("button", name="Try again").click()
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    _visit_once(context, address)
+    for cache, file, words in (
+        ("catalogue-", f"/v1/assets/{cup}", "The server cannot be reached."),
+        ("shell-", "/viewer.js", "This page could not be loaded completely."),
+    ):
+        page = context.new_page()
+        page.goto(f"{line.url}/v1/keys")
+        assert page.evaluate(CUT_SHORT, [cache, file])
+        line.cut()
+        page.goto(address, wait_until="commit")
+        expect(page.get_by_text(words)).to_be_visible()
+        line.mend()
+        page.get_by_role("button", name="Try again").click()
+        await_data(page, loaded="2 1 0")
+        page.close()
 
 
 def test_pages_that_were_cached_in_part_are_not_used(context: BrowserContext, line: Line, cup: str) -> None:
     """The last file of the shell never comes: the cache is not complete, and the next visit completes it."""
-    line.set_time_limits(**HASTY_MS)
     line.silence("basis-transcoder.wasm")
     address = f"{line.url}/view/{cup}"
     page = _visited(context, address)
+    line.await_fault()
     assert page.get_attribute("body", "data-offline") != "ready"
     line.mend()
     page.close()
@@ -214,7 +186,8 @@ def test_a_new_version_of_the_pages_replaces_the_cached_one_as_a_whole(
         """async () => {
             const names = (await caches.keys()).filter((name) => name.startsWith('shell-'));
             return names.length === 1 && names[0].startsWith('shell-new-');
-        }"""
+        }""",
+        polling=100,
     )
     page.close()
     line.cut()

@@ -9,86 +9,82 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from services.cli.up import Stack, run_stack
-from services.storage.bundle import Bundle
 from services.storage.catalogue.collection import index_name
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.catalogue.update import rebuild
 from services.storage.local import LocalStore
 from services.storage.store import NO_CACHE
+from tests.support.pages import await_data
 from tests.support.screenshots import drawn, stage
-from tests.web.conftest import PATIENCE_MS, PHONE
+from tests.support.sites import Site, site_at
+from tests.support.things import RED, box
+from tests.web.conftest import without_a_past
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
+BOWL = box("Bowl", RED)
 
 
 @pytest.fixture(scope="module")
-def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, Keys]]:
-    """Gateway and worker that sign, and their key."""
-    path = tmp_path_factory.mktemp("keys") / "ours"
-    generate_key(path)
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("STORAGE_SIGNING_KEY", str(path))
-        with run_stack("127.0.0.1", 0, tmp_path_factory.mktemp("signed")) as stack:
-            yield stack, Keys((read_signer(path),))
+def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """A gateway that signs."""
+    folder = tmp_path_factory.mktemp("signed")
+    generate_key(folder / "ours")
+    with site_at(folder, Keys((read_signer(folder / "ours"),))) as site:
+        yield site
 
 
 @pytest.fixture
-def store(signed: tuple[Stack, Keys], bundle: Bundle) -> Iterator[LocalStore]:
+def store(signed: Site) -> Iterator[LocalStore]:
     """The gateway's store with an asset; its index is as it was when the test is over."""
-    store = LocalStore(signed[0].store_root)
-    publish(bundle, store, key="bowl", keys=signed[1])
-    whole = store.get(INDEX)
-    yield store
-    replaced(store, whole)
+    publish(BOWL, signed.store, key="bowl", keys=signed.keys)
+    whole = signed.store.get(INDEX)
+    yield signed.store
+    replaced(signed.store, whole)
 
 
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
     """A device that keeps what it has seen from visit to visit."""
-    context = browser.new_context(viewport=PHONE, device_scale_factor=1, service_workers="block")
-    yield context
-    context.close()
+    with without_a_past(browser) as context:
+        yield context
 
 
 def replaced(store: LocalStore, index: bytes) -> None:
     store.put(INDEX, index, content_type="application/json", cache_control=NO_CACHE)
 
 
-def visit(context: BrowserContext, signed: tuple[Stack, Keys]) -> Page:
+def visit(context: BrowserContext, signed: Site) -> Page:
     page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
-    page.goto(f"{signed[0].url}/view/bowl")
+    page.goto(f"{signed.url}/view/bowl")
     return page
 
 
 def expect_shown(page: Page) -> None:
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
     assert drawn(stage(page)) > 0.05
 
 
 def expect_refused(page: Page, code: str, words: str) -> None:
-    expect(page.locator("body")).to_have_attribute("data-code", code)
+    await_data(page, code=code)
     expect(page.locator("#said")).to_contain_text(words)
     assert not page.get_attribute("body", "data-loaded")
 
 
 def test_a_signed_asset_is_shown_and_an_older_catalogue_refused(
     context: BrowserContext,
-    signed: tuple[Stack, Keys],
+    signed: Site,
     store: LocalStore,
-    bundle: Bundle,
 ) -> None:
     older = store.get(INDEX)
-    publish(bundle, store, key="another", keys=signed[1])
+    publish(BOWL, store, key="another", keys=signed.keys)
     expect_shown(visit(context, signed))
     replaced(store, older)
     expect_refused(visit(context, signed), "CATALOGUE_OLDER", "older catalogue than this device has seen")
 
 
-def test_a_forged_catalogue_is_refused(context: BrowserContext, signed: tuple[Stack, Keys], store: LocalStore) -> None:
+def test_a_forged_catalogue_is_refused(context: BrowserContext, signed: Site, store: LocalStore) -> None:
     envelope = json.loads(store.get(INDEX))
     text = json.loads(envelope["signed"])
     envelope["signed"] = json.dumps({**text, "version": text["version"] + 1})
@@ -97,7 +93,7 @@ def test_a_forged_catalogue_is_refused(context: BrowserContext, signed: tuple[St
 
 
 def test_the_catalogue_of_another_signer_is_refused_on_a_device_that_knows_the_first(
-    context: BrowserContext, signed: tuple[Stack, Keys], store: LocalStore, tmp_path: Path
+    context: BrowserContext, signed: Site, store: LocalStore, tmp_path: Path
 ) -> None:
     expect_shown(visit(context, signed))
     generate_key(tmp_path / "theirs")
@@ -106,7 +102,7 @@ def test_the_catalogue_of_another_signer_is_refused_on_a_device_that_knows_the_f
 
 
 def test_an_entry_that_the_collection_does_not_know_is_refused(
-    context: BrowserContext, signed: tuple[Stack, Keys], store: LocalStore
+    context: BrowserContext, signed: Site, store: LocalStore
 ) -> None:
     name = "catalog/bowl.json"
     whole = store.get(name)

@@ -1,5 +1,8 @@
 """Whatever a page waits for ends in the thing, or in a sentence with a button that brings the thing once the fault is
-mended."""
+mended.
+
+Pages run on a clock of the test's, which is put forward by the page's own time limits.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,12 @@ from playwright.sync_api import Page, expect
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from tests.support.lines import Line, line_to
+from tests.support.pages import await_data, time_limit_ms
 from tests.support.screenshots import drawn, stage
 from tests.support.sites import Site, site_at
 from tests.support.things import BLUE, RED, box, picture_of
 
 pytestmark = pytest.mark.browser
-
-SILENCE_MS = 4000
-"""Long enough for an answer on a busy machine: where a page is not loaded anew, it holds after the fault too."""
 
 SILENT = "The server does not answer. Check the connection and try again."
 INCOMPLETE = "This page could not be loaded completely. Check the connection and try again."
@@ -39,6 +40,13 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 @pytest.fixture
+def page(page: Page) -> Page:
+    """A page whose clock can be put forward."""
+    page.clock.install()
+    return page
+
+
+@pytest.fixture
 def line(shelf: Site) -> Iterator[Line]:
     """A line of each test's own."""
     line = line_to(shelf.url)
@@ -48,7 +56,7 @@ def line(shelf: Site) -> Iterator[Line]:
 
 
 def expect_thing(page: Page, loaded: str = "2 1 0") -> None:
-    expect(page.locator("body")).to_have_attribute("data-loaded", loaded)
+    await_data(page, loaded=loaded)
     assert drawn(stage(page)) > 0.05
     expect(page.get_by_role("button", name="Try again")).to_be_hidden()
 
@@ -59,66 +67,76 @@ def expect_sentence(page: Page, words: str) -> None:
 
 
 def break_line(line: Line, fault: str, path: str) -> None:
+    """Break a line in this way only."""
+    line.mend()
     if fault == "silent":
         line.silence(path)
     else:
-        line.stop_midway(path)
+        line.stop_midway(path, 0.8)
 
 
-def try_again(page: Page, line: Line) -> None:
-    line.mend()
-    page.get_by_role("button", name="Try again").click()
+def ask(page: Page, address: str) -> None:
+    """Visit the address; on a page that is there already, ask for it again."""
+    if page.url == "about:blank":
+        page.goto(address, wait_until="commit")
+    else:
+        page.get_by_role("button", name="Try again").click()
+
+
+def await_silence(page: Page, line: Line) -> None:
+    """Wait until a request has met the fault, and let the time pass that a page waits then."""
+    line.await_fault()
+    page.clock.fast_forward(time_limit_ms("NETWORK_SILENCE_MS"))
+
+
+def await_start(page: Page, line: Line) -> None:
+    """The same for the time in which a page has to start."""
+    line.await_fault()
+    page.locator("#stage").wait_for(state="attached")  # it stands behind the script that watches over the start
+    page.clock.fast_forward(int(page.locator("[data-silence-ms]").get_attribute("data-silence-ms") or ""))
 
 
 @pytest.mark.parametrize(
-    ("fault", "path"),
+    ("fault", "paths"),
     [
-        ("silent", "/v1/assets/red"),
-        ("silent", "/v1/keys"),
-        ("silent", "/v1/collections/default"),
-        ("silent", r"/shard\."),
-        ("silent", "lod2.*glb"),
-        ("half", "/v1/assets/red"),
-        ("half", "lod2.*glb"),
+        ("silent", ["/v1/assets/red", "/v1/keys", "/v1/collections/default", r"/shard\.", "lod2.*glb"]),
+        ("half", ["/v1/assets/red", "lod2.*glb"]),
     ],
+    ids=["silent", "half"],
 )
 def test_data_that_does_not_come_is_said_and_comes_when_asked_for_again(
-    page: Page, line: Line, fault: str, path: str
+    page: Page, line: Line, fault: str, paths: list[str]
 ) -> None:
-    line.set_time_limits(NETWORK_SILENCE_MS=SILENCE_MS)
-    break_line(line, fault, path)
-    page.goto(f"{line.url}/view/red")
-    expect_sentence(page, SILENT)
-    expect(page.locator("#label")).to_have_text("Not loaded")
-    try_again(page, line)
+    """A page asks for these one after another: each has come before the next one is missing."""
+    address = f"{line.url}/view/red"
+    for path in paths:
+        break_line(line, fault, path)
+        ask(page, address)
+        await_silence(page, line)
+        expect_sentence(page, SILENT)
+        expect(page.locator("#label")).to_have_text("Not loaded")
+    line.mend()
+    ask(page, address)
     expect_thing(page)
 
 
 @pytest.mark.parametrize(
-    ("fault", "path"),
+    ("fault", "paths"),
     [
-        ("silent", "viewer/viewer.js"),
-        ("silent", "gltf-loader.js"),
-        ("silent", "shared/style.css"),
-        ("half", "gltf-loader.js"),
-        ("half", "shared/style.css"),
+        ("silent", ["viewer/viewer.js", "gltf-loader.js", "shared/style.css"]),
+        ("half", ["^/view/", "gltf-loader.js", "shared/style.css"]),
     ],
+    ids=["silent", "half"],
 )
-def test_a_page_that_does_not_start_says_so(page: Page, line: Line, fault: str, path: str) -> None:
-    line.set_time_limits(start_ms=SILENCE_MS)
-    break_line(line, fault, path)
-    page.goto(f"{line.url}/view/red", wait_until="commit")
-    expect_sentence(page, INCOMPLETE)
-    try_again(page, line)
-    expect_thing(page)
-
-
-def test_a_page_whose_own_text_stops_says_so(page: Page, line: Line) -> None:
-    line.set_time_limits(start_ms=SILENCE_MS)
-    line.stop_midway("^/view/", 0.8)
-    page.goto(f"{line.url}/view/red", wait_until="commit")
-    expect_sentence(page, INCOMPLETE)
-    try_again(page, line)
+def test_a_page_that_does_not_start_says_so(page: Page, line: Line, fault: str, paths: list[str]) -> None:
+    address = f"{line.url}/view/red"
+    for path in paths:
+        break_line(line, fault, path)
+        ask(page, address)
+        await_start(page, line)
+        expect_sentence(page, INCOMPLETE)
+    line.mend()
+    ask(page, address)
     expect_thing(page)
 
 
@@ -127,84 +145,142 @@ def test_a_module_that_is_missing_is_said_at_once(page: Page, line: Line) -> Non
     page.goto(f"{line.url}/view/red", wait_until="commit")
     expect_sentence(page, INCOMPLETE)
     page.unroute_all()
-    try_again(page, line)
+    ask(page, page.url)
     expect_thing(page)
 
 
-@pytest.mark.parametrize(("fault", "path"), [("silent", "/v1/collections/"), ("half", r"/shard\.")])
-def test_a_collection_that_does_not_come_is_said(page: Page, line: Line, fault: str, path: str) -> None:
-    line.set_time_limits(NETWORK_SILENCE_MS=SILENCE_MS)
-    break_line(line, fault, path)
-    page.goto(f"{line.url}/browse/default")
-    expect_sentence(page, SILENT)
-    try_again(page, line)
+def test_a_collection_that_does_not_come_is_said(page: Page, line: Line) -> None:
+    address = f"{line.url}/browse/default"
+    for fault, path in (("silent", "/v1/collections/"), ("half", r"/shard\.")):
+        break_line(line, fault, path)
+        ask(page, address)
+        await_silence(page, line)
+        expect_sentence(page, SILENT)
+    line.mend()
+    ask(page, address)
     expect(page.locator("#said")).to_have_text("2 things")
     expect(page.get_by_role("button", name="Try again")).to_be_hidden()
 
 
 def test_a_picture_that_does_not_come_is_said_beside_the_others(page: Page, line: Line, shelf: Site) -> None:
     (name,) = [path.name for path in (shelf.store.path("assets/red")).iterdir() if "thumbnail" in path.name]
-    line.set_time_limits(NETWORK_SILENCE_MS=SILENCE_MS)
     line.silence(f"/red/{re.escape(name)}")
     page.goto(f"{line.url}/browse/default")
+    expect(page.locator("[data-key=blue]")).to_have_attribute("data-picture", "thumbnail.webp")
+    await_silence(page, line)
     expect(page.locator("[data-key=red] .facts")).to_have_text("Its picture could not be loaded.")
     expect(page.locator("[data-key=blue]")).to_have_attribute("data-picture", "thumbnail.webp")
-    try_again(page, line)
+    line.mend()
+    ask(page, page.url)
     expect(page.locator("[data-key=red]")).to_have_attribute("data-picture", "thumbnail.webp")
 
 
 def test_one_of_several_things_that_does_not_come_is_counted(page: Page, line: Line) -> None:
-    line.set_time_limits(NETWORK_SILENCE_MS=SILENCE_MS)
     line.silence("/v1/assets/blue")
     page.goto(f"{line.url}/view?key=red&key=blue")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
+    await_silence(page, line)
     expect_sentence(page, "1 could not be loaded")
-    try_again(page, line)
+    line.mend()
+    ask(page, page.url)
     expect_thing(page, "2 1 0; 2 1 0")
     expect(page.locator("#said")).not_to_contain_text("could not be loaded")
 
 
 HANGING = {
-    "a worker that never answers": "window.Worker = class { postMessage() {} terminate() {} addEventListener() {} }",
-    "a worker that does not start": "window.Worker = class { constructor() { throw new Error('no workers here'); } }",
-    "a cache that never opens": "CacheStorage.prototype.open = () => new Promise(() => {})",
-    "a cache that never reads": "Cache.prototype.match = () => new Promise(() => {})",
-    "a cache that never writes": "Cache.prototype.put = () => new Promise(() => {})",
-    "a cache that is forbidden": "CacheStorage.prototype.open = () => Promise.reject(new Error('no'))",
-    "a storage that is forbidden": "Storage.prototype.getItem = Storage.prototype.setItem = () => { throw Error(); }",
-    "a storage that is damaged": "localStorage.setItem('capture2vr:keys', '[{')",
-    "a service worker that is never registered": "navigator.serviceWorker.register = () => new Promise(() => {})",
+    "a worker that never answers": (
+        "window.Worker = class { postMessage() { meet(%r); } terminate() {} addEventListener() {} }"
+    ),
+    "a worker that does not start": "window.Worker = class { constructor() { meet(%r); throw new Error(); } }",
+    "a cache that never opens": "CacheStorage.prototype.open = () => meet(%r)",
+    "a cache that never reads": "Cache.prototype.match = () => meet(%r)",
+    "a cache that never writes": "Cache.prototype.put = () => meet(%r)",
+    "a cache that is forbidden": "CacheStorage.prototype.open = async () => { meet(%r); throw new Error(); }",
+    "a storage that is forbidden": (
+        "Storage.prototype.getItem = Storage.prototype.setItem = () => { meet(%r); throw new Error(); }"
+    ),
+    "a storage that is damaged": "Storage.prototype.getItem = () => { meet(%r); return '[{'; }",
+    "a service worker that is never registered": "navigator.serviceWorker.register = () => meet(%r)",
     "a service worker that is never ready": (
-        "Object.defineProperty(navigator.serviceWorker, 'ready', { value: new Promise(() => {}) })"
+        "Object.defineProperty(navigator.serviceWorker, 'ready', { get: () => meet(%r) })"
     ),
-    "shaders that are never ready": (
-        "const get = WebGL2RenderingContext.prototype.getProgramParameter;"
-        "WebGL2RenderingContext.prototype.getProgramParameter = function (program, name) {"
-        "    return name === 0x91B1 ? false : get.call(this, program, name);"  # COMPLETION_STATUS_KHR
-        "};"
-        "const extension = WebGL2RenderingContext.prototype.getExtension;"
-        "WebGL2RenderingContext.prototype.getExtension = function (name) {"
-        "    return name === 'KHR_parallel_shader_compile' ? {} : extension.call(this, name);"
-        "}"
+    "shaders that are never ready": """
+        const get = WebGL2RenderingContext.prototype.getProgramParameter;
+        WebGL2RenderingContext.prototype.getProgramParameter = function (program, name) {
+            if (name !== 0x91B1) return get.call(this, program, name); // COMPLETION_STATUS_KHR
+            meet(%r);
+            return false;
+        };
+        const extension = WebGL2RenderingContext.prototype.getExtension;
+        WebGL2RenderingContext.prototype.getExtension = function (name) {
+            return name === 'KHR_parallel_shader_compile' ? {} : extension.call(this, name);
+        }""",
+}
+MEET = """
+    window.met = new Set();
+    function meet(fault) {
+        met.add(fault);
+        return new Promise(() => {});
+    }"""
+
+
+def hang(page: Page, *faults: str) -> None:
+    """Let these faults happen on the pages that follow."""
+    page.add_init_script(MEET + "".join(f"{{ {HANGING[fault] % fault} }}" for fault in faults))
+
+
+def await_met(page: Page, fault: str) -> None:
+    """Wait until the page has come to this fault."""
+    page.wait_for_function("fault => met.has(fault)", arg=fault, polling=20)
+
+
+TOGETHER = [
+    (
+        "a cache that never opens",
+        "a worker that never answers",
+        "a storage that is forbidden",
+        "a service worker that is never registered",
     ),
+    (
+        "a cache that never reads",
+        "a worker that does not start",
+        "a storage that is damaged",
+        "a service worker that is never ready",
+    ),
+    ("a cache that never writes", "shaders that are never ready"),
+    ("a cache that is forbidden",),
+]
+LIMITS = {
+    "a worker that never answers": "MESH_WORKER_MS",
+    "a cache that never opens": "CACHE_STORAGE_MS",
+    "a cache that never reads": "CACHE_STORAGE_MS",
+    "a cache that never writes": "CACHE_STORAGE_MS",
 }
 
 
-@pytest.mark.parametrize("what", HANGING)
-def test_what_hangs_in_the_browser_does_not_keep_the_thing_away(page: Page, line: Line, what: str) -> None:
-    line.set_time_limits(CACHE_STORAGE_MS=500, MESH_WORKER_MS=500, SHADER_MS=500)
-    page.add_init_script(HANGING[what])
+@pytest.mark.parametrize("faults", TOGETHER, ids=", ".join)
+def test_what_hangs_in_the_browser_does_not_keep_the_thing_away(
+    page: Page, line: Line, faults: tuple[str, ...]
+) -> None:
+    """Faults that have nothing to do with each other, in the order in which a page meets those that it waits for."""
+    line.set_time_limits(SHADER_MS=300)  # each level waits for its shaders, and nothing tells when
+    hang(page, *faults)
     page.goto(f"{line.url}/view/red")
+    for fault in faults:
+        await_met(page, fault)
+        if fault in LIMITS:
+            page.clock.fast_forward(time_limit_ms(LIMITS[fault]))
     expect_thing(page)
 
 
 def test_a_file_that_cannot_be_decoded_is_said(page: Page, line: Line) -> None:
     """A browser whose WebAssembly never starts; the button loads the page anew, where it does."""
-    line.set_time_limits(DECODE_MS=1000)
-    never = "WebAssembly.instantiate = () => new Promise(() => {}); window.Worker = null"
-    page.add_init_script(f"if (!sessionStorage.mended) {{ {never} }}")
+    page.add_init_script("if (!sessionStorage.mended) WebAssembly.instantiate = () => new Promise(() => {})")
+    hang(page, "a worker that does not start")  # it is tried when decoding begins
     page.goto(f"{line.url}/view/red")
+    await_met(page, "a worker that does not start")
+    page.clock.fast_forward(time_limit_ms("DECODE_MS"))
     expect_sentence(page, "The 3D file was loaded, but this browser could not open it.")
     page.evaluate("sessionStorage.mended = 'yes'")
-    try_again(page, line)
+    ask(page, page.url)
     expect_thing(page)

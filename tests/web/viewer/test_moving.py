@@ -10,6 +10,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
 from tests.support.headsets import Hand, enter, frames, wear
+from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, halves, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import RED, box
@@ -31,7 +32,8 @@ def viewer(site: Site) -> str:
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
     """A small window: what counts here is where things are."""
-    yield from without_a_past(browser, 480, 300)
+    with without_a_past(browser, {"width": 480, "height": 300}) as context:
+        yield context
 
 
 def moved(page: Page) -> tuple[float, float, float, float]:
@@ -42,7 +44,7 @@ def moved(page: Page) -> tuple[float, float, float, float]:
 
 def visit(page: Page, address: str) -> None:
     page.goto(address)
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
 
 
 def near(*numbers: float) -> object:
@@ -157,7 +159,7 @@ def test_on_the_page_the_mouse_moves_lifts_scales_and_turns(page: Page, viewer: 
     assert y == pytest.approx(0.05, abs=0.001)
     assert scale < 1.3
     page.reload()
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
     assert moved(page)[1:] == near(y, 0, scale)
 
 
@@ -211,8 +213,8 @@ MEDDLED = [
 ]
 
 
-def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, viewer: str) -> None:
-    page.goto(viewer)
+def test_what_the_browser_remembers_is_checked_and_bounded(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/browse/default")
     read = """async (kept) => {
         const { loadPlacement } = await import('/web/viewer/saved-placement.js');
         localStorage.setItem('capture2vr:placed', kept);

@@ -14,6 +14,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove
 from tests.support.headsets import Hand, enter, wear
+from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, halves, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import BLUE, GREEN, RED, box, bundle_of, picture_of, textured_glb
@@ -32,12 +33,13 @@ def published(site: Site) -> None:
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
     """A small wide window."""
-    yield from without_a_past(browser, 600, 300)
+    with without_a_past(browser, {"width": 480, "height": 240}) as context:
+        yield context
 
 
 def both(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/view?key=red&key=blue&key=red")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0; 2 1 0")
+    await_data(page, loaded="2 1 0; 2 1 0")
     await_frames(page)
 
 
@@ -82,31 +84,33 @@ def test_what_is_taken_away_leaves_the_address_and_the_memory(page: Page, site: 
 
 
 def test_finer_levels_are_given_up_from_afar(page: Page, site: Site) -> None:
+    page.clock.install()
     page.goto(f"{site.url}/view/red")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
     assert len(page.workers) == 2, "meshes are unpacked beside the page"
-    page.mouse.move(300, 150)
-    for _ in range(60):
-        page.mouse.wheel(0, 400)
-    expect(page.locator("body")).to_have_attribute("data-lod", "2")
-    expect(page.locator("body")).to_have_attribute("data-geometries", "1")
-    for _ in range(60):
-        page.mouse.wheel(0, -400)
-    expect(page.locator("body")).to_have_attribute("data-lod", "0")
+    page.mouse.move(240, 120)
+    page.mouse.wheel(0, 24_000)
+    await_data(page, lod="2")
+    page.clock.fast_forward(10_000)  # longer than what is too fine is kept
+    await_data(page, geometries="1")
+    page.mouse.wheel(0, -24_000)
+    await_data(page, lod="0")
 
 
 def test_a_new_version_takes_the_place_of_the_old_one_where_that_was_put(page: Page, site: Site) -> None:
+    page.clock.install()
     publish(box("Kite", RED, state="preview"), site.store, key="kite", job="a")
     page.goto(f"{site.url}/view/kite")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
     page.get_by_role("button", name="Move", exact=True).click()
     page.locator("#stage").focus()
     page.keyboard.press("PageUp")
     put = page.get_attribute("body", "data-moved")
     assert put.split()[1] == "0.050"
     publish(box("Kite", GREEN), site.store, key="kite", job="a")
+    page.clock.fast_forward(4000)  # longer than until the page asks again, and shorter than its notice is shown
     expect(page.locator("#notice")).to_contain_text("The refined version of Kite took its place: version 2")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    await_data(page, loaded="2 1 0")
     await_frames(page)
     assert page.get_attribute("body", "data-moved") == put
     assert places_of(stage(page), 0)[0] == 0
@@ -117,7 +121,7 @@ def test_a_new_version_takes_the_place_of_the_old_one_where_that_was_put(page: P
 def test_what_its_owner_took_back_goes_while_the_rest_stays(page: Page, site: Site) -> None:
     publish(box("Leaver", GREEN, state="preview"), site.store, key="leaver")
     page.goto(f"{site.url}/view?key=red&key=leaver&key=nowhere")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0; 2 1 0")
+    await_data(page, loaded="2 1 0; 2 1 0")
     expect(page.locator("#said")).to_contain_text("1 more is on the way")
     remove(site.store, "leaver")
     expect(page.locator("#notice")).to_contain_text("Leaver was taken back")
@@ -132,7 +136,7 @@ def test_a_picture_in_the_file_is_its_colour_and_leaves_with_it(page: Page, site
     publish(bundle_of("Painted", glbs, [12, 12], (0.4, 0.4, 0.4), files=usdz), site.store, key="painted")
     page.add_init_script("DOMTokenList.prototype.supports = (word) => word === 'ar';")
     page.goto(f"{site.url}/view?key=painted&key=red")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "1 0; 2 1 0")
+    await_data(page, loaded="1 0; 2 1 0")
     await_frames(page)
     assert places_of(stage(page), 1)[0] > 0.02
     assert int(page.get_attribute("body", "data-textures")) >= 1
@@ -167,7 +171,7 @@ def test_levels_keep_the_budget_and_boxes_their_distance(page: Page, site: Site)
     scenes = [things(random) for _ in range(200)]
     budgets = [int(each) for each in random.integers(1, 2_000_000, 200)]
     sizes = [random.uniform(0.05, 3, (int(random.integers(1, 25)), 3)).tolist() for _ in range(100)]
-    page.goto(f"{site.url}/view/red")
+    page.goto(f"{site.url}/browse/default")
     script = """async ([scenes, budgets, sizes]) => {
         const { chooseLevels, placeSideBySide } = await import('/web/viewer/layout-and-lod.js');
         const free = (things) => chooseLevels(things, Infinity);

@@ -9,20 +9,23 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import BrowserContext, Page, Route, expect
 
-from services.cli.up import Stack
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
+from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, drawn, expect_picture, stage
+from tests.support.sites import Site
 
 pytestmark = pytest.mark.browser
 KEY = "bowl"
+LONGER_MS = 10_000
+"""Longer than pages wait before they ask again for what did not come, or may have changed."""
 
 
 @pytest.fixture(scope="module")
-def store(stack: Stack) -> LocalStore:
+def store(site: Site) -> LocalStore:
     """The store that the running gateway serves."""
-    return LocalStore(stack.store_root)
+    return site.store
 
 
 @pytest.fixture(autouse=True)
@@ -31,38 +34,39 @@ def published(store: LocalStore, bundle: Bundle) -> None:
     publish(bundle, store, key=KEY, job="first")
 
 
-def test_all_levels_come_and_distance_chooses_among_them(page: Page, stack: Stack) -> None:
-    page.goto(f"{stack.url}/view/{KEY}")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
-    expect(page.locator("body")).to_have_attribute("data-lod", "0")
+def test_all_levels_come_and_distance_chooses_among_them(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/view/{KEY}")
+    await_data(page, loaded="2 1 0")
+    await_data(page, lod="0")
     assert drawn(stage(page)) > 0.05
-    page.mouse.move(195, 400)
-    for _ in range(60):
-        page.mouse.wheel(0, 400)
-    expect(page.locator("body")).to_have_attribute("data-lod", "2")
+    page.mouse.move(160, 240)
+    page.mouse.wheel(0, 24_000)
+    await_data(page, lod="2")
 
 
-def test_points_stand_for_the_thing_until_its_mesh_is_there(page: Page, stack: Stack) -> None:
+def test_points_stand_for_the_thing_until_its_mesh_is_there(page: Page, site: Site) -> None:
+    page.clock.install()
     page.route("**/lod*", lambda route: route.abort())
-    page.goto(f"{stack.url}/view/{KEY}")
-    expect(page.locator("body")).to_have_attribute("data-hints", "512")
+    page.goto(f"{site.url}/view/{KEY}")
+    await_data(page, hints="512")
     await_frames(page)
     assert drawn(stage(page)) > 0.01
     page.unroute("**/lod*")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+    page.clock.fast_forward(LONGER_MS)
+    await_data(page, loaded="2 1 0")
     assert drawn(stage(page)) > 0.05
 
 
-def test_a_guess_is_called_one(page: Page, stack: Stack, store: LocalStore, bundle: Bundle) -> None:
+def test_a_guess_is_called_one(page: Page, site: Site, store: LocalStore, bundle: Bundle) -> None:
     publish(replace(bundle, manifest={**bundle.manifest, "origin": "guess"}), store, key="guessed", job="one")
-    page.goto(f"{stack.url}/view/guessed")
+    page.goto(f"{site.url}/view/guessed")
     expect(page.locator("#said")).to_contain_text("A guess from one photo")
-    page.goto(f"{stack.url}/view/{KEY}")
+    page.goto(f"{site.url}/view/{KEY}")
     expect(page.locator("#said")).to_contain_text("triangles")
     expect(page.locator("#said")).not_to_contain_text("guess")
 
 
-def test_a_level_that_was_lost_on_the_way_is_fetched_again(page: Page, stack: Stack) -> None:
+def test_a_level_that_was_lost_on_the_way_is_fetched_again(page: Page, site: Site) -> None:
     lost: list[str] = []
 
     def lose_once(route: Route) -> None:
@@ -71,36 +75,41 @@ def test_a_level_that_was_lost_on_the_way_is_fetched_again(page: Page, stack: St
         lost.append(route.request.url)
         return route.abort()
 
+    page.clock.install()
     page.route("**/lod1.*", lose_once)
-    page.goto(f"{stack.url}/view/{KEY}")
-    expect(page.locator("body")).to_have_attribute("data-loaded", "2 1 0")
-    expect(page.locator("body")).to_have_attribute("data-state", "preview")
+    with page.expect_event("requestfailed"):
+        page.goto(f"{site.url}/view/{KEY}")
+    page.clock.fast_forward(LONGER_MS)
+    await_data(page, loaded="2 1 0")
+    await_data(page, state="preview")
     assert lost
 
 
-def test_the_person_reads_name_size_and_state(page: Page, stack: Stack) -> None:
-    page.goto(f"{stack.url}/view/{KEY}")
+def test_the_person_reads_name_size_and_state(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/view/{KEY}")
     expect(page.locator("#label")).to_have_text("Bowl")
-    expect(page.locator("#said")).to_contain_text("50 cm")
+    expect(page.locator("#said")).to_contain_text("51 cm")  # half a metre, on a coarse grid
     expect(page.locator("#said")).to_contain_text("triangles")
 
 
-def test_an_unknown_key_is_said_not_shown(page: Page, stack: Stack) -> None:
-    page.goto(f"{stack.url}/view/nothing-here")
-    expect(page.locator("body")).to_have_attribute("data-state", "error")
+def test_an_unknown_key_is_said_not_shown(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/view/nothing-here")
+    await_data(page, state="error")
     expect(page.locator("#said")).to_contain_text("nothing-here")
     assert drawn(stage(page)) == 0
 
 
 def test_a_refined_version_replaces_the_preview_while_it_is_shown(
-    page: Page, stack: Stack, store: LocalStore, bundle: Bundle
+    page: Page, site: Site, store: LocalStore, bundle: Bundle
 ) -> None:
+    page.clock.install()
     publish(bundle, store, key="growing", job="a")
-    page.goto(f"{stack.url}/view/growing")
-    expect(page.locator("body")).to_have_attribute("data-state", "preview")
+    page.goto(f"{site.url}/view/growing")
+    await_data(page, state="preview", loaded="2 1 0")
     publish(Bundle(state="refined", files=bundle.files, manifest=bundle.manifest), store, key="growing", job="a")
-    expect(page.locator("body")).to_have_attribute("data-state", "refined")
-    expect(page.locator("body")).to_have_attribute("data-version", "2")
+    page.clock.fast_forward(LONGER_MS)
+    await_data(page, state="refined")
+    await_data(page, version="2")
     assert drawn(stage(page)) > 0.05
 
 
@@ -120,11 +129,11 @@ def headset(context: BrowserContext, iwer: Path, page: Page) -> Page:
     return page
 
 
-def test_in_vr_it_stands_ahead_at_true_size(headset: Page, stack: Stack) -> None:
-    headset.goto(f"{stack.url}/view/{KEY}")
-    expect(headset.locator("body")).to_have_attribute("data-loaded", "2 1 0")
+def test_in_vr_it_stands_ahead_at_true_size(headset: Page, site: Site) -> None:
+    headset.goto(f"{site.url}/view/{KEY}")
+    await_data(headset, loaded="2 1 0")
     headset.get_by_role("button", name="Enter VR").click()
-    expect(headset.locator("body")).to_have_attribute("data-xr", "on")
+    await_data(headset, xr="on")
     expect(headset.locator("body")).to_have_attribute("data-placed", re.compile(r".+"))
     x, y, z = map(float, headset.locator("body").get_attribute("data-placed").split())
     assert (x**2 + z**2) ** 0.5 == pytest.approx(1.5, abs=0.02)
@@ -132,14 +141,14 @@ def test_in_vr_it_stands_ahead_at_true_size(headset: Page, stack: Stack) -> None
     await_frames(headset)
     assert drawn(stage(headset)) > 0.02
     headset.evaluate("xrDevice.activeSession.end()")
-    expect(headset.locator("body")).to_have_attribute("data-xr", "off")
+    await_data(headset, xr="off")
     await_frames(headset)
     assert drawn(stage(headset)) > 0.05, "back on the screen it fills the view again"
 
 
-def test_without_a_headset_the_page_says_how_to_get_there(page: Page, stack: Stack) -> None:
-    page.goto(f"{stack.url}/view/{KEY}")
+def test_without_a_headset_the_page_says_how_to_get_there(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/view/{KEY}")
     expect(page.get_by_role("button", name="Enter VR")).to_be_hidden()
     page.get_by_text("Open in a headset").click()
-    expect(page.locator("#address")).to_have_text(f"{stack.url}/view/{KEY}")
+    expect(page.locator("#address")).to_have_text(f"{site.url}/view/{KEY}")
     expect_picture(page, "#qr")
