@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from services.atomic_write import atomic_write
+from tests.support.patience import HANG_S
 
 KILLED = """
 import os, signal, sys
@@ -48,7 +49,7 @@ def test_a_block_that_raises_changes_nothing(tmp_path: Path) -> None:
 def test_a_killed_process_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_text("old")
-    ended = subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60)
+    ended = subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=HANG_S)
     assert ended.returncode == -signal.SIGKILL
     assert path.read_text() == "old"
     with atomic_write(path) as part:

@@ -24,6 +24,7 @@ from services.gateway.settings import GatewaySettings
 from services.storage.settings import StorageSettings
 from tests.conftest import missing
 from tests.support.clouds import write_ply
+from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 
 PAGES = ("README.md", *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md"))), "deploy/runbook.md")
@@ -107,7 +108,7 @@ def typed(command: Command, home: Path, *more: str) -> subprocess.CompletedProce
         env={**os.environ, "HOME": str(home), "PYTHONPATH": str(ROOT), **command.variables},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=HANG_S,
     )
 
 

@@ -23,6 +23,7 @@ from services.cli.push import follow
 from services.cli.up import free_port
 from tests.cli.test_run import capture2vr
 from tests.support.clouds import write_ply
+from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.slow
 
@@ -42,7 +43,7 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield f"http://127.0.0.1:{port}"
     finally:
         child.send_signal(signal.SIGINT)
-        child.communicate(timeout=60)
+        child.communicate(timeout=HANG_S)
     assert child.returncode == 0
 
 
@@ -145,7 +146,7 @@ def test_a_taken_port_is_said_plainly(url: str, tmp_path: Path) -> None:
 def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
     environment = {**os.environ, "EDGE_SLOT": "4"}
     command = [sys.executable, "-m", "services.cli", "edge"]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert result.returncode == 2
     assert "EDGE_SLOT " in result.stderr
     assert "EDGE_SLOTS" in result.stderr
@@ -154,7 +155,7 @@ def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
 def test_half_a_pair_of_keys_is_said_in_a_sentence() -> None:
     environment = {**os.environ, "STORAGE_KIND": "s3", "STORAGE_ACCESS_KEY": "one"}
     command = [sys.executable, "-m", "services.cli", "gateway"]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert result.returncode == 2
     assert "STORAGE_SECRET_KEY" in result.stderr
     assert "Traceback" not in result.stderr
@@ -164,7 +165,7 @@ def test_a_proxy_for_the_world_is_not_asked_for_this_machine(url: str, tmp_path:
     nowhere = f"http://127.0.0.1:{free_port()}"
     environment = {**os.environ, "HTTP_PROXY": nowhere, "http_proxy": nowhere, "NO_PROXY": "", "no_proxy": ""}
     command = [sys.executable, "-m", "services.cli", "pull", "never-made", "-o", str(tmp_path / "x"), "--gateway", url]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=HANG_S)
     assert "never-made" in result.stderr
     assert "cannot be reached" not in result.stderr
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import missing
+from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 from tests.support.unity_site import serving
 from tests.support.unity_world import build
@@ -95,7 +96,7 @@ def engine_results(
 def _results(program: Path, facts: Path, scratch: Path) -> dict[str, str]:
     """What each test of a program said: "ok", or why it failed."""
     command = ["mono", str(program), program.stem, str(facts), str(scratch)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
     lines = [re.fullmatch(r"(ok|FAIL) (\w+)(?:: (.*))?", line) for line in done.stdout.splitlines()]
     found = {line[2]: line[3] or line[1] for line in lines if line}
     assert found, done.stdout + done.stderr

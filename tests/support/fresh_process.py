@@ -12,6 +12,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
+from tests.support.patience import HANG_S
+
 BARE_ENVIRONMENT = {"PATH": "/usr/local/bin:/usr/bin:/bin"}
 
 # Finds nothing of what an installation with the same extras would not have.
@@ -33,7 +35,7 @@ def run_fresh(code: str, *arguments: str | Path, extras: Iterable[str], cwd: Pat
     """
     hide = _HIDE.format(absent=_modules_beyond(frozenset(extras)))
     command = [sys.executable, "-I", "-W", "error", "-c", hide + code, *map(str, arguments)]
-    ended = subprocess.run(command, capture_output=True, text=True, env=BARE_ENVIRONMENT, cwd=cwd, timeout=120)
+    ended = subprocess.run(command, capture_output=True, text=True, env=BARE_ENVIRONMENT, cwd=cwd, timeout=HANG_S)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
 

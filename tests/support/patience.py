@@ -6,3 +6,6 @@ PATIENCE_S = 60.0
 CANCEL_S = 15.0
 """Seconds within which a cancelled thing has ended. On an idle machine that takes less than two; what does not hear of
 its cancellation goes on for longer than this."""
+
+HANG_S = 300.0
+"""Seconds after which a program that a test has started hangs."""

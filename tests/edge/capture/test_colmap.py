@@ -19,6 +19,7 @@ from services.edge.capture.files import open_folder
 from services.edge.capture.nouns import Capture
 from services.edge.errors import CaptureError
 from tests.support import captures
+from tests.support.patience import HANG_S
 
 FX, FY, CX, CY = captures.colour_camera()
 WIDTH, HEIGHT = captures.WIDTH * captures.COLOUR_SCALE, captures.HEIGHT * captures.COLOUR_SCALE
@@ -130,7 +131,7 @@ def test_models_that_colmap_wrote(tmp_path: Path, form: str) -> None:
         file.unlink()
     poses = [np.linalg.inv(pose)[:3].tolist() for pose in POSES]
     values = map(repr, ((WIDTH, HEIGHT), MODELS["OPENCV"][1], NAMES, poses))
-    subprocess.run([sys.executable, "-c", _WRITER, str(place), form, *values], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", _WRITER, str(place), form, *values], check=True, timeout=HANG_S)
     capture = read(tmp_path)
     assert np.stack([photo.camera_to_world for photo in capture.photos]) == pytest.approx(np.stack(POSES), abs=1e-9)
     assert capture.photos[0].distortion == MODELS["OPENCV"][2]

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from tests.support.npm_packages import installed
+from tests.support.patience import HANG_S
 
 _HERE = Path(__file__).parent
 # The wheel is asked for as if for another Python on another machine: it is unpacked, never installed.
@@ -33,7 +34,7 @@ class AddressablesTools:
     def __call__(self, *files: Path) -> list[dict[str, Any]]:
         (wheel,) = self._folder.glob("*.whl")
         command = ["node", _HERE / "list.mjs", wheel, *files]
-        done = subprocess.run(command, cwd=self._folder, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(command, cwd=self._folder, capture_output=True, text=True, timeout=HANG_S)
         # Where Python fails inside WebAssembly, node prints a megabyte of its own source before the reason.
         assert done.returncode == 0, done.stderr[-2000:]
         return list(json.loads(done.stdout))

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.npm_packages import installed
+from tests.support.patience import HANG_S
 
 _HERE = Path(__file__).parent
 
@@ -33,7 +34,7 @@ class Validator:
 
     def __call__(self, *files: Path) -> list[Verdict]:
         command = ["node", _HERE / "validate.mjs", *files]
-        done = subprocess.run(command, cwd=self._folder, capture_output=True, text=True, check=True, timeout=120)
+        done = subprocess.run(command, cwd=self._folder, capture_output=True, text=True, check=True, timeout=HANG_S)
         return [Verdict(**{**verdict, "messages": tuple(verdict["messages"])}) for verdict in json.loads(done.stdout)]
 
 

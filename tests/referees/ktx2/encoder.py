@@ -13,6 +13,7 @@ import pytest
 
 from services.edge.export.ktx2 import Ktx2Encoder
 from tests.support.npm_packages import installed
+from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 
 _HERE = Path(__file__).parent
@@ -45,7 +46,7 @@ def unpacked(content: bytes, scratch: Path) -> Unpacked:
     file, out = scratch / "in.ktx2", scratch / "out.rgba"
     file.write_bytes(content)
     command = ["node", _HERE / "decode.mjs", transcoder.with_suffix(""), file, out]
-    told = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout)
+    told = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=HANG_S).stdout)
     texels, levels = np.fromfile(out, np.uint8).reshape(-1, 4), []
     for width, height in told.pop("sizes"):
         levels.append(texels[: width * height, :3].reshape(height, width, 3))

@@ -16,6 +16,7 @@ import pytest
 
 from services.edge.arrays import Floats, Ints
 from tests.support.npm_packages import wheels
+from tests.support.patience import HANG_S
 
 _HERE = Path(__file__).parent
 
@@ -51,7 +52,7 @@ class UsdCore:
             env=os.environ | {"PYTHONPATH": str(self._folder)},
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=HANG_S,
         )
         assert done.returncode == 0, done.stderr[-2000:]
         return [_reading(told) for told in json.loads(done.stdout)]
