@@ -19,7 +19,7 @@ from tests.support.pages import await_data
 from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
 from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
-from tests.web.conftest import PHONE, with_a_past
+from tests.web.conftest import with_a_past
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
@@ -70,7 +70,6 @@ def visit(page: Page, site: Site, query: str = "") -> None:
 
 
 def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) -> None:
-    page.set_viewport_size(PHONE)
     visit(page, shelf)
     assert shown(page) == ["boot", "shoe", "sofa", "zz"], "and no bag"
     expect(page.locator("#said")).to_have_text("4 things")
