@@ -274,6 +274,43 @@ def write_depth16(folder: Path) -> Path:
     return folder
 
 
+def _matrix(values: np.ndarray) -> str:
+    """A matrix as C's printf writes it, row by row."""
+    return "".join("\t".join(f"{value: .9e}" for value in row) + "\n" for row in values)
+
+
+def _unknown_beside(metres: np.ndarray) -> np.ndarray:
+    """(H,W) uint16 millimetres, 65535 beside the sphere, as these data sets mark what is unknown."""
+    return np.where(metres > 0, steps(metres), 65535).astype(np.uint16)
+
+
+def write_7scenes(folder: Path) -> Path:
+    """In two sequences, with the camera matrix of 3DMatch above them."""
+    for index, pose in enumerate(poses()):
+        stem = f"seq-{1 + index // 2:02}/frame-{index % 2:06}"
+        save_png(folder / f"{stem}.depth.png", _unknown_beside(depth_m(pose)))
+        save_png(folder / f"{stem}.color.png", picture(index)[..., ::-1])
+        (folder / f"{stem}.pose.txt").write_text(_matrix(pose))
+    camera = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1]])
+    (folder / "camera-intrinsics.txt").write_text(_matrix(camera))
+    return folder
+
+
+def write_scannet(folder: Path) -> Path:
+    """Of the colour camera, which comes first by its name, the depth is not."""
+    for index, pose in enumerate(poses()):
+        save_png(folder / f"depth/{10 * index}.png", steps(depth_m(pose)))
+        save_jpg(folder / f"color/{10 * index}.jpg", picture(index))
+        (folder / "pose").mkdir(exist_ok=True)
+        (folder / f"pose/{10 * index}.txt").write_text(_matrix(pose))
+    (folder / "intrinsic").mkdir()
+    for name, scale in (("color", COLOUR_SCALE), ("depth", 1)):
+        camera = np.diag([scale * FOCAL, scale * FOCAL, 1.0, 1.0])
+        camera[:2, 2] = scale * CX, scale * CY
+        (folder / f"intrinsic/intrinsic_{name}.txt").write_text(_matrix(camera))
+    return folder
+
+
 RGBD: dict[str, Callable[[Path], Path]] = {
     "open3d": write_open3d,
     "tum": write_tum,
@@ -284,6 +321,8 @@ RGBD: dict[str, Callable[[Path], Path]] = {
     "polycam": write_polycam,
     "3dscannerapp": write_scanner3d,
     "depth16": write_depth16,
+    "7scenes": write_7scenes,
+    "scannet": write_scannet,
 }
 
 

@@ -13,6 +13,7 @@ from services.edge.capture.files import unreadable
 from services.edge.capture.images import decode_depth, decode_grey, decode_rgb, image_size, read_bytes
 from services.edge.capture.tables import npy_array
 
+_SATURATED = 65_535  # the largest value of 16 bits: beyond the sensor's range, or a marker for "unknown"
 MAX_DEPTH_M = 1_000.0  # metres; no phone measures further, so a larger value is a marker for "unknown"
 
 
@@ -55,7 +56,7 @@ class ImageColour:
 
 @dataclass(frozen=True, slots=True)
 class ImageDepth:
-    """Depth image in a one-channel PNG or TIFF; metres = value * metres_per_step."""
+    """Depth image in a one-channel PNG or TIFF; metres = value * metres_per_step, and unknown for 65535."""
 
     path: Path
     file: str
@@ -66,7 +67,7 @@ class ImageDepth:
 
     def load(self) -> Floats:
         values = decode_depth(read_bytes(self.path, self.file), self.file)
-        return zero_invalid_depth(values * np.float32(self.metres_per_step))
+        return zero_invalid_depth(np.where(values < _SATURATED, values, 0) * np.float32(self.metres_per_step))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from services.edge.arrays import Tick, no_tick
-from services.edge.capture import colmap, depth16, film, nerfstudio, photos, polycam, record3d, scanner3d, stray, tum
+from services.edge.capture import (
+    colmap,
+    depth16,
+    film,
+    nerfstudio,
+    photos,
+    polycam,
+    pose_files,
+    record3d,
+    scanner3d,
+    stray,
+    tum,
+)
 from services.edge.capture.cloud import cloud_format, read_cloud
 from services.edge.capture.files import Folder, open_folder, translate_errors, unreadable
 from services.edge.capture.nouns import MIN_PHOTOS, Capture
+from services.edge.capture.poses import is_matrix
 from services.edge.errors import CaptureError
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
@@ -23,6 +36,7 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (nerfstudio.matches, nerfstudio.read),
     (colmap.matches, colmap.read),
     (depth16.matches, depth16.read),
+    (pose_files.matches, pose_files.read),
     (tum.matches, tum.read),  # last: it accepts any capture with a folder called "depth"
 )
 _CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf")
@@ -103,7 +117,8 @@ def _candidate(folder: Folder, name: str) -> str | None:
     """Return the point cloud or mesh format of a file, or None when it is neither."""
     if name.rsplit("/", 1)[-1].lower() in _SIDE_TABLES:
         return None
-    return cloud_format(folder, name)
+    kind = cloud_format(folder, name)
+    return None if kind == "xyz" and len(folder.names) > 1 and is_matrix(folder.path(name), name) else kind
 
 
 def _nothing_readable(folder: Folder) -> CaptureError:

@@ -41,7 +41,7 @@ def test_what_is_said_about_the_world(recording: tuple[str, Capture]) -> None:
     assert capture.kind == "rgbd"
     assert capture.format == {"r3d": "record3d"}.get(name, name)
     assert (capture.scale_confidence, capture.metres_per_unit, capture.warnings) == ("metric", 1.0, ())
-    expected = {"tum": [0, 0, 1], "open3d": None, "nerfstudio": None}.get(name, [0, 1, 0])
+    expected = {"tum": [0, 0, 1], **dict.fromkeys(("open3d", "nerfstudio", "7scenes", "scannet"))}.get(name, [0, 1, 0])
     assert (None if capture.up is None else capture.up.tolist()) == expected
 
 
@@ -63,7 +63,7 @@ def test_images_have_their_types_and_ranges(recording: tuple[str, Capture]) -> N
             assert (confidence.dtype, confidence.shape) == (np.float32, depth_m.shape)
             assert confidence[depth_m > 0].min() == 1.0
             assert confidence[depth_m == 0].max(initial=0) == 0.0
-        assert (frame.load_confidence is None) == (name in ("open3d", "tum", "nerfstudio"))
+        assert (frame.load_confidence is None) == (name in ("open3d", "tum", "nerfstudio", "7scenes", "scannet"))
         if name != "3dscannerapp" or index % 2 == 0:
             assert frame.load_rgb is not None
             assert_is_picture(frame.load_rgb(), index + (name == "stray"))
