@@ -311,6 +311,36 @@ def write_scannet(folder: Path) -> Path:
     return folder
 
 
+def write_arkitscenes(folder: Path) -> Path:
+    """Depth at 60 Hz, and poses at 10: every other depth image has none."""
+    lines = []
+    for index, pose in enumerate(poses()):
+        for half in range(2):
+            name = f"41069021_{100.0 + index / 10 + half / 20:.3f}"
+            save_png(folder / f"lowres_depth/{name}.png", steps(depth_m(pose)))
+            save_png(folder / f"lowres_wide/{name}.png", picture(index)[..., ::-1])
+            save_png(folder / f"confidence/{name}.png", confidence(depth_m(pose)))
+            camera = folder / f"lowres_wide_intrinsics/{name}.pincam"
+            camera.parent.mkdir(exist_ok=True)
+            camera.write_text(f"{WIDTH} {HEIGHT} {FOCAL} {FOCAL} {CX} {CY}")
+        to_camera = np.linalg.inv(pose)
+        words = [100.0 + index / 10 + 0.001, *cv2.Rodrigues(to_camera[:3, :3])[0].ravel(), *to_camera[:3, 3]]
+        lines.append(" ".join(f"{word:.12f}" for word in words))
+    (folder / "lowres_wide.traj").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def write_replica(folder: Path) -> Path:
+    for index, pose in enumerate(poses()):
+        save_png(folder / f"results/depth{index:06}.png", steps(depth_m(pose), 6553.5))
+        save_jpg(folder / f"results/frame{index:06}.jpg", picture(index))
+    lines = [" ".join(f"{value:.18e}" for value in pose.flat) for pose in poses()]
+    (folder / "traj.txt").write_text("\n".join(lines) + "\n")
+    camera = {"w": WIDTH, "h": HEIGHT, "fx": FOCAL, "fy": FOCAL, "cx": CX, "cy": CY, "scale": 6553.5}
+    (folder / "cam_params.json").write_text(json.dumps({"camera": camera}))
+    return folder
+
+
 RGBD: dict[str, Callable[[Path], Path]] = {
     "open3d": write_open3d,
     "tum": write_tum,
@@ -323,6 +353,8 @@ RGBD: dict[str, Callable[[Path], Path]] = {
     "depth16": write_depth16,
     "7scenes": write_7scenes,
     "scannet": write_scannet,
+    "arkitscenes": write_arkitscenes,
+    "replica": write_replica,
 }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from services.edge.arrays import Tick, no_tick
 from services.edge.capture import (
+    arkitscenes,
     colmap,
     depth16,
     film,
@@ -18,6 +19,7 @@ from services.edge.capture import (
     polycam,
     pose_files,
     record3d,
+    replica,
     scanner3d,
     stray,
     tum,
@@ -37,6 +39,8 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (colmap.matches, colmap.read),
     (depth16.matches, depth16.read),
     (pose_files.matches, pose_files.read),
+    (arkitscenes.matches, arkitscenes.read),
+    (replica.matches, replica.read),
     (tum.matches, tum.read),  # last: it accepts any capture with a folder called "depth"
 )
 _CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf")

@@ -18,6 +18,9 @@ from tests.support import captures
 
 _HALF_STEP_M = 0.0008  # half a millimetre along a ray that leaves the axis by up to 35 degrees, and rounding
 
+WITHOUT_CONFIDENCE = ("open3d", "tum", "nerfstudio", "7scenes", "scannet", "replica")
+WITHOUT_GRAVITY = ("open3d", "nerfstudio", "7scenes", "scannet", "replica", "arkitscenes")
+
 Writer = Callable[[Path], Path]
 
 
@@ -41,7 +44,7 @@ def test_what_is_said_about_the_world(recording: tuple[str, Capture]) -> None:
     assert capture.kind == "rgbd"
     assert capture.format == {"r3d": "record3d"}.get(name, name)
     assert (capture.scale_confidence, capture.metres_per_unit, capture.warnings) == ("metric", 1.0, ())
-    expected = {"tum": [0, 0, 1], **dict.fromkeys(("open3d", "nerfstudio", "7scenes", "scannet"))}.get(name, [0, 1, 0])
+    expected = {"tum": [0, 0, 1], **dict.fromkeys(WITHOUT_GRAVITY)}.get(name, [0, 1, 0])
     assert (None if capture.up is None else capture.up.tolist()) == expected
 
 
@@ -63,7 +66,7 @@ def test_images_have_their_types_and_ranges(recording: tuple[str, Capture]) -> N
             assert (confidence.dtype, confidence.shape) == (np.float32, depth_m.shape)
             assert confidence[depth_m > 0].min() == 1.0
             assert confidence[depth_m == 0].max(initial=0) == 0.0
-        assert (frame.load_confidence is None) == (name in ("open3d", "tum", "nerfstudio", "7scenes", "scannet"))
+        assert (frame.load_confidence is None) == (name in WITHOUT_CONFIDENCE)
         if name != "3dscannerapp" or index % 2 == 0:
             assert frame.load_rgb is not None
             assert_is_picture(frame.load_rgb(), index + (name == "stray"))
