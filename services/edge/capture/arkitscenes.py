@@ -9,15 +9,13 @@ fewer poses than depth images.
 from __future__ import annotations
 
 import posixpath
-from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from services.edge.arrays import Floats
-from services.edge.capture.depth import ImageColour, confidence_image, depth_file
-from services.edge.capture.files import Folder, numbers, read_text, unreadable
-from services.edge.capture.frame_records import FrameRecord, no_poses, pinhole, rgbd_capture
+from services.edge.capture.files import Folder, data_lines, numbers, read_text
+from services.edge.capture.frame_records import frame_of_files, image_dimensions, no_poses, pinhole, rgbd_capture
 from services.edge.capture.nouns import Capture, Intrinsics
 from services.edge.capture.tum import nearest
 
@@ -38,21 +36,21 @@ def read(folder: Folder) -> Capture:
     times, poses = _read_trajectory(folder)
     colours, confidences = _by_time(folder, _COLOUR, ".png"), _by_time(folder, _CONFIDENCE, ".png")
     cameras = _by_time(folder, _CAMERAS, ".pincam")
-    camera_times = np.array(list(cameras))
+    camera_times, camera_files = np.array([*cameras]), [*cameras.values()]
     records = []
     for time, depth in _by_time(folder, _DEPTH, ".png").items():
         pose, camera = nearest(times, time), nearest(camera_times, time)
         if pose is None or camera is None:
             continue
-        colour, confidence = colours.get(time), confidences.get(time)
         records.append(
-            FrameRecord(
+            frame_of_files(
+                folder,
                 depth,
-                _read_camera(folder, cameras[float(camera_times[camera])]),
+                _read_camera(folder, camera_files[camera]),
                 poses[pose],
-                depth_file(folder.path(depth), depth, METRES_PER_STEP),
-                None if confidence is None else partial(confidence_image, folder.path(confidence), confidence),
-                None if colour is None else ImageColour(folder.path(colour), colour),
+                METRES_PER_STEP,
+                colour=colours.get(time),
+                confidence=confidences.get(time),
             )
         )
     if not records:
@@ -73,15 +71,13 @@ def _read_camera(folder: Folder, name: str) -> Intrinsics:
     width, height, *focal_and_middle = numbers(
         read_text(folder.path(name), name).split(), 6, file=name, what="width height fx fy cx cy"
     )
-    if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
-        raise unreadable(name, f"has the impossible image size {width} x {height}")
-    return pinhole(np.array(focal_and_middle), (int(width), int(height)))
+    return pinhole(np.array(focal_and_middle), image_dimensions(width, height, name))
 
 
 def _read_trajectory(folder: Folder) -> tuple[Floats, list[Floats]]:
     """Read times (N,) in seconds and camera-to-world poses (4,4)."""
-    rows = [line.split() for line in read_text(folder.path(_TRAJECTORY), _TRAJECTORY).splitlines() if line.strip()]
-    table = [numbers(row, 7, file=_TRAJECTORY, what="a line") for row in rows]
+    lines = data_lines(read_text(folder.path(_TRAJECTORY), _TRAJECTORY))
+    table = [numbers(line.split(), 7, file=_TRAJECTORY, what="a line") for line in lines]
     if not table:
         raise no_poses(_TRAJECTORY, f"a pose in {_TRAJECTORY}")
     return np.array([row[0] for row in table]), [_pose(row[1:4], row[4:7]) for row in table]

@@ -131,6 +131,11 @@ def read_text(path: Path, name: str) -> str:
         return path.read_bytes().decode("utf-8-sig", errors="replace")
 
 
+def data_lines(text: str) -> list[str]:
+    """Return the lines that are neither empty nor comments, which begin with #."""
+    return [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+
+
 def read_json(path: Path, name: str) -> dict[str, Any]:
     """Read a JSON file whose top level is an object."""
     return parse_json(read_text(path, name), name)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats
-from services.edge.capture.depth import ColourSource, DepthSource
+from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, confidence_image, depth_file
+from services.edge.capture.files import Folder, unreadable
 from services.edge.capture.nouns import Capture, Frame, Intrinsics
 from services.edge.capture.poses import Axes, checked_pose
 from services.edge.errors import CaptureError
@@ -36,6 +37,27 @@ class FrameRecord:
     colour: ColourSource | None = None
 
 
+def frame_of_files(
+    folder: Folder,
+    depth: str,
+    camera: Intrinsics,
+    camera_to_world: Floats,
+    metres_per_step: float,
+    *,
+    colour: str | None = None,
+    confidence: str | None = None,
+) -> FrameRecord:
+    """Make the record of a frame whose depth, colours and ARKit confidence are files of their own."""
+    return FrameRecord(
+        depth,
+        camera,
+        camera_to_world,
+        depth_file(folder.path(depth), depth, metres_per_step),
+        None if confidence is None else partial(confidence_image, folder.path(confidence), confidence),
+        None if colour is None else ImageColour(folder.path(colour), colour),
+    )
+
+
 def pinhole(fx_fy_cx_cy: Floats, size: tuple[int, int]) -> Intrinsics:
     """Make intrinsics from (4,) fx, fy, cx, cy in pixels, and the image's (width, height)."""
     fx, fy, cx, cy = (float(value) for value in fx_fy_cx_cy)
@@ -45,6 +67,13 @@ def pinhole(fx_fy_cx_cy: Floats, size: tuple[int, int]) -> Intrinsics:
 def matrix_pinhole(k: Floats, size: tuple[int, int]) -> Intrinsics:
     """Make intrinsics from a camera matrix (3,3), and the image's (width, height)."""
     return pinhole(k[[0, 1, 0, 1], [0, 1, 2, 2]], size)
+
+
+def image_dimensions(width: float, height: float, file: str) -> tuple[int, int]:
+    """Return width and height as `file` has them; CAPTURE_UNREADABLE for what no image can have."""
+    if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
+        raise unreadable(file, f"has the impossible image size {width} x {height}")
+    return int(width), int(height)
 
 
 def checked_intrinsics(intrinsics: Intrinsics, file: str) -> Intrinsics:
@@ -198,6 +227,11 @@ def _unit_warning(frames: Sequence[Frame]) -> tuple[str, ...]:
     if median <= _FAR_M:
         return ()
     return (f"the median depth of the first frame is {median:.0f} m; depth is probably in another unit",)
+
+
+def without_poses(capture: Capture) -> Capture:
+    """Remove the placeholder poses (identity) of a capture without a trajectory, which only passed the checks."""
+    return replace(capture, frames=tuple(replace(frame, camera_to_world=None) for frame in capture.frames))
 
 
 def check_counts_match(depths: int, others: int, *, file: str, what: str) -> None:

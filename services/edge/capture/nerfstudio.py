@@ -17,7 +17,13 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, depth_file
 from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
-from services.edge.capture.frame_records import FrameRecord, checked_intrinsics, missing_warning, rgbd_capture
+from services.edge.capture.frame_records import (
+    FrameRecord,
+    checked_intrinsics,
+    image_dimensions,
+    missing_warning,
+    rgbd_capture,
+)
 from services.edge.capture.images import image_size
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
@@ -118,13 +124,12 @@ def _camera(frame: Mapping[str, Any], measured: Callable[[], tuple[int, int]]) -
         width, height = number(frame, "w", file=FILE), number(frame, "h", file=FILE)
     else:
         width, height = measured()
-    if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
-        raise unreadable(FILE, f"has the impossible image size {width} x {height}")
+    size = image_dimensions(width, height, FILE)
     fx = _focal(frame, "x", width)
     fy = _focal(frame, "y", height) if "fl_y" in frame or "camera_angle_y" in frame else fx
     cx = number(frame, "cx", file=FILE) if "cx" in frame else width / 2
     cy = number(frame, "cy", file=FILE) if "cy" in frame else height / 2
-    return checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, int(width), int(height)), FILE)
+    return checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, *size), FILE)
 
 
 def _focal(frame: Mapping[str, Any], axis: str, side: float) -> float:

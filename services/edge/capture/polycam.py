@@ -14,9 +14,15 @@ import numpy as np
 
 from services.edge.arrays import Floats
 from services.edge.capture import photos
-from services.edge.capture.depth import ImageColour, confidence_image, depth_file
 from services.edge.capture.files import Folder, number, numbers, read_json, unreadable
-from services.edge.capture.frame_records import FrameRecord, check_mostly_paired, no_poses, rgbd_capture
+from services.edge.capture.frame_records import (
+    FrameRecord,
+    check_mostly_paired,
+    frame_of_files,
+    image_dimensions,
+    no_poses,
+    rgbd_capture,
+)
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.posed_photos import posed_capture, with_app_camera
 
@@ -79,18 +85,9 @@ def _camera(folder: Folder, camera: str) -> tuple[Intrinsics, Floats]:
     fx, fy, cx, cy = (number(record, key, file=camera) for key in ("fx", "fy", "cx", "cy"))
     sides = [number(record, key, file=camera) if key in record else side
              for key, side in zip(("width", "height"), _SIZE, strict=True)]  # fmt: skip
-    if not all(1 <= side <= 1e6 for side in sides):
-        raise unreadable(camera, f"has the impossible image size {sides[0]} x {sides[1]}")
-    return Intrinsics(fx, fy, cx, cy, int(sides[0]), int(sides[1])), pose
+    return Intrinsics(fx, fy, cx, cy, *image_dimensions(sides[0], sides[1], camera)), pose
 
 
 def _record(folder: Folder, depth: str, camera: str, image: str | None, confidence: str | None) -> FrameRecord:
     intrinsics, pose = _camera(folder, camera)
-    return FrameRecord(
-        depth,
-        intrinsics,
-        pose,
-        depth_file(folder.path(depth), depth, METRES_PER_STEP),
-        None if confidence is None else partial(confidence_image, folder.path(confidence), confidence),
-        None if image is None else ImageColour(folder.path(image), image),
-    )
+    return frame_of_files(folder, depth, intrinsics, pose, METRES_PER_STEP, colour=image, confidence=confidence)

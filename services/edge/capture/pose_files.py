@@ -11,19 +11,20 @@ from __future__ import annotations
 
 import posixpath
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.capture.depth import ImageColour, depth_file
 from services.edge.capture.files import Folder, numbers, read_text, unreadable
 from services.edge.capture.frame_records import (
     FrameRecord,
     check_mostly_paired,
+    frame_of_files,
     matrix_pinhole,
     no_poses,
     rgbd_capture,
+    without_poses,
 )
 from services.edge.capture.images import image_size
 from services.edge.capture.nouns import Capture, Intrinsics
@@ -60,8 +61,7 @@ def read(folder: Folder) -> Capture:
     posed = [each for each in listed if folder.has(each.pose)]
     if not posed:
         still = [_record(folder, each, np.eye(4), camera, steps_per_metre) for each in listed]
-        capture = rgbd_capture(kind, still, axes="opencv", up=None, file="depth", warnings=warnings)
-        return replace(capture, frames=tuple(replace(frame, camera_to_world=None) for frame in capture.frames))
+        return without_poses(rgbd_capture(kind, still, axes="opencv", up=None, file="depth", warnings=warnings))
     warnings += check_mostly_paired(len(posed), len(listed), len(posed), file=posed[0].pose, what="poses")
     poses = [_read_pose(folder, each.pose) for each in posed]
     tracked = [(each, pose) for each, pose in zip(posed, poses, strict=True) if np.isfinite(pose).all()]
@@ -97,14 +97,7 @@ def _record(
     folder: Folder, files: _FrameFiles, pose: Floats, camera: Intrinsics, steps_per_metre: float
 ) -> FrameRecord:
     colour = next((name for name in files.colours if folder.has(name)), None)
-    return FrameRecord(
-        files.depth,
-        camera,
-        pose,
-        depth_file(folder.path(files.depth), files.depth, 1 / steps_per_metre),
-        None,
-        None if colour is None else ImageColour(folder.path(colour), colour),
-    )
+    return frame_of_files(folder, files.depth, camera, pose, 1 / steps_per_metre, colour=colour)
 
 
 def _read_pose(folder: Folder, name: str) -> Floats:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.capture.files import read_text
+from services.edge.capture.files import data_lines, read_text
 from services.edge.errors import CaptureError
 
 Axes = Literal["opencv", "opengl"]
@@ -28,7 +28,7 @@ def is_matrix(path: Path, file: str) -> bool:
     """Return whether a text file has nothing but a matrix of 3 or 4 rows and columns: a pose or a camera, no points."""
     if path.stat().st_size > _MOST_MATRIX_BYTES:
         return False
-    rows = [line.split() for line in read_text(path, file).splitlines() if line.strip()]
+    rows = [line.split() for line in data_lines(read_text(path, file))]
     return len(rows) in (3, 4) and all(len(row) == len(rows[0]) for row in rows) and len(rows[0]) in (3, 4)
 
 

@@ -10,9 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.capture.depth import ImageColour, depth_file
-from services.edge.capture.files import Folder, number, numbers, read_json, read_text, unreadable
-from services.edge.capture.frame_records import FrameRecord, check_counts_match, no_poses, pinhole, rgbd_capture
+from services.edge.capture.files import Folder, data_lines, number, numbers, read_json, read_text, unreadable
+from services.edge.capture.frame_records import (
+    check_counts_match,
+    frame_of_files,
+    image_dimensions,
+    no_poses,
+    pinhole,
+    rgbd_capture,
+)
 from services.edge.capture.images import image_size
 from services.edge.capture.nouns import Capture, Intrinsics
 from services.edge.errors import CaptureError
@@ -37,14 +43,7 @@ def read(folder: Folder) -> Capture:
     camera, steps_per_metre = _camera(folder, depths[0])
     pairs: list[str | None] = [*colours] if colours else [None] * len(depths)
     records = [
-        FrameRecord(
-            depth,
-            camera,
-            pose,
-            depth_file(folder.path(depth), depth, 1 / steps_per_metre),
-            None,
-            None if colour is None else ImageColour(folder.path(colour), colour),
-        )
+        frame_of_files(folder, depth, camera, pose, 1 / steps_per_metre, colour=colour)
         for depth, colour, pose in zip(depths, pairs, poses, strict=True)
     ]
     return rgbd_capture("replica", records, axes="opencv", up=None, file="results")
@@ -56,10 +55,10 @@ def _images(folder: Folder, prefix: str) -> list[str]:
 
 
 def _read_trajectory(folder: Folder) -> list[Floats]:
-    rows = [line.split() for line in read_text(folder.path(_TRAJECTORY), _TRAJECTORY).splitlines() if line.strip()]
-    if not rows:
+    lines = data_lines(read_text(folder.path(_TRAJECTORY), _TRAJECTORY))
+    if not lines:
         raise no_poses(_TRAJECTORY, f"a pose in {_TRAJECTORY}")
-    return [numbers(row, 16, file=_TRAJECTORY, what="a line").reshape(4, 4) for row in rows]
+    return [numbers(line.split(), 16, file=_TRAJECTORY, what="a line").reshape(4, 4) for line in lines]
 
 
 def _camera(folder: Folder, depth: str) -> tuple[Intrinsics, float]:
@@ -70,9 +69,9 @@ def _camera(folder: Folder, depth: str) -> tuple[Intrinsics, float]:
             raise unreadable(_CAMERA, 'has no object "camera"')
         focal_and_middle = np.array([number(record, key, file=_CAMERA) for key in ("fx", "fy", "cx", "cy")])
         width, height, steps = (number(record, key, file=_CAMERA) for key in ("w", "h", "scale"))
-        if not (1 <= width <= 1e6 and 1 <= height <= 1e6 and 0 < steps < np.inf):
-            raise unreadable(_CAMERA, f"has an impossible image size or scale: {width} x {height}, {steps}")
-        return pinhole(focal_and_middle, (int(width), int(height))), steps
+        if not 0 < steps < np.inf:
+            raise unreadable(_CAMERA, f"has scale = {steps}, which is not a positive, finite number")
+        return pinhole(focal_and_middle, image_dimensions(width, height, _CAMERA)), steps
     size = image_size(folder.path(depth), depth)
     if size != (CAMERA.width, CAMERA.height):
         what = f"is {size[0]} x {size[1]} and not of {CAMERA.width} x {CAMERA.height}, and there is no {_CAMERA}"

@@ -12,9 +12,15 @@ from functools import partial
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.capture.depth import ImageColour, confidence_image, depth_file
 from services.edge.capture.files import Folder, numbers, read_json
-from services.edge.capture.frame_records import FrameRecord, check_mostly_paired, matrix_pinhole, no_poses, rgbd_capture
+from services.edge.capture.frame_records import (
+    FrameRecord,
+    check_mostly_paired,
+    frame_of_files,
+    matrix_pinhole,
+    no_poses,
+    rgbd_capture,
+)
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
 from services.edge.capture.posed_photos import posed_capture, with_app_camera
@@ -76,11 +82,4 @@ def _camera(folder: Folder, frame: str) -> tuple[Intrinsics, Floats]:
 
 def _record(folder: Folder, depth: str, frame: str, image: str | None, confidence: str | None) -> FrameRecord:
     camera, pose = _camera(folder, frame)
-    return FrameRecord(
-        depth,
-        camera,
-        pose,
-        depth_file(folder.path(depth), depth, METRES_PER_STEP),
-        None if confidence is None else partial(confidence_image, folder.path(confidence), confidence),
-        None if image is None else ImageColour(folder.path(image), image),
-    )
+    return frame_of_files(folder, depth, camera, pose, METRES_PER_STEP, colour=image, confidence=confidence)

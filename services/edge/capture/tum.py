@@ -10,20 +10,28 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.capture.depth import ImageColour, depth_file
-from services.edge.capture.files import Folder, number, numbers, read_json, read_text, translate_errors, unreadable
+from services.edge.capture.files import (
+    Folder,
+    data_lines,
+    number,
+    numbers,
+    read_json,
+    read_text,
+    translate_errors,
+    unreadable,
+)
 from services.edge.capture.frame_records import (
-    FrameRecord,
     check_counts_match,
+    frame_of_files,
     matrix_pinhole,
     missing_warning,
     no_poses,
     rgbd_capture,
+    without_poses,
 )
 from services.edge.capture.images import image_size
 from services.edge.capture.nouns import Capture, Intrinsics
@@ -51,12 +59,7 @@ def read(folder: Folder) -> Capture:
         return _read_tum(folder, truth)
     if folder.has("trajectory.log"):
         return _read_open3d(folder, "trajectory.log")
-    return _without_poses(_read_tum(folder, None) if folder.has("depth.txt") else _read_open3d(folder, None))
-
-
-def _without_poses(capture: Capture) -> Capture:
-    """Remove the placeholder poses (identity) of a capture without a trajectory, which only passed the checks."""
-    return replace(capture, frames=tuple(replace(frame, camera_to_world=None) for frame in capture.frames))
+    return without_poses(_read_tum(folder, None) if folder.has("depth.txt") else _read_open3d(folder, None))
 
 
 def _read_open3d(folder: Folder, log: str | None) -> Capture:
@@ -70,7 +73,7 @@ def _read_open3d(folder: Folder, log: str | None) -> Capture:
     camera, scale = _camera(folder, depths, OPEN3D_STEPS_PER_METRE)
     pairs: list[str | None] = [*colours] if colours else [None] * len(depths)
     records = [
-        _record(folder, depth, colour, pose, camera, scale)
+        frame_of_files(folder, depth, camera, pose, 1 / scale, colour=colour)
         for depth, colour, pose in zip(depths, pairs, poses, strict=True)
     ]
     return rgbd_capture("open3d", records, axes="opencv", up=None, file="depth")
@@ -79,15 +82,6 @@ def _read_open3d(folder: Folder, log: str | None) -> Capture:
 def _colour_files(folder: Folder) -> list[str]:
     """Return the colour images, from the first folder with a usual name that has any."""
     return next((found for name in _COLOUR_FOLDERS if (found := folder.directly_in(name, *_IMAGES))), [])
-
-
-def _record(
-    folder: Folder, depth: str, colour: str | None, pose: Floats, camera: Intrinsics, steps_per_metre: float
-) -> FrameRecord:
-    source = depth_file(folder.path(depth), depth, 1 / steps_per_metre)
-    return FrameRecord(
-        depth, camera, pose, source, None, None if colour is None else ImageColour(folder.path(colour), colour)
-    )
 
 
 def read_log(folder: Folder, log: str) -> list[Floats]:
@@ -123,7 +117,7 @@ def _read_tum(folder: Folder, truth: str | None) -> Capture:
         else:
             colour = nearest(colour_stamps, stamp)
             name = None if colour is None or not folder.has(colours[colour][1]) else colours[colour][1]
-            records.append(_record(folder, depth, name, poses[pose], camera, scale))
+            records.append(frame_of_files(folder, depth, camera, poses[pose], 1 / scale, colour=name))
     if not records and missing:
         raise CaptureError(
             "CAPTURE_COUNT_MISMATCH", "is listed in depth.txt but missing, like all other depth images", file=missing[0]
@@ -144,18 +138,13 @@ def _stamped_names(folder: Folder, what: str) -> list[tuple[float, str]]:
     """Return (seconds, name) sorted by time, from `depth.txt` or `rgb.txt`, or else from time stamps in file names."""
     index = f"{what}.txt"
     if folder.has(index):
-        rows = [row.split() for row in _rows(read_text(folder.path(index), index))]
+        rows = [row.split() for row in data_lines(read_text(folder.path(index), index))]
         if any(len(row) < 2 for row in rows):
             raise unreadable(index, "has a line that is not a time stamp followed by a file name")
         pairs = [(row[0], folder.resolve(row[1], by=index)) for row in rows]
     else:
         pairs = [(posixpath.splitext(posixpath.basename(name))[0], name) for name in folder.directly_in(what, *_IMAGES)]
     return sorted((float(numbers(stamp, 1, file=index, what="time stamp")[0]), name) for stamp, name in pairs)
-
-
-def _rows(text: str) -> list[str]:
-    """Return the lines that are neither empty nor comments."""
-    return [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
 
 
 def nearest(stamps: Floats, stamp: float) -> int | None:
@@ -169,7 +158,7 @@ def nearest(stamps: Floats, stamp: float) -> int | None:
 
 def _ground_truth(folder: Folder, truth: str) -> tuple[Floats, list[Floats]]:
     """Read time stamps (N,) in seconds and poses, from lines of: time tx ty tz qx qy qz qw."""
-    rows = _rows(read_text(folder.path(truth), truth))
+    rows = data_lines(read_text(folder.path(truth), truth))
     if not rows:
         raise no_poses(truth, "a pose in groundtruth.txt")
     with translate_errors(truth, "trajectory"):

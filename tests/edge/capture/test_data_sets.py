@@ -41,23 +41,6 @@ def test_arkitscenes_without_a_trajectory_is_refused(tmp_path: Path) -> None:
     assert code_of(folder) == ("CAPTURE_NO_POSES", "lowres_depth")
 
 
-@pytest.mark.parametrize(
-    ("file", "content", "code"),
-    [
-        ("lowres_wide.traj", "100.0 0 0 0 0 0\n", "CAPTURE_UNREADABLE"),
-        ("lowres_wide.traj", "5.0 0 0 0 0 0 0\n", "CAPTURE_NO_POSES"),
-        ("lowres_wide.traj", "100.0 nan 0 0 0 0 0\n", "CAPTURE_BAD_POSE"),
-        ("lowres_wide_intrinsics/41069021_100.000.pincam", "0 0 60 60 30 25", "CAPTURE_UNREADABLE"),
-        ("lowres_wide_intrinsics/41069021_100.000.pincam", "64 48 60", "CAPTURE_UNREADABLE"),
-        ("lowres_depth/41069021_now.png", "", "CAPTURE_UNREADABLE"),
-    ],
-)
-def test_what_is_broken_in_arkitscenes_has_its_name(file: str, content: str, code: str, tmp_path: Path) -> None:
-    folder = captures.write_arkitscenes(tmp_path)
-    (folder / file).write_text(content)
-    assert code_of(folder)[0] == code
-
-
 def test_a_scene_of_replica_comes_without_the_camera_of_all(tmp_path: Path) -> None:
     folder = captures.write_replica(tmp_path)
     (folder / "cam_params.json").unlink()
@@ -70,16 +53,22 @@ def test_a_scene_of_replica_comes_without_the_camera_of_all(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("file", "content", "code"),
+    ("kind", "file", "content", "code"),
     [
-        ("traj.txt", "\n", "CAPTURE_NO_POSES"),
-        ("traj.txt", "1 0 0 0\n", "CAPTURE_UNREADABLE"),
-        ("traj.txt", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "CAPTURE_COUNT_MISMATCH"),
-        ("cam_params.json", "{}", "CAPTURE_UNREADABLE"),
-        ("cam_params.json", NO_SIZE, "CAPTURE_UNREADABLE"),
+        ("arkitscenes", "lowres_wide.traj", "100.0 0 0 0 0 0\n", "CAPTURE_UNREADABLE"),
+        ("arkitscenes", "lowres_wide.traj", "5.0 0 0 0 0 0 0\n", "CAPTURE_NO_POSES"),
+        ("arkitscenes", "lowres_wide.traj", "100.0 nan 0 0 0 0 0\n", "CAPTURE_BAD_POSE"),
+        ("arkitscenes", "lowres_wide_intrinsics/41069021_100.000.pincam", "0 0 60 60 30 25", "CAPTURE_UNREADABLE"),
+        ("arkitscenes", "lowres_wide_intrinsics/41069021_100.000.pincam", "64 48 60", "CAPTURE_UNREADABLE"),
+        ("arkitscenes", "lowres_depth/41069021_now.png", "", "CAPTURE_UNREADABLE"),
+        ("replica", "traj.txt", "\n", "CAPTURE_NO_POSES"),
+        ("replica", "traj.txt", "1 0 0 0\n", "CAPTURE_UNREADABLE"),
+        ("replica", "traj.txt", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "CAPTURE_COUNT_MISMATCH"),
+        ("replica", "cam_params.json", "{}", "CAPTURE_UNREADABLE"),
+        ("replica", "cam_params.json", NO_SIZE, "CAPTURE_UNREADABLE"),
     ],
 )
-def test_what_is_broken_in_replica_has_its_name(file: str, content: str, code: str, tmp_path: Path) -> None:
-    folder = captures.write_replica(tmp_path)
+def test_what_is_broken_has_its_name(kind: str, file: str, content: str, code: str, tmp_path: Path) -> None:
+    folder = captures.RGBD[kind](tmp_path)
     (folder / file).write_text(content)
     assert code_of(folder)[0] == code

@@ -7,7 +7,8 @@ Pages run on a clock of the test's, which is put forward by the page's own time 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import product
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -66,21 +67,26 @@ def expect_sentence(page: Page, words: str) -> None:
     expect(page.get_by_role("button", name="Try again")).to_be_in_viewport(ratio=1)
 
 
-def break_line(line: Line, fault: str, path: str) -> None:
-    """Break a line in this way only."""
-    line.mend()
-    if fault == "silent":
-        line.silence(path)
-    else:
-        line.stop_midway(path, 0.8)
-
-
 def ask(page: Page, address: str) -> None:
     """Visit the address; on a page that is there already, ask for it again."""
     if page.url == "about:blank":
         page.goto(address, wait_until="commit")
     else:
         page.get_by_role("button", name="Try again").click()
+
+
+def each_fault(page: Page, line: Line, address: str, faults: Iterable[tuple[str, str]]) -> Iterator[None]:
+    """Let the page ask once with each of these faults, which are alone then, and in the end with none."""
+    for fault, path in faults:
+        line.mend()
+        if fault == "silent":
+            line.silence(path)
+        else:
+            line.stop_midway(path, 0.8)
+        ask(page, address)
+        yield
+    line.mend()
+    ask(page, address)
 
 
 def await_silence(page: Page, line: Line) -> None:
@@ -108,15 +114,10 @@ def test_data_that_does_not_come_is_said_and_comes_when_asked_for_again(
     page: Page, line: Line, fault: str, paths: list[str]
 ) -> None:
     """A page asks for these one after another: each has come before the next one is missing."""
-    address = f"{line.url}/view/red"
-    for path in paths:
-        break_line(line, fault, path)
-        ask(page, address)
+    for _ in each_fault(page, line, f"{line.url}/view/red", product([fault], paths)):
         await_silence(page, line)
         expect_sentence(page, SILENT)
         expect(page.locator("#label")).to_have_text("Not loaded")
-    line.mend()
-    ask(page, address)
     expect_thing(page)
 
 
@@ -129,14 +130,9 @@ def test_data_that_does_not_come_is_said_and_comes_when_asked_for_again(
     ids=["silent", "half"],
 )
 def test_a_page_that_does_not_start_says_so(page: Page, line: Line, fault: str, paths: list[str]) -> None:
-    address = f"{line.url}/view/red"
-    for path in paths:
-        break_line(line, fault, path)
-        ask(page, address)
+    for _ in each_fault(page, line, f"{line.url}/view/red", product([fault], paths)):
         await_start(page, line)
         expect_sentence(page, INCOMPLETE)
-    line.mend()
-    ask(page, address)
     expect_thing(page)
 
 
@@ -150,14 +146,10 @@ def test_a_module_that_is_missing_is_said_at_once(page: Page, line: Line) -> Non
 
 
 def test_a_collection_that_does_not_come_is_said(page: Page, line: Line) -> None:
-    address = f"{line.url}/browse/default"
-    for fault, path in (("silent", "/v1/collections/"), ("half", r"/shard\.")):
-        break_line(line, fault, path)
-        ask(page, address)
+    faults = [("silent", "/v1/collections/"), ("half", r"/shard\.")]
+    for _ in each_fault(page, line, f"{line.url}/browse/default", faults):
         await_silence(page, line)
         expect_sentence(page, SILENT)
-    line.mend()
-    ask(page, address)
     expect(page.locator("#said")).to_have_text("2 things")
     expect(page.get_by_role("button", name="Try again")).to_be_hidden()
 
