@@ -41,8 +41,28 @@ p.warning { border-left: .25rem solid #c80; padding-left: .75rem }
 """
 
 
-def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
-    """Return the HTML of a report. pictures: PNG by state, the preview first"""
+_PHOTO_ROWS = {
+    "photos": ("held-out photos", "not used for points or textures", "{:,}"),
+    "cover": ("of the thing in them covered", "", "{:.1%}"),
+    "lace": ("holes", "share of the thing's filled silhouette without mesh", "{:.2%}"),
+    "inside_out": ("inside seen through holes", "share of the mesh's pixels", "{:.2%}"),
+    "leak": ("surface beside the thing", "share of the mesh's pixels where the photos show background", "{:.2%}"),
+    "depth": ("of their depth within 1 %", "", "{:.1%}"),
+    "psnr": ("likeness, PSNR", "dB, after one gain per channel", "{:.2f}"),
+    "ssim": ("likeness, SSIM", "1 is the same", "{:.3f}"),
+    "sharp": ("sharpness", "of the texture over the photos': variance of the Laplacian", "{:.2f}"),
+}
+"""Key of the certificate's `photos` -> name, explanation, number format."""
+
+
+def report_page(
+    report: Mapping[str, Any], pictures: Mapping[str, bytes], compared: Mapping[str, bytes] | None = None
+) -> str:
+    """Return the HTML of a report.
+
+    pictures  PNG by state, the preview first
+    compared  JPEG by name: held-out photos beside renderings, with holes marked
+    """
     title = escape(report["label"] or report["key"])
     certificates = {state: each for state, each in report["certificates"].items() if each}
     refused = ", not published" if report["verdict"] == "worse" else ""
@@ -58,6 +78,7 @@ def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str
             "</tr>",
             *_certificate_rows(certificates),
             "</table>",
+            *_compared_photos(compared or {}),
             *_reference_table(report["reference"]),
             *_stages(report["seconds"]),
             *_photos(report["capture"]["photos"]),
@@ -66,6 +87,17 @@ def report_page(report: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str
             "</html>\n",
         ]
     )
+
+
+def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:
+    """Yield held-out photos beside renderings from the same camera."""
+    if not compared:
+        return
+    yield "<h2>Compared with photos that were not used</h2>"
+    yield "<p><small>left the photo, right the mesh from its camera; magenta: holes, yellow: the inside of the thing, "
+    yield "blue: surface where the photo shows background</small></p>"
+    for name, jpeg in compared.items():
+        yield f'<img src="data:image/jpeg;base64,{b64encode(jpeg).decode()}" alt="{escape(name)}">'
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
@@ -140,3 +172,9 @@ def _certificate_rows(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator
     for key, (name, meaning, form) in _ROWS.items():
         figures = "".join(f'<td class="figure">{form.format(each[key])}</td>' for each in certificates.values())
         yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"
+    photos = [each.get("photos") or {} for each in certificates.values()]
+    for key, (name, meaning, form) in _PHOTO_ROWS.items():
+        if any(each.get(key) is not None for each in photos):
+            shown = ["" if each.get(key) is None else form.format(each[key]) for each in photos]
+            figures = "".join(f'<td class="figure">{figure}</td>' for figure in shown)
+            yield f"<tr><td>{name} <small>{meaning}</small></td>{figures}</tr>"

@@ -243,6 +243,7 @@ class Results:
         self._key = key
         self._job = uuid.uuid4().hex  # one id for both bundles, as a job's preview and refined version have
         self._pictures: dict[str, bytes] = {}
+        self._compared: dict[str, bytes] = {}
 
     def write(self, bundle: Bundle) -> None:
         """Write a bundle's files and update the report."""
@@ -257,6 +258,9 @@ class Results:
         self._pictures[bundle.state] = bundle.files[_PICTURE]
         for name, content in bundle.files.items():
             (self.out / (f"{bundle.state}.png" if name == _PICTURE else name)).write_bytes(content)
+        self._compared = dict(bundle.private)
+        for name, content in bundle.private.items():
+            (self.out / name).write_bytes(content)
         store = LocalStore(self.out / "bundle")
         asset: PublishedAsset = publish(bundle, store, key=self._key, job=self._job, collection=self._collection)
         quality = bundle.manifest["quality"]
@@ -288,7 +292,9 @@ class Results:
             "certificates": {"preview": preview, "refined": refined if "verdict" in quality else None},
         }
         (self.out / "report.json").write_text(json.dumps(self.report, indent=2) + "\n")
-        (self.out / "report.html").write_text(report_page(self.report, self._pictures), encoding="utf-8")
+        (self.out / "report.html").write_text(
+            report_page(self.report, self._pictures, self._compared), encoding="utf-8"
+        )
 
     def _measure_distance(self, ply: bytes) -> dict[str, float] | None:
         """Measure the mesh's distances to the reference; None without one."""

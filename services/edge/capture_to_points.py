@@ -21,11 +21,11 @@ from services.edge.points.coverage import unseen_sides
 from services.edge.points.denoise_stereo import smooth_stereo_points
 from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
 from services.edge.points.isolate import isolate_object
-from services.edge.points.nouns import Points
+from services.edge.points.nouns import Points, TextureView
 from services.edge.points.orbit import orbits_one_object
 from services.edge.points.outliers import inliers
 from services.edge.points.scale import scale_to_longest
-from services.edge.points.texture_views import select_texture_views
+from services.edge.points.texture_views import hold_out_frames, select_texture_views, texture_view
 from services.edge.points.upright import estimate_up, level_up
 from services.edge.progress import Bar, Clock, Progress
 
@@ -78,6 +78,7 @@ def prepare(
     device: str = "cpu",
     isolate: bool | None = None,
     longest_m: float | None = None,
+    hold_out: int | None = None,
 ) -> Generator[Progress, None, PreparedPoints]:
     """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
@@ -94,43 +95,61 @@ def prepare(
             source = replace(source, verdicts=capture.verdicts)
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
-        points = _points(capture, isolate, bar)
+        points = _points(capture, isolate, hold_out, bar)
         points = scale_to_longest(points, longest_m) if longest_m else points
-        views = [replace(view, load_rgb=at_texture_resolution(view.load_rgb)) for view in points.texture_views]
-        points = replace(points, texture_views=tuple(views))
+        points = replace(
+            points,
+            texture_views=tuple(map(_at_texture_resolution, points.texture_views)),
+            held_out_views=tuple(map(_at_texture_resolution, points.held_out_views)),
+        )
     bar.advance("POINT_CLOUD", 1.0)
     return PreparedPoints(points, source, clock.seconds)
 
 
-def _points(capture: Capture, isolate: bool | None, bar: Bar) -> Points:
+def _at_texture_resolution(view: TextureView) -> TextureView:
+    return replace(view, load_rgb=at_texture_resolution(view.load_rgb))
+
+
+def _points(capture: Capture, isolate: bool | None, hold_out: int | None, bar: Bar) -> Points:
     if capture.kind == "image":
         from services.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
         return guess_points(capture, tick=bar.tick("POINT_CLOUD"))
-    return to_points(capture, isolate=isolate, tick=bar.tick("POINT_CLOUD"))
+    return to_points(capture, isolate=isolate, hold_out=hold_out, tick=bar.tick("POINT_CLOUD"))
 
 
 def to_points(
-    capture: Capture, *, voxel: float | None = None, isolate: bool | None = None, tick: Tick = no_tick
+    capture: Capture,
+    *,
+    voxel: float | None = None,
+    isolate: bool | None = None,
+    hold_out: int | None = None,
+    tick: Tick = no_tick,
 ) -> Points:
     """Make a clean, coloured point cloud of a capture, in its frame and units.
 
     voxel    distance between points in capture units; None: from the depth pixels' size, and a cloud is left as it is
     isolate  whether to keep only the object in the middle, without what it stands on and what stands around it. None:
              only where photos were taken around one object, and that object is found
+    hold_out number of pictures that points and textures are not made from; None: a few of a capture that has many
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `isolate` finds
     no object, CAPTURE_NO_POSES where frames without poses cannot be tracked. `tick` may raise `Cancelled`.
     """
     if any(frame.camera_to_world is None for frame in capture.frames):
         posed = _track(capture, lambda fraction: tick(0.5 * fraction))
-        return to_points(posed, voxel=voxel, isolate=isolate, tick=lambda fraction: tick(0.5 + 0.5 * fraction))
+        return to_points(
+            posed, voxel=voxel, isolate=isolate, hold_out=hold_out, tick=lambda fraction: tick(0.5 + 0.5 * fraction)
+        )
     share = 1.0 if isolate is False else 0.9
     if capture.kind == "points":
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
         return isolate_object(points, tick=tick) if isolate else points
-    fused = fuse(capture.frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
+    frames, held_out = hold_out_frames(capture.frames, hold_out)
+    capture = replace(capture, frames=frames)
+    fused = fuse(frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
+    points = replace(points, held_out_views=tuple(map(texture_view, held_out)))
     if isolate is False or (isolate is None and not _is_around_one_object(capture)):
         return points
     try:

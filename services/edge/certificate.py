@@ -24,6 +24,7 @@ from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.sampling import area, sample
 from services.edge.mesh.spacing import point_spacing
 from services.edge.mesh.topology import component_count
+from services.edge.render.photo_comparison import PhotoFigures
 
 HELD_OUT_SHARE = 0.02  # of the points
 HELD_OUT = (20, 2_000)  # least and most points: fewer say nothing, and 2,000 give their mean distance to within 2 %
@@ -45,6 +46,7 @@ MAX_FARTHER = 0.01  # of the preview's mean distance: less cannot be seen
 MAX_UNCOVERED = 0.005  # share of the held-out points
 MAX_STRAY = 0.01  # share of the mesh's area
 MAX_NON_MANIFOLD = 0.001  # non-manifold edges, of all edges
+MAX_HOLES = 0.01  # share of what held-out photos show of the thing
 MAX_PIECES = (2, 3)  # components: at most 2 × the preview's + 3, for thin parts that come apart or are found
 
 
@@ -82,6 +84,7 @@ class Certificate:
     stray_area           share of the mesh farther than two spacings from every input point
     boundary_length      of all borders; boundary_loops: their connected chains
     distances            (H,) of the held-out points, for comparing two surfaces point by point
+    photos               figures of the comparison with held-out photos; None where the capture could spare none
     """
 
     held_out: int
@@ -100,6 +103,7 @@ class Certificate:
     boundary_loops: int
     non_manifold_edges: int
     distances: Floats = field(repr=False, compare=False)
+    photos: PhotoFigures | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The figures for JSON, without the distances, which only `compare` needs."""
@@ -129,8 +133,13 @@ def hold_out(count: int, sets: int = 1) -> Ints:
     return which
 
 
-def certify(distance: DistanceFn, mesh_unit: Mesh, evidence: Evidence) -> Certificate:
-    """Measure a field and its mesh, which has faces, against the evidence: 0.3 s at 10,000 points, 1 s at 200,000."""
+def certify(
+    distance: DistanceFn, mesh_unit: Mesh, evidence: Evidence, photos: PhotoFigures | None = None
+) -> Certificate:
+    """Measure a field and its mesh, which has faces, against the evidence: 0.3 s at 10,000 points, 1 s at 200,000.
+
+    photos  figures of the mesh's comparison with held-out photos, where there are any
+    """
     rng = np.random.default_rng(_SEED)
     inputs = evidence.xyz[rng.permutation(len(evidence.xyz))[:INPUT_POINTS]]
     held_out = evidence.held_out if len(evidence.held_out) else inputs
@@ -156,6 +165,7 @@ def certify(distance: DistanceFn, mesh_unit: Mesh, evidence: Evidence) -> Certif
         boundary_loops=component_count(border),
         non_manifold_edges=edges.crowded_count,
         distances=away,
+        photos=photos,
     )
 
 
@@ -178,6 +188,7 @@ def compare(preview: Certificate, refined: Certificate) -> QualityVerdict:
         "has more surface where there are no points": refined.stray_area > preview.stray_area + MAX_STRAY,
         "has more non-manifold edges": refined.non_manifold_edges
         > preview.non_manifold_edges + MAX_NON_MANIFOLD * edges,
+        "shows more holes in held-out photos": _holes(refined) > _holes(preview) + MAX_HOLES,
         "has more separate pieces": refined.components > MAX_PIECES[0] * preview.components + MAX_PIECES[1],
     }
     figures = (
@@ -189,6 +200,12 @@ def compare(preview: Certificate, refined: Certificate) -> QualityVerdict:
         faulty = ", ".join(fault for fault, found in faults.items() if found)
         return QualityVerdict("worse", f"the refined surface {faulty}: {figures}")
     return QualityVerdict("better" if mean < 0 else "even", figures)
+
+
+def _holes(certificate: Certificate) -> float:
+    """Share of what held-out photos show of the thing that the mesh lacks or shows from inside; 0 without photos."""
+    photos = certificate.photos
+    return 0.0 if photos is None else max(photos.lace, 1 - photos.cover) + photos.inside_out
 
 
 def consistency(distance: DistanceFn, queries: Floats) -> float:

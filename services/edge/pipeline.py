@@ -17,6 +17,7 @@ from typing import Any
 from services.edge.arrays import DistanceFn, Floats, part_of
 from services.edge.asset.assemble import assemble_bundle
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface
+from services.edge.asset.photo_check import check_surface_with_photos
 from services.edge.asset.target import NO_TARGET, Target, require_encoder
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
@@ -67,6 +68,7 @@ def reconstruct(
     checkpoint: Path | None = None,
     isolate: bool | None = None,
     longest_m: float | None = None,
+    hold_out: int | None = None,
     label: str = "",
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
@@ -78,6 +80,7 @@ def reconstruct(
     checkpoint  file that the training writes and resumes from; the caller removes it
     isolate     whether to remove the supporting plane and clutter; None: where photos were taken around one object
     longest_m   greatest distance between two points of the object in metres, where it is known
+    hold_out    number of photos that the result is not made from, but compared with; None: a few of 16 or more
     label       the asset's name for people, in the manifest
     target      device class whose budget the bundles must meet
     encode      encoder of KTX2 textures, for a target that wants them
@@ -91,7 +94,9 @@ def reconstruct(
     require_encoder(target, has_encoder=encode is not None)
     bar = Bar(watch)
     refines = preset.fit is not None or preset.name == AUTOMATIC
-    prepared = yield from prepare(capture, bar, refines=refines, device=device, isolate=isolate, longest_m=longest_m)
+    prepared = yield from prepare(
+        capture, bar, refines=refines, device=device, isolate=isolate, longest_m=longest_m, hold_out=hold_out
+    )
     share = preview_share(prepared.source.kind)
     yield from bundles(
         prepared,
@@ -145,7 +150,7 @@ def bundles(
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
     pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode)
-    yield from pack(preview.mesh_unit, state="preview", quality=quality, last=preset.fit is None)
+    yield from pack(preview, state="preview", quality=quality, last=preset.fit is None)
     if preset.fit:
         bar.set_range(REFINED_STARTS, share, 1.0)
         fitted, fitted_noise = (xyz_unit, None) if preset.denoised else (measured, noise)
@@ -173,7 +178,7 @@ def _refinement(
 
     def keep_preview(why: str, quality: Mapping[str, Any] | None = None) -> Iterator[Progress | Bundle | PreviewKept]:
         """Publish the preview's mesh again as the last bundle, with textures, animation and USDZ."""
-        yield from pack(preview.mesh_unit, state="preview", quality=before, last=True)
+        yield from pack(preview, state="preview", quality=before, last=True)
         yield PreviewKept(why, quality, dict(clock.seconds))
 
     try:
@@ -200,7 +205,7 @@ def _refinement(
     warnings = trained.warnings
     if verdict.outcome == "even":
         warnings += (f"training did not improve on the preview: {verdict.because}",)
-    yield from pack(made.mesh_unit, state="refined", quality=quality, warnings=warnings, last=True)
+    yield from pack(made, state="refined", quality=quality, warnings=warnings, last=True)
 
 
 def _surface(
@@ -222,7 +227,9 @@ def _surface(
                 f"no surface was found among {len(near):,} points at {resolution} cells",
                 hints=("capture the object from closer and from more sides",),
             )
-        return MeasuredSurface(mesh_unit, resolution, certify(distance, mesh_unit, subject.evidence))
+        check = check_surface_with_photos(mesh_unit, subject.colours, subject.unit)
+        certificate = certify(distance, mesh_unit, subject.evidence, check.figures)
+        return MeasuredSurface(mesh_unit, resolution, certificate, check)
 
 
 def _resolve_preset(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:

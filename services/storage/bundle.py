@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any, Literal
 
@@ -32,11 +32,13 @@ class Bundle:
 
     files     contents by plain file name: "lod0.glb", "lod1.glb", "preview.png", "mesh.ply"
     manifest  JSON with everything about the asset except where its files are stored
+    private   files for whoever reconstructs, which are never published: they show the capture's own photos
     """
 
     state: State
     files: Mapping[str, bytes]
     manifest: Mapping[str, Json]
+    private: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def content_name(file: str, sha256: str) -> str:

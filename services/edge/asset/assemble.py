@@ -1,14 +1,15 @@
-"""Assemble a bundle from a mesh in the unit frame: colours, levels of detail, textures, files and manifest."""
+"""Assemble a bundle from a measured mesh in the unit frame: colours, levels of detail, textures, files and manifest."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from services.edge.arrays import Floats, Tick, part_of
 from services.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
-from services.edge.asset.manifest import AssetSubject, asset_frame, build_manifest
+from services.edge.asset.manifest import AssetSubject, MeasuredSurface, asset_frame, build_manifest
+from services.edge.asset.photo_check import check_textures_with_photos, figures_with_textures, marked_pictures
 from services.edge.asset.target import measure_cost, require_budget
 from services.edge.export.ktx2 import EncodeKtx2, Ktx2Error
 from services.edge.export.ply import ply_bytes
@@ -21,7 +22,7 @@ _LODS_SHARE = 0.3  # of the TEXTURING stage's time goes into levels of detail, w
 
 
 def assemble_bundle(
-    mesh_unit: Mesh,
+    surface: MeasuredSurface,
     *,
     subject: AssetSubject,
     state: State,
@@ -32,7 +33,7 @@ def assemble_bundle(
     last: bool,
     encode: EncodeKtx2 | None = None,
 ) -> Iterator[Progress | Bundle]:
-    """Colour a mesh, make its levels of detail, and yield the bundle with its files, preview images and manifest.
+    """Colour a surface's mesh, make its levels of detail, and yield the bundle: files, preview images, manifest.
 
     last    whether this is the job's last bundle. Textures, animation and USDZ are made only then; they would delay the
             preview
@@ -40,7 +41,7 @@ def assemble_bundle(
 
     Raises EdgeError BUDGET_UNREACHABLE and Ktx2Error: before a refined bundle, but after a preview is yielded.
     """
-    points = subject.points
+    points, mesh_unit = subject.points, surface.mesh_unit
     yield bar.begin("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
     with clock("TEXTURING"):
         tick = bar.tick("TEXTURING")
@@ -62,6 +63,12 @@ def assemble_bundle(
         costs = [measure_cost(glb) for glb in files.values()]
         files |= preview_images(assets, last=last, tick=tick)
         files["mesh.ply"] = ply_bytes(full)
+        private: dict[str, bytes] = {}
+        if last and (figures := surface.check.figures):
+            likeness = check_textures_with_photos(assets[0], surface.check, subject.colours, to_asset)
+            figures = figures_with_textures(surface.check, likeness) or figures
+            quality = {**quality, "photos": asdict(figures)}
+            private = marked_pictures(surface.check, likeness)
     manifest = build_manifest(
         subject,
         quality=quality,
@@ -69,13 +76,13 @@ def assemble_bundle(
         finest=levels[0],
         to_asset=to_asset,
         seconds=clock.seconds,
-        warnings=(*warnings, *texture_warnings),
+        warnings=(*warnings, *surface.check.warnings(), *texture_warnings),
     )
     if state == "refined":
         require_budget(subject.target, costs)
     # The last report before the bundle goes to the store: it raises Cancelled, and nothing is published then.
     yield bar.begin("PUBLISHING", f"publishing the {state}")
-    yield Bundle(state=state, files=files, manifest=manifest)
+    yield Bundle(state=state, files=files, manifest=manifest, private=private)
     # A preview is published even without its textures and beyond the budget: better than nothing to look at.
     if failed:
         raise failed

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from services.edge.arrays import Floats, Tick, part_of
 from services.edge.asset.manifest import AssetSubject
+from services.edge.asset.photo_check import posed_picture
 from services.edge.asset.target import Target
 from services.edge.export.glb import to_glb
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.export.usdz import to_usdz
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.simplify import lods
-from services.edge.points.nouns import TextureView
 from services.edge.render.contact_sheet import render_sheet
 from services.edge.render.thumbnail import thumbnail, turning_preview
-from services.edge.texture.bake_photos import PhotoProjection, PosedPicture
+from services.edge.texture.bake_photos import PhotoProjection
 from services.edge.texture.nearest_colour import ColouredPoints
 from services.edge.texture.texture_mesh import Palette, texture_levels
 
@@ -46,7 +44,7 @@ def add_textures(
     known = ColouredPoints.of(points.xyz @ to_asset[:3, :3].T + to_asset[:3, 3], points.rgb)
     palette = Palette(known)
     if points.texture_views:
-        posed = [_posed_picture(view, to_asset) for view in points.texture_views]
+        posed = [posed_picture(view, to_asset) for view in points.texture_views]
         pictures = PhotoProjection(levels[0], posed, known, part_of(tick, 0, _EXPOSURE_SHARE))
         palette = Palette(known, pictures, pictures.pixel)
 
@@ -72,15 +70,3 @@ def preview_images(levels: Sequence[Mesh | TexturedMesh], *, last: bool, tick: T
         files["turning.webp"] = turning_preview(middle, tick=part_of(tick, 0.6, 1))
         files["asset.usdz"] = to_usdz(middle)
     return files
-
-
-def _posed_picture(shot: TextureView, to_asset: Floats) -> PosedPicture:
-    """A photo with its camera in the asset frame, for baking."""
-    camera = shot.intrinsics
-    return PosedPicture(
-        to_camera=np.linalg.inv(to_asset @ shot.camera_to_world),
-        focal=np.array([camera.fx / camera.width, camera.fy / camera.height]),
-        middle=np.array([(camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height]),
-        load_rgb=shot.load_rgb,
-        load_depth=shot.load_depth_m,
-    )

@@ -10,6 +10,7 @@ import numpy as np
 
 import services
 from services.edge.arrays import Floats
+from services.edge.asset.photo_check import PhotoCheck
 from services.edge.asset.target import Cost, Target
 from services.edge.capture_to_points import CaptureSummary
 from services.edge.certificate import Certificate, Evidence
@@ -35,14 +36,14 @@ def asset_frame(vertices: Floats, points: Points) -> Floats:
 
 
 def rotation_between(source: Floats, target: Floats) -> Floats:
-    """(3,3) the smallest rotation that turns one unit vector to another (Rodrigues' formula)."""
+    """(3,3) a rotation that turns one unit vector to another, the smallest but for opposites (Rodrigues' formula)."""
     axis = np.cross(source, target)
     cosine = float(source @ target)
-    if cosine < -1.0 + 1e-9:  # opposite: half a turn about any perpendicular axis
-        across = np.cross(source, np.eye(3)[np.argmin(np.abs(source))])
+    if cosine < -1.0 + 1e-6:  # nearly opposite: half a turn about an axis across the target, then what is left
+        across = np.cross(target, np.eye(3)[np.argmin(np.abs(target))])
         across /= np.linalg.norm(across)
         half_turn: Floats = 2.0 * np.outer(across, across) - np.eye(3)
-        return half_turn
+        return rotation_between(half_turn @ source, target) @ half_turn
     skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     rotation: Floats = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
     return rotation
@@ -76,6 +77,7 @@ class MeasuredSurface:
     """A field's mesh in the unit frame, with its quality figures and those of the training.
 
     resolution  grid cells along the longest side
+    check       comparison with the held-out photos
     steps       of training, 0 for the local field; device: where it was trained
     losses      at the end of the training
     """
@@ -83,6 +85,7 @@ class MeasuredSurface:
     mesh_unit: Mesh
     resolution: int
     certificate: Certificate
+    check: PhotoCheck = field(default_factory=PhotoCheck)
     steps: int = 0
     device: str = "cpu"
     losses: Mapping[str, float] = field(default_factory=dict)

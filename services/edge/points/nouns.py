@@ -25,18 +25,20 @@ class UnseenSide:
 
 @dataclass(frozen=True, slots=True)
 class TextureView:
-    """A photo or video frame for texturing, with its camera and depth. Images load lazily.
+    """A photo or video frame, for texturing or for comparison, with its camera and depth. Images load lazily.
 
     intrinsics       for images of any resolution with the same field of view
     camera_to_world  (4,4) float64, OpenCV axes, capture frame
     load_rgb         -> (h,w,3) uint8 sRGB
     load_depth_m     -> (H,W) float32 of the same field of view, units of the capture, 0 where unknown
+    name             of the photo or frame in the capture
     """
 
     intrinsics: Intrinsics
     camera_to_world: Floats
     load_rgb: Callable[[], Bytes]
     load_depth_m: Callable[[], Floats]
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,8 @@ class Points:
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
     metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report;
     unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing;
-    empty where the capture's files are not on this machine.
+    held_out_views: pictures that neither points nor textures are made from, to compare the result with. Both are empty
+    where the capture's files are not on this machine.
     """
 
     xyz: Floats
@@ -58,6 +61,7 @@ class Points:
     warnings: tuple[str, ...] = ()
     unseen: tuple[UnseenSide, ...] = ()
     texture_views: tuple[TextureView, ...] = ()
+    held_out_views: tuple[TextureView, ...] = ()
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -1,4 +1,4 @@
-"""Select pictures of a capture for texturing: sharp ones, evenly spread over the camera's path."""
+"""Select pictures of a capture: for texturing, and to hold out, so that the result can be compared with them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,24 @@ MAX_TEXTURE_VIEWS = 40
 """Most pictures: one every 9 degrees of a walk around an object; each further one costs half a second for a texture of
 2048 texels."""
 
+HOLD_OUT_FROM = 16
+"""Least number of posed pictures of which some are held out; fewer need each other."""
+_ONE_IN, _MOST_HELD_OUT = 8, 4
+"""One picture in so many is held out, and at most so many: each takes a third of a second to compare."""
+
+
+def hold_out_frames(frames: Sequence[Frame], count: int | None = None) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
+    """Split posed frames into those to reconstruct from, and pictures evenly spread over the path to compare with.
+
+    count: number of pictures to hold out; None: one in eight, at most four, none of fewer than `HOLD_OUT_FROM`.
+    """
+    pictured = [number for number, frame in enumerate(frames) if frame.load_rgb is not None]
+    if count is None:
+        count = min(len(pictured) // _ONE_IN, _MOST_HELD_OUT) if len(pictured) >= HOLD_OUT_FROM else 0
+    chosen = {pictured[int((place + 0.5) * len(pictured) / count)] for place in range(min(count, len(pictured)))}
+    kept = tuple(frame for number, frame in enumerate(frames) if number not in chosen)
+    return kept, tuple(frames[number] for number in sorted(chosen))
+
 
 def select_texture_views(frames: Sequence[Frame], sharpness: Floats) -> tuple[TextureView, ...]:
     """Select at most `MAX_TEXTURE_VIEWS` of the posed frames with pictures: the sharpest of each part of the capture.
@@ -22,11 +40,11 @@ def select_texture_views(frames: Sequence[Frame], sharpness: Floats) -> tuple[Te
     """
     pictured = [number for number, frame in enumerate(frames) if frame.load_rgb is not None]
     parts = np.array_split(np.array(pictured, dtype=int), min(MAX_TEXTURE_VIEWS, len(pictured))) if pictured else []
-    return tuple(_texture_view(frames[part[sharpness[part].argmax()]]) for part in parts)
+    return tuple(texture_view(frames[part[sharpness[part].argmax()]]) for part in parts)
 
 
-def _texture_view(frame: Frame) -> TextureView:
+def texture_view(frame: Frame) -> TextureView:
     """Make a texture view from a frame that has a picture and a pose."""
     assert frame.load_rgb is not None
     pose = np.asarray(frame.camera_to_world, np.float64)
-    return TextureView(frame.intrinsics, pose, frame.load_rgb, frame.load_depth_m)
+    return TextureView(frame.intrinsics, pose, frame.load_rgb, frame.load_depth_m, frame.name)

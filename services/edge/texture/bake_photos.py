@@ -21,6 +21,7 @@ import numpy as np
 from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
 from services.edge.mesh.nouns import Mesh
 from services.edge.parallel import in_threads, slices
+from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.rays import LIFT, Scene
 from services.edge.srgb import to_linear
 from services.edge.texture.bake import positions_and_normals, random_places
@@ -37,24 +38,6 @@ _FEWEST_PROBES = 100  # places that a photo must see to be compared; one that se
 _DARK, _BRIGHT = 0.01, 0.9  # linear light that is compared: darker or brighter values may be clipped
 _MOST_GAIN = 3.0  # and least 1/3: a photo that differs more shows something else
 _AT_ONCE = 1 << 18  # places projected together: their arrays take 50 MB
-
-
-@dataclass(frozen=True, slots=True)
-class PosedPicture:
-    """A photo with its camera; pixels are loaded on demand.
-
-    to_camera      (4,4) the mesh's frame -> OpenCV axes of the camera, in the units of its depth image
-    focal, middle  (2,) focal length and principal point, in shares of the photo's width and height; its edges are at 0
-                   and 1
-    load_rgb       -> (h,w,3) uint8 sRGB
-    load_depth     -> (H,W) float32 of the same field of view, 0 where unknown; None where there is no depth image
-    """
-
-    to_camera: Floats
-    focal: Floats
-    middle: Floats
-    load_rgb: Callable[[], Bytes]
-    load_depth: Callable[[], Floats] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +87,7 @@ class PhotoProjection:
         known = points.light_at(places)
         finest = np.full(len(places), np.inf)
         for number, picture in enumerate(pictures):
-            visible, rgb = self._visible_places(picture, _depth(picture), places, normals), picture.load_rgb()
+            visible, rgb = self._visible_places(picture, picture.depth(), places, normals), picture.load_rgb()
             self._gains.append(_gain(known[visible.index], _bilinear(rgb, visible.at)))
             finest[visible.index] = np.minimum(finest[visible.index], _pixel(picture, rgb) * visible.depth)
             tick((number + 1) / len(pictures))
@@ -128,7 +111,7 @@ class PhotoProjection:
     ) -> Callable[[slice], None]:
         """Return a function that adds a photo's light to a slice of the places."""
         picture, gain = self._pictures[number], self._gains[number]
-        rgb, depth = picture.load_rgb(), _depth(picture)
+        rgb, depth = picture.load_rgb(), picture.depth()
 
         def add(part: slice) -> None:
             visible = self._visible_places(picture, depth, places[part], normals[part])
@@ -141,15 +124,13 @@ class PhotoProjection:
 
     def _visible_places(self, picture: PosedPicture, depth: Floats, places: Floats, normals: Floats) -> _VisiblePlaces:
         """Find the places that a photo sees; faces are two-sided."""
-        local = places @ picture.to_camera[:3, :3].T + picture.to_camera[:3, 3]
-        z = np.maximum(local[:, 2], 1e-9)
-        at = local[:, :2] / z[:, None] * picture.focal + picture.middle
-        eye = np.linalg.inv(picture.to_camera)[:3, 3]
+        at, z = picture.project(places)
+        eye = picture.eye
         towards = eye - places
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
         cosine = np.einsum("nx,nx->n", towards, normals)
         inside = np.minimum(at, 1 - at).min(axis=1)
-        index = np.flatnonzero((local[:, 2] > 0) & (inside > 0) & (np.abs(cosine) > _LEAST_COSINE))
+        index = np.flatnonzero((z > 0) & (inside > 0) & (np.abs(cosine) > _LEAST_COSINE))
         index = index[~self._is_occluded(places[index], np.sign(cosine[index])[:, None] * normals[index], eye)]
         at, z, cosine = at[index], z[index], np.abs(cosine[index])
         near = np.clip(self._usual / (z * _scale(picture)), 0, _NEAREST) / _NEAREST
@@ -167,7 +148,7 @@ class PhotoProjection:
 def _usual_distance(places: Floats, pictures: Sequence[PosedPicture]) -> float:
     """Median distance from the cameras to the places' median, in units of the mesh."""
     middle = np.median(places, axis=0)
-    away = [np.linalg.norm(np.linalg.inv(picture.to_camera)[:3, 3] - middle) for picture in pictures]
+    away = [np.linalg.norm(picture.eye - middle) for picture in pictures]
     return float(np.median(away)) if away else 1.0
 
 
@@ -180,10 +161,6 @@ def _scale(picture: PosedPicture) -> float:
 def _pixel(picture: PosedPicture, rgb: Bytes) -> float:
     """Width of a pixel on a surface that faces the camera, per unit of depth, in units of the mesh."""
     return _scale(picture) / float(picture.focal[0] * rgb.shape[1])
-
-
-def _depth(picture: PosedPicture) -> Floats:
-    return np.zeros((1, 1), np.float32) if picture.load_depth is None else picture.load_depth()
 
 
 def _agreement(depth: Floats, at: Floats, z: Floats) -> Floats:

@@ -1,0 +1,117 @@
+"""Compare an asset's surface and its textures with the photos that were held out for this; advise whoever took them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.edge.arrays import Floats
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.points.nouns import Points, TextureView, UnitFrame
+from services.edge.render.photo_comparison import (
+    LikenessCheck,
+    PhotoFigures,
+    SurfaceCheck,
+    check_likeness,
+    check_surface,
+    marked_jpeg,
+    mean_figures,
+)
+from services.edge.render.posed_picture import PosedPicture
+
+_MANY_HOLES = 0.03
+"""Share of the thing's silhouette in holes from which on a person notices them at once."""
+_MUCH_INSIDE = 0.03
+"""The same of pixels that show the inside of the thing through a hole."""
+_MUCH_LEAK = 0.03
+"""Share of the mesh's pixels beside the thing from which on rims and flying pieces are noticed."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoCheck:
+    """A surface compared with the held-out photos: by photo; empty where the capture could spare none."""
+
+    surface: tuple[SurfaceCheck, ...] = ()
+
+    @property
+    def figures(self) -> PhotoFigures | None:
+        """Mean figures of the surface, without those of its textures."""
+        return mean_figures(self.surface)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about what a person would notice, with the photo that shows it most."""
+        figures = self.figures
+        if figures is None:
+            return ()
+        found = []
+        if max(figures.lace, 1 - figures.cover) > _MANY_HOLES:
+            worst = max(self.surface, key=lambda check: max(check.figures.lace, 1 - check.figures.cover))
+            share = max(figures.lace, 1 - figures.cover)
+            found.append(
+                f"{share:.0%} of what your photos show of the thing is missing from the mesh. Shoot the side that "
+                f"{worst.picture.name} shows again: closer, in steps of 10 degrees, in even light"
+            )
+        if figures.inside_out > _MUCH_INSIDE:
+            found.append(f"{figures.inside_out:.0%} of what is seen is the inside of the thing, through holes in it")
+        if figures.leak > _MUCH_LEAK:
+            worst = max(self.surface, key=lambda check: check.figures.leak)
+            found.append(
+                f"{figures.leak:.0%} of the surface lies where your photos show background, most of it in "
+                f"{worst.picture.name}. Choose a background of another colour than the thing, or move it away"
+            )
+        return tuple(found)
+
+
+def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> PhotoCheck:
+    """Compare a mesh in the unit frame with the held-out photos of its points."""
+    to_unit = np.eye(4)
+    to_unit[:3] = np.column_stack([np.eye(3), -unit.centre]) / unit.size
+    return PhotoCheck(
+        tuple(
+            check_surface(
+                mesh_unit,
+                [posed_picture(view, to_unit) for view in points.held_out_views],
+                [posed_picture(view, to_unit) for view in points.texture_views],
+            )
+        )
+    )
+
+
+def check_textures_with_photos(
+    finest: Mesh | TexturedMesh, check: PhotoCheck, points: Points, to_asset: Floats
+) -> list[LikenessCheck]:
+    """Compare the renderings of the finest level with the held-out photos, where the check saw the thing."""
+    if isinstance(finest, Mesh) and finest.rgb is None:
+        return []
+    views = {view.name: view for view in points.held_out_views}
+    photos = [posed_picture(views[each.picture.name], to_asset) for each in check.surface]
+    return check_likeness(finest, photos, [each.thing for each in check.surface])
+
+
+def figures_with_textures(check: PhotoCheck, likeness: Sequence[LikenessCheck]) -> PhotoFigures | None:
+    """Mean figures of surface and textures."""
+    return mean_figures(check.surface, likeness)
+
+
+def marked_pictures(check: PhotoCheck, likeness: Sequence[LikenessCheck]) -> dict[str, bytes]:
+    """Encode each held-out photo beside its rendering, with holes marked: JPEG by file name."""
+    pairs: list[LikenessCheck | None] = [*likeness] or [None] * len(check.surface)
+    return {
+        f"photo-{number}.jpg": marked_jpeg(each, pair)
+        for number, (each, pair) in enumerate(zip(check.surface, pairs, strict=True), 1)
+    }
+
+
+def posed_picture(view: TextureView, to_frame: Floats) -> PosedPicture:
+    """Place a photo with its camera in another frame; to_frame (4,4): from the capture frame."""
+    camera = view.intrinsics
+    return PosedPicture(
+        to_camera=np.linalg.inv(to_frame @ view.camera_to_world),
+        focal=np.array([camera.fx / camera.width, camera.fy / camera.height]),
+        middle=np.array([(camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height]),
+        load_rgb=view.load_rgb,
+        load_depth=view.load_depth_m,
+        name=view.name,
+    )

@@ -1,0 +1,50 @@
+"""A photo with its camera, in the frame of a mesh: what textures are baked from, and what a mesh is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats
+
+
+@dataclass(frozen=True, slots=True)
+class PosedPicture:
+    """A photo with its camera; pixels are loaded on demand.
+
+    to_camera      (4,4) the mesh's frame -> OpenCV axes of the camera, in the units of its depth image
+    focal, middle  (2,) focal length and principal point, in shares of the photo's width and height; its edges are at 0
+                   and 1
+    load_rgb       -> (h,w,3) uint8 sRGB
+    load_depth     -> (H,W) float32 of the same field of view, 0 where unknown; None where there is no depth image
+    name           of the photo in the capture, for messages
+    """
+
+    to_camera: Floats
+    focal: Floats
+    middle: Floats
+    load_rgb: Callable[[], Bytes]
+    load_depth: Callable[[], Floats] | None = None
+    name: str = ""
+
+    @property
+    def eye(self) -> Floats:
+        """Position (3,) of the camera, in the mesh's frame."""
+        eye: Floats = np.linalg.inv(self.to_camera)[:3, 3]
+        return eye
+
+    def depth(self) -> Floats:
+        """Load the depth image (H,W); one pixel of 0, unknown, where there is none."""
+        return np.zeros((1, 1), np.float32) if self.load_depth is None else self.load_depth()
+
+    def project(self, places: Floats) -> tuple[Floats, Floats]:
+        """Project places (N,3): positions (N,2) in shares of the photo's sides, and depth (N,), ≤ 0 behind the camera.
+
+        The positions of places behind the camera are meaningless.
+        """
+        local = places @ self.to_camera[:3, :3].T + self.to_camera[:3, 3]
+        z = local[:, 2]
+        at: Floats = local[:, :2] / np.maximum(z, 1e-9)[:, None] * self.focal + self.middle
+        return at, z
