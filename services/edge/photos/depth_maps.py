@@ -2,7 +2,7 @@
 
 1. sources      select a few other views for every view
 2. sweep        compute its depth, pixel by pixel (plane sweep)
-3. consistency  drop depth that other views do not confirm
+3. consistency  drop depth that other views do not confirm; what they confirm only loosely counts less
 4. rim          drop depth at the outline of an object where the picture shows the background
 """
 
@@ -36,9 +36,15 @@ _WITNESSES = 8
 _LEAST_SCORE = 0.2
 """Least correlation (ZNCC) of a match: below it a match is random, even if other views confirm it."""
 _FEW, _MANY = 6, 20
-"""Numbers of views: with fewer than the first, one confirmation is enough; from the second on, three are needed."""
+"""Numbers of views: with fewer than the first, one confirmation is enough; from the second on, three are needed, or
+one less of depth that is confirmed only loosely."""
+_LOOSE = 2
+"""Least loose confirmations: one alone is wrong too often (18 % of the pixels of rendered garments)."""
+_GOOD_SCORE, _SEEN_WELL = 0.7, 4
+"""Least correlation of a match for which one loose confirmation is enough, and the least number of witnesses then."""
 _FLOOR = 0.3
-"""Confidence of the worst confirmed match: above the level at which a sensor's depth is dropped."""
+"""Confidence of the worst match, and of one confirmed only loosely: above the level at which a sensor's depth is
+dropped."""
 _WORKERS = min(2, os.cpu_count() or 1)
 """Sweeps in parallel; each needs some 300 MB, and the worker's other jobs need processors too."""
 _CLOCKWISE = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -76,10 +82,13 @@ def depth_frames(
     frames = []
     for number, view in enumerate(swept):
         needed = min(wanted, max(1, len(witnesses[view]) // 2))  # a view at the end of the path has few neighbours
-        agreed = confirmations(view, witnesses[view], pictures, depths) >= needed
+        strict, loose = confirmations(view, witnesses[view], pictures, depths)
+        sure, agreed = strict >= needed, loose >= max(_LOOSE, needed - 1)
+        if len(witnesses[view]) >= _SEEN_WELL:
+            agreed |= (loose >= 1) & (maps[view].score > _GOOD_SCORE)
         rgb, _ = load_undistorted_rgb(alignment.views[view], longest)
-        depth = remove_rim(np.where(agreed, depths[view], np.float32(0)), rgb)
-        frames.append(_frame(pictures[view], depth, maps[view].score, longest))
+        depth = remove_rim(np.where(sure | agreed, depths[view], np.float32(0)), rgb)
+        frames.append(_frame(pictures[view], depth, np.where(sure, maps[view].score, np.float32(0)), longest))
         tick(0.9 + 0.1 * (number + 1) / len(swept))
     return tuple(frames)
 

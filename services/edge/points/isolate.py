@@ -16,10 +16,20 @@ _PLANE_REACH = 0.012
 """Distance from a plane within which points belong to it, as a share of the points' extent."""
 _PLANE_SHARE = 0.15
 """Least share of the points on a supporting plane; a plane with fewer is a face of the object itself."""
+_WIDE_PLANE_SHARE = 0.04
+"""The same for a plane that reaches farther to the sides than what is over it."""
 _UPRIGHT_DEG = 20.0
 """Largest tilt of a supporting plane against the horizontal."""
 _ONE_SIDE = 0.9
-"""Share of the cameras, or without cameras of the other points, that must be on one side of a plane."""
+"""Share of the cameras, or of the points beside a turntable's plate, that must be on one side of a plane."""
+_OVER = 0.75
+"""Least share of the points that are off a supporting plane that must be over it."""
+_NOISE_SHARE = 0.01
+"""Share of all points that may be on the other side in any case: noise, where nothing but the plane is seen."""
+_DEEP_SLABS = 3.0
+"""Depth below a plane, over half its thickness, from which on points are not its noise."""
+_PLANES = 4
+"""Planes that are tried: a pedestal may have a top, a step and a side before the floor comes."""
 _BOTTOM = 0.15
 """Lowest share of the height, in which the turntable's plate is searched."""
 _SLAB_SIGMAS = 4.0
@@ -56,18 +66,20 @@ def isolate_object(
     """
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
+    middle = aim - origin if aim is not None else None
+    everything = np.ones(len(xyz), bool)
     if turntable and points.up is not None:
         plane = _turntable_plate(xyz, points.up)
     else:
-        plane = _supporting_plane(xyz, points.up, None if cameras is None else cameras - origin)
+        eyes = None if cameras is None else cameras - origin
+        everything = _near_mask(xyz, middle, eyes)
+        plane = _supporting_plane(xyz[everything], points.up, eyes)
     tick(0.93)
-    middle = aim - origin if aim is not None else None
-    everything = np.ones(len(xyz), bool)
     if plane is None:
         thing = _object_mask(xyz, everything, middle)
         warning = "" if turntable else "No table or floor was found below the thing; only separate parts were removed."
     else:
-        above = plane.height(xyz) > _half_slab(plane)
+        above = everything & (plane.height(xyz) > _half_slab(plane))
         thing, warning = _object_mask(xyz, above, middle), ""
         if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
             thing = _object_mask(xyz, everything, middle)
@@ -83,24 +95,76 @@ def isolate_object(
     return replace(points.subset(thing), warnings=warnings)
 
 
+def _near_mask(xyz: Floats, middle: Floats | None, cameras: Floats | None) -> Bools:
+    """Return a mask (N,) of the points no farther from the middle than the cameras are: beyond are surroundings."""
+    if middle is None or cameras is None:
+        return np.ones(len(xyz), bool)
+    reach = np.median(np.linalg.norm(cameras - middle, axis=1))
+    near = np.asarray(np.linalg.norm(xyz - middle, axis=1) <= reach)
+    return near if near.sum() >= _MIN_POINTS else np.ones(len(xyz), bool)
+
+
 def _supporting_plane(xyz: Floats, up: Floats | None, cameras: Floats | None) -> Plane | None:
-    """Find the plane that the object stands on, its normal towards the object; None if there is none."""
+    """Find the plane that the object stands on, its normal towards the object; None if there is none.
+
+    A level plane, if there is one; else any, such as a wall that the object hangs on, since `up` may only be a guess.
+    """
     low, high = np.percentile(xyz, [1, 99], axis=0)
     reach = _PLANE_REACH * float((high - low).max())
-    level = largest_plane(xyz, reach, along=up, within_deg=_UPRIGHT_DEG) if up is not None else None
-    if level is not None and level.share >= _PLANE_SHARE and cameras is None:
+    if up is not None and (level := _outermost_plane(xyz, reach, cameras, up)):
         return level
-    # Any plane, also one that is not level: a wall that the object hangs on, or `up` was only a guess.
-    plane = level if level is not None and level.share >= _PLANE_SHARE else largest_plane(xyz, reach)
-    if plane is None or plane.share < _PLANE_SHARE:
-        return None
-    heights = plane.height(cameras if cameras is not None else xyz)
-    above, below = np.sum(heights > _half_slab(plane)), np.sum(heights < -_half_slab(plane))
-    if above + below == 0:
-        return plane
-    if max(above, below) < _ONE_SIDE * (above + below):
-        return None
-    return plane if above >= below else plane.flipped()
+    return _outermost_plane(xyz, reach, cameras, None)
+
+
+def _outermost_plane(xyz: Floats, reach: float, cameras: Floats | None, up: Floats | None) -> Plane | None:
+    """Find the largest plane, level if `up` is given, with the cameras and nearly all points on one side of it.
+
+    A plane with points on both sides, such as the top of a pedestal, is part of the object: its points are left out,
+    and the next one is searched.
+    """
+    left = xyz
+    for _ in range(_PLANES):
+        plane = largest_plane(left, reach, along=up, within_deg=_UPRIGHT_DEG)
+        if plane is None or (share := plane.share * len(left) / len(xyz)) < _WIDE_PLANE_SHARE:
+            return None
+        large = share >= _PLANE_SHARE
+        if up is not None and cameras is None and large:
+            return plane
+        upward = plane if np.mean(plane.height(xyz if cameras is None else cameras) >= 0) >= 0.5 else plane.flipped()
+        half = _half_slab(plane)
+        stands_on = _is_base(upward.height(xyz), half) and (cameras is None or _is_below(upward.height(cameras), half))
+        if stands_on and (large or _is_wider(xyz, upward)):
+            return upward
+        left = left[np.abs(plane.height(left)) > half]
+        if len(left) < _MIN_POINTS:
+            break
+    return None
+
+
+def _is_wider(xyz: Floats, plane: Plane) -> bool:
+    """Return whether a plane reaches farther to the sides than what is over it, as a floor does and a foot does not."""
+    heights = plane.height(xyz)
+    aside = xyz - heights[:, None] * plane.normal
+    on, over = np.abs(heights) <= _half_slab(plane), heights > _half_slab(plane)
+    if not on.any() or not over.any():
+        return False
+    away = np.linalg.norm(aside - np.median(aside[on], axis=0), axis=1)
+    return float(np.percentile(away[on], 95)) > float(np.percentile(away[over], 95))
+
+
+def _is_below(cameras: Floats, half_slab: float) -> bool:
+    """Return whether a plane has nearly all cameras over it; their heights over it (M,)."""
+    above, below = int((cameras > half_slab).sum()), int((cameras < -half_slab).sum())
+    return above >= _ONE_SIDE * (above + below)
+
+
+def _is_base(points: Floats, half_slab: float) -> bool:
+    """Return whether most of what is off a plane is over it; the points' heights over it (N,).
+
+    Below lie noise, though not deep, and reflections in it; below the top of a pedestal lies the pedestal.
+    """
+    above, below = int((points > half_slab).sum()), int((points < -_DEEP_SLABS * half_slab).sum())
+    return below <= max((1 - _OVER) * (above + below), _NOISE_SHARE * len(points))
 
 
 def _turntable_plate(xyz: Floats, up: Floats) -> Plane | None:
@@ -112,12 +176,9 @@ def _turntable_plate(xyz: Floats, up: Floats) -> Plane | None:
     plane = largest_plane(bottom, reach, along=up, within_deg=_UPRIGHT_DEG)
     if plane is None:
         return None
-    above = plane.height(xyz)
-    on, over = np.abs(above) <= _half_slab(plane), above > _half_slab(plane)
-    if np.mean(above < -_half_slab(plane)) > 1 - _ONE_SIDE or not over.any():
+    if np.mean(plane.height(xyz) < -_half_slab(plane)) > 1 - _ONE_SIDE:
         return None
-    away = np.linalg.norm(xyz - height[:, None] * up - np.median(xyz[on] - height[on, None] * up, axis=0), axis=1)
-    return plane if np.percentile(away[on], 95) > np.percentile(away[over], 95) else None
+    return plane if _is_wider(xyz, plane) else None
 
 
 def _is_flat(thing: Floats, plane: Plane) -> bool:

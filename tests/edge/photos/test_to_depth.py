@@ -153,12 +153,15 @@ def _wall(view: PhotoView, distance: float) -> tuple[UndistortedPhoto, Floats]:
 def test_views_confirm_what_they_see_alike_and_nothing_else() -> None:
     seen = [_wall(view, 2.0) for view in (_view([0, 0, 0]), _view([0.3, 0, 0], -8), _view([-0.3, 0.1, 0], 8))]
     pictures, depths = [each[0] for each in seen], [each[1] for each in seen]
-    agreed = confirmations(0, (1, 2), pictures, depths)
-    assert np.median(agreed) == 2
-    off = [depths[0] * 1.03, depths[1], depths[2]]
-    assert not confirmations(0, (1, 2), pictures, off).any()
-    unknown = [np.zeros_like(depths[0]), *depths[1:]]
-    assert not confirmations(0, (1, 2), pictures, unknown).any()
+    strict, loose = confirmations(0, (1, 2), pictures, depths)
+    assert np.median(strict) == np.median(loose) == 2
+    strict, loose = confirmations(0, (1, 2), pictures, [depths[0] * 1.009, depths[1], depths[2]])
+    assert np.median(loose) == 2, "which is between the two tolerances"
+    assert not strict.any()
+    for wrong in (depths[0] * 1.03, np.zeros_like(depths[0])):
+        strict, loose = confirmations(0, (1, 2), pictures, [wrong, *depths[1:]])
+        assert not strict.any()
+        assert not loose.any()
 
 
 def test_sources_see_the_same_from_both_sides_at_angles_that_show_depth() -> None:

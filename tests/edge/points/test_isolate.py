@@ -13,6 +13,7 @@ from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.capture_to_points import to_points
 from services.edge.errors import CaptureError
+from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Points
 from services.edge.points.plane import largest_plane
 from services.edge.points.upright import estimate_up
@@ -140,3 +141,27 @@ def test_a_lamp_is_taken_off_its_wall(data_dir: Path) -> None:
     points = to_points(read_capture(data_dir / "cloud_room" / "fragment.pcd"), isolate=True)
     assert 2_000 < len(points) < 8_000
     assert np.ptp(points.xyz, axis=0).max() < 0.6
+
+
+def ball_on_pedestal(wall: float = 2.0) -> tuple[Floats, Floats]:
+    """A cloud (N,3): a ball on a pedestal with a wide flat top, a floor, and a wall `wall` metres away; mask (N,): what
+    belongs together."""
+    pedestal = trimesh.sample.sample_surface(trimesh.creation.box((0.7, 0.7, 0.4)), 24_000, seed=4)[0] + [0, 0, 0.2]
+    ball = trimesh.sample.sample_surface(trimesh.creation.icosphere(4, 0.15), 6_000, seed=2)[0] + [0, 0, 0.55]
+    top = trimesh.sample.sample_surface(plane(0.7, 0.7, z=0.4), 14_000, seed=6)[0]  # photos show it best
+    floor = trimesh.sample.sample_surface(plane(4.0, 4.0), 20_000, seed=1)[0]
+    far = trimesh.sample.sample_surface(trimesh.creation.box((0.1, 4.0, 3.0)), 5_000, seed=5)[0] + [wall, 0, 1.5]
+    whole = np.concatenate([pedestal[pedestal[:, 2] > 0.02], top, ball])
+    cloud = np.concatenate([whole, floor[np.abs(floor[:, :2]).max(axis=1) > 0.35], far])
+    return cloud + np.random.default_rng(0).normal(0, 0.001, cloud.shape), np.arange(len(cloud)) < len(whole)
+
+
+@pytest.mark.parametrize("up", [UP, None], ids=["gravity known", "gravity unknown"])
+def test_a_pedestal_stays_with_what_stands_on_it_and_the_floor_and_the_wall_go(up: Floats | None) -> None:
+    cloud, whole = ball_on_pedestal()
+    turns = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+    cameras = np.column_stack([1.3 * np.cos(turns), 1.3 * np.sin(turns), np.full(20, 0.9)])
+    points = Points(cloud, None, np.ones(len(cloud), np.float32), 1.0, "metric", up)
+    found = isolate_object(points, aim=np.array([0.0, 0.0, 0.4]), cameras=cameras)
+    assert len(found) == pytest.approx(whole.sum(), rel=0.02)
+    assert np.abs(found.xyz[:, :2]).max() < 0.36, "nothing of the floor or of the wall"
