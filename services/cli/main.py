@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -23,6 +23,8 @@ app = typer.Typer(
 )
 app.add_typer(catalogue, name="catalogue")
 
+FillChoice = Literal["none", "unseen", "all"]
+
 Isolate = Annotated[
     bool | None,
     typer.Option(
@@ -34,6 +36,13 @@ Isolate = Annotated[
 Longest = Annotated[
     float | None,
     typer.Option(min=0.001, max=1_000, help="Metres between the farthest points of the object, if you measured it."),
+]
+Fill = Annotated[
+    FillChoice | None,
+    typer.Option(
+        help="Holes of the mesh to fill: none; unseen: those in its surface that no photo sees through; all: also "
+        "open ends and undersides. Default: unseen for photos and depth images, none for point clouds."
+    ),
 ]
 Target = Annotated[
     str,
@@ -58,6 +67,7 @@ def run(
     ] = 0,
     isolate: Isolate = None,
     longest: Longest = None,
+    fill: Fill = None,
     target: Target = "",
     key: Annotated[str, typer.Option(help="Asset key. Default: made from the capture's name.")] = "",
     collection: Collection = DEFAULT_COLLECTION,
@@ -68,7 +78,7 @@ def run(
     """Reconstruct a capture in this process, without servers: writes meshes, pictures and a report to a folder."""
     from services.cli.run import RunOptions, run_capture
 
-    options = RunOptions(key, collection, isolate, longest, target, reference)
+    options = RunOptions(key, collection, isolate, longest, target, reference, fill)
     run_capture(capture, out, options, preset=preset, device=device, resolution=resolution)
 
 
@@ -104,6 +114,7 @@ def push(
     collection: Collection = "",
     isolate: Isolate = None,
     longest: Longest = None,
+    fill: Fill = None,
     target: Target = "",
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
@@ -114,6 +125,7 @@ def push(
         "collection": collection or None,
         "isolate": isolate,
         "longest_m": longest,
+        "fill": fill,
         "target": target or None,
     }
     push_capture(capture, gateway, key=key, label=label, options=options)

@@ -14,6 +14,7 @@ _ROWS = {
     "held_out_p95": ("95th percentile", "", "{:.5f}"),
     "coverage": ("coverage", "fraction of them within one point spacing of the surface", "{:.1%}"),
     "stray_area": ("stray area", "fraction of the surface without points near it", "{:.2%}"),
+    "filled_area": ("filled in", "fraction of the surface that no photo shows surely", "{:.2%}"),
     "consistency": (
         "inconsistency of the field",
         "1 − |cos| between its gradients at a point and at the point's projection",

@@ -25,6 +25,7 @@ from services.edge.asset.target import Target, require_encoder, target_of
 from services.edge.capture.nouns import Capture
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
+from services.edge.mesh.fill_gaps import Fill
 from services.edge.mesh.nouns import Mesh
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from services.storage.archives import ArchiveError, is_zip, unpack
@@ -45,6 +46,7 @@ class RunOptions:
     collection name of the collection in the bundle's catalogue
     isolate    remove the object's surroundings; None: only if photos were taken around one object
     longest_m  metres between the farthest points of the object, or None
+    fill       which holes of the mesh are filled; None: by the kind of capture
     target     device class whose budget the levels of detail must meet; "": none
     reference  a mesh of the same object to measure the result's error, or None
     """
@@ -55,6 +57,7 @@ class RunOptions:
     longest_m: float | None = None
     target: str = ""
     reference: Path | None = None
+    fill: Fill | None = None
 
 
 DEFAULTS = RunOptions()
@@ -166,6 +169,7 @@ def _reconstruct_into(
             checkpoint=results.checkpoint,
             isolate=options.isolate,
             longest_m=options.longest_m,
+            fill=options.fill,
             label=label,
             target=target,
             encode=encode,

@@ -17,7 +17,7 @@ from typing import Any
 from services.edge.arrays import DistanceFn, Floats, part_of
 from services.edge.asset.assemble import assemble_bundle
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface
-from services.edge.asset.photo_check import check_surface_with_photos
+from services.edge.asset.photo_check import check_surface_with_photos, fill_gaps_with_photos
 from services.edge.asset.target import NO_TARGET, Target, require_encoder
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
@@ -29,6 +29,7 @@ from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
 from services.edge.mesh.clean import clean
 from services.edge.mesh.extract import extract
+from services.edge.mesh.fill_gaps import Fill
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.points.downsample import downsample_points
@@ -69,6 +70,7 @@ def reconstruct(
     isolate: bool | None = None,
     longest_m: float | None = None,
     hold_out: int | None = None,
+    fill: Fill | None = None,
     label: str = "",
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
@@ -81,6 +83,7 @@ def reconstruct(
     isolate     whether to remove the supporting plane and clutter; None: where photos were taken around one object
     longest_m   greatest distance between two points of the object in metres, where it is known
     hold_out    number of photos that the result is not made from, but compared with; None: a few of 16 or more
+    fill        which holes of the mesh are filled; None: "unseen" for photos and depth images, "none" for clouds
     label       the asset's name for people, in the manifest
     target      device class whose budget the bundles must meet
     encode      encoder of KTX2 textures, for a target that wants them
@@ -105,6 +108,7 @@ def reconstruct(
         share=share,
         device=device,
         checkpoint=checkpoint,
+        fill=fill,
         label=label,
         target=target,
         encode=encode,
@@ -119,6 +123,7 @@ def bundles(
     share: float = PREVIEW_SHARE,
     device: str = "cpu",
     checkpoint: Path | None = None,
+    fill: Fill | None = None,
     label: str = "",
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
@@ -144,7 +149,10 @@ def bundles(
         xyz_unit = denoise(measured, noise, tick=bar.tick("FITTING"))
         distance = local_field(xyz_unit, tick=bar.tick("FITTING"))
     evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held_out == 1]))
-    subject = AssetSubject(prepared.source, preset, because, label, target, inputs, points, unit, xyz_unit, evidence)
+    fill = fill or ("unseen" if points.texture_views else "none")
+    subject = AssetSubject(
+        prepared.source, preset, because, label, target, fill, inputs, points, unit, xyz_unit, evidence
+    )
 
     finest = min(preset.finest, PREVIEW_FINEST) if preset.fit else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
@@ -227,9 +235,10 @@ def _surface(
                 f"no surface was found among {len(near):,} points at {resolution} cells",
                 hints=("capture the object from closer and from more sides",),
             )
-        check = check_surface_with_photos(mesh_unit, subject.colours, subject.unit)
-        certificate = certify(distance, mesh_unit, subject.evidence, check.figures)
-        return MeasuredSurface(mesh_unit, resolution, certificate, check)
+        filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
+        check = check_surface_with_photos(filled.mesh, subject.colours, subject.unit)
+        certificate = certify(distance, filled.mesh, subject.evidence, check.figures)
+        return MeasuredSurface(filled, resolution, certificate, check)
 
 
 def _resolve_preset(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -52,6 +52,13 @@ class JobRequest(BaseModel):
             description="Collection that lists the asset; empty: the one that the upload named, or that has it.",
         ),
     ] = ""
+    fill: Annotated[
+        Literal["", "none", "unseen", "all"],
+        Field(
+            description="Holes of the mesh to fill. none; unseen: those in its surface that no photo sees "
+            "through; all: also open ends and undersides; empty: unseen for photos and depth, none for clouds."
+        ),
+    ] = ""
 
     def order(self, preset: str, collection: str) -> Order:
         """Convert to the job's order, with the preset and the collection that were chosen."""
@@ -64,6 +71,7 @@ class JobRequest(BaseModel):
             isolate=self.isolate,
             longest_m=self.longest_m,
             collection=collection,
+            fill=self.fill,
         )
 
 

@@ -189,6 +189,7 @@ def _header(job: Job, size: int) -> pb.Header:
         label=order.label,
         longest_m=order.longest_m or 0.0,
         collection=order.collection,
+        fill=order.fill,
     )
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from base64 import b64encode
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +65,7 @@ def bundle(state: str, mean: float, **quality: object) -> Bundle:
         "held_out_p95": 2 * mean,
         "coverage": 0.99,
         "stray_area": 0.0,
+        "filled_area": 0.0,
         "consistency": 0.01,
         "components": 1,
         "boundary_loops": 1,
@@ -106,6 +110,15 @@ def results(tmp_path: Path) -> Results:
     results = Results(tmp_path / "out", "shirt")
     results.write(bundle("preview", 0.003))
     return results
+
+
+PHOTOS = {"photos": 2, "cover": 0.987, "lace": 0.0123, "inside_out": 0.0, "leak": 0.0456, "depth": None, "psnr": 21.5}
+
+
+def with_photos(state: str, figures: dict[str, object] = PHOTOS, pictures: int = 2, **quality: object) -> Bundle:
+    """A bundle that was compared with photos."""
+    private = {f"photo-{number}.jpg": b"%d" % number for number in range(1, pictures + 1)}
+    return replace(bundle(state, 0.002, photos=figures, **quality), private=private)
 
 
 def report_of(results: Results) -> dict[str, object]:
@@ -159,6 +172,45 @@ def test_the_page_needs_nothing_from_anywhere_and_trusts_no_name(results: Result
     assert "<shirt>" not in page
     assert "<td>&lt;2&gt;.jpg</td><td>no overlap</td><td>take more between 1.jpg and this one</td>" in page
     assert "<li>Shoot from &lt;behind&gt;.</li>" in page
+
+
+def test_held_out_photos_are_shown_with_their_figures(tmp_path: Path) -> None:
+    results = Results(tmp_path / "out", "shirt")
+    results.write(with_photos("preview"))
+    assert (results.out / "photo-1.jpg").read_bytes() == b"1"
+    assert (results.out / "photo-2.jpg").read_bytes() == b"2"
+    assert report_of(results)["quality"]["photos"] == PHOTOS
+    page = (results.out / "report.html").read_text()
+    assert "<h2>Compared with photos that were not used</h2>" in page
+    assert page.count("data:image/jpeg;base64,") == 2
+    assert f"data:image/jpeg;base64,{b64encode(b'2').decode()}" in page
+    for name, figure in {"held-out photos": "2", "holes": "1.23%", "surface beside the thing": "4.56%"}.items():
+        assert re.search(rf"<td>{name} <small>.*?</small></td><td class=\"figure\">{figure}</td>", page)
+    assert "21.50" in page
+    assert "SSIM" not in page, "it was not measured"
+    assert "of their depth" not in page
+
+
+def test_both_certificates_have_a_column_of_photos(results: Results) -> None:
+    """The preview was not compared with photos, and a figure that one of them lacks leaves its place empty."""
+    preview = bundle("preview", 0.003).manifest["quality"]
+    results.write(with_photos("refined", verdict="better", because="", preview=preview))
+    page = (results.out / "report.html").read_text()
+    assert re.search(
+        r"<td>holes <small>.*?</small></td><td class=\"figure\"></td><td class=\"figure\">1.23%</td>", page
+    )
+
+
+def test_a_run_without_photos_to_spare_shows_none(results: Results) -> None:
+    page = (results.out / "report.html").read_text()
+    assert "Compared with photos" not in page
+    assert "held-out photos" not in page
+
+
+def test_photos_never_reach_the_store(tmp_path: Path) -> None:
+    results = Results(tmp_path / "out", "shirt")
+    results.write(with_photos("preview"))
+    assert not [path for path in (results.out / "bundle").rglob("*") if "photo" in path.name]
 
 
 def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:

@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label", "longest_m", "prepared", "collection")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "isolate", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -51,6 +51,7 @@ class Header(_message.Message):
     LONGEST_M_FIELD_NUMBER: _ClassVar[int]
     PREPARED_FIELD_NUMBER: _ClassVar[int]
     COLLECTION_FIELD_NUMBER: _ClassVar[int]
+    FILL_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -62,7 +63,8 @@ class Header(_message.Message):
     longest_m: float
     prepared: bool
     collection: str
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ...) -> None: ...
+    fill: str
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., isolate: _Optional[bool] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ...) -> None: ...
 
 class Data(_message.Message):
     __slots__ = ("offset", "data")

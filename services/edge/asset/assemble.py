@@ -62,7 +62,7 @@ def assemble_bundle(
         files = {f"lod{level}.glb": pack_glb(asset, subject.target) for level, asset in enumerate(assets)}
         costs = [measure_cost(glb) for glb in files.values()]
         files |= preview_images(assets, last=last, tick=tick)
-        files["mesh.ply"] = ply_bytes(full)
+        files["mesh.ply"] = ply_bytes(full, filled=surface.surface.filled_vertices if surface.surface.share else None)
         private: dict[str, bytes] = {}
         if last and (figures := surface.check.figures):
             likeness = check_textures_with_photos(assets[0], surface.check, subject.colours, to_asset)
@@ -76,7 +76,7 @@ def assemble_bundle(
         finest=levels[0],
         to_asset=to_asset,
         seconds=clock.seconds,
-        warnings=(*warnings, *surface.check.warnings(), *texture_warnings),
+        warnings=(*warnings, *surface.warnings(), *texture_warnings),
     )
     if state == "refined":
         require_budget(subject.target, costs)

@@ -14,11 +14,13 @@ from services.edge.asset.photo_check import PhotoCheck
 from services.edge.asset.target import Cost, Target
 from services.edge.capture_to_points import CaptureSummary
 from services.edge.certificate import Certificate, Evidence
+from services.edge.mesh.fill_gaps import Fill, FilledMesh
 from services.edge.mesh.nouns import Mesh
 from services.edge.points.anchor_points import cluster_anchors
 from services.edge.points.nouns import Points, UnitFrame
 from services.edge.preset import Preset
 
+_TOLD = 0.005  # share of filled surface from which on a person is told
 _DEFAULT_UP = np.array([0.0, 1.0, 0.0])  # as in modelling tools and glTF; scanners that differ say so in their format
 
 
@@ -57,6 +59,7 @@ class AssetSubject:
     points     points that the field is fitted to; xyz_unit (N,3) the same, denoised, in the unit frame
     colours    all points of the capture, for textures: more of them than a field needs
     target     device class that the asset is made for
+    fill       which holes of its surface are filled
     evidence   points that its surfaces are compared with
     """
 
@@ -65,6 +68,7 @@ class AssetSubject:
     because: str
     label: str
     target: Target
+    fill: Fill
     points: Points
     colours: Points
     unit: UnitFrame
@@ -76,13 +80,14 @@ class AssetSubject:
 class MeasuredSurface:
     """A field's mesh in the unit frame, with its quality figures and those of the training.
 
+    surface     the mesh, and which of its faces fill holes
     resolution  grid cells along the longest side
     check       comparison with the held-out photos
     steps       of training, 0 for the local field; device: where it was trained
     losses      at the end of the training
     """
 
-    mesh_unit: Mesh
+    surface: FilledMesh
     resolution: int
     certificate: Certificate
     check: PhotoCheck = field(default_factory=PhotoCheck)
@@ -90,11 +95,23 @@ class MeasuredSurface:
     device: str = "cpu"
     losses: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def mesh_unit(self) -> Mesh:
+        """The mesh, unit frame."""
+        return self.surface.mesh
+
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about what a person would notice of the surface."""
+        share = self.surface.share
+        filled = f"{share:.1%} of the surface was filled in: the photos show no more of it" if share >= _TOLD else ""
+        return (*((filled,) if filled else ()), *self.check.warnings())
+
     def quality(self, preset: Preset, seconds: Mapping[str, float]) -> dict[str, Any]:
         """The manifest's `quality` entry: certificate and training; seconds: by stage, up to here."""
         return {
             "resolution": self.resolution,
             **self.certificate.as_json(),
+            "filled_area": round(self.surface.share, 5),
             "preset": preset.name,
             "steps": self.steps,
             "losses": dict(self.losses),

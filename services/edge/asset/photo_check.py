@@ -1,4 +1,4 @@
-"""Compare an asset's surface and its textures with the photos that were held out for this; advise whoever took them."""
+"""Ask the photos about an asset: what may be filled in, and how it compares with those that were held out for this."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.edge.arrays import Floats
+from services.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.points.nouns import Points, TextureView, UnitFrame
+from services.edge.render.free_space import ColouredSurface, ask_views
 from services.edge.render.photo_comparison import (
     LikenessCheck,
     PhotoFigures,
@@ -66,8 +68,7 @@ class PhotoCheck:
 
 def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> PhotoCheck:
     """Compare a mesh in the unit frame with the held-out photos of its points."""
-    to_unit = np.eye(4)
-    to_unit[:3] = np.column_stack([np.eye(3), -unit.centre]) / unit.size
+    to_unit = _to_unit(unit)
     return PhotoCheck(
         tuple(
             check_surface(
@@ -77,6 +78,20 @@ def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) 
             )
         )
     )
+
+
+def fill_gaps_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame, fill: Fill) -> FilledMesh:
+    """Fill holes of a mesh in the unit frame that the photos of its points do not see through."""
+    pictures = [posed_picture(view, _to_unit(unit)) for view in points.texture_views]
+    surface = None if points.rgb is None else ColouredSurface(unit.to_unit(points.xyz), points.rgb)
+    return fill_gaps(mesh_unit, fill, ask_views(pictures, surface))
+
+
+def _to_unit(unit: UnitFrame) -> Floats:
+    """Transform (4,4) from the capture frame to the unit frame."""
+    to_unit = np.eye(4)
+    to_unit[:3] = np.column_stack([np.eye(3), -unit.centre]) / unit.size
+    return to_unit
 
 
 def check_textures_with_photos(

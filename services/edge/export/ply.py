@@ -6,22 +6,30 @@ from pathlib import Path
 
 import numpy as np
 
+from services.edge.arrays import Bools
 from services.edge.mesh.nouns import Mesh
 
 _TYPES = {"<f4": "float", "u1": "uchar"}
 
 
-def ply_bytes(mesh: Mesh) -> bytes:
-    """Encode a mesh as little-endian binary PLY; positions become float32, in the mesh's frame."""
+def ply_bytes(mesh: Mesh, *, filled: Bools | None = None) -> bytes:
+    """Encode a mesh as little-endian binary PLY; positions become float32, in the mesh's frame.
+
+    filled (V,): vertices that fill holes, written as the property `filled`, 0 or 1; None: no such property.
+    """
     fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     if mesh.rgb is not None:
         fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    if filled is not None:
+        fields.append(("filled", "u1"))
     vertices = np.empty(len(mesh.vertices), dtype=fields)
     for name, column in zip("xyz", np.asarray(mesh.vertices).T, strict=True):
         vertices[name] = column
     if mesh.rgb is not None:
         for name, column in zip(("red", "green", "blue"), np.asarray(mesh.rgb).T, strict=True):
             vertices[name] = column
+    if filled is not None:
+        vertices["filled"] = filled
     faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     faces["count"] = 3
     faces["corners"] = mesh.faces

@@ -65,6 +65,7 @@ class FieldFitter:
             share=preview_share(prepared.source.kind) if bar.reached else PREVIEW_SHARE,
             device=self._device.name,
             checkpoint=checkpoint,
+            fill=request.fill,
             label=request.label,
             target=target_of(request.target),
             encode=self._encode,

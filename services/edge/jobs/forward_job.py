@@ -186,6 +186,7 @@ def _header(request: ReconstructionRequest, size: int) -> pb.Header:
         label=request.label,
         prepared=True,
         collection=request.collection,
+        fill=request.fill or "",
     )
 
 

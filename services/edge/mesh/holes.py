@@ -38,7 +38,7 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
     The new faces are appended, and are wound like those next to each loop's first edge.
     """
     border = border_edges(mesh.faces) if border is None else border
-    chords = _chords(mesh.faces, border) if largest is not None else None
+    chords = edges_between(mesh.faces, border) if largest is not None else None
     vertices, faces, count = [mesh.vertices], [mesh.faces], len(mesh.vertices)
     for loop in border_loops(mesh.faces, border):
         points = mesh.vertices[loop]
@@ -55,7 +55,7 @@ def fill_holes(mesh: Mesh, longest: Floats, border: Ints | None = None, *, large
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def _chords(faces: Ints, border: Ints) -> Ints:
+def edges_between(faces: Ints, border: Ints) -> Ints:
     """Edges (C,2) of the mesh between border vertices."""
     rim = np.zeros(int(faces.max(initial=0)) + 1, bool)
     rim[border] = True
@@ -77,11 +77,11 @@ def _triangulate_below(largest: float, points: Floats, loop: Ints, chords: Ints)
     order = np.argsort(loop)
     own = chords[np.isin(chords, loop).all(axis=1)]
     forbidden = np.sort(order[np.searchsorted(loop, own, sorter=order)], axis=1)
-    area, triangles = _least_area(points, forbidden)
+    area, triangles = least_area(points, forbidden)
     return loop[triangles[:, ::-1]] if area < largest else none
 
 
-def _least_area(points: Floats, forbidden: Ints) -> tuple[float, Ints]:
+def least_area(points: Floats, forbidden: Ints) -> tuple[float, Ints]:
     """Triangulate a loop (L,3), L ≥ 3, with least area -> the area, and (L−2,3) corners, wound like the loop.
 
     forbidden (C,2), each pair rising, are chords that it must not use; the area is ∞ where it cannot avoid them.

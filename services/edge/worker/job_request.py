@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import get_args
 
 import grpc
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.asset.target import require_encoder, target_of
 from services.edge.errors import EdgeError
+from services.edge.mesh.fill_gaps import Fill
 from services.edge.worker.capabilities import Capabilities
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
@@ -46,6 +48,7 @@ class ReconstructionRequest:
     """A validated header: the fields of the wire's `Header`, with the defaults of `preset` and `label` filled in.
 
     collection  collection that lists the asset; "": this worker's default collection
+    fill        which holes of the mesh are filled; None: by the kind of capture
     """
 
     job: str
@@ -58,6 +61,7 @@ class ReconstructionRequest:
     label: str
     prepared: bool
     collection: str = ""
+    fill: Fill | None = None
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -90,7 +94,19 @@ class ReconstructionRequest:
             label=label,
             prepared=header.prepared,
             collection=header.collection,
+            fill=_checked_fill(header.fill),
         )
+
+
+def _checked_fill(name: str) -> Fill | None:
+    """Return the choice of a header's `fill`; None where it is empty."""
+    for choice in get_args(Fill):
+        if choice == name:
+            chosen: Fill = choice
+            return chosen
+    if name:
+        raise invalid("FILL_UNKNOWN", f"there is no fill {name}; use one of {', '.join(get_args(Fill))}")
+    return None
 
 
 def _require_name(code: str, field: str, value: str) -> None:

@@ -36,6 +36,7 @@ class Order:
     isolate: bool | None = None  # remove the surroundings; None: only if the photos were taken around one object
     longest_m: float | None = None  # metres between the object's farthest points, where the user knows it
     collection: str = ""  # collection that lists the asset; "": the worker's default
+    fill: str = ""  # holes of the mesh to fill: none, unseen or all; "": by the kind of capture
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ const page = {
   form: element('form', HTMLFormElement),
   preset: element('preset', HTMLSelectElement),
   isolate: element('isolate', HTMLSelectElement),
+  fill: element('fill', HTMLSelectElement),
   longest: element('longest', HTMLInputElement),
   cancel: element('cancel', HTMLButtonElement),
   receipt: element('receipt', HTMLElement),
@@ -64,6 +65,7 @@ function jobRequest({ capture }, name) {
     preset: page.preset.value,
     isolate: isolate ? isolate === 'true' : null,
     longest_m: centimetres > 0 ? centimetres / 100 : null,
+    fill: page.fill.value,
   };
 }
 

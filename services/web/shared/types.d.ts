@@ -163,6 +163,7 @@ export interface JobRequest {
   preset: string;
   isolate: boolean | null;
   longest_m: number | null;
+  fill: string;
 }
 
 export interface Presets {

@@ -64,7 +64,7 @@ def to_asset() -> np.ndarray:
 def asset_of(known: Points, target: Target = TARGETS["quest3"]) -> tuple[Mesh | TexturedMesh, tuple[str, ...]]:
     """The only level, and what is said of it."""
     unasked: Any = None
-    subject = AssetSubject(unasked, unasked, "", "", target, known, known, unasked, known.xyz, unasked)
+    subject = AssetSubject(unasked, unasked, "", "", target, "none", known, known, unasked, known.xyz, unasked)
     mesh, placed = sheet(), to_asset()
     level = Mesh(mesh.vertices @ placed[:3, :3].T + placed[:3, 3], mesh.faces, print_of(mesh.vertices))
     (asset,), warnings = add_textures([level], placed, subject, None, no_tick)

@@ -83,6 +83,7 @@ MALFORMED = {
     "a hidden key": [head(asset_key=".dress")],
     "a key with a path": [head(asset_key="a/b")],
     "a key of other letters": [head(asset_key="плащ")],
+    "a fill that does not exist": [head(fill="everything")],
     "an over-long collection": [head(collection="c" * 300)],
     "a hidden collection": [head(collection=".ada")],
     "a collection above": [head(collection="..")],
@@ -252,7 +253,7 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 
 NUMBERS = {
-    "Header": "job fence preset asset_key target isolate capture_bytes label longest_m prepared collection",
+    "Header": "job fence preset asset_key target isolate capture_bytes label longest_m prepared collection fill",
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
     "Event": "job seq elapsed_s progress heartbeat published failure finished",
     "Failure": "code message file hints retryable stage",

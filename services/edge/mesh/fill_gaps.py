@@ -1,0 +1,259 @@
+"""Fill holes of a cleaned mesh that are missing surface, not true openings.
+
+1. span    every border loop gets the triangulation of least area
+2. judge   it stays open where the patch leaves the surface's plane, as over the end of a sleeve or the mouth of a cup,
+           and where views saw through the patch, into free space
+3. refine  the patch's edges are split until they are as long as the border's
+4. fair    its vertices go where the surface is as smooth as across the border (biharmonic; M. Botsch, O. Sorkine, "On
+           linear variational surface deformation methods", 2008)
+
+P. Liepa, "Filling holes in meshes", 2003, has the same steps, but judges nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
+
+from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from services.edge.mesh.edges import border_edges, border_loops, edges_of
+from services.edge.mesh.holes import edges_between, least_area
+from services.edge.mesh.normals import face_normals
+from services.edge.mesh.nouns import Mesh
+
+Fill = Literal["none", "unseen", "all"]
+"""Which holes are filled: none; those in a surface that goes on around them, unless views saw through; all that no
+view saw through, also the ends of tubes and undersides."""
+
+MOST_CORNERS = 400
+"""Vertices of a loop: the triangulation takes 0.5 s then, and a longer loop is no hole but a border."""
+_FEWEST = 3
+_CONTINUES, _LIES_BACK = 0.5, -0.5
+"""Least mean cosine between the surface's normals along a loop and the patch's: for a hole in a surface, and for any
+patch. Over the end of a tube it is 0, over the border of a sheet, whose patch would lie back on it, -1."""
+_SEE_PAST = 2
+"""Views that see past a place, from which on it is free space: one may err."""
+_MOST_FREE = 0.15
+"""Share of a patch in free space up to which it is filled: depth is wrong by a pixel at outlines."""
+_LONGER = 1.5
+"""Length of an edge over that of the border's edges, from which on it is split."""
+_ROUNDS = 8
+"""Rounds of splitting; each halves the longest edges."""
+_FLIP_ROUNDS, _ANGLE_TOLERANCE = 10, 1e-6
+"""Rounds of flipping behind each round of splitting, and radians over 180 degrees that are no reason to flip."""
+
+
+Ask = Callable[[Floats, Floats], Ints]
+"""Function from places (N,3) and unit normals (N,3) to the number of views (N,) that see past each, into free space."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilledMesh:
+    """A mesh with its holes filled: filled (F,) the faces that were added, which are last."""
+
+    mesh: Mesh
+    filled: Bools
+
+    @property
+    def filled_vertices(self) -> Bools:
+        """Mask (V,) of the vertices that only added faces use."""
+        used = np.zeros(len(self.mesh.vertices), bool)
+        used[self.mesh.faces[~self.filled]] = True
+        return ~used
+
+    @property
+    def share(self) -> float:
+        """Share of the mesh's area that was added."""
+        areas = np.linalg.norm(face_normals(self.mesh.vertices, self.mesh.faces), axis=1)
+        return float(areas[self.filled].sum() / max(areas.sum(), 1e-300))
+
+
+def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, tick: Tick = no_tick) -> FilledMesh:
+    """Fill the holes of a mesh without colours that are missing surface.
+
+    The mesh must be manifold, its border vertices with two border edges each, its faces oriented alike around a hole.
+    """
+    if fill == "none" or not len(mesh.faces):
+        return FilledMesh(mesh, np.zeros(len(mesh.faces), bool))
+    border = border_edges(mesh.faces)
+    normal_of = _normals_along(mesh, border)
+    chords = edges_between(mesh.faces, border)
+    patches = []
+    loops = [loop for loop in border_loops(mesh.faces, border) if _FEWEST <= len(loop) <= MOST_CORNERS]
+    for number, loop in enumerate(loops):
+        faces = _span(mesh.vertices, loop, chords)
+        if len(faces) and _bend(mesh.vertices, faces, loop, normal_of) >= (_LIES_BACK if fill == "all" else _CONTINUES):
+            patches.append(faces)
+        tick(0.6 * (number + 1) / len(loops))
+    patches = _not_free(mesh.vertices, patches, ask)
+    tick(0.8)
+    if not patches:
+        return FilledMesh(mesh, np.zeros(len(mesh.faces), bool))
+    vertices, added = _refine(mesh.vertices, np.concatenate(patches), chords)
+    whole = Mesh(vertices, np.concatenate([mesh.faces, added]))
+    return FilledMesh(_fair(whole, len(mesh.vertices)), np.arange(len(whole.faces)) >= len(mesh.faces))
+
+
+def _normals_along(mesh: Mesh, border: Ints) -> Callable[[Ints, Ints], Floats]:
+    """Return a function from the ends (N,) and (N,) of border edges to the unit normals (N,3) of their faces."""
+    edges = edges_of(mesh.faces)
+    half = edges.halves(1)[:, 0]
+    normals = face_normals(mesh.vertices, mesh.faces[half // 3])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    count = len(mesh.vertices)
+    keys = np.sort(border, axis=1) @ np.array([count, 1])
+    order = np.argsort(keys)
+
+    def normal_of(one: Ints, other: Ints) -> Floats:
+        wanted = np.minimum(one, other) * count + np.maximum(one, other)
+        found: Floats = normals[order[np.searchsorted(keys, wanted, sorter=order)]]
+        return found
+
+    return normal_of
+
+
+def _span(vertices: Floats, loop: Ints, chords: Ints) -> Ints:
+    """Triangulate a loop (L,) with least area, wound like the faces along it; (0,3) where that cannot be done."""
+    order = np.argsort(loop)
+    own = chords[np.isin(chords, loop).all(axis=1)]
+    forbidden = np.sort(order[np.searchsorted(loop, own, sorter=order)], axis=1)
+    area, triangles = least_area(vertices[loop], forbidden)
+    return loop[triangles[:, ::-1]] if np.isfinite(area) else np.empty((0, 3), np.int64)
+
+
+def _bend(vertices: Floats, patch: Ints, loop: Ints, normal_of: Callable[[Ints, Ints], Floats]) -> float:
+    """Return the mean cosine between the normals of the surface and of its patch along a loop, weighted by length."""
+    after = np.roll(loop, -1)
+    along = normal_of(loop, after)
+    normals = face_normals(vertices, patch)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    count = len(vertices)
+    ends = np.sort(patch[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1) @ np.array([count, 1])
+    order = np.argsort(ends)
+    wanted = np.minimum(loop, after) * count + np.maximum(loop, after)
+    owner = order[np.searchsorted(ends, wanted, sorter=order)] // 3
+    length = np.linalg.norm(vertices[after] - vertices[loop], axis=1)
+    cosine = np.einsum("nx,nx->n", along, normals[owner])
+    return float((length * cosine).sum()) / max(float(length.sum()), 1e-300)
+
+
+def _not_free(vertices: Floats, patches: list[Ints], ask: Ask) -> list[Ints]:
+    """Return the patches that views do not see through."""
+    if not patches:
+        return []
+    faces = np.concatenate(patches)
+    normals = face_normals(vertices, faces)
+    area = np.linalg.norm(normals, axis=1)
+    past = ask(vertices[faces].mean(axis=1), normals / np.maximum(area, 1e-300)[:, None])
+    owner = np.repeat(np.arange(len(patches)), [len(patch) for patch in patches])
+    total = np.maximum(np.bincount(owner, area, len(patches)), 1e-300)
+    free = np.bincount(owner, area * (past >= _SEE_PAST), len(patches)) / total
+    return [patch for patch, share in zip(patches, free, strict=True) if share <= _MOST_FREE]
+
+
+def _refine(vertices: Floats, patch: Ints, chords: Ints) -> tuple[Floats, Ints]:
+    """Split the inner edges of patches (F,3) that are longer than those of their borders; border edges stay."""
+    border = border_edges(patch)
+    longest = _LONGER * float(np.median(np.linalg.norm(vertices[border[:, 0]] - vertices[border[:, 1]], axis=1)))
+    for _ in range(_ROUNDS):
+        edges = edges_of(patch)
+        inner = edges.size == 2
+        length = np.linalg.norm(vertices[edges.ends[:, 0]] - vertices[edges.ends[:, 1]], axis=1)
+        split = inner & (length > longest)
+        if not split.any():
+            break
+        middle = np.full(len(edges.size), -1)
+        middle[split] = len(vertices) + np.arange(split.sum())
+        vertices = np.concatenate([vertices, vertices[edges.ends[split]].mean(axis=1)])
+        of_half = np.empty(3 * len(patch), np.int64)
+        of_half[edges.order] = np.repeat(middle, edges.size)
+        patch = _flip_edges(vertices, _split_faces(patch, of_half.reshape(-1, 3)), chords)
+    return vertices, patch
+
+
+def _flip_edges(vertices: Floats, patch: Ints, chords: Ints) -> Ints:
+    """Flip inner edges whose opposite angles add up to more than 180 degrees (Delaunay): no slivers are left to fold.
+
+    chords (C,2): edges that the mesh has elsewhere between vertices of the border; none is made again.
+    """
+    for _ in range(_FLIP_ROUNDS):
+        edges = edges_of(patch)
+        half = edges.halves(2)
+        face, corner = half // 3, half % 3
+        apex = patch[face, (corner + 2) % 3]
+        start, end = patch[face[:, 0], corner[:, 0]], patch[face[:, 0], (corner[:, 0] + 1) % 3]
+        angles = _angle(vertices, apex[:, 0], start, end) + _angle(vertices, apex[:, 1], start, end)
+        taken: set[int] = set()
+        linked = set(map(tuple, edges.ends.tolist())) | set(map(tuple, np.sort(chords, axis=1).tolist()))
+        flipped = patch.copy()
+        for number in np.argsort(-angles, kind="stable"):
+            if angles[number] <= np.pi + _ANGLE_TOLERANCE:
+                break
+            one, other = face[number].tolist()
+            left, right = apex[number].tolist()
+            # Faces beside a flipped one have changed; an edge that exists already would get a third face.
+            if one in taken or other in taken or (min(left, right), max(left, right)) in linked or left == right:
+                continue
+            taken |= {one, other}
+            linked.add((min(left, right), max(left, right)))
+            flipped[one] = left, start[number], right
+            flipped[other] = right, end[number], left
+        if not taken:
+            break
+        patch = flipped
+    return patch
+
+
+def _angle(vertices: Floats, apex: Ints, one: Ints, other: Ints) -> Floats:
+    """Angles (N,) in radians at each apex between two other vertices."""
+    a, b = vertices[one] - vertices[apex], vertices[other] - vertices[apex]
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("nx,nx->n", a, b)))
+
+
+def _split_faces(faces: Ints, middle: Ints) -> Ints:
+    """Split faces (F,3) at the middles (F,3) of their edges (corner i to the next): -1 where an edge stays whole."""
+    count = (middle >= 0).sum(axis=1)
+    parts = [faces[count == 0]]
+    # Turned so that with one middle it is on the first edge, and with two the whole edge is the last.
+    turn = np.where(count == 1, np.argmax(middle >= 0, axis=1), (np.argmax(middle < 0, axis=1) + 1) % 3)
+    columns = (np.arange(3) + turn[:, None]) % 3
+    faces, middle = np.take_along_axis(faces, columns, axis=1), np.take_along_axis(middle, columns, axis=1)
+    a, b, c = faces.T
+    ab, bc, ca = middle.T
+    for which, triangles in (
+        (count == 1, ((a, ab, c), (ab, b, c))),
+        (count == 2, ((ab, b, bc), (a, ab, c), (ab, bc, c))),
+        (count == 3, ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))),
+    ):
+        parts += [np.stack([corner[which] for corner in triangle], axis=1) for triangle in triangles]
+    return np.concatenate(parts)
+
+
+def _fair(mesh: Mesh, first: int) -> Mesh:
+    """Move the vertices from index `first` on to where the bilaplacian of the surface vanishes."""
+    count = len(mesh.vertices)
+    if first == count:
+        return mesh
+    moved = np.arange(count) >= first
+    near = moved.copy()
+    for _ in range(2):  # the bilaplacian of a vertex reaches two rings around it
+        near[mesh.faces[near[mesh.faces].any(axis=1)]] = True
+    index = np.flatnonzero(near)
+    place = np.full(count, -1)
+    place[index] = np.arange(len(index))
+    ends = place[edges_of(mesh.faces[near[mesh.faces].all(axis=1)]).ends]
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    links: csr_array = coo_array((np.ones(len(ends)), ends.T), shape=(len(index),) * 2).tocsr()
+    mean = diags_array(1 / np.maximum(links.sum(axis=1), 1)) @ links
+    laplacian = (diags_array(np.ones(len(index))) - mean).tocsr()
+    bilaplacian = (laplacian @ laplacian).tocsr()
+    free, fixed = moved[index], ~moved[index]
+    right = -(bilaplacian[free][:, fixed] @ mesh.vertices[index[fixed]])
+    vertices = mesh.vertices.copy()
+    vertices[first:] = splu(bilaplacian[free][:, free].tocsc()).solve(right)
+    return Mesh(vertices, mesh.faces)

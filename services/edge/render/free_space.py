@@ -1,0 +1,120 @@
+"""Ask posed photos and their depth images what they see at places: surface, free space, or nothing that they know of.
+
+Free space is where a view sees farther than the place; and, where the background has no depth (a sky, a plain wall),
+where it shows a colour of the background instead of a colour of the surface around the place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from services.edge.arrays import Bools, Bytes, Floats, Ints
+from services.edge.mesh.fill_gaps import Ask
+from services.edge.render.posed_picture import PosedPicture
+
+_BEYOND = 0.02
+"""Relative depth by which a view sees past a place, or something before it."""
+_FACING = 0.25
+"""Least cosine between a place's normal and the ray of a view that is asked: 75 degrees. A ray that grazes a surface
+passes over it when the surface is a little too high."""
+_MOST_PICTURES = 8
+"""Pictures whose colours are asked, those that look at most places: each takes a tenth of a second to load."""
+_LONGEST_PX = 320
+"""Longer side of the pictures whose colours are asked."""
+_BACKGROUND_COLOURS = 12
+"""Clusters (k-means) of the background's colours in a picture."""
+_SILHOUETTE_PX = 9
+"""Side of the square around each projected point that is not background."""
+_LEAST_BACKGROUND = 0.02
+"""Share of the picture: with less of it, nothing is known of the background."""
+_NEIGHBOURS = 16
+"""Points around a place whose colours it may have."""
+_NEARER = 0.5
+"""A background's colour is at most this times as far as the surface's from what the picture shows."""
+_UNLIKE = 30.0
+"""Least distance, in sRGB levels, from the surface's colours at which a place is taken for background."""
+
+
+@dataclass(frozen=True, slots=True)
+class ColouredSurface:
+    """Known surface: xyz (N,3) in the pictures' frame, and its colours rgb (N,3) sRGB."""
+
+    xyz: Floats
+    rgb: Bytes
+
+
+def ask_views(pictures: Sequence[PosedPicture], surface: ColouredSurface | None = None) -> Ask:
+    """Return a function from places (N,3) and unit normals (N,3), in the pictures' frame, to
+    the number of views (N,) that see past each, into free space.
+
+    surface: known surface, to tell background by its colours; None: only depth is asked. The front of a place is the
+    side that its normal points to.
+    """
+
+    def ask(places: Floats, normals: Floats) -> Ints:
+        past: Ints = np.zeros(len(places), np.int64)
+        seen = []
+        for picture in pictures:
+            index, behind, looking = _look(picture, places, normals)
+            past[index] += behind
+            seen.append(index[looking])
+        if surface is not None:
+            most = sorted(range(len(pictures)), key=lambda number: -len(seen[number]))[:_MOST_PICTURES]
+            near = cKDTree(surface.xyz).query(places, k=range(1, 1 + min(_NEIGHBOURS, len(surface.xyz))), workers=-1)[1]
+            for number in most:
+                index = seen[number]
+                if len(index):
+                    past[index] += _shows_background(pictures[number], places[index], near[index], surface)
+        return past
+
+    return ask
+
+
+def _look(picture: PosedPicture, places: Floats, normals: Floats) -> tuple[Ints, Bools, Bools]:
+    """Return the places (M,) in a picture, whether it sees past each, and whether it looks at it and knows nothing."""
+    at, z = picture.project(places)
+    index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
+    found, z = _at(picture.depth(), at[index]), z[index]
+    towards = picture.eye - places[index]
+    cosine = np.einsum("nx,nx->n", towards, normals[index]) / np.linalg.norm(towards, axis=1)
+    behind, before = found > (1 + _BEYOND) * z, (found > 0) & (found < (1 - _BEYOND) * z)
+    return index, behind & (np.abs(cosine) > _FACING), ~behind & ~before & (cosine > _FACING)
+
+
+def _shows_background(picture: PosedPicture, places: Floats, near: Ints, surface: ColouredSurface) -> Bools:
+    """(N,) whether the picture shows a colour of its background at places, and not one of the surface near (N,K)."""
+    import cv2
+
+    rgb = picture.load_rgb()
+    by = min(1.0, _LONGEST_PX / max(rgb.shape[:2]))
+    size = (max(1, round(rgb.shape[1] * by)), max(1, round(rgb.shape[0] * by)))
+    rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    at, z = picture.project(surface.xyz)
+    on = np.zeros(rgb.shape[:2], np.uint8)
+    shown = (z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0)
+    column, row = np.minimum(at[shown] * size, np.array(size) - 1).astype(np.int64).T
+    on[row, column] = 1
+    background = rgb[cv2.dilate(on, np.ones((_SILHOUETTE_PX,) * 2, np.uint8)) == 0].astype(np.float32)
+    if len(background) < _LEAST_BACKGROUND * on.size:
+        return np.zeros(len(places), bool)
+    some = background[np.random.default_rng(0).permutation(len(background))[:4_000]]
+    cv2.setRNGSeed(0)
+    stop = (cv2.TERM_CRITERIA_MAX_ITER, 10, 0.0)
+    count = min(_BACKGROUND_COLOURS, len(some))
+    _, _, centres = cv2.kmeans(some, count, np.empty(0), stop, 1, cv2.KMEANS_PP_CENTERS)
+    colour = _at(rgb, picture.project(places)[0]).astype(np.float32)
+    to_surface = np.linalg.norm(surface.rgb[near].astype(np.float32) - colour[:, None], axis=2).min(axis=1)
+    to_background = np.linalg.norm(centres[None] - colour[:, None], axis=2).min(axis=1)
+    return np.asarray((to_surface > _UNLIKE) & (to_background < _NEARER * to_surface))
+
+
+def _at(image: Floats | Bytes, at: Floats) -> Floats:
+    """Look up the pixels (N,...) of an image (H,W,...) at positions (N,2) in shares of its sides."""
+    side = np.array(image.shape[1::-1])
+    column, row = np.clip(at * side, 0, side - 1).astype(np.int64).T
+    found: Floats = image[row, column]
+    return found
