@@ -42,9 +42,15 @@ class PosedPicture:
     def project(self, places: Floats) -> tuple[Floats, Floats]:
         """Project places (N,3): positions (N,2) in shares of the photo's sides, and depth (N,), ≤ 0 behind the camera.
 
-        The positions of places behind the camera are meaningless.
+        Both are of the places' type. The positions of places behind the camera are meaningless.
         """
-        local = places @ self.to_camera[:3, :3].T + self.to_camera[:3, 3]
-        z = local[:, 2]
-        at: Floats = local[:, :2] / np.maximum(z, 1e-9)[:, None] * self.focal + self.middle
+        # Column by column: numpy takes ten times as long for a product of (N,3) and (3,3).
+        kind = places.dtype if places.dtype == np.float32 else np.dtype(np.float64)
+        columns = np.ascontiguousarray(places.T, kind)
+        x, y, z = (row[0] * columns[0] + row[1] * columns[1] + row[2] * columns[2] + row[3]
+                   for row in self.to_camera[:3].astype(kind))  # fmt: skip
+        over = 1 / np.maximum(z, kind.type(1e-9))
+        at: Floats = np.empty((len(places), 2), kind)
+        for axis, value in enumerate((x, y)):
+            at[:, axis] = value * over * kind.type(self.focal[axis]) + kind.type(self.middle[axis])
         return at, z

@@ -4,7 +4,8 @@
            phone exposes each photo anew
 2. see     a photo sees a place that lies within it, faces it, and is occluded neither by the mesh nor by a surface in
            the photo's depth image
-3. blend   with a high power of how well each photo sees the place: next to the best view the others count little,
+3. choose  of many photos the best few, for cells of some texels
+4. blend   with a high power of how well each photo sees the place: next to the best view the others count little,
            which keeps a print sharp, and no view ends at a line, which would be a seam
 
 Symbols: q = how well a place is seen, in [0,1]: the cosine of the angle to the photo, times how near it was taken,
@@ -31,13 +32,19 @@ _POWER = 12  # p: of views 10° apart the second best counts 0.8, the third 0.4,
 _LEAST_COSINE = 0.2  # 78°: beyond, a pixel covers five times its width
 _RIM = 0.06  # of the photo's sides: towards the edge, places within this rim count less and less
 _AGREES, _CONTRADICTS = 0.02, 0.05  # of the depth: how far a place may be from the depth image's surface
+_CONFIRMS = 0.004  # of the depth: a place as near to the depth image's surface needs no ray; nothing hides it
 _NEAREST = 1.5  # nearer than the usual distance over this, q grows no more: one close-up must not replace all others
 _SURE, _UNSURE = 0.35, 0.15  # q of the best view: from the first on only photos count, below the second only points
 _PROBES = 20_000  # places at which exposures are compared
 _FEWEST_PROBES = 100  # places that a photo must see to be compared; one that sees fewer keeps its exposure
 _DARK, _BRIGHT = 0.01, 0.9  # linear light that is compared: darker or brighter values may be clipped
 _MOST_GAIN = 3.0  # and least 1/3: a photo that differs more shows something else
-_AT_ONCE = 1 << 18  # places projected together: their arrays take 50 MB
+_AT_ONCE = 1 << 16  # places projected together: their arrays fit into the processor's cache
+_CELL_TEXELS = 12  # side of the cells for which pictures are chosen, in texels
+_LEAST_CELL = 1 / 512  # of the longest side: the least side of a cell
+_MOST_PICTURES = 6  # that are blended at a place; the weight of a seventh would be a few percent
+_HIDDEN = 0.1  # of the quality: what counts of a picture that does not see the middle of a cell
+_REMAP_COLUMNS = 1 << 10  # cv2.remap takes at most 32,767 of each
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +89,14 @@ class PhotoProjection:
         self, mesh: Mesh, pictures: Sequence[PosedPicture], points: ColouredPoints, tick: Tick = no_tick
     ) -> None:
         self._scene, self._pictures, self._gains = Scene(mesh), pictures, list[Floats]()
+        self._depths = [picture.depth() for picture in pictures]
         places, normals = positions_and_normals(mesh, *random_places(mesh, _PROBES))
         self._usual = _usual_distance(places, pictures)
         known = points.light_at(places)
         finest = np.full(len(places), np.inf)
         for number, picture in enumerate(pictures):
-            visible, rgb = self._visible_places(picture, picture.depth(), places, normals), picture.load_rgb()
-            self._gains.append(_gain(known[visible.index], _bilinear(rgb, visible.at)))
+            visible, rgb = self._visible_places(picture, self._depths[number], places, normals), picture.load_rgb()
+            self._gains.append(_gain(known[visible.index], _bilinear(to_linear(rgb), visible.at)))
             finest[visible.index] = np.minimum(finest[visible.index], _pixel(picture, rgb) * visible.depth)
             tick((number + 1) / len(pictures))
         anywhere = np.isfinite(finest)
@@ -99,44 +107,91 @@ class PhotoProjection:
 
         Returns linear light (N,3), and (N,) how reliable it is in [0,1].
         """
-        blend, parts = _Blend.of(len(places)), slices(len(places), _AT_ONCE)
+        places, normals = places.astype(np.float32), normals.astype(np.float32)
+        cell, chosen = self._choose_pictures(places, normals, texel)
+        blend = _Blend.of(len(places))
         for number in range(len(self._pictures)):
-            add = self._adder(number, places, normals, texel, blend)
-            in_threads(add, parts, part_of(tick, number / len(self._pictures), (number + 1) / len(self._pictures)))
+            index = np.flatnonzero(chosen[cell, number])
+            done = part_of(tick, number / len(self._pictures), (number + 1) / len(self._pictures))
+            if len(index):
+                add = self._adder(number, places, normals, index, texel, blend)
+                in_threads(add, slices(len(index), _AT_ONCE), done)
         light = blend.light / np.maximum(blend.weight, 1e-30)[:, None]
         return np.clip(light, 0, 1), np.clip((blend.best - _UNSURE) / (_SURE - _UNSURE), 0, 1)
 
+    def _choose_pictures(self, places: Floats, normals: Floats, texel: float) -> tuple[Ints, Bools]:
+        """Group places into cells, and choose the best pictures of each: the cell (N,) of each place, and a mask
+        (cells, pictures).
+
+        A picture that is not chosen would have a weight of a few percent. Where the middle of a cell is hidden, a part
+        of it may still be seen: such a picture comes last.
+        """
+        cell, middles, facing = _cells(places, normals, max(_CELL_TEXELS * texel, _LEAST_CELL * self._scene.longest))
+        quality = np.zeros((len(middles), len(self._pictures)), np.float32)
+
+        def judge(number: int) -> None:
+            picture = self._pictures[number]
+            quality[:, number] = _HIDDEN * self._look(picture, None, middles, facing)[0]
+            seen = self._visible_places(picture, self._depths[number], middles, facing)
+            quality[seen.index, number] = seen.quality
+
+        in_threads(judge, range(len(self._pictures)))
+        if quality.shape[1] <= _MOST_PICTURES:
+            return cell, quality > 0
+        least = np.partition(quality, -_MOST_PICTURES, axis=1)[:, -_MOST_PICTURES]
+        return cell, (quality > 0) & (quality >= least[:, None])
+
     def _adder(
-        self, number: int, places: Floats, normals: Floats, texel: float, blend: _Blend
+        self, number: int, places: Floats, normals: Floats, index: Ints, texel: float, blend: _Blend
     ) -> Callable[[slice], None]:
-        """Return a function that adds a photo's light to a slice of the places."""
-        picture, gain = self._pictures[number], self._gains[number]
-        rgb, depth = picture.load_rgb(), picture.depth()
+        """Return a function that adds a photo's light to a slice of the places at `index`."""
+        picture, gain, depth = self._pictures[number], self._gains[number], self._depths[number]
+        rgb = picture.load_rgb()
+        by_size: dict[int, Floats] = {}
 
         def add(part: slice) -> None:
-            visible = self._visible_places(picture, depth, places[part], normals[part])
+            own = index[part]
+            visible = self._visible_places(picture, depth, places[own], normals[own])
             if len(visible.index):
                 pixel = _pixel(picture, rgb) * float(np.median(visible.depth))
-                light = gain * _bilinear(_shrink_to(rgb, texel, pixel), visible.at)
-                blend.add(visible.index + part.start, light, visible.quality)
+                shrink = max(1, int(texel / pixel)) if pixel > 0 else 1
+                if shrink not in by_size:
+                    by_size[shrink] = to_linear(_shrink(rgb, shrink))
+                light = gain * _bilinear(by_size[shrink], visible.at)
+                blend.add(own[visible.index], light, visible.quality)
 
         return add
 
-    def _visible_places(self, picture: PosedPicture, depth: Floats, places: Floats, normals: Floats) -> _VisiblePlaces:
-        """Find the places that a photo sees; faces are two-sided."""
+    def _look(
+        self, picture: PosedPicture, depth: Floats | None, places: Floats, normals: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
+        """Return for places (N,): the quality without occlusion by the mesh, the place in the photo (N,2), the depth,
+        the cosine of the normal to the ray, whose sign tells the side (faces are two-sided), and whether the photo's
+        depth shows that it sees the place."""
         at, z = picture.project(places)
-        eye = picture.eye
-        towards = eye - places
-        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+        towards = picture.eye.astype(places.dtype) - places
         cosine = np.einsum("nx,nx->n", towards, normals)
-        inside = np.minimum(at, 1 - at).min(axis=1)
-        index = np.flatnonzero((z > 0) & (inside > 0) & (np.abs(cosine) > _LEAST_COSINE))
-        index = index[~self._is_occluded(places[index], np.sign(cosine[index])[:, None] * normals[index], eye)]
-        at, z, cosine = at[index], z[index], np.abs(cosine[index])
-        near = np.clip(self._usual / (z * _scale(picture)), 0, _NEAREST) / _NEAREST
-        quality = cosine * near * np.clip(inside[index] / _RIM, 0, 1) * _agreement(depth, at, z)
-        good = quality > 0
-        return _VisiblePlaces(index[good], at[good], z[good], quality[good].astype(np.float32))
+        cosine /= np.maximum(np.sqrt(np.einsum("nx,nx->n", towards, towards)), 1e-12)
+        inside = np.minimum(np.minimum(at[:, 0], 1 - at[:, 0]), np.minimum(at[:, 1], 1 - at[:, 1]))
+        steep = np.abs(cosine)
+        near = np.minimum(self._usual / np.maximum(z * _scale(picture), 1e-12), _NEAREST) / _NEAREST
+        quality = steep * near * np.clip(inside / _RIM, 0, 1) * ((z > 0) & (steep > _LEAST_COSINE))
+        confirmed = np.zeros(len(places), bool)
+        if depth is not None:
+            good = np.flatnonzero(quality > 0)
+            off = _depth_difference(depth, at[good], z[good])
+            quality[good] *= np.clip((_CONTRADICTS - off) / (_CONTRADICTS - _AGREES), 0, 1)
+            confirmed[good] = (off > 0) & (off < _CONFIRMS)
+        return quality, at, z, cosine, confirmed
+
+    def _visible_places(self, picture: PosedPicture, depth: Floats, places: Floats, normals: Floats) -> _VisiblePlaces:
+        """Find the places that a photo sees. Rays are cast only where its depth neither confirms nor contradicts it."""
+        quality, at, z, cosine, confirmed = self._look(picture, depth, places, normals)
+        unsure = np.flatnonzero((quality > 0) & ~confirmed)
+        facing = np.sign(cosine[unsure])[:, None] * normals[unsure]
+        quality[unsure[self._is_occluded(places[unsure], facing, picture.eye)]] = 0
+        index = np.flatnonzero(quality > 0)
+        return _VisiblePlaces(index, at[index], z[index], quality[index].astype(np.float32))
 
     def _is_occluded(self, places: Floats, facing: Floats, eye: Floats) -> Bools:
         """(N,) whether the mesh lies between a place and the camera; facing (N,3): normals towards the camera."""
@@ -163,13 +218,14 @@ def _pixel(picture: PosedPicture, rgb: Bytes) -> float:
     return _scale(picture) / float(picture.focal[0] * rgb.shape[1])
 
 
-def _agreement(depth: Floats, at: Floats, z: Floats) -> Floats:
-    """(M,) 1 where the depth image (H,W) has that depth, or none; 0 where it has another, and in between a ramp."""
+def _depth_difference(depth: Floats, at: Floats, z: Floats) -> Floats:
+    """(M,) relative difference of depths z (M,) and those of the depth image (H,W) at positions (M,2), positive; 0
+    where the image has none."""
     height, width = depth.shape
-    row, column = (at[:, 1] * height).astype(int), (at[:, 0] * width).astype(int)
+    row, column = (at[:, 1] * height).astype(np.int64), (at[:, 0] * width).astype(np.int64)
     found = depth[row.clip(0, height - 1), column.clip(0, width - 1)]
-    off = np.abs(z / np.where(found > 0, found, z) - 1)
-    return np.asarray(np.clip((_CONTRADICTS - off) / (_CONTRADICTS - _AGREES), 0, 1))
+    off: Floats = np.where(found > 0, np.maximum(np.abs(z / np.where(found > 0, found, 1) - 1), 1e-9), 0)
+    return off
 
 
 def _gain(known: Floats, shown: Floats) -> Floats:
@@ -181,26 +237,41 @@ def _gain(known: Floats, shown: Floats) -> Floats:
     return np.clip(ratio, 1 / _MOST_GAIN, _MOST_GAIN).astype(np.float32)
 
 
-def _shrink_to(rgb: Bytes, texel: float, pixel: float) -> Bytes:
-    """Downsample a photo whose pixels are smaller than half a texel, to avoid aliasing."""
+def _shrink(rgb: Bytes, by: int) -> Bytes:
+    """Downsample a photo, whose pixels are smaller than a texel, to avoid aliasing."""
     import cv2
 
-    shrink = int(texel / pixel) if pixel > 0 else 1
-    if shrink < 2:
+    if by < 2:
         return rgb
-    height, width = (max(1, side // shrink) for side in rgb.shape[:2])
+    height, width = (max(1, side // by) for side in rgb.shape[:2])
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _bilinear(rgb: Bytes, at: Floats) -> Floats:
-    """Sample an image (h,w,3) at positions (M,2), in shares of its sides, bilinearly: (M,3) linear light."""
-    height, width = rgb.shape[:2]
-    place = at * [width, height] - 0.5
-    low = np.clip(np.floor(place), 0, [max(width - 2, 0), max(height - 2, 0)]).astype(np.int64)
-    u, v = np.clip(place - low, 0, 1).astype(np.float32).T[:, :, None]
-    column, row = low.T
-    right, below = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
-    above = (1 - u) * to_linear(rgb[row, column]) + u * to_linear(rgb[row, right])
-    under = (1 - u) * to_linear(rgb[below, column]) + u * to_linear(rgb[below, right])
-    mixed: Floats = (1 - v) * above + v * under
-    return mixed
+def _bilinear(light: Floats, at: Floats) -> Floats:
+    """Sample an image (h,w,3) float32 at positions (N,2), in shares of its sides, bilinearly: (N,3)."""
+    import cv2
+
+    height, width = light.shape[:2]
+    place = (at * [width, height] - 0.5).astype(np.float32)
+    rows = -(-len(place) // _REMAP_COLUMNS)
+    grid = np.zeros((rows * _REMAP_COLUMNS, 2), np.float32)
+    grid[: len(place)] = place
+    if not rows:
+        return np.zeros((0, 3), np.float32)
+    column, row = np.ascontiguousarray(grid.T).reshape(2, rows, _REMAP_COLUMNS)
+    sampled = cv2.remap(light, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled.reshape(-1, 3)[: len(place)])
+
+
+def _cells(places: Floats, normals: Floats, side: float) -> tuple[Ints, Floats, Floats]:
+    """Group places (N,3) that lie in one cube and face one way: the cell (N,) of each, and the mean places (M,3) and
+    unit normals (M,3) of the cells."""
+    grid = np.floor((places - places.min(axis=0)) / max(side, 1e-30)).astype(np.int64)
+    extent = grid.max(axis=0) + 1
+    way = np.argmax(np.abs(normals), axis=1)
+    way = 2 * way + (np.take_along_axis(normals, way[:, None], axis=1)[:, 0] > 0)
+    key = ((grid[:, 0] * extent[1] + grid[:, 1]) * extent[2] + grid[:, 2]) * 6 + way
+    _, cell, size = np.unique(key, return_inverse=True, return_counts=True)
+    sums = [np.stack([np.bincount(cell, each[:, axis]) for axis in range(3)], axis=1) for each in (places, normals)]
+    facing = sums[1] / np.maximum(np.linalg.norm(sums[1], axis=1, keepdims=True), 1e-12)
+    return cell, sums[0] / size[:, None], facing
