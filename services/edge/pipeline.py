@@ -1,9 +1,10 @@
 """The whole reconstruction on one page: capture (→ depth) → points → field → mesh → bundle.
 
 Every stage is a plain function of the stage before it. `reconstruct` yields `Progress` on the way, and a `Bundle`
-whenever there is something to publish: first the preview from the local field, then, where the preset trains a field,
-the refined bundle under the same key, made by the same functions from another DistanceFn. Held-out points, given to
-neither field, compare the two; where the trained field is worse, or fails, `PreviewKept` is yielded instead.
+whenever there is something to publish: first the preview from the local field, without textures, because making them
+from photos takes longer than the mesh; then the preview with textures, or, where the preset trains a field, the refined
+bundle under the same key, made by the same functions from another DistanceFn. Held-out points, given to neither field,
+compare the two; where the trained field is worse, or fails, `PreviewKept` is yielded instead.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ from services.storage.bundle import Bundle
 # Fraction of its pass at which each stage begins. In the preview's pass the local field is there at once; in the
 # refined one's the training takes most of the time.
 PREVIEW_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.2, "TEXTURING": 0.67, "PACKING": 0.81, "PUBLISHING": 0.93}
+# The same where the preview is published once more, with textures from photos.
+TEXTURED_STARTS = {"TEXTURING": 0.0, "PACKING": 0.8, "PUBLISHING": 0.95}
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.90, "PACKING": 0.97, "PUBLISHING": 0.99}
 PREVIEW_FINEST = 192  # most cells of a preview that a refined bundle follows: it must be there within seconds
 EXTRACT_SHARE = 0.4  # of the EXTRACTING stage's time is extraction, the rest is cleaning
@@ -158,7 +161,12 @@ def bundles(
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
     pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode)
-    yield from pack(preview, state="preview", quality=quality, last=preset.fit is None)
+    trains = preset.fit is not None
+    if trains or points.texture_views:
+        yield from pack(preview, state="preview", quality=quality, last=False)
+    if not trains:
+        bar.set_range(TEXTURED_STARTS, bar.reached, share)
+        yield from pack(preview, state="preview", quality=quality, last=True)
     if preset.fit:
         bar.set_range(REFINED_STARTS, share, 1.0)
         fitted, fitted_noise = (xyz_unit, None) if preset.denoised else (measured, noise)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from PIL import Image
 
 from services.edge.arrays import Tick
 from services.edge.asset.target import Target, target_of
-from services.edge.capture.nouns import Capture, Cloud
+from services.edge.capture.nouns import Capture, Cloud, Frame, Intrinsics
 from services.edge.capture_to_points import STARTS
 from services.edge.errors import Cancelled, EdgeError
 from services.edge.export.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
@@ -190,6 +191,67 @@ def test_it_stops_where_it_is_told_to(stage: str) -> None:
 
     with pytest.raises(Cancelled):
         list(reconstruct(_bowl(), COARSE, watch=stop))
+
+
+def _striped_sheet(frames: int = 20, *, hole: bool = False) -> Capture:
+    """Depth images of a striped sheet, 0.9 m wide, from above and a little from the sides; beyond it nothing is known.
+
+    hole: of 6 cm in its middle, where the depth images know nothing.
+    """
+    side, away = 96, 1.0
+    camera = Intrinsics(side, side, side / 2 - 0.5, side / 2 - 0.5, side, side)
+    made = []
+    for shift in np.linspace(-0.2, 0.2, frames):
+        x, y = np.meshgrid((np.arange(side) - camera.cx) / side + shift, (np.arange(side) - camera.cy) / side)
+        on = (np.abs(x) < 0.45) & (np.abs(y) < 0.45)
+        depth = np.where(on, away, 0).astype(np.float32)
+        if hole:
+            depth[np.hypot(x, y) < 0.03] = 0
+        fine = (np.arange(4 * side) + 0.5) / (4 * side) - 0.5 + shift
+        stripes = np.where((np.sin(40 * fine) > 0)[:, None], (230, 60, 40), (40, 60, 200)).astype(np.uint8)
+        rgb = np.tile(stripes, (4 * side, 1, 1))
+        pose = np.eye(4)
+        pose[0, 3] = shift
+        made.append(Frame(f"{len(made)}.png", camera, pose, partial(np.copy, depth), None, partial(np.copy, rgb)))
+    return Capture("rgbd", "frames", frames=tuple(made), scale_confidence="metric", up=np.array([0.0, -1.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def sheet_bundles() -> list[Bundle]:
+    made = reconstruct(_striped_sheet(hole=True), Preset("coarse", resolution=96))
+    return [step for step in made if isinstance(step, Bundle)]
+
+
+def test_a_mesh_without_textures_is_there_before_the_one_with_photos(sheet_bundles: list[Bundle]) -> None:
+    plain, textured = sheet_bundles
+    assert plain.state == textured.state == "preview"
+    assert [level["texture_bytes"] for level in plain.manifest["lods"]] == [0, 0, 0]
+    assert textured.manifest["lods"][0]["texture_bytes"] > 0
+    assert plain.files["mesh.ply"] == textured.files["mesh.ply"]
+
+
+def test_held_out_pictures_stand_in_the_certificate_and_never_among_the_files(sheet_bundles: list[Bundle]) -> None:
+    plain, textured = (bundle.manifest["quality"]["photos"] for bundle in sheet_bundles)
+    assert textured["photos"] == 2
+    assert textured["cover"] > 0.85
+    assert textured["lace"] < 0.02
+    assert plain["psnr"] is None
+    assert textured["psnr"] > 15
+    assert list(sheet_bundles[-1].private) == ["photo-1.jpg", "photo-2.jpg"]
+    assert not set(sheet_bundles[-1].files) & set(sheet_bundles[-1].private)
+
+
+def test_what_no_depth_shows_is_filled_and_marked_unless_that_is_not_wanted(sheet_bundles: list[Bundle]) -> None:
+    assert sheet_bundles[-1].manifest["quality"]["filled_area"] == pytest.approx(np.pi * 0.03**2 / 0.9**2, rel=0.8)
+    mesh = trimesh.load(io.BytesIO(sheet_bundles[-1].files["mesh.ply"]), file_type="ply", process=False)
+    marked = np.asarray(mesh.metadata["_ply_raw"]["vertex"]["data"]["filled"], bool)
+    assert marked.any()
+    off = np.linalg.norm(mesh.vertices[marked] - [0, 0, 1], axis=1)
+    assert off.max() < 0.06
+    *_, kept = reconstruct(_striped_sheet(hole=True), Preset("coarse", resolution=96), fill="none")
+    assert isinstance(kept, Bundle)
+    assert kept.manifest["quality"]["filled_area"] == 0
+    assert b"property uchar filled" not in kept.files["mesh.ply"][:400]
 
 
 def test_the_same_capture_gives_the_same_bytes() -> None:
