@@ -24,6 +24,10 @@ factor of two or three: a start, not a measurement."""
 _MASKED, _SCREENED, _ALIGNED = 0.01, 0.05, 0.35
 """Shares of the progress at which masking, screening and aligning end; the plane sweep takes the rest. Measured with 20
 photos on two cores."""
+_UNITLESS = (
+    "The poses that came with the photos tell no unit, so the thing was taken to be at arm's length: tell its "
+    "longest side for its true size."
+)
 _TURNTABLE = "The thing turns in front of a still background (a turntable), so the background was masked out."
 
 
@@ -31,7 +35,8 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     """Convert a capture of photos to kind "rgbd", with a verdict on every photo.
 
     device: where the plane sweep computes, "cpu" or a GPU as PyTorch names it.
-    Poses that came with the photos keep their units; computed ones are scaled so that the object is at arm's length.
+    Poses that came with the photos keep their units, and where nothing tells what these are, the capture's
+    `metres_per_unit` puts the object at arm's length; computed poses are scaled so.
     Raises CaptureError: CAPTURE_LOW_OVERLAP where the photos do not overlap enough, with what to shoot next.
     """
     masked = mask_background(capture.photos, lambda fraction: tick(_MASKED * fraction))
@@ -42,8 +47,11 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     if refused and len(photos) < MIN_PHOTOS:
         raise _too_few_photos(len(capture.photos), refused)
     alignment = align(photos, tick=lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
+    metres_per_unit, unitless = capture.metres_per_unit, ""
     if any(photo.camera_to_world is None for photo in photos):
         alignment = _scale_to_arms_length(alignment)
+    elif capture.scale_confidence == "unknown":
+        metres_per_unit, unitless = _ARMS_LENGTH / _median_reach(alignment), _UNITLESS
     frames = depth_frames(alignment, device=device, tick=lambda fraction: tick(_ALIGNED + (1 - _ALIGNED) * fraction))
     up = axis_up(frames) if turntable else None
     verdicts = _sort_verdicts(capture, (*capture.verdicts, *refused, *alignment.verdicts))
@@ -53,12 +61,14 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
         photos=(),
         frames=frames,
         verdicts=verdicts,
+        metres_per_unit=metres_per_unit,
         turntable=turntable,
         up=capture.up if up is None else up,
         warnings=(
             *capture.warnings,
             *_unused_warning(verdicts),
             *alignment.warnings,
+            *((unitless,) if unitless else ()),
             *((_TURNTABLE,) if turntable else ()),
         ),
     )
@@ -83,14 +93,19 @@ def _too_few_photos(count: int, refused: Sequence[PhotoVerdict]) -> CaptureError
 
 def _scale_to_arms_length(alignment: Alignment) -> Alignment:
     """Scale so that the median distance between cameras and their points is `_ARMS_LENGTH`; first camera at 0."""
-    eyes = np.stack([view.camera_to_world[:3, 3] for view in alignment.views])
-    reach = np.linalg.norm(alignment.xyz[alignment.seen_point] - eyes[alignment.seen_view], axis=1)
-    scale, origin = _ARMS_LENGTH / float(np.median(reach)), eyes[0]
+    scale, origin = _ARMS_LENGTH / _median_reach(alignment), alignment.views[0].camera_to_world[:3, 3]
     return replace(
         alignment,
         views=tuple(_rescale_view(view, origin, scale) for view in alignment.views),
         xyz=(alignment.xyz - origin) * scale,
     )
+
+
+def _median_reach(alignment: Alignment) -> float:
+    """Return the median distance between cameras and the points that they see."""
+    eyes = np.stack([view.camera_to_world[:3, 3] for view in alignment.views])
+    reach = np.linalg.norm(alignment.xyz[alignment.seen_point] - eyes[alignment.seen_view], axis=1)
+    return float(np.median(reach))
 
 
 def _rescale_view(view: PhotoView, origin: Floats, scale: float) -> PhotoView:

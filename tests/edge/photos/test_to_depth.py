@@ -337,12 +337,24 @@ def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Cap
     assert stages[:2] == ["ALIGNING", "POINT_CLOUD"]
     fractions = [step.fraction for step in steps if isinstance(step, Progress)]
     assert fractions == sorted(fractions)
-    (bundle,) = [step for step in steps if isinstance(step, Bundle)]
+    *_, bundle = [step for step in steps if isinstance(step, Bundle)]
     told = bundle.manifest["capture"]
     assert (told["kind"], told["format"], told["frames"]) == ("photos", "nerfstudio", 9)
     assert [photo["verdict"] for photo in told["photos"]] == ["ok"] * 9
-    # Given poses keep their units, and the thing stands upright.
-    assert bundle.manifest["size_m"][1] == pytest.approx(SIZE_M, rel=0.15)
+    # Nothing tells the unit of the poses: the capture's frame keeps it, and the thing stands upright, at arm's length.
+    to_asset = np.reshape(bundle.manifest["capture_to_asset"], (4, 4))
+    metres_per_unit = np.linalg.norm(to_asset[:3, 0])
+    assert bundle.manifest["size_m"][1] / metres_per_unit == pytest.approx(SIZE_M, rel=0.15)
+    assert metres_per_unit == pytest.approx(0.6 / 0.95, rel=0.2)
+    assert any("tell no unit" in warning for warning in bundle.manifest["warnings"])
+
+
+def test_poses_in_metres_keep_them(posed: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.edge.photos.to_depth.depth_frames", lambda *_, **__: ())
+    metric = to_depth(replace(posed, scale_confidence="metric"))
+    assert metric.metres_per_unit == 1
+    assert not any("tell no unit" in warning for warning in metric.warnings)
+    assert to_depth(posed).metres_per_unit == pytest.approx(0.6 / 0.95, rel=0.2)
 
 
 @pytest.mark.slow
