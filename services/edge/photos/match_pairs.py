@@ -34,6 +34,15 @@ def exhaustive(count: int) -> Ints:
     return _pairs(np.ones((count, count), np.bool_))
 
 
+def with_all(pairs: Ints, chosen: Ints, count: int) -> Ints:
+    """Return the pairs (M,2), and those of the chosen photos with all others."""
+    wanted = np.zeros((count, count), np.bool_)
+    wanted[pairs[:, 0], pairs[:, 1]] = True
+    wanted[:, chosen] = True
+    wanted[chosen] = True
+    return _pairs(wanted)
+
+
 def _neighbours_and_skeleton(count: int, window: int) -> Ints:
     """Return the pairs within `window` of each other, and all pairs of the skeleton."""
     index = np.arange(count)

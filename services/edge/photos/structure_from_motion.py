@@ -16,11 +16,11 @@ from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Intrinsics, Photo, PhotoVerdict
 from services.edge.errors import CaptureError
 from services.edge.photos.features import FAST, FINE, Features, SiftSettings, find_features, pixel_ratio
-from services.edge.photos.match_pairs import exhaustive, sequential
+from services.edge.photos.match_pairs import MANY, exhaustive, sequential, with_all
 from services.edge.photos.nouns import Alignment, PhotoView
 from services.edge.photos.sfm_process import Lens, SfmProblem, SfmResult, solve
 
-_GOOD = 0.9  # share of the photos placed, from which on no other strategy is tried
+_GOOD = 0.9  # share of the photos placed, from which on only the photos that were left out are tried again
 _ENOUGH = 0.6  # least share of the photos placed for the capture to be used, with a warning
 _ENOUGH_OF_PIECES = 1 / 3  # least share of the largest model, where all models together have _ENOUGH
 _USUAL_FOCAL = 1.2  # initial focal length in longer sides; a phone's main camera has 0.7 to 0.8, the mapper corrects it
@@ -84,24 +84,35 @@ def align(photos: Sequence[Photo], *, tick: Tick = no_tick) -> Alignment:
 
 
 def _try_strategies(photos: Sequence[Photo], tick: Tick) -> _Attempt:
-    """Try the strategies in their order until one places enough photos (_GOOD); return the best result."""
+    """Try the strategies in their order until one places enough photos (_GOOD); return the best result.
+
+    Where that leaves a few photos out, they are matched with all others once more, by more key points.
+    """
     attempts: list[_Attempt] = []
-    features: list[Features] = []
     tried: set[tuple[SiftSettings, bytes]] = set()
     for strategy in _STRATEGIES:
         pairs = strategy.pairs(len(photos))
         if (strategy.setting, pairs.tobytes()) in tried:  # for few photos, sequential pairs are all pairs
             continue
         tried.add((strategy.setting, pairs.tobytes()))
-        if not attempts or attempts[-1].setting != strategy.setting:
-            features = find_features(photos, strategy.setting, _part_tick(tick, strategy, 0.0, _FEATURES))
-        problem = _problem(photos, features, pairs, strategy.setting)
-        answer = solve(problem, _part_tick(tick, strategy, _FEATURES, 1.0))
-        attempts.append(_Attempt(strategy.setting, features, answer))
+        known = attempts[-1].features if attempts and attempts[-1].setting == strategy.setting else ()
+        attempts.append(_try(photos, strategy, known, tick))
         if attempts[-1].share >= _GOOD:
             break
+    best = max(attempts, key=lambda attempt: attempt.share)
+    if _GOOD <= best.share < 1 and best.setting != FINE and len(photos) <= MANY:
+        left_out = np.setdiff1d(np.arange(len(photos)), best.answer.placed)
+        strategy = _Strategy(FINE, lambda count: with_all(sequential(count), left_out, count), _STRATEGIES[-1].share)
+        attempts.append(_try(photos, strategy, (), tick))
     tick(1.0)
     return max(attempts, key=lambda attempt: attempt.share)
+
+
+def _try(photos: Sequence[Photo], strategy: _Strategy, features: Sequence[Features], tick: Tick) -> _Attempt:
+    """Try a strategy; features: those of its setting, or () if they are to be found."""
+    features = features or find_features(photos, strategy.setting, _part_tick(tick, strategy, 0.0, _FEATURES))
+    problem = _problem(photos, features, strategy.pairs(len(photos)), strategy.setting)
+    return _Attempt(strategy.setting, features, solve(problem, _part_tick(tick, strategy, _FEATURES, 1.0)))
 
 
 def _part_tick(tick: Tick, strategy: _Strategy, low: float, high: float) -> Tick:

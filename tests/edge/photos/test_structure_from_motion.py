@@ -16,14 +16,16 @@ import cv2
 import numpy as np
 import psutil
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.nouns import Intrinsics, Photo
 from services.edge.errors import Cancelled, CaptureError, EdgeError
-from services.edge.photos.features import FAST, SiftSettings, features_of, pixel_ratio, root_sift
-from services.edge.photos.match_pairs import FEW, MANY, epipolar_errors, exhaustive, sequential
+from services.edge.photos.features import FAST, FINE, Features, SiftSettings, features_of, pixel_ratio, root_sift
+from services.edge.photos.match_pairs import FEW, MANY, epipolar_errors, exhaustive, sequential, with_all
 from services.edge.photos.nouns import Alignment
-from services.edge.photos.sfm_process import Lens, SfmProblem, solve
+from services.edge.photos.sfm_process import Lens, SfmProblem, SfmResult, solve
 from services.edge.photos.structure_from_motion import align
 from services.edge.procrustes import procrustes
 from tests.support.patience import CANCEL_S
@@ -298,6 +300,41 @@ def test_pairs_are_neighbours_and_a_skeleton() -> None:
     assert len(pairs) < 300
     assert len(sequential(FEW)) == FEW * (FEW - 1) / 2
     assert len(exhaustive(MANY)) == MANY * (MANY - 1) / 2
+
+
+@given(st.integers(4, 150), st.data())
+def test_photos_that_were_left_out_are_matched_with_all_others(count: int, data: st.DataObject) -> None:
+    chosen = np.array(data.draw(st.lists(st.integers(0, count - 1), max_size=5, unique=True)), np.int64)
+    pairs = {*map(tuple, with_all(sequential(count), chosen, count).tolist())}
+    assert {*map(tuple, sequential(count).tolist())} <= pairs
+    assert all(first < second for first, second in pairs)
+    added = {(min(one, other), max(one, other)) for one in chosen.tolist() for other in range(count) if one != other}
+    assert pairs == added | {*map(tuple, sequential(count).tolist())}
+
+
+def test_a_few_photos_that_were_left_out_are_tried_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first try leaves out 2 of 40 photos; the second, with more key points, places them."""
+    asked: list[tuple[SiftSettings, int]] = []
+
+    def found(photos: list[Photo], setting: SiftSettings, tick: object = None) -> tuple[Features, ...]:
+        none = Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.uint8))
+        return (none,) * len(photos)
+
+    def solved(problem: SfmProblem, tick: object = None) -> SfmResult:
+        fine = len(asked) > 0
+        asked.append((FINE if fine else FAST, len(problem.pairs)))
+        placed = np.arange(40 if fine else 38)
+        none = np.zeros(0, np.int64)
+        model_of = np.where(np.arange(40) < len(placed), 0, -1)
+        return SfmResult((), model_of, placed, np.zeros((len(placed), 4, 4)), np.zeros((0, 3)), none, none, none)
+
+    monkeypatch.setattr("services.edge.photos.structure_from_motion.find_features", found)
+    monkeypatch.setattr("services.edge.photos.structure_from_motion.solve", solved)
+    monkeypatch.setattr("services.edge.photos.structure_from_motion._alignment", lambda photos, attempt: attempt)
+    attempt = align([photo_of(np.zeros((30, 40, 3), np.uint8), f"{number}.jpg") for number in range(40)])
+    assert len(attempt.answer.placed) == 40
+    assert [setting for setting, _ in asked] == [FAST, FINE]
+    assert asked[1][1] == len(with_all(sequential(40), np.array([38, 39]), 40))
 
 
 def test_the_pairs_of_many_photos_grow_no_faster_than_the_photos() -> None:
