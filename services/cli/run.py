@@ -252,7 +252,8 @@ class Results:
     def write(self, bundle: Bundle) -> None:
         """Write a bundle's files and update the report."""
         if bundle.state == "preview":
-            for name in _EARLIER_RESULTS:
+            earlier = [path.name for path in self.out.glob("photo-*.jpg")]
+            for name in (*_EARLIER_RESULTS, *earlier):
                 shutil.rmtree(self.out / name, ignore_errors=True)
                 with suppress(FileNotFoundError, IsADirectoryError):
                     (self.out / name).unlink()

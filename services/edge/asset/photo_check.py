@@ -48,12 +48,11 @@ class PhotoCheck:
         if figures is None:
             return ()
         found = []
-        if max(figures.lace, 1 - figures.cover) > _MANY_HOLES:
-            worst = max(self.surface, key=lambda check: max(check.figures.lace, 1 - check.figures.cover))
-            share = max(figures.lace, 1 - figures.cover)
+        if figures.lace > _MANY_HOLES:
+            worst = max(self.surface, key=lambda check: check.figures.lace)
             found.append(
-                f"{share:.0%} of what your photos show of the thing is missing from the mesh. Shoot the side that "
-                f"{worst.picture.name} shows again: closer, in steps of 10 degrees, in even light"
+                f"{figures.lace:.0%} of what your photos show of the thing is missing from the mesh. Shoot the side "
+                f"that {worst.picture.name} shows again: closer, in steps of 10 degrees, in even light"
             )
         if figures.inside_out > _MUCH_INSIDE:
             found.append(f"{figures.inside_out:.0%} of what is seen is the inside of the thing, through holes in it")
@@ -100,8 +99,8 @@ def check_textures_with_photos(
     """Compare the renderings of the finest level with the held-out photos, where the check saw the thing."""
     if isinstance(finest, Mesh) and finest.rgb is None:
         return []
-    views = {view.name: view for view in points.held_out_views}
-    photos = [posed_picture(views[each.picture.name], to_asset) for each in check.surface]
+    views = {id(view.load_rgb): view for view in points.held_out_views}
+    photos = [posed_picture(views[id(each.picture.load_rgb)], to_asset) for each in check.surface]
     return check_likeness(finest, photos, [each.thing for each in check.surface])
 
 
@@ -129,4 +128,5 @@ def posed_picture(view: TextureView, to_frame: Floats) -> PosedPicture:
         load_rgb=view.load_rgb,
         load_depth=view.load_depth_m,
         name=view.name,
+        tracked=view.tracked,
     )

@@ -32,6 +32,7 @@ class TextureView:
     load_rgb         -> (h,w,3) uint8 sRGB
     load_depth_m     -> (H,W) float32 of the same field of view, units of the capture, 0 where unknown
     name             of the photo or frame in the capture
+    tracked          whether the pose is a device's tracking, which errs by pixels; poses from photos err by tenths
     """
 
     intrinsics: Intrinsics
@@ -39,6 +40,7 @@ class TextureView:
     load_rgb: Callable[[], Bytes]
     load_depth_m: Callable[[], Floats]
     name: str = ""
+    tracked: bool = False
 
 
 @dataclass(frozen=True, slots=True)

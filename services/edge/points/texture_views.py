@@ -47,4 +47,6 @@ def texture_view(frame: Frame) -> TextureView:
     """Make a texture view from a frame that has a picture and a pose."""
     assert frame.load_rgb is not None
     pose = np.asarray(frame.camera_to_world, np.float64)
-    return TextureView(frame.intrinsics, pose, frame.load_rgb, frame.load_depth_m, frame.name)
+    return TextureView(
+        frame.intrinsics, pose, frame.load_rgb, frame.load_depth_m, frame.name, tracked=frame.window_px == 1
+    )

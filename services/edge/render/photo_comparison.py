@@ -4,7 +4,8 @@ No true surface is needed. The mesh is rendered from the photo's own camera, and
 
 S      silhouette of the mesh, its gaps closed and its holes filled
 T      the thing in the photo: S, less what the photo shows to be background, by its depth or by its colours (GrabCut,
-       Rother et al. 2004, started from S); or a mask that is known
+       Rother et al. 2004, started from S); or a mask that is known. Near the outline T errs by what stands there: cover
+       may count the ground that a thing was cut from, lace never does
 cover  share of T where the mesh is
 lace   share of S ∩ T without mesh: holes
 inside_out  share of the mesh's pixels that show the back of a surface whose front other photos saw: the inside of a
@@ -38,6 +39,7 @@ LIKENESS_PX = 960
 _CLOSED = 0.02  # radius of the closing of a silhouette, of the root of its area: holes that reach the outline
 _AROUND = 0.08  # reach of what is searched for parts of the thing that the mesh lacks, of the same length
 _CORE = 0.01  # how far inside the mesh's outline the photo surely shows the thing
+_ASIDE = 0.02  # of the mesh's longest side: what the photo's depth shows as far from the mesh is not the thing
 _PAST = 0.04  # relative depth by which a photo that looks past a place sees farther
 _AGREES = 0.02  # relative depth within which a photo's depth and a place are one surface
 _MEETS = 0.01  # of the depth: the mesh meets it
@@ -129,6 +131,7 @@ def mean_figures(checks: Sequence[SurfaceCheck], likeness: Sequence[LikenessChec
     if not checks:
         return None
     each = [check.figures for check in checks]
+    alike = [pair for pair in likeness if pair.ssim > 0]  # 0: the rendering and the photo share no pixels
     depths = [figures.depth for figures in each if figures.depth is not None]
     return PhotoFigures(
         photos=len(checks),
@@ -137,9 +140,9 @@ def mean_figures(checks: Sequence[SurfaceCheck], likeness: Sequence[LikenessChec
         inside_out=_mean([figures.inside_out for figures in each]),
         leak=_mean([figures.leak for figures in each]),
         depth=_mean(depths) if depths else None,
-        psnr=_mean([pair.psnr for pair in likeness]) if likeness else None,
-        ssim=_mean([pair.ssim for pair in likeness]) if likeness else None,
-        sharp=_mean([pair.sharp for pair in likeness]) if likeness else None,
+        psnr=_mean([pair.psnr for pair in alike]) if alike else None,
+        ssim=_mean([pair.ssim for pair in alike]) if alike else None,
+        sharp=_mean([pair.sharp for pair in alike]) if alike else None,
     )
 
 
@@ -181,7 +184,7 @@ def _check(
 ) -> SurfaceCheck | None:
     import cv2
 
-    rgb = _shrink(picture.load_rgb(), LONGEST_PX)
+    rgb = shrink_to(picture.load_rgb(), LONGEST_PX)
     height, width = rgb.shape[:2]
     hits, rays = _cast(picture, scene, width, height)
     found = (hits.face >= 0).reshape(height, width)
@@ -192,7 +195,10 @@ def _check(
     own = cv2.resize(picture.depth(), (width, height), interpolation=cv2.INTER_NEAREST)
     past = (own > 0) & (own > (1 + _PAST) * _nearest_known(z, found))
     if known is None:
-        thing = _cut_out(rgb, found, whole, past)
+        places = picture.eye + own.reshape(-1, 1) * rays
+        aside = (own > 0) & ~whole & (scene.longest > 0)
+        aside[aside] = _far_from(places[aside.ravel()], mesh, _ASIDE * scene.longest)
+        thing = _cut_out(rgb, found, whole, past | aside)
     else:
         thing = cv2.resize(known.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     inside = np.zeros(found.size, bool)
@@ -260,8 +266,17 @@ def _nearest_known(z: Floats, found: Bools) -> Floats:
     return nearest
 
 
+def _far_from(places: Floats, mesh: Mesh, reach: float) -> Bools:
+    """(N,) whether places lie farther from every vertex of the mesh."""
+    from scipy.spatial import cKDTree
+
+    step = max(1, len(mesh.vertices) // _PROBES)
+    away, _ = cKDTree(mesh.vertices[::step]).query(places, distance_upper_bound=reach)
+    return np.asarray(~np.isfinite(away))
+
+
 def _cut_out(rgb: Bytes, found: Bools, whole: Bools, past: Bools) -> Bools:
-    """Find the thing in a photo (h,w): near the mesh's silhouette, without what the photo looks past."""
+    """Find the thing in a photo (h,w): near the mesh's silhouette, without what is known to be something else."""
     import cv2
 
     length = float(np.sqrt(whole.sum()))
@@ -305,7 +320,7 @@ def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callab
     import cv2
     from skimage.metrics import structural_similarity
 
-    photo = _shrink(picture.load_rgb(), LIKENESS_PX)
+    photo = shrink_to(picture.load_rgb(), LIKENESS_PX)
     height, width = photo.shape[:2]
     fine = (_SAMPLES * width, _SAMPLES * height)
     hits, _ = _cast(picture, scene, *fine)
@@ -370,7 +385,7 @@ def _decode(jpeg: bytes) -> Bytes:
         return np.asarray(image.convert("RGB"))
 
 
-def _shrink(rgb: Bytes, longest: int) -> Bytes:
+def shrink_to(rgb: Bytes, longest: int) -> Bytes:
     """Downscale a picture whose longer side is longer."""
     import cv2
 

@@ -20,6 +20,7 @@ class PosedPicture:
     load_rgb       -> (h,w,3) uint8 sRGB
     load_depth     -> (H,W) float32 of the same field of view, 0 where unknown; None where there is no depth image
     name           of the photo in the capture, for messages
+    tracked        whether the pose is a device's tracking, which errs by pixels
     """
 
     to_camera: Floats
@@ -28,6 +29,7 @@ class PosedPicture:
     load_rgb: Callable[[], Bytes]
     load_depth: Callable[[], Floats] | None = None
     name: str = ""
+    tracked: bool = False
 
     @property
     def eye(self) -> Floats:

@@ -1,11 +1,12 @@
 """Project photos onto a mesh and blend them into its texture, so that no seams show.
 
-1. expose  match every photo's exposure and white balance to the captured points, which are averages over all photos: a
+1. align   refine the photos' poses on the mesh (`refine_poses`): prints of two photos a pixel apart would be blurred
+2. expose  match every photo's exposure and white balance to the captured points, which are averages over all photos: a
            phone exposes each photo anew
-2. see     a photo sees a place that lies within it, faces it, and is occluded neither by the mesh nor by a surface in
+3. see     a photo sees a place that lies within it, faces it, and is occluded neither by the mesh nor by a surface in
            the photo's depth image
-3. choose  of many photos the best few, for cells of some texels
-4. blend   with a high power of how well each photo sees the place: next to the best view the others count little,
+4. choose  of many photos the best few, for cells of some texels
+5. blend   with a high power of how well each photo sees the place: next to the best view the others count little,
            which keeps a print sharp, and no view ends at a line, which would be a seam
 
 Symbols: q = how well a place is seen, in [0,1]: the cosine of the angle to the photo, times how near it was taken,
@@ -22,11 +23,13 @@ import numpy as np
 from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
 from services.edge.mesh.nouns import Mesh
 from services.edge.parallel import in_threads, slices
+from services.edge.render.photo_comparison import shrink_to
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.rays import LIFT, Scene
 from services.edge.srgb import to_linear
 from services.edge.texture.bake import positions_and_normals, random_places
 from services.edge.texture.nearest_colour import ColouredPoints
+from services.edge.texture.refine_poses import LONGEST_PX, SeenPlaces, refine_poses
 
 _POWER = 12  # p: of views 10° apart the second best counts 0.8, the third 0.4, the fourth 0.2
 _LEAST_COSINE = 0.2  # 78°: beyond, a pixel covers five times its width
@@ -44,6 +47,8 @@ _CELL_TEXELS = 12  # side of the cells for which pictures are chosen, in texels
 _LEAST_CELL = 1 / 512  # of the longest side: the least side of a cell
 _MOST_PICTURES = 6  # that are blended at a place; the weight of a seventh would be a few percent
 _HIDDEN = 0.1  # of the quality: what counts of a picture that does not see the middle of a cell
+_OUTLINE, _STEP = 0.01, 1.05  # of the longer side: width of outlines; and the relative depth step that is one
+_LOOK_SHARE = 0.5  # of the time before baking goes into loading the photos; the rest refines their poses
 _REMAP_COLUMNS = 1 << 10  # cv2.remap takes at most 32,767 of each
 
 
@@ -94,13 +99,23 @@ class PhotoProjection:
         self._usual = _usual_distance(places, pictures)
         known = points.light_at(places)
         finest = np.full(len(places), np.inf)
+        small, visible_of, seen = [], [], []
         for number, picture in enumerate(pictures):
             visible, rgb = self._visible_places(picture, self._depths[number], places, normals), picture.load_rgb()
-            self._gains.append(_gain(known[visible.index], _bilinear(to_linear(rgb), visible.at)))
             finest[visible.index] = np.minimum(finest[visible.index], _pixel(picture, rgb) * visible.depth)
-            tick((number + 1) / len(pictures))
+            small.append(shrink_to(rgb, LONGEST_PX))
+            visible_of.append(visible.index)
+            inner = _at(_inner_mask(self._depths[number]), visible.at)
+            seen.append(SeenPlaces(visible.index[inner], visible.quality[inner]))
+            tick(_LOOK_SHARE * (number + 1) / len(pictures))
         anywhere = np.isfinite(finest)
         self.pixel = float(np.median(finest[anywhere])) if anywhere.any() else 0.0
+        self._pictures = refine_poses(
+            pictures, [_grey(rgb) for rgb in small], places, seen, part_of(tick, _LOOK_SHARE, 1)
+        )
+        for picture, rgb, index in zip(self._pictures, small, visible_of, strict=True):
+            at, _ = picture.project(places[index])
+            self._gains.append(_gain(known[index], _bilinear(to_linear(rgb), at)))
 
     def __call__(self, places: Floats, normals: Floats, texel: float, tick: Tick) -> tuple[Floats, Floats]:
         """Blend the photos' light at places (N,3) with unit normals, for texels of that size.
@@ -235,6 +250,32 @@ def _gain(known: Floats, shown: Floats) -> Floats:
         return np.ones(3, np.float32)
     ratio = np.median(known[unclipped] / shown[unclipped], axis=0)
     return np.clip(ratio, 1 / _MOST_GAIN, _MOST_GAIN).astype(np.float32)
+
+
+def _inner_mask(depth: Floats) -> Bools:
+    """(H,W) pixels of a depth image away from outlines, where a blurred picture mixes the surface with what is behind;
+    all of an image without depth."""
+    import cv2
+
+    if not depth.any():
+        return np.ones(depth.shape, bool)
+    window = np.ones((2 * max(1, round(_OUTLINE * max(depth.shape))) + 1,) * 2, np.uint8)
+    nearest, farthest = cv2.erode(depth, window), cv2.dilate(depth, window)
+    return np.asarray((nearest > 0) & (farthest < _STEP * nearest))
+
+
+def _at(image: Bools, at: Floats) -> Bools:
+    """Look up pixels of an image (H,W) at positions (M,2) in shares of its sides."""
+    side = np.array(image.shape[::-1])
+    column, row = np.clip(at * side, 0, side - 1).astype(np.int64).T
+    return np.asarray(image[row, column])
+
+
+def _grey(rgb: Bytes) -> Floats:
+    """Brightness (h,w) float32 of a picture, in sRGB levels."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.float32)
 
 
 def _shrink(rgb: Bytes, by: int) -> Bytes:

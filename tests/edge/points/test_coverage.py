@@ -151,7 +151,7 @@ def test_without_an_up_nothing_is_told() -> None:
 def test_the_manifest_tells_it_in_the_assets_frame(half: Capture) -> None:
     """Z is up in the capture and y in the asset: nobody stood at the capture's -y, the asset's +z."""
     steps = reconstruct(half, replace(load_preset("draft"), resolution=40), isolate=True)
-    (bundle,) = [step for step in steps if isinstance(step, Bundle)]
+    *_, bundle = [step for step in steps if isinstance(step, Bundle)]
     (side, *_) = bundle.manifest["capture"]["unseen"]
     assert set(side) == {"advice", "toward", "share"}
     assert np.linalg.norm(side["toward"]) == pytest.approx(1, abs=2e-3)
