@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import json
-import re
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import scipy.ndimage
 import trimesh
-from PIL import Image
 
 from services.edge.arrays import Bools, Floats
 from services.edge.capture.detect import read_capture
@@ -32,8 +27,7 @@ from services.edge.photos.screening import screen
 from services.edge.photos.structure_from_motion import align
 from services.edge.photos.to_depth import to_depth
 from tests.bench.cell import ROOT
-from tests.conftest import data_folder
-from tests.support.walkaround import render_walkaround
+from tests.bench.photo_sets import PhotoSet, film, fruit, shell
 
 CASES = (
     "fruit, 20 photos of 600 x 400",
@@ -42,7 +36,6 @@ CASES = (
     "rendered shell, film of 12 s, 1280 x 720",
     "rendered shell, 100 of 1280 x 960",
 )
-_FRAMES_A_SECOND = 15  # of the film
 _SAMPLES = 200_000
 _SEEN_BY = 3  # photos, as many as have to agree about a point
 _PIXELS = 160  # of the picture in which it is told what hides what: 200,000 samples leave no holes in it
@@ -52,10 +45,10 @@ _BEHIND = 0.03  # of the thing's size: nearer behind a surface is itself, seen a
 def one(case: str) -> dict[str, Any]:
     """The figures of a case, measured in this process."""
     with tempfile.TemporaryDirectory() as folder:
-        source, cameras, truth = _made(case, Path(folder))
+        photo_set = _photo_set(case, Path(folder))
         seconds: dict[str, float] = {}
         with _timed(seconds, "read"):
-            capture = read_capture(source)
+            capture = read_capture(photo_set.source)
         with _timed(seconds, "screen"):
             photos, _ = screen(capture.photos, tick=lambda fraction: None)
         with _timed(seconds, "align"):
@@ -70,7 +63,7 @@ def one(case: str) -> dict[str, Any]:
         "placed": f"{len(depth.frames)} of {len(capture.photos)}",
         **seconds,
         "points": len(points),
-        **_errors(points.xyz, depth.frames, _by_name(cameras), truth),
+        **_errors(points.xyz, depth.frames, photo_set),
         "peak MB": peak // 1024,
     }
 
@@ -82,92 +75,18 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     seconds[stage] = round(time.perf_counter() - began, 1)
 
 
-def _made(case: str, folder: Path) -> tuple[Path, dict[str, Floats], trimesh.Trimesh]:
-    """The capture of a case, its cameras by file (of a film: by the number of the frame), and the true surface."""
+def _photo_set(case: str, folder: Path) -> PhotoSet:
+    """Make the photos of a case, in a folder where they are not there yet."""
     if case.startswith("fruit"):
-        return _fruit(folder if "given" in case else None)
-    return _film(folder) if "film" in case else _shell(folder, int(case.split()[2].rstrip(",")))
+        return fruit(folder if "given" in case else None)
+    return film(folder) if "film" in case else shell(folder, int(case.split()[2].rstrip(",")))
 
 
-def _fruit(given: Path | None) -> tuple[Path, dict[str, Floats], trimesh.Trimesh]:
-    """The photos, and the cameras and the mesh that another program made from them at full size.
-
-    given  a folder for photos with these cameras as a `transforms.json` beside them; None: the photos alone
-    """
-    data = data_folder() / "photos_fruit"
-    root = ElementTree.parse(data / "camera.xml").getroot()
-    poses = {
-        f"{camera.get('label')}.JPG": np.array((camera.findtext("transform") or "").split(), float).reshape(4, 4)
-        for camera in root.iter("camera")
-    }
-    if given:
-        write_transforms(root, data / "images", poses, given)
-    return given or data / "images", poses, trimesh.load_mesh(data / "foo.obj", process=False)
-
-
-def write_transforms(root: ElementTree.Element, images: Path, poses: dict[str, Floats], folder: Path) -> None:
-    """Metashape's cameras as nerfstudio's: centre from the corner instead of the middle, axes of OpenGL."""
-    lens = root.find(".//calibration")
-    assert lens is not None
-    told = {each: float(lens.findtext(each) or 0) for each in ("f", "cx", "cy", "k1", "k2", "k3", "p1", "p2")}
-    size = lens.find("resolution")
-    assert size is not None
-    with Image.open(next(images.iterdir())) as picture:
-        width, height = picture.size
-    by = width / int(size.get("width") or 0)
-    camera = {
-        "w": width,
-        "h": height,
-        "fl_x": by * told["f"],
-        "fl_y": by * told["f"],
-        "cx": width / 2 + by * told["cx"],
-        "cy": height / 2 + by * told["cy"],
-        **{each: told[each] for each in ("k1", "k2", "k3", "p1", "p2")},
-    }
-    frames = []
-    for image in sorted(images.iterdir()):
-        shutil.copy(image, folder)
-        matrix = poses[image.name] @ np.diag([1.0, -1, -1, 1])
-        frames.append({"file_path": image.name, "transform_matrix": matrix.tolist()})
-    (folder / "transforms.json").write_text(json.dumps({**camera, "frames": frames}))
-
-
-def _shell(folder: Path, views: int) -> tuple[Path, dict[str, Floats], trimesh.Trimesh]:
-    walk = render_walkaround(folder, views=views, size=(1280, 960))
-    poses = {photo.name: pose for photo, pose in zip(walk.photos, walk.camera_to_world, strict=True)}
-    return folder, poses, trimesh.Trimesh(walk.thing.vertices, walk.thing.faces, process=False)
-
-
-def _film(folder: Path) -> tuple[Path, dict[str, Floats], trimesh.Trimesh]:
-    frames, film = folder / "frames", folder / "film"
-    film.mkdir()
-    walk = render_walkaround(frames, views=12 * _FRAMES_A_SECOND, size=(1280, 720))
-    with av.open(str(film / "walk.mp4"), "w") as container:
-        stream = container.add_stream("libx264", rate=_FRAMES_A_SECOND, options={"preset": "veryfast"})
-        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = 1280, 720, "yuv420p", 12_000_000
-        for photo in walk.photos:
-            with Image.open(photo) as picture:
-                container.mux(stream.encode(av.VideoFrame.from_image(picture)))
-        container.mux(stream.encode())
-    poses = {str(number): pose for number, pose in enumerate(walk.camera_to_world)}
-    return film, poses, trimesh.Trimesh(walk.thing.vertices, walk.thing.faces, process=False)
-
-
-def _by_name(cameras: dict[str, Floats]) -> Callable[[str], Floats]:
-    """The camera of a photo: by its file, or for "walk.mp4 at 3.27 s" by the number of the frame."""
-
-    def camera(name: str) -> Floats:
-        at = re.search(r" at ([\d.]+) s$", name)
-        return cameras[str(round(float(at[1]) * _FRAMES_A_SECOND)) if at else name]
-
-    return camera
-
-
-def _errors(
-    xyz: Floats, frames: tuple[Frame, ...], camera: Callable[[str], Floats], truth: trimesh.Trimesh
-) -> dict[str, float]:
+def _errors(xyz: Floats, frames: tuple[Frame, ...], photo_set: PhotoSet) -> dict[str, float]:
     """Of the points on the thing, in percent of its size, after the best similarity; completeness within 1 %, of all of
     the surface and of what three photos or more see: the underside of a thing on a table is in none."""
+    truth, camera = photo_set.truth, photo_set.camera
+    assert truth is not None
     surface, face = trimesh.sample.sample_surface(truth, _SAMPLES, seed=0)
     ours = np.stack([frame.camera_to_world[:3, 3] for frame in frames])
     theirs = np.stack([camera(frame.name)[:3, 3] for frame in frames])

@@ -19,6 +19,7 @@ from services.edge.certificate import (
     hold_out,
 )
 from services.edge.mesh.nouns import Mesh
+from services.edge.render.photo_comparison import PhotoFigures
 from tests.support.surfaces import disk, hemisphere, moved, patch, sampled
 
 
@@ -165,6 +166,42 @@ def test_any_fault_makes_it_worse(flat: Certificate, change: dict[str, float], w
     verdict = compare(flat, replace(flat, distances=flat.distances - 0.001, **change))
     assert verdict.outcome == "worse"
     assert word in verdict.because
+
+
+FAULTLESS = PhotoFigures(photos=2, cover=1.0, lace=0.0, inside_out=0.0, leak=0.0)
+
+
+@pytest.mark.parametrize("change", [{"lace": 0.05}, {"cover": 0.95}, {"inside_out": 0.05}])
+def test_more_holes_in_held_out_photos_make_it_worse(flat: Certificate, change: dict[str, float]) -> None:
+    """However near to the points it is: holes are where neither mesh nor points are."""
+    preview = replace(flat, photos=FAULTLESS)
+    refined = replace(flat, distances=flat.distances - 0.001, photos=replace(FAULTLESS, **change))
+    verdict = compare(preview, refined)
+    assert verdict.outcome == "worse"
+    assert "shows more holes in held-out photos" in verdict.because
+    assert compare(refined, replace(preview, distances=refined.distances)).outcome != "worse"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (FAULTLESS, replace(FAULTLESS, lace=0.005, cover=0.995)),  # too little to see
+        (replace(FAULTLESS, lace=0.1, cover=0.9), replace(FAULTLESS, lace=0.1, cover=0.9)),
+        (FAULTLESS, replace(FAULTLESS, leak=0.2, psnr=12.0)),  # no holes
+        (None, None),
+    ],
+)
+def test_no_more_holes_than_before_do_not(
+    flat: Certificate, before: PhotoFigures | None, after: PhotoFigures | None
+) -> None:
+    nearer = replace(flat, distances=flat.distances - 0.001, photos=after)
+    assert compare(replace(flat, photos=before), nearer).outcome == "better"
+
+
+def test_a_certificate_has_its_photos_figures_as_json(evidence: Evidence, flat: Certificate) -> None:
+    certificate = certify(flat_field, sheet(), evidence, FAULTLESS)
+    assert certificate.as_json()["photos"]["cover"] == 1
+    assert flat.as_json()["photos"] is None
 
 
 def test_a_cloud_without_points_to_spare_is_judged_by_those_it_has() -> None:

@@ -63,6 +63,38 @@ def table_with_sphere() -> Scene:
     return scene((plane(1.2, 1.2), (150, 120, 90)), (ball, (200, 40, 40)))
 
 
+def furnished_room() -> Scene:
+    """A room of 5 x 4 x 2.6 m, seen from within, with a sofa, a table and a cupboard, in patches of several shades."""
+    shapes = [((0.0, 0.0, 0.0), (5.0, 4.0, 2.6))]
+    shapes += [
+        ((0.3, 0.3, 0.0), (2.0, 0.9, 0.8)),
+        ((3.0, 2.5, 0.0), (1.6, 1.0, 0.74)),
+        ((4.2, 0.0, 0.0), (0.8, 0.5, 2.0)),
+    ]
+    parts = []
+    for corner, size in shapes:
+        box = trimesh.creation.box(size)
+        box.apply_translation(np.add(corner, np.divide(size, 2)))
+        parts.append(box.subdivide_to_size(0.05))
+    colours = [(190, 185, 170), (150, 70, 60), (120, 90, 50), (60, 110, 140)]
+    bare = scene(*zip(parts, colours, strict=True))
+    patch = np.floor(bare.vertices[bare.faces].mean(axis=1) / 0.23).astype(int)
+    shade = np.random.default_rng(0).uniform(0.5, 1.25, (32, 32, 32))[tuple(patch.T % 32)]
+    rgb = np.clip(bare.face_rgb * shade[:, None], 0, 255).astype(np.uint8)
+    return Scene(bare.vertices, bare.faces, rgb, bare.face_part)
+
+
+def look_around(count: int) -> Floats:
+    """(count,4,4) poses of a person who turns once in the middle of the furnished room, and looks up and down."""
+    turns = np.arange(count) * 2 * np.pi / count
+    poses = []
+    for number, turn in enumerate(turns):
+        ahead = np.array([np.cos(turn), np.sin(turn), (-0.35, 0.0, 0.3)[number % 3]])
+        eye = np.array([2.5, 1.9, 1.5]) - 0.5 * ahead * [1, 1, 0]
+        poses.append(look_at(eye, eye + ahead))
+    return np.stack(poses)
+
+
 def look_at(eye: Sequence[float], target: Sequence[float], up: Sequence[float] = (0, 0, 1)) -> Floats:
     """(4,4) camera-to-world with OpenCV axes."""
     forward = np.subtract(target, eye)

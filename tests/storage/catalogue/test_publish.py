@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import re
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,16 @@ def test_levels_come_finest_first_with_their_counts_and_places() -> None:
     levels = read_entry(store, "dress").document["lods"]
     assert [(each["level"], each["triangles"], each["vertices"]) for each in levels] == [(0, 100, 60), (1, 50, 30)]
     assert all(store.head(each["name"]).size == each["bytes"] for each in levels)
+
+
+def test_private_files_are_not_published(store: Store) -> None:
+    """They show the photos of whoever sent them."""
+    photographed = replace(bundle(), private={"photo-1.jpg": b"somebody's living room"})
+    publish(photographed, store, key="dress")
+    objects = [head.name for head in list_all(store, "")]
+    assert not [name for name in objects if "photo" in name]
+    assert not [name for name in objects if b"living room" in store.get(name) or b"photo-1" in store.get(name)]
+    assert_whole(store, read_entry(store, "dress"))
 
 
 def test_files_are_immutable_and_pointers_are_not(store: Store) -> None:

@@ -1,0 +1,284 @@
+"""Captures to assets, compared with the photos that were held out: holes, leaks, likeness, seconds.
+
+Each row in a process of its own, preset `draft`, on the CPU. One photo in eight is held out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from services.cli.demo_garment import garment_scene
+from services.cli.demo_phone import simulate_capture
+from services.edge.arrays import Bools, Floats
+from services.edge.asset.photo_check import posed_picture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Frame
+from services.edge.mesh.align_to_reference import align_to_surface
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.sampling import sample
+from services.edge.photos.to_depth import to_depth
+from services.edge.pipeline import reconstruct
+from services.edge.points.texture_views import hold_out_frames, texture_view
+from services.edge.preset import load_preset
+from services.edge.render.photo_comparison import LONGEST_PX, check_surface, mean_figures
+from services.edge.render.posed_picture import PosedPicture
+from services.edge.render.rays import Scene, pinhole
+from services.storage.bundle import Bundle
+from tests.bench.cell import ROOT
+from tests.bench.photo_sets import PhotoSet, film, fruit, shell, statue, statue_points
+from tests.conftest import data_folder
+from tests.support import scenes
+
+_ONE_IN = 8  # photos is held out
+_PHONE = {"noise": 4.0, "blur": 1.0, "jpeg": 85}
+"""Of the rendered photos: a phone's indoors, twice as noisy as the other benches' and less sharp."""
+_SENSOR = scenes.Sensor(noise_m=0.004, jitter_m=0.003, jitter_deg=0.15, flying=0.5)
+"""Of a phone with LiDAR, as `services/cli/demo_phone.py` has it."""
+_SAMPLES = 1_000_000  # of the mesh: 0.15 % of the statue's size apart
+_WITHIN = (0.005, 0.01, 0.02)  # of the thing's size
+
+SHARES = {
+    "cover": "cover %",
+    "lace": "lace %",
+    "inside_out": "inside-out %",
+    "leak": "leak %",
+    "depth": "depth %",
+}
+LIKENESS = {"psnr": "psnr", "ssim": "ssim", "sharp": "sharp"}
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A capture of the table.
+
+    capture   of photos or of RGB-D frames
+    hold_out  number of pictures to compare with; None: one in eight
+    known     what is known of its photos, where they are a set of its own
+    points    points (N,3) in the frame of `known`'s cameras that the result should have
+    """
+
+    capture: Capture
+    hold_out: int | None = None
+    known: PhotoSet | None = None
+    points: Floats | None = None
+
+
+def _of(known: PhotoSet, points: Floats | None = None) -> Row:
+    return Row(read_capture(known.source), known=known, points=points)
+
+
+def _garment(folder: Path, *, depth: bool) -> Row:
+    simulate_capture(garment_scene(), folder / "walk")
+    return Row(read_capture(folder / "walk" if depth else folder / "walk" / "images"))
+
+
+def _living_room(_: Path) -> Row:
+    return Row(read_capture(data_folder() / "rgbd_livingroom"), hold_out=1)
+
+
+def _still(_: Path) -> Row:
+    """A single frame cannot be spared: it is there twice, and the second one is held out."""
+    capture = read_capture(data_folder() / "phone_tof")
+    (frame,) = capture.frames
+    again = replace(frame, name=f"{frame.name} again")
+    return Row(replace(capture, frames=(frame, again)), hold_out=1)
+
+
+def _room(_: Path) -> Row:
+    frames = scenes.film(scenes.furnished_room(), scenes.look_around(30), scenes.PHONE, _SENSOR)
+    up = np.array([0.0, 0.0, 1.0])
+    return Row(Capture("rgbd", "simulated", frames=frames, scale_confidence="metric", up=up))
+
+
+ROWS: dict[str, Callable[[Path], Row]] = {
+    "fruit, 20 photos": lambda folder: _of(fruit()),
+    "fruit, cameras given": lambda folder: _of(fruit(folder)),
+    "statue, 32 photos": lambda folder: _of(statue(), statue_points()),
+    "statue, cameras given": lambda folder: _of(statue(folder), statue_points()),
+    "shell, 25 photos": lambda folder: _of(shell(folder, 25, **_PHONE)),
+    "shell, film": lambda folder: _of(film(folder, **_PHONE)),
+    "garment, 40 photos": lambda folder: _garment(folder, depth=False),
+    "garment, RGB-D, 40 frames": lambda folder: _garment(folder, depth=True),
+    "living room, RGB-D, 5 frames": _living_room,
+    "ToF still (own view)": _still,
+    "room, RGB-D, 30 frames": _room,
+}
+
+
+def one(name: str, out: Path | None = None) -> dict[str, Any]:
+    """The figures of a row, measured in this process; None where there is none. out: folder for its pictures."""
+    with tempfile.TemporaryDirectory() as folder:
+        row = ROWS[name](Path(folder))
+        began = time.perf_counter()
+        capture = to_depth(row.capture) if row.capture.kind == "photos" else row.capture
+        spared = row.hold_out or -(-len(capture.frames) // _ONE_IN)
+        made = [
+            step for step in reconstruct(capture, load_preset("draft"), hold_out=spared) if isinstance(step, Bundle)
+        ]
+        seconds = time.perf_counter() - began
+        bundle = made[-1]
+        if out:
+            _write_pictures(out, bundle)
+        return {
+            "placed": f"{len(capture.frames)} of {len(row.capture.photos or row.capture.frames)}",
+            "seconds": round(seconds, 1),
+            "texturing": round(bundle.manifest["seconds"]["TEXTURING"], 1),
+            "triangles": bundle.manifest["quality"]["triangles"],
+            "pieces": bundle.manifest["quality"]["components"],
+            **_photo_figures(bundle.manifest["quality"].get("photos") or {}),
+            **_figures_of_truth(row, bundle, hold_out_frames(capture.frames, spared)[1]),
+            **_shares_of_points(row, bundle, capture.frames),
+        }
+
+
+def _photo_figures(photos: Mapping[str, Any]) -> dict[str, Any]:
+    shares = {title: _percent(photos.get(key)) for key, title in SHARES.items()}
+    likeness = {title: None if photos.get(key) is None else round(photos[key], 3) for key, title in LIKENESS.items()}
+    return {"held out": photos.get("photos"), **shares, **likeness}
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else round(100 * share, 2)
+
+
+def _write_pictures(out: Path, bundle: Bundle) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    for name, content in {**bundle.private, "preview.png": bundle.files["preview.png"]}.items():
+        (out / name).write_bytes(content)
+
+
+def _mesh(bundle: Bundle) -> Mesh:
+    """The full mesh, in the capture's frame."""
+    loaded = trimesh.load_mesh(BytesIO(bundle.files["mesh.ply"]), file_type="ply", process=False)
+    return Mesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64))
+
+
+def _figures_of_truth(row: Row, bundle: Bundle, held_out: Sequence[Frame]) -> dict[str, Any]:
+    """Cover and leak where the thing's outline in the held-out photos is known, because they were rendered."""
+    figures = None
+    if row.known and row.known.truth is not None and row.known.intrinsics:
+        photos = [posed_picture(texture_view(frame), np.eye(4)) for frame in held_out]
+        outline = _Outline(row.known)
+        figures = mean_figures(check_surface(_mesh(bundle), photos, (), outline))
+    return {
+        "true cover %": _percent(figures and figures.cover),
+        "true leak %": _percent(figures and figures.leak),
+    }
+
+
+class _Outline:
+    """Renders the mask (h,w) of the true thing in a photo."""
+
+    def __init__(self, known: PhotoSet) -> None:
+        assert known.truth is not None
+        self._known = known
+        self._scene = Scene(Mesh(np.asarray(known.truth.vertices), np.asarray(known.truth.faces)))
+
+    def __call__(self, photo: PosedPicture) -> Bools:
+        camera = self._known.intrinsics
+        assert camera is not None
+        camera = camera.scaled_to(LONGEST_PX, round(LONGEST_PX * camera.height / camera.width))
+        pose = self._known.camera(photo.name)
+        x = (np.arange(camera.width) - camera.cx) / camera.fx
+        y = (np.arange(camera.height) - camera.cy) / camera.fy
+        hits = self._scene.cast(pose[None, :3, 3], pinhole(x, y, *pose[:3, :3].T))
+        return (hits.face >= 0).reshape(camera.height, camera.width)
+
+
+def _shares_of_points(row: Row, bundle: Bundle, frames: Sequence[Frame]) -> dict[str, Any]:
+    """Shares of the row's points that the mesh is near to, after the best similarity.
+
+    The cameras bring the points to the mesh; where they were computed, not given, the points' own distances move them
+    once more, because a few cameras' centres do not tell how the things lie to within half a percent.
+    """
+    titles = [f"depth points within {100 * within:g} %" for within in _WITHIN]
+    if row.points is None or row.known is None:
+        return dict.fromkeys(titles)
+    ours = np.stack([frame.camera_to_world[:3, 3] for frame in frames])
+    theirs = np.stack([row.known.camera(frame.name)[:3, 3] for frame in frames])
+    laid, _, _ = trimesh.registration.procrustes(theirs, ours, reflection=False)
+    made = sample(_mesh(bundle), _SAMPLES, np.random.default_rng(0))
+    points = row.points @ laid[:3, :3].T + laid[:3, 3]
+    if row.capture.photos[0].camera_to_world is None:
+        points = align_to_surface(row.points, made.xyz, made.normals, laid)
+    gap, _ = cKDTree(made.xyz).query(points, workers=-1)
+    size = float(np.ptp(points, axis=0).max())
+    return {title: _percent(float((gap < within * size).mean())) for title, within in zip(titles, _WITHIN, strict=True)}
+
+
+def main(arguments: list[str]) -> None:
+    """Print the table, and write its pictures where a folder is given for them."""
+    options = _parser().parse_args(arguments)
+    chosen = [name for name in ROWS if all(word in name for word in options.words)]
+    measured: dict[str, dict[str, Any]] = {}
+    for name, figures in _measured(chosen, options.out):
+        if not measured:
+            print(f"| capture | {' | '.join(figures)} |\n|{'---|' * (len(figures) + 1)}")
+        measured[name] = figures
+        print(f"| {name} | {' | '.join(map(_shown, figures.values()))} |", flush=True)
+        if options.out:
+            (options.out / "index.html").write_text(page(measured, options.out), encoding="utf-8")
+
+
+def _measured(names: Sequence[str], out: Path | None) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each row's figures, in the order of the names; a row that fails is named on the standard error output."""
+    for name in names:
+        command = [sys.executable, "-m", "tests.bench.captures", name]
+        command += [str((out / slug(name)).resolve())] if out else []
+        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+        if done.returncode:
+            last = (done.stderr.strip() or f"ended with {done.returncode}").splitlines()[-1]
+            print(f"{name}: {last}", file=sys.stderr, flush=True)
+            continue
+        yield name, json.loads(done.stdout.splitlines()[-1])
+
+
+def slug(name: str) -> str:
+    """Name of a row's folder: "fruit, 20 photos" -> "fruit-20-photos"."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+
+
+def page(measured: Mapping[str, Mapping[str, Any]], out: Path) -> str:
+    """HTML of each row's figures beside its pictures, which lie in a folder of `out` each."""
+    parts = ["<!doctype html><meta charset=utf-8><title>captures</title>"]
+    parts.append("<style>body { font: 14px sans-serif } td { padding: 0 1em 0 0 } img { max-width: 48% }</style>")
+    parts.append("<p>Left the photo, right the mesh from its camera: holes magenta, insides yellow, leaks blue.</p>")
+    for name, figures in measured.items():
+        rows = "".join(f"<tr><td>{html.escape(key)}<td>{_shown(value)}" for key, value in figures.items())
+        parts.append(f"<h2>{html.escape(name)}</h2><table>{rows}</table>")
+        folder = out / slug(name)
+        parts += [f'<img src="{folder.name}/{each.name}" alt="{each.stem}">' for each in sorted(folder.iterdir())]
+    return "\n".join(parts)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m tests.bench captures", description=__doc__)
+    parser.add_argument("words", nargs="*", help=f"only rows that contain all of these words; all: {'; '.join(ROWS)}")
+    parser.add_argument("--out", type=Path, help="folder for each row's pictures and an index.html that shows them")
+    return parser
+
+
+if __name__ == "__main__":
+    print(json.dumps(one(sys.argv[1], *map(Path, sys.argv[2:]))))
