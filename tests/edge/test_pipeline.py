@@ -193,10 +193,11 @@ def test_it_stops_where_it_is_told_to(stage: str) -> None:
         list(reconstruct(_bowl(), COARSE, watch=stop))
 
 
-def _striped_sheet(frames: int = 20, *, hole: bool = False) -> Capture:
+def _striped_sheet(hole: str, frames: int = 20) -> Capture:
     """Depth images of a striped sheet, 0.9 m wide, from above and a little from the sides; beyond it nothing is known.
 
-    hole: of 6 cm in its middle, where the depth images know nothing.
+    hole: what is seen in a circle of 6 cm in its middle: "dark", its stripes without depth; "open", a wall 60 cm behind
+    it; "sky", a colour that is all around the sheet too, without depth.
     """
     side, away = 96, 1.0
     camera = Intrinsics(side, side, side / 2 - 0.5, side / 2 - 0.5, side, side)
@@ -205,11 +206,13 @@ def _striped_sheet(frames: int = 20, *, hole: bool = False) -> Capture:
         x, y = np.meshgrid((np.arange(side) - camera.cx) / side + shift, (np.arange(side) - camera.cy) / side)
         on = (np.abs(x) < 0.45) & (np.abs(y) < 0.45)
         depth = np.where(on, away, 0).astype(np.float32)
-        if hole:
-            depth[np.hypot(x, y) < 0.03] = 0
+        depth[np.hypot(x, y) < 0.03] = 1.6 if hole == "open" else 0
         fine = (np.arange(4 * side) + 0.5) / (4 * side) - 0.5 + shift
         stripes = np.where((np.sin(40 * fine) > 0)[:, None], (230, 60, 40), (40, 60, 200)).astype(np.uint8)
         rgb = np.tile(stripes, (4 * side, 1, 1))
+        x, y = np.meshgrid(fine, fine - shift)
+        if hole == "sky":
+            rgb[(np.hypot(x, y) < 0.03) | (np.maximum(abs(x), abs(y)) > 0.45)] = 170, 225, 140
         pose = np.eye(4)
         pose[0, 3] = shift
         made.append(Frame(f"{len(made)}.png", camera, pose, partial(np.copy, depth), None, partial(np.copy, rgb)))
@@ -218,7 +221,7 @@ def _striped_sheet(frames: int = 20, *, hole: bool = False) -> Capture:
 
 @pytest.fixture(scope="module")
 def sheet_bundles() -> list[Bundle]:
-    made = reconstruct(_striped_sheet(hole=True), Preset("coarse", resolution=96))
+    made = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96))
     return [step for step in made if isinstance(step, Bundle)]
 
 
@@ -248,10 +251,20 @@ def test_what_no_depth_shows_is_filled_and_marked_unless_that_is_not_wanted(shee
     assert marked.any()
     off = np.linalg.norm(mesh.vertices[marked] - [0, 0, 1], axis=1)
     assert off.max() < 0.06
-    *_, kept = reconstruct(_striped_sheet(hole=True), Preset("coarse", resolution=96), fill="none")
+    *_, kept = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96), fill="none")
     assert isinstance(kept, Bundle)
     assert kept.manifest["quality"]["filled_area"] == 0
     assert b"property uchar filled" not in kept.files["mesh.ply"][:400]
+
+
+@pytest.mark.parametrize("hole", ["open", "sky"])
+def test_a_true_opening_stays_open(hole: str) -> None:
+    *_, bundle = reconstruct(_striped_sheet(hole), Preset("coarse", resolution=96))
+    assert isinstance(bundle, Bundle)
+    mesh = trimesh.load(io.BytesIO(bundle.files["mesh.ply"]), file_type="ply", process=False)
+    near = mesh.triangles_center[np.abs(mesh.triangles_center[:, 2] - 1) < 0.1]
+    assert np.hypot(near[:, 0], near[:, 1]).min() > 0.015
+    assert bundle.manifest["quality"]["filled_area"] < 0.001
 
 
 def test_the_same_capture_gives_the_same_bytes() -> None:

@@ -32,6 +32,8 @@ view saw through, also the ends of tubes and undersides."""
 
 MOST_CORNERS = 400
 """Vertices of a loop: the triangulation takes 0.5 s then, and a longer loop is no hole but a border."""
+_MOST_WORK = 40
+"""Loops of that length, or as much work of shorter ones, that are triangulated: 20 s."""
 _FEWEST = 3
 _CONTINUES, _LIES_BACK = 0.5, -0.5
 """Least mean cosine between the surface's normals along a loop and the patch's: for a hole in a surface, and for any
@@ -84,7 +86,7 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, tick: Tick = no_tick) -> FilledM
     normal_of = _normals_along(mesh, border)
     chords = edges_between(mesh.faces, border)
     patches = []
-    loops = [loop for loop in border_loops(mesh.faces, border) if _FEWEST <= len(loop) <= MOST_CORNERS]
+    loops = _loops_within_budget(border_loops(mesh.faces, border))
     for number, loop in enumerate(loops):
         faces = _span(mesh.vertices, loop, chords)
         if len(faces) and _bend(mesh.vertices, faces, loop, normal_of) >= (_LIES_BACK if fill == "all" else _CONTINUES):
@@ -97,6 +99,13 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, tick: Tick = no_tick) -> FilledM
     vertices, added = _refine(mesh.vertices, np.concatenate(patches), chords)
     whole = Mesh(vertices, np.concatenate([mesh.faces, added]))
     return FilledMesh(_fair(whole, len(mesh.vertices)), np.arange(len(whole.faces)) >= len(mesh.faces))
+
+
+def _loops_within_budget(loops: list[Ints]) -> list[Ints]:
+    """Return the loops short enough to triangulate, shortest first, as many as the time allows."""
+    chosen = sorted((loop for loop in loops if _FEWEST <= len(loop) <= MOST_CORNERS), key=len)
+    work = np.cumsum([float(len(loop)) ** 3 for loop in chosen])
+    return chosen[: int(np.searchsorted(work, _MOST_WORK * MOST_CORNERS**3, side="right"))]
 
 
 def _normals_along(mesh: Mesh, border: Ints) -> Callable[[Ints, Ints], Floats]:

@@ -51,8 +51,7 @@ def ask_views(pictures: Sequence[PosedPicture], surface: ColouredSurface | None 
     """Return a function from places (N,3) and unit normals (N,3), in the pictures' frame, to
     the number of views (N,) that see past each, into free space.
 
-    surface: known surface, to tell background by its colours; None: only depth is asked. The front of a place is the
-    side that its normal points to.
+    surface: known surface, to tell background by its colours; None: only depth is asked.
     """
 
     def ask(places: Floats, normals: Floats) -> Ints:
@@ -80,9 +79,10 @@ def _look(picture: PosedPicture, places: Floats, normals: Floats) -> tuple[Ints,
     index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
     found, z = _at(picture.depth(), at[index]), z[index]
     towards = picture.eye - places[index]
-    cosine = np.einsum("nx,nx->n", towards, normals[index]) / np.linalg.norm(towards, axis=1)
+    # The sign of a normal says nothing on an open surface.
+    cosine = np.abs(np.einsum("nx,nx->n", towards, normals[index])) / np.linalg.norm(towards, axis=1)
     behind, before = found > (1 + _BEYOND) * z, (found > 0) & (found < (1 - _BEYOND) * z)
-    return index, behind & (np.abs(cosine) > _FACING), ~behind & ~before & (cosine > _FACING)
+    return index, behind & (cosine > _FACING), ~behind & ~before & (cosine > _FACING)
 
 
 def _shows_background(picture: PosedPicture, places: Floats, near: Ints, surface: ColouredSurface) -> Bools:

@@ -133,6 +133,17 @@ def test_several_holes_are_told_apart() -> None:
     assert len(left) > 10
 
 
+def test_the_longest_loops_are_left_out_where_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = trimesh.creation.icosphere(4)
+    large, small = ball.triangles_center[:, 2] > 0.9, ball.triangles_center[:, 2] < -0.98
+    mesh = mesh_of(ball, ~(large | small))
+    monkeypatch.setattr("services.edge.mesh.fill_gaps._MOST_WORK", (30 / 400) ** 3)
+    made = fill_gaps(mesh, "unseen", nobody_sees_through)
+    left = made.mesh.vertices[border_edges(made.mesh.faces)[:, 0]]
+    assert made.filled.any()
+    assert (left[:, 2] > 0).all(), "the small one is filled"
+
+
 def test_progress_only_grows() -> None:
     fractions: list[float] = []
     fill_gaps(ball_with_hole(20, np.array([0.0, 0, 1])), "unseen", nobody_sees_through, fractions.append)
