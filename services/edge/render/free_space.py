@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import Bools, Bytes, Floats, Ints
 from services.edge.mesh.fill_gaps import Ask
 from services.edge.render.posed_picture import PosedPicture
+from services.edge.render.sample_image import pixels_at, shrink_to
 
 _BEYOND = 0.02
 """Relative depth by which a view sees past a place, or something before it."""
@@ -77,7 +78,7 @@ def _look(picture: PosedPicture, places: Floats, normals: Floats) -> tuple[Ints,
     """Return the places (M,) in a picture, whether it sees past each, and whether it looks at it and knows nothing."""
     at, z = picture.project(places)
     index = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
-    found, z = _at(picture.depth(), at[index]), z[index]
+    found, z = pixels_at(picture.depth(), at[index]), z[index]
     towards = picture.eye - places[index]
     # The sign of a normal says nothing on an open surface.
     cosine = np.abs(np.einsum("nx,nx->n", towards, normals[index])) / np.linalg.norm(towards, axis=1)
@@ -89,10 +90,8 @@ def _shows_background(picture: PosedPicture, places: Floats, near: Ints, surface
     """(N,) whether the picture shows a colour of its background at places, and not one of the surface near (N,K)."""
     import cv2
 
-    rgb = picture.load_rgb()
-    by = min(1.0, _LONGEST_PX / max(rgb.shape[:2]))
-    size = (max(1, round(rgb.shape[1] * by)), max(1, round(rgb.shape[0] * by)))
-    rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    rgb = shrink_to(picture.load_rgb(), _LONGEST_PX)
+    size = rgb.shape[1::-1]
     at, z = picture.project(surface.xyz)
     on = np.zeros(rgb.shape[:2], np.uint8)
     shown = (z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0)
@@ -106,15 +105,7 @@ def _shows_background(picture: PosedPicture, places: Floats, near: Ints, surface
     stop = (cv2.TERM_CRITERIA_MAX_ITER, 10, 0.0)
     count = min(_BACKGROUND_COLOURS, len(some))
     _, _, centres = cv2.kmeans(some, count, np.empty(0), stop, 1, cv2.KMEANS_PP_CENTERS)
-    colour = _at(rgb, picture.project(places)[0]).astype(np.float32)
+    colour = pixels_at(rgb, picture.project(places)[0]).astype(np.float32)
     to_surface = np.linalg.norm(surface.rgb[near].astype(np.float32) - colour[:, None], axis=2).min(axis=1)
     to_background = np.linalg.norm(centres[None] - colour[:, None], axis=2).min(axis=1)
     return np.asarray((to_surface > _UNLIKE) & (to_background < _NEARER * to_surface))
-
-
-def _at(image: Floats | Bytes, at: Floats) -> Floats:
-    """Look up the pixels (N,...) of an image (H,W,...) at positions (N,2) in shares of its sides."""
-    side = np.array(image.shape[1::-1])
-    column, row = np.clip(at * side, 0, side - 1).astype(np.int64).T
-    found: Floats = image[row, column]
-    return found

@@ -31,6 +31,7 @@ from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.parallel import in_threads
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.rays import Hits, Scene, pinhole
+from services.edge.render.sample_image import bilinear, shrink_to
 
 LONGEST_PX = 480
 """Longer side of the pictures in which surfaces are compared: a hole of 1 % of the picture is then 5 pixels wide."""
@@ -357,7 +358,7 @@ def _colours_of(subject: Mesh | TexturedMesh) -> Callable[[Hits], Floats]:
         rgb, faces = subject.rgb.astype(np.float32), subject.faces
         return lambda hits: _interpolate(rgb, faces, hits)
     picture, uv, corners = _decode(subject.jpeg), subject.uv.astype(np.float32), subject.mesh.faces
-    return lambda hits: _bilinear(picture, _interpolate(uv, corners, hits))
+    return lambda hits: bilinear(picture, _interpolate(uv, corners, hits))
 
 
 def _interpolate(values: Floats, faces: Ints, hits: Hits) -> Floats:
@@ -365,35 +366,11 @@ def _interpolate(values: Floats, faces: Ints, hits: Hits) -> Floats:
     return mixed
 
 
-def _bilinear(picture: Bytes, uv: Floats) -> Floats:
-    import cv2
-
-    height, width = picture.shape[:2]
-    place = (uv * [width, height] - 0.5).astype(np.float32)
-    rows = 1 << 14  # cv2.remap takes at most 32,767 rows or columns
-    parts = [
-        cv2.remap(picture, part[None, :, 0], part[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-        for part in (place[start : start + rows] for start in range(0, len(place), rows))
-    ]
-    return np.concatenate(parts).astype(np.float32) if parts else np.zeros((0, 3), np.float32)
-
-
 def _decode(jpeg: bytes) -> Bytes:
     from PIL import Image
 
     with Image.open(BytesIO(jpeg)) as image:
         return np.asarray(image.convert("RGB"))
-
-
-def shrink_to(rgb: Bytes, longest: int) -> Bytes:
-    """Downscale a picture whose longer side is longer."""
-    import cv2
-
-    by = longest / max(rgb.shape[:2])
-    if by >= 1:
-        return rgb
-    size = (max(1, round(rgb.shape[1] * by)), max(1, round(rgb.shape[0] * by)))
-    return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _share(part: Bools, whole: Bools) -> float:

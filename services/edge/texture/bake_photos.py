@@ -23,9 +23,9 @@ import numpy as np
 from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
 from services.edge.mesh.nouns import Mesh
 from services.edge.parallel import in_threads, slices
-from services.edge.render.photo_comparison import shrink_to
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.rays import LIFT, Scene
+from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
 from services.edge.srgb import to_linear
 from services.edge.texture.bake import positions_and_normals, random_places
 from services.edge.texture.nearest_colour import ColouredPoints
@@ -49,7 +49,6 @@ _MOST_PICTURES = 6  # that are blended at a place; the weight of a seventh would
 _HIDDEN = 0.1  # of the quality: what counts of a picture that does not see the middle of a cell
 _OUTLINE, _STEP = 0.01, 1.05  # of the longer side: width of outlines; and the relative depth step that is one
 _LOOK_SHARE = 0.5  # of the time before baking goes into loading the photos; the rest refines their poses
-_REMAP_COLUMNS = 1 << 10  # cv2.remap takes at most 32,767 of each
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +104,7 @@ class PhotoProjection:
             finest[visible.index] = np.minimum(finest[visible.index], _pixel(picture, rgb) * visible.depth)
             small.append(shrink_to(rgb, LONGEST_PX))
             visible_of.append(visible.index)
-            inner = _at(_inner_mask(self._depths[number]), visible.at)
+            inner = pixels_at(_inner_mask(self._depths[number]), visible.at)
             seen.append(SeenPlaces(visible.index[inner], visible.quality[inner]))
             tick(_LOOK_SHARE * (number + 1) / len(pictures))
         anywhere = np.isfinite(finest)
@@ -115,7 +114,7 @@ class PhotoProjection:
         )
         for picture, rgb, index in zip(self._pictures, small, visible_of, strict=True):
             at, _ = picture.project(places[index])
-            self._gains.append(_gain(known[index], _bilinear(to_linear(rgb), at)))
+            self._gains.append(_gain(known[index], bilinear(to_linear(rgb), at)))
 
     def __call__(self, places: Floats, normals: Floats, texel: float, tick: Tick) -> tuple[Floats, Floats]:
         """Blend the photos' light at places (N,3) with unit normals, for texels of that size.
@@ -172,7 +171,7 @@ class PhotoProjection:
                 shrink = max(1, int(texel / pixel)) if pixel > 0 else 1
                 if shrink not in by_size:
                     by_size[shrink] = to_linear(_shrink(rgb, shrink))
-                light = gain * _bilinear(by_size[shrink], visible.at)
+                light = gain * bilinear(by_size[shrink], visible.at)
                 blend.add(own[visible.index], light, visible.quality)
 
         return add
@@ -236,9 +235,7 @@ def _pixel(picture: PosedPicture, rgb: Bytes) -> float:
 def _depth_difference(depth: Floats, at: Floats, z: Floats) -> Floats:
     """(M,) relative difference of depths z (M,) and those of the depth image (H,W) at positions (M,2), positive; 0
     where the image has none."""
-    height, width = depth.shape
-    row, column = (at[:, 1] * height).astype(np.int64), (at[:, 0] * width).astype(np.int64)
-    found = depth[row.clip(0, height - 1), column.clip(0, width - 1)]
+    found = pixels_at(depth, at)
     off: Floats = np.where(found > 0, np.maximum(np.abs(z / np.where(found > 0, found, 1) - 1), 1e-9), 0)
     return off
 
@@ -264,13 +261,6 @@ def _inner_mask(depth: Floats) -> Bools:
     return np.asarray((nearest > 0) & (farthest < _STEP * nearest))
 
 
-def _at(image: Bools, at: Floats) -> Bools:
-    """Look up pixels of an image (H,W) at positions (M,2) in shares of its sides."""
-    side = np.array(image.shape[::-1])
-    column, row = np.clip(at * side, 0, side - 1).astype(np.int64).T
-    return np.asarray(image[row, column])
-
-
 def _grey(rgb: Bytes) -> Floats:
     """Brightness (h,w) float32 of a picture, in sRGB levels."""
     import cv2
@@ -286,22 +276,6 @@ def _shrink(rgb: Bytes, by: int) -> Bytes:
         return rgb
     height, width = (max(1, side // by) for side in rgb.shape[:2])
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _bilinear(light: Floats, at: Floats) -> Floats:
-    """Sample an image (h,w,3) float32 at positions (N,2), in shares of its sides, bilinearly: (N,3)."""
-    import cv2
-
-    height, width = light.shape[:2]
-    place = (at * [width, height] - 0.5).astype(np.float32)
-    rows = -(-len(place) // _REMAP_COLUMNS)
-    grid = np.zeros((rows * _REMAP_COLUMNS, 2), np.float32)
-    grid[: len(place)] = place
-    if not rows:
-        return np.zeros((0, 3), np.float32)
-    column, row = np.ascontiguousarray(grid.T).reshape(2, rows, _REMAP_COLUMNS)
-    sampled = cv2.remap(light, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled.reshape(-1, 3)[: len(place)])
 
 
 def _cells(places: Floats, normals: Floats, side: float) -> tuple[Ints, Floats, Floats]:

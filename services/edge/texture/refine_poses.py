@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from services.edge.arrays import Floats, Ints, Tick, no_tick, part_of
 from services.edge.parallel import in_threads
 from services.edge.render.posed_picture import PosedPicture
+from services.edge.render.sample_image import bilinear
 
 LONGEST_PX = 800
 """Longer side of the pictures that are aligned: a quarter of a pixel is then half a texel of a texture of 2048."""
@@ -106,19 +107,11 @@ def _with_slopes(grey: Floats, blur: float) -> Floats:
 
 def _sample(picture: PosedPicture, layers: Floats, places: Floats, seen: SeenPlaces) -> Floats:
     """Sample grey, and its slopes per share of the picture's sides, at the places: (M,3), NaN outside the picture."""
-    import cv2
-
     height, width = layers.shape[:2]
     at, z = picture.project(places[seen.index])
-    out = (z <= 0) | (np.minimum(at, 1 - at).min(axis=1) < 0)
-    column, row = np.where(out, -1, (at * [width, height] - 0.5).T).astype(np.float32)
-    parts = [
-        cv2.remap(layers, column[part][None], row[part][None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-        for part in (slice(start, start + (1 << 14)) for start in range(0, len(column), 1 << 14))
-    ]
-    sampled = np.concatenate(parts) if parts else np.zeros((0, 3), np.float32)
+    sampled = bilinear(layers, at)
     sampled[:, 1:] *= (width, height)
-    sampled[out] = np.nan
+    sampled[(z <= 0) | (np.minimum(at, 1 - at).min(axis=1) < 0)] = np.nan
     return sampled
 
 

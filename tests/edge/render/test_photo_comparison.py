@@ -287,17 +287,6 @@ def test_a_blurred_texture_is_less_sharp_than_its_photo() -> None:
     assert sharp.psnr > soft.psnr > softer.psnr
 
 
-@pytest.mark.parametrize("rows", [0, 1, 40_000])
-def test_colours_are_looked_up_for_any_number_of_hits(rows: int) -> None:
-    """OpenCV takes at most 32,767 rows at once."""
-    from services.edge.render.photo_comparison import _bilinear
-
-    picture = np.arange(12, dtype=np.uint8).reshape(2, 2, 3)
-    found = _bilinear(picture, np.tile([0.75, 0.25], (rows, 1)))
-    assert found.shape == (rows, 3)
-    assert (found == picture[0, 1]).all()
-
-
 # Means and pictures
 
 
