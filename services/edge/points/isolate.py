@@ -20,6 +20,9 @@ _WIDE_PLANE_SHARE = 0.04
 """The same for a plane that reaches farther to the sides than what is over it."""
 _UPRIGHT_DEG = 20.0
 """Largest tilt of a supporting plane against the horizontal."""
+_NEARLY_LEVEL_DEG = 10.0
+"""Largest tilt of a supporting plane that is believed to be level. Of a statue's up, the largest plane in sight was
+7 degrees off, the cameras 1, the plane below the pedestal less."""
 _ONE_SIDE = 0.9
 """Share of the cameras, or of the points beside a turntable's plate, that must be on one side of a plane."""
 _OVER = 0.75
@@ -61,8 +64,8 @@ def isolate_object(
 
     aim (3,): the point that the cameras looked at, capture frame; None: the middle of the points. cameras (M,3)
     positions. turntable: the points have only the object and perhaps the plate that turns with it, wider than it.
-    For a flat object that lies on the plane, the plane stays, with a warning. Raises CaptureError: CAPTURE_NOTHING_LEFT
-    without a cluster of at least `_MIN_POINTS` points.
+    Up becomes the normal of that plane, if it is nearly level. For a flat object that lies on the plane, the plane
+    stays, with a warning. Raises CaptureError: CAPTURE_NOTHING_LEFT without a cluster of at least `_MIN_POINTS` points.
     """
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
@@ -92,7 +95,15 @@ def isolate_object(
             hints=("Reconstruct without isolating the thing.", "Keep the thing in the middle of the picture."),
         )
     warnings = (*points.warnings, warning) if warning else points.warnings
-    return replace(points.subset(thing), warnings=warnings)
+    up = points.up if plane is None or turntable else _level_with(plane, points.up)
+    return replace(points.subset(thing), warnings=warnings, up=up)
+
+
+def _level_with(plane: Plane, up: Floats | None) -> Floats | None:
+    """Return the supporting plane's normal where it is nearly `up`, which cameras tell only nearly; else `up`."""
+    if up is None or plane.normal @ up < np.cos(np.radians(_NEARLY_LEVEL_DEG)):
+        return up
+    return plane.normal
 
 
 def _near_mask(xyz: Floats, middle: Floats | None, cameras: Floats | None) -> Bools:

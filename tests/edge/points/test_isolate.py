@@ -161,7 +161,10 @@ def test_a_pedestal_stays_with_what_stands_on_it_and_the_floor_and_the_wall_go(u
     cloud, whole = ball_on_pedestal()
     turns = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     cameras = np.column_stack([1.3 * np.cos(turns), 1.3 * np.sin(turns), np.full(20, 0.9)])
-    points = Points(cloud, None, np.ones(len(cloud), np.float32), 1.0, "metric", up)
+    estimated = None if up is None else np.array([np.sin(np.radians(6)), 0, np.cos(np.radians(6))])
+    points = Points(cloud, None, np.ones(len(cloud), np.float32), 1.0, "metric", estimated)
     found = isolate_object(points, aim=np.array([0.0, 0.0, 0.4]), cameras=cameras)
+    assert (found.up is None) == (up is None)
+    assert found.up is None or found.up @ UP > np.cos(np.radians(0.2)), "the floor tells it better"
     assert len(found) == pytest.approx(whole.sum(), rel=0.02)
     assert np.abs(found.xyz[:, :2]).max() < 0.36, "nothing of the floor or of the wall"
