@@ -16,7 +16,7 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from tests.support.edge_client import Client, leftovers, upload
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import HANG_S, PATIENCE_S
 from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.slow
@@ -57,8 +57,12 @@ async def process(scratch: Path, **settings: object) -> AsyncIterator[Process]:
     started = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "tests.support.scripted_worker", cwd=ROOT, env={**os.environ, **variables}, stderr=-1
     )
+    worker = Process(started)
     try:
-        yield Process(started)
+        async with asyncio.timeout(HANG_S):
+            yield worker
+    except TimeoutError:
+        raise AssertionError(f"the worker hangs; its log:\n{worker.log}") from None
     finally:
         if started.returncode is None:
             started.kill()
