@@ -62,12 +62,14 @@ def assemble_bundle(
         files = {f"lod{level}.glb": pack_glb(asset, subject.target) for level, asset in enumerate(assets)}
         costs = [measure_cost(glb) for glb in files.values()]
         files |= preview_images(assets, last=last, tick=tick)
-        files["mesh.ply"] = ply_bytes(full, filled=surface.surface.filled_vertices if surface.surface.share else None)
+        files["mesh.ply"] = ply_bytes(
+            full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None
+        )
         private: dict[str, bytes] = {}
-        if last and (figures := surface.check.figures):
+        if last and surface.check.surface:
             likeness = check_textures_with_photos(assets[0], surface.check, subject.colours, to_asset)
-            figures = figures_with_textures(surface.check, likeness) or figures
-            quality = {**quality, "photos": asdict(figures)}
+            figures = figures_with_textures(surface.check, likeness)
+            quality = {**quality, "photos": asdict(figures) if figures else None}
             private = marked_pictures(surface.check, likeness)
     manifest = build_manifest(
         subject,

@@ -81,6 +81,8 @@ def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) 
 
 def fill_gaps_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame, fill: Fill) -> FilledMesh:
     """Fill holes of a mesh in the unit frame that the photos of its points do not see through."""
+    if fill == "none":
+        return FilledMesh.unfilled(mesh_unit)
     pictures = [posed_picture(view, _to_unit(unit)) for view in points.texture_views]
     surface = None if points.rgb is None else ColouredSurface(unit.to_unit(points.xyz), points.rgb)
     return fill_gaps(mesh_unit, fill, ask_views(pictures, surface))

@@ -22,7 +22,7 @@ from scipy.sparse.linalg import splu
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
 from services.edge.mesh.edges import border_edges, border_loops, edges_of
-from services.edge.mesh.holes import edges_between, least_area
+from services.edge.mesh.holes import edges_between, triangulate_loop
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
 
@@ -61,6 +61,11 @@ class FilledMesh:
     mesh: Mesh
     filled: Bools
 
+    @classmethod
+    def unfilled(cls, mesh: Mesh) -> FilledMesh:
+        """The mesh as it is, with nothing filled."""
+        return cls(mesh, np.zeros(len(mesh.faces), bool))
+
     @property
     def filled_vertices(self) -> Bools:
         """Mask (V,) of the vertices that only added faces use."""
@@ -81,21 +86,24 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, tick: Tick = no_tick) -> FilledM
     The mesh must be manifold, its border vertices with two border edges each, its faces oriented alike around a hole.
     """
     if fill == "none" or not len(mesh.faces):
-        return FilledMesh(mesh, np.zeros(len(mesh.faces), bool))
-    border = border_edges(mesh.faces)
-    normal_of = _normals_along(mesh, border)
+        return FilledMesh.unfilled(mesh)
+    edges = edges_of(mesh.faces)
+    border = edges.border(mesh.faces)
+    index = _EdgeIndex(border, len(mesh.vertices))
+    normals = _unit_normals(mesh.vertices, mesh.faces[edges.halves(1)[:, 0] // 3])
     chords = edges_between(mesh.faces, border)
+    least = _LIES_BACK if fill == "all" else _CONTINUES
     patches = []
     loops = _loops_within_budget(border_loops(mesh.faces, border))
     for number, loop in enumerate(loops):
-        faces = _span(mesh.vertices, loop, chords)
-        if len(faces) and _bend(mesh.vertices, faces, loop, normal_of) >= (_LIES_BACK if fill == "all" else _CONTINUES):
+        faces = triangulate_loop(mesh.vertices[loop], loop, chords)
+        if len(faces) and _bend(mesh.vertices, faces, loop, index, normals) >= least:
             patches.append(faces)
         tick(0.6 * (number + 1) / len(loops))
     patches = _not_free(mesh.vertices, patches, ask)
     tick(0.8)
     if not patches:
-        return FilledMesh(mesh, np.zeros(len(mesh.faces), bool))
+        return FilledMesh.unfilled(mesh)
     vertices, added = _refine(mesh.vertices, np.concatenate(patches), chords)
     whole = Mesh(vertices, np.concatenate([mesh.faces, added]))
     return FilledMesh(_fair(whole, len(mesh.vertices)), np.arange(len(whole.faces)) >= len(mesh.faces))
@@ -108,47 +116,38 @@ def _loops_within_budget(loops: list[Ints]) -> list[Ints]:
     return chosen[: int(np.searchsorted(work, _MOST_WORK * MOST_CORNERS**3, side="right"))]
 
 
-def _normals_along(mesh: Mesh, border: Ints) -> Callable[[Ints, Ints], Floats]:
-    """Return a function from the ends (N,) and (N,) of border edges to the unit normals (N,3) of their faces."""
-    edges = edges_of(mesh.faces)
-    half = edges.halves(1)[:, 0]
-    normals = face_normals(mesh.vertices, mesh.faces[half // 3])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    count = len(mesh.vertices)
-    keys = np.sort(border, axis=1) @ np.array([count, 1])
-    order = np.argsort(keys)
+class _EdgeIndex:
+    """Finds undirected edges among `ends` (E,2) of a mesh with `count` vertices."""
 
-    def normal_of(one: Ints, other: Ints) -> Floats:
-        wanted = np.minimum(one, other) * count + np.maximum(one, other)
-        found: Floats = normals[order[np.searchsorted(keys, wanted, sorter=order)]]
+    def __init__(self, ends: Ints, count: int) -> None:
+        keys = np.sort(ends, axis=1) @ np.array([count, 1])
+        self._order, self._count = np.argsort(keys), count
+        self._keys = keys[self._order]
+
+    def find(self, one: Ints, other: Ints) -> Ints:
+        """Indices (N,) of the edges between vertices `one` (N,) and `other` (N,), all of which there are."""
+        wanted = np.minimum(one, other) * self._count + np.maximum(one, other)
+        found: Ints = self._order[np.searchsorted(self._keys, wanted)]
         return found
 
-    return normal_of
 
+def _bend(vertices: Floats, patch: Ints, loop: Ints, border: _EdgeIndex, normals: Floats) -> float:
+    """Return the mean cosine between the normals of the surface and of its patch along a loop, weighted by length.
 
-def _span(vertices: Floats, loop: Ints, chords: Ints) -> Ints:
-    """Triangulate a loop (L,) with least area, wound like the faces along it; (0,3) where that cannot be done."""
-    order = np.argsort(loop)
-    own = chords[np.isin(chords, loop).all(axis=1)]
-    forbidden = np.sort(order[np.searchsorted(loop, own, sorter=order)], axis=1)
-    area, triangles = least_area(vertices[loop], forbidden)
-    return loop[triangles[:, ::-1]] if np.isfinite(area) else np.empty((0, 3), np.int64)
-
-
-def _bend(vertices: Floats, patch: Ints, loop: Ints, normal_of: Callable[[Ints, Ints], Floats]) -> float:
-    """Return the mean cosine between the normals of the surface and of its patch along a loop, weighted by length."""
+    normals (B,3): of the surface at each edge of the border.
+    """
     after = np.roll(loop, -1)
-    along = normal_of(loop, after)
-    normals = face_normals(vertices, patch)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    count = len(vertices)
-    ends = np.sort(patch[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1) @ np.array([count, 1])
-    order = np.argsort(ends)
-    wanted = np.minimum(loop, after) * count + np.maximum(loop, after)
-    owner = order[np.searchsorted(ends, wanted, sorter=order)] // 3
+    ends = patch[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    across = _unit_normals(vertices, patch)[_EdgeIndex(ends, len(vertices)).find(loop, after) // 3]
     length = np.linalg.norm(vertices[after] - vertices[loop], axis=1)
-    cosine = np.einsum("nx,nx->n", along, normals[owner])
+    cosine = np.einsum("nx,nx->n", normals[border.find(loop, after)], across)
     return float((length * cosine).sum()) / max(float(length.sum()), 1e-300)
+
+
+def _unit_normals(vertices: Floats, faces: Ints) -> Floats:
+    normals = face_normals(vertices, faces)
+    unit: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    return unit
 
 
 def _not_free(vertices: Floats, patches: list[Ints], ask: Ask) -> list[Ints]:
@@ -190,6 +189,7 @@ def _flip_edges(vertices: Floats, patch: Ints, chords: Ints) -> Ints:
 
     chords (C,2): edges that the mesh has elsewhere between vertices of the border; none is made again.
     """
+    others = set(map(tuple, np.sort(chords, axis=1).tolist()))
     for _ in range(_FLIP_ROUNDS):
         edges = edges_of(patch)
         half = edges.halves(2)
@@ -198,7 +198,7 @@ def _flip_edges(vertices: Floats, patch: Ints, chords: Ints) -> Ints:
         start, end = patch[face[:, 0], corner[:, 0]], patch[face[:, 0], (corner[:, 0] + 1) % 3]
         angles = _angle(vertices, apex[:, 0], start, end) + _angle(vertices, apex[:, 1], start, end)
         taken: set[int] = set()
-        linked = set(map(tuple, edges.ends.tolist())) | set(map(tuple, np.sort(chords, axis=1).tolist()))
+        linked = others | set(map(tuple, edges.ends.tolist()))
         flipped = patch.copy()
         for number in np.argsort(-angles, kind="stable"):
             if angles[number] <= np.pi + _ANGLE_TOLERANCE:

@@ -69,19 +69,27 @@ def _triangulate_below(largest: float, points: Floats, loop: Ints, chords: Ints)
 
     chords (C,2) are edges that the mesh has already: they would get a third face.
     """
-    none = np.empty((0, 3), np.int64)
     # No triangulation is smaller than the loop's vector area: this rules out most holes at once.
     vector = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0) / 2
     if len(points) > MOST_CORNERS or np.linalg.norm(vector) >= largest:
-        return none
+        return np.empty((0, 3), np.int64)
+    return triangulate_loop(points, loop, chords, largest)
+
+
+def triangulate_loop(points: Floats, loop: Ints, chords: Ints, largest: float = np.inf) -> Ints:
+    """Triangulate a loop (L,) of vertices at (L,3) with least area, wound like the faces along it.
+
+    No faces (0,3) where the area is not below `largest`, or where chords (C,2), edges that the mesh has already, leave
+    no triangulation: they would get a third face.
+    """
     order = np.argsort(loop)
     own = chords[np.isin(chords, loop).all(axis=1)]
     forbidden = np.sort(order[np.searchsorted(loop, own, sorter=order)], axis=1)
-    area, triangles = least_area(points, forbidden)
-    return loop[triangles[:, ::-1]] if area < largest else none
+    area, triangles = _least_area(points, forbidden)
+    return loop[triangles[:, ::-1]] if area < largest else np.empty((0, 3), np.int64)
 
 
-def least_area(points: Floats, forbidden: Ints) -> tuple[float, Ints]:
+def _least_area(points: Floats, forbidden: Ints) -> tuple[float, Ints]:
     """Triangulate a loop (L,3), L ≥ 3, with least area -> the area, and (L−2,3) corners, wound like the loop.
 
     forbidden (C,2), each pair rising, are chords that it must not use; the area is ∞ where it cannot avoid them.

@@ -31,7 +31,7 @@ from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.parallel import in_threads
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.rays import Hits, Scene, pinhole
-from services.edge.render.sample_image import bilinear, shrink_to
+from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
 
 LONGEST_PX = 480
 """Longer side of the pictures in which surfaces are compared: a hole of 1 % of the picture is then 5 pixels wide."""
@@ -111,9 +111,12 @@ def check_surface(
     seen_by  the photos that it was made from, with their depth: which side of a surface they saw
     mask_of  the mask (h,w) of the thing in a photo, of any size, where it is known
     """
+    pictures = [*photos]
+    if not pictures:
+        return []
     scene, normals = Scene(mesh), face_normals(mesh.vertices, mesh.faces)
     depths = [picture.depth() for picture in seen_by]
-    checks = in_threads(lambda photo: _check(photo, mesh, scene, normals, seen_by, depths, mask_of(photo)), [*photos])
+    checks = in_threads(lambda photo: _check(photo, mesh, scene, normals, seen_by, depths, mask_of(photo)), pictures)
     return [check for check in checks if check is not None]
 
 
@@ -157,7 +160,6 @@ def marked_jpeg(check: SurfaceCheck, likeness: LikenessCheck | None = None, qual
     The photo is darkened where the thing is not; without a likeness the right half shows the photo's colours on the
     mesh.
     """
-    import cv2
     from PIL import Image
 
     photo = check.rgb if likeness is None else likeness.photo
@@ -165,9 +167,8 @@ def marked_jpeg(check: SurfaceCheck, likeness: LikenessCheck | None = None, qual
     size = (photo.shape[1], photo.shape[0])
     shown = shown.copy()
     for mask, colour in ((check.hole, _HOLE), (check.inside, _INSIDE), (check.leak, _LEAK)):
-        wide = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        shown[wide] = colour
-    thing = cv2.resize(check.thing.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        shown[_resize_mask(mask, size)] = colour
+    thing = _resize_mask(check.thing, size)
     left = np.where(thing[..., None], photo, photo // 3)
     stream = BytesIO()
     Image.fromarray(np.concatenate([left, shown], axis=1)).save(stream, "JPEG", quality=quality)
@@ -201,7 +202,7 @@ def _check(
         aside[aside] = _far_from(places[aside.ravel()], mesh, _ASIDE * scene.longest)
         thing = _cut_out(rgb, found, whole, past | aside)
     else:
-        thing = cv2.resize(known.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+        thing = _resize_mask(known, (width, height))
     inside = np.zeros(found.size, bool)
     step = max(1, int(found.sum()) // _PROBES)
     probes = np.flatnonzero(found)[::step]
@@ -308,9 +309,7 @@ def _shows_back(
         towards = picture.eye - places
         cosine = side * np.einsum("nx,nx->n", towards, unit) / np.maximum(np.linalg.norm(towards, axis=1), 1e-30)
         inside = (z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0)
-        height, width = depth.shape
-        row, column = (at[:, 1] * height).clip(0, height - 1), (at[:, 0] * width).clip(0, width - 1)
-        found = depth[np.nan_to_num(row).astype(int), np.nan_to_num(column).astype(int)]
+        found = pixels_at(depth, at)
         seen = inside & (found > 0) & (np.abs(z - found) < _AGREES * found)
         this |= seen & (cosine > _FACING)
         other |= seen & (cosine < -_FACING)
@@ -330,7 +329,7 @@ def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callab
     drawn[met] = colours(Hits(hits.face[met], hits.along[met], hits.bary[met]))
     rendering = cv2.resize(drawn.reshape(*fine[::-1], 3), (width, height), interpolation=cv2.INTER_AREA)
     found = cv2.resize(met.reshape(fine[::-1]).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) == 1
-    shown = cv2.resize(thing.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    shown = _resize_mask(thing, (width, height))
     both = cv2.erode((shown & found).astype(np.uint8), _disc(2)) > 0
     if not both.any():
         return LikenessCheck(photo, np.clip(rendering, 0, 255).astype(np.uint8), 0.0, 0.0, 0.0)
@@ -371,6 +370,13 @@ def _decode(jpeg: bytes) -> Bytes:
 
     with Image.open(BytesIO(jpeg)) as image:
         return np.asarray(image.convert("RGB"))
+
+
+def _resize_mask(mask: Bools, size: tuple[int, int]) -> Bools:
+    """Resize a mask to (width, height)."""
+    import cv2
+
+    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
 
 
 def _share(part: Bools, whole: Bools) -> float:
