@@ -33,12 +33,14 @@ class Bundle:
     files     contents by plain file name: "lod0.glb", "lod1.glb", "preview.png", "mesh.ply"
     manifest  JSON with everything about the asset except where its files are stored
     private   files for whoever reconstructs, which are never published: they show the capture's own photos
+    last      whether the job publishes nothing after it; a job may publish two previews, the second with textures
     """
 
     state: State
     files: Mapping[str, bytes]
     manifest: Mapping[str, Json]
     private: Mapping[str, bytes] = field(default_factory=dict)
+    last: bool = False
 
 
 def content_name(file: str, sha256: str) -> str:

@@ -84,7 +84,7 @@ def assemble_bundle(
         require_budget(subject.target, costs)
     # The last report before the bundle goes to the store: it raises Cancelled, and nothing is published then.
     yield bar.begin("PUBLISHING", f"publishing the {state}")
-    yield Bundle(state=state, files=files, manifest=manifest, private=private)
+    yield Bundle(state=state, files=files, manifest=manifest, private=private, last=last)
     # A preview is published even without its textures and beyond the budget: better than nothing to look at.
     if failed:
         raise failed

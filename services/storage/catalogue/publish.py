@@ -100,8 +100,8 @@ def publish(
 ) -> PublishedAsset:
     """Publish a bundle under `key`, make it the current version, and list it in `collection`, signed with `keys`.
 
-    Publishing the same (job, state) twice adds no version and returns the first; without a job the content is compared
-    instead. A new version of a removed asset restores it.
+    Publishing the same (job, state, last) twice adds no version and returns the first; without a job the content is
+    compared instead. A new version of a removed asset restores it.
     allow_other_collections  whether an asset of another collection may be listed in this one too
     Raises StaleFence where the same job has published with a higher fence, KeyElsewhere, ValueError for an invalid key
     or collection, OSError (CatalogueFault too) where the store fails; after that, publish again.
@@ -109,7 +109,7 @@ def publish(
     request = _PublishRequest(job, fence, check_collection(collection), allow_other_collections)
     present = _entry_or_none(store, check_key(key))
     request.check_not_elsewhere(present)
-    existing = _existing_version(present, bundle.state, job, fence)
+    existing = _existing_version(present, bundle, job, fence)
     is_listed = present is not None and collection in present.collections
     if existing is not None and existing["fence"] >= fence and is_listed:
         asset = _published_asset(key, existing)
@@ -160,11 +160,11 @@ def _add_version(
         present = _entry_or_none(store, key)
         request.check_not_elsewhere(present)
         versions = present.versions if present else []
-        record = _existing_version(present, bundle.state, request.job, request.fence, manifest.name)
+        record = _existing_version(present, bundle, request.job, request.fence, manifest.name)
         if present and record:
             document = {**present.document, "versions": _raise_fence(versions, record, request.fence)}
         else:
-            record = _new_record(versions, bundle.state, manifest.name, request)
+            record = _new_record(versions, bundle, manifest.name, request)
             document = _entry_document(key, bundle, files, manifest, record, versions)
         present_collections = present.collections if present else []
         document["collections"] = list(dict.fromkeys((*present_collections, request.collection)))
@@ -175,7 +175,7 @@ def _add_version(
 
 
 def _existing_version(
-    present: Entry | None, state: str, job: str, fence: int, manifest: str = ""
+    present: Entry | None, bundle: Bundle, job: str, fence: int, manifest: str = ""
 ) -> dict[str, Any] | None:
     """Return the published version that this bundle would only repeat, or None. Raises StaleFence."""
     versions = present.versions if present else []
@@ -185,8 +185,20 @@ def _existing_version(
     newest = max((int(each["fence"]) for each in job_versions), default=fence)
     if newest > fence:
         raise StaleFence(f"job {job} was leased again: it has published with fence {newest}, this is fence {fence}")
-    # A preview that arrives after its own refined version must not replace it: return the refined version instead.
-    return next((each for wanted in (state, "refined") for each in job_versions if each["state"] == wanted), None)
+    # A first preview that arrives after the job's last version must not replace it: return the last version instead.
+    last = [] if _ends_job(bundle) else [each for each in job_versions if _is_last(each)]
+    same = [each for each in job_versions if (each["state"], _is_last(each)) == (bundle.state, _ends_job(bundle))]
+    return next(iter([*last, *same]), None)
+
+
+def _ends_job(bundle: Bundle) -> bool:
+    """Whether a job publishes nothing after this bundle; a refined one is always the last."""
+    return bundle.last or bundle.state == "refined"
+
+
+def _is_last(record: Mapping[str, Any]) -> bool:
+    """Whether a published version is its job's last. Entries of older workers do not say so."""
+    return bool(record.get("last", record["state"] == "refined"))
 
 
 def _raise_fence(versions: list[dict[str, Any]], record: dict[str, Any], fence: int) -> list[dict[str, Any]]:
@@ -194,10 +206,13 @@ def _raise_fence(versions: list[dict[str, Any]], record: dict[str, Any], fence: 
     return [{**each, "fence": fence} if each["version"] == record["version"] else each for each in versions]
 
 
-def _new_record(versions: list[dict[str, Any]], state: str, manifest: str, request: _PublishRequest) -> dict[str, Any]:
+def _new_record(
+    versions: list[dict[str, Any]], bundle: Bundle, manifest: str, request: _PublishRequest
+) -> dict[str, Any]:
     return {
         "version": 1 + max((int(each["version"]) for each in versions), default=0),
-        "state": state,
+        "state": bundle.state,
+        "last": _ends_job(bundle),
         "job": request.job,
         "fence": request.fence,
         "manifest": manifest,

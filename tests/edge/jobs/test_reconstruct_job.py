@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.asset.target import measure_cost
 from services.edge.field.device import find_device
 from services.edge.jobs.available_presets import known_presets
 from services.edge.jobs.reconstruct_job import Reconstructor
@@ -24,6 +25,7 @@ from services.storage.catalogue.collection import index_name
 from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from services.storage.memory import MemoryStore
+from tests.support.captures import write_nerfstudio
 from tests.support.edge_client import Client, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S
 
@@ -221,6 +223,21 @@ async def test_a_training_is_told_of_and_refines_the_preview(
     assert states == ["preview", "preview" if kept else "refined"]
     fractions = [event.progress.fraction for event in events if event.HasField("progress")]
     assert fractions == sorted(fractions)
+
+
+async def test_the_last_version_of_a_capture_with_photos_has_textures(
+    client: Client, store: MemoryStore, tmp_path: Path
+) -> None:
+    folder = write_nerfstudio(tmp_path / "capture")
+    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    events = await client.ended(archive(tmp_path, **files), job="job_1", asset_key="walk", preset="draft")
+    assert events[-1].HasField("finished"), events[-1]
+    assert [event.published.version for event in events if event.HasField("published")] == [1, 2]
+    present = read_entry(store, "walk")
+    assert present.version == 2
+    finest = store.get(present.document["lods"][0]["name"])
+    assert measure_cost(finest).texture_bytes > 0
+    assert "asset.usdz" in {file["file"] for file in present.document["files"]}
 
 
 async def test_a_training_is_cancelled_at_once(

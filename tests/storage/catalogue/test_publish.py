@@ -111,6 +111,20 @@ def test_a_late_preview_does_not_hide_its_refined_version() -> None:
     assert read_entry(store, "dress").state == "refined"
 
 
+def test_the_last_preview_of_a_job_replaces_its_first() -> None:
+    """A job without a training publishes its mesh at once, and once more with textures."""
+    store = MemoryStore()
+    first = publish(bundle(content="plain"), store, key="dress", job="job_1")
+    textured = replace(bundle(content="textured"), last=True)
+    last = publish(textured, store, key="dress", job="job_1")
+    assert (first.version, last.version, last.state) == (1, 2, "preview")
+    assert last.manifest == read_entry(store, "dress").manifest != first.manifest
+    # The job runs once more, on another worker: nothing is added, and its first preview hides nothing.
+    assert publish(bundle(content="plain again"), store, key="dress", job="job_1", fence=1) == last
+    assert publish(replace(textured, files={}), store, key="dress", job="job_1", fence=1) == last
+    assert len(read_entry(store, "dress").versions) == 2
+
+
 def test_known_bytes_are_not_sent_again() -> None:
     store = MemoryStore()
     publish(bundle(), store, key="dress", job="job_1")
