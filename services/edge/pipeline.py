@@ -18,7 +18,7 @@ from typing import Any
 from services.edge.arrays import DistanceFn, Floats, part_of
 from services.edge.asset.assemble import assemble_bundle
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface
-from services.edge.asset.photo_check import check_surface_with_photos, fill_gaps_with_photos
+from services.edge.asset.photo_check import check_surface_with_photos, fill_gaps_with_photos, trim_rims_with_photos
 from services.edge.asset.target import NO_TARGET, Target, require_encoder
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
@@ -243,6 +243,7 @@ def _surface(
                 f"no surface was found among {len(near):,} points at {resolution} cells",
                 hints=("capture the object from closer and from more sides",),
             )
+        mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
         check = check_surface_with_photos(filled.mesh, subject.colours, subject.unit)
         certificate = certify(distance, filled.mesh, subject.evidence, check.figures)

@@ -36,9 +36,10 @@ from services.edge.photos.to_depth import to_depth
 from services.edge.pipeline import reconstruct
 from services.edge.points.texture_views import hold_out_frames, texture_view
 from services.edge.preset import load_preset
-from services.edge.render.photo_comparison import LONGEST_PX, check_surface, mean_figures
+from services.edge.render.photo_comparison import check_surface, mean_figures
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.rays import Scene, pinhole
+from services.edge.render.silhouette import LONGEST_PX
 from services.storage.bundle import Bundle
 from tests.bench.cell import ROOT
 from tests.bench.photo_sets import PhotoSet, film, fruit, shell, statue, statue_points

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, part_of
 from services.edge.mesh.clip import clip
@@ -21,8 +21,9 @@ from services.edge.mesh.holes import fill_holes, zip_tears
 from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.normals import face_normals, vertex_normals
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.regions import average_over_faces, connected_regions
 from services.edge.mesh.support import Support
-from services.edge.mesh.topology import compact, orient, pieces_of, vertex_pieces
+from services.edge.mesh.topology import compact, orient, pieces_of
 
 SPECK = 15.0  # squared spacings, so points: a piece with room for fewer is noise, not surface
 PIN_HOLE = 12.0  # spacings: perimeter up to which holes are closed, no wider than 4; trimming reopens the real ones
@@ -132,43 +133,20 @@ def _trim(mesh: Mesh, border: Ints, support: Support, most: float, tick: Tick) -
     """Cut off what hangs over the points by more than `most` spacings, and cut out holes and webs."""
     tick(0)
     over, hole = support.overhang(mesh.vertices, vertex_normals(mesh), part_of(tick, 0.1, 0.8))
-    over, hole = _average_over_faces(mesh.faces, np.stack([over - most, hole], axis=1), 2).T
+    over, hole = average_over_faces(mesh.faces, np.stack([over - most, hole], axis=1), 2).T
     areas = _point_capacity(mesh, support)
     rim = _mask(border, len(mesh.vertices))
-    outer, _ = _regions(mesh.faces, over > 0, areas, rim)
-    inner, area = _regions(mesh.faces, hole > 0, areas, rim)
+    outer, _ = connected_regions(mesh.faces, over > 0, areas, rim)
+    inner, area = connected_regions(mesh.faces, hole > 0, areas, rim)
     level = np.where(outer | (over <= 0), over, -INSIDE)
     level = np.where((hole > 0) & ~inner & (area >= HOLE), hole, level)
     alone = support.isolation(mesh.vertices)
-    _, middle = _regions(mesh.faces, alone > WEB, areas * (alone > DEEP)[mesh.faces].mean(axis=1), rim)
+    _, middle = connected_regions(mesh.faces, alone > WEB, areas * (alone > DEEP)[mesh.faces].mean(axis=1), rim)
     level = np.where(middle >= WEB_AREA, np.maximum(level, alone - WEB), level)
     tick(0.9)
     trimmed = clip(mesh, level)
     # The cut only removes faces, so every vertex between two fans is on the border.
     return to_manifold(trimmed, _mask(border_edges(trimmed.faces), len(trimmed.vertices)))
-
-
-def _regions(faces: Ints, chosen: Bools, areas: Floats, rim: Bools) -> tuple[Bools, Floats]:
-    """Connected regions of chosen vertices: (V,) those whose region reaches the rim, and (V,) their region's area."""
-    corners = chosen[faces]
-    some = np.flatnonzero(corners.any(axis=1))
-    faces, corners = faces[some], corners[some]
-    region, count = vertex_pieces(faces[corners.all(axis=1)], len(chosen))
-    first = faces[np.arange(len(faces)), np.argmax(corners, axis=1)]
-    area = np.bincount(region[first], areas[some] * corners.mean(axis=1), count)
-    at_rim = np.zeros(count, bool)
-    at_rim[region[rim]] = True
-    return chosen & at_rim[region], np.where(chosen, area[region], 0)
-
-
-def _average_over_faces(faces: Ints, values: Floats, times: int) -> Floats:
-    """Average values (V,C) over the faces around each vertex, repeatedly: this smooths the scallops of a level line."""
-    weight = np.full(faces.size, 1 / 3)
-    corners = csr_array((weight, faces.ravel(), np.arange(0, faces.size + 1, 3)), shape=(len(faces), len(values)))
-    uses = np.maximum(np.bincount(faces.ravel(), minlength=len(values)), 1)[:, None]
-    for _ in range(times):
-        values = corners.T @ (corners @ values) * 3 / uses
-    return values
 
 
 def _drop_specks(mesh: Mesh, support: Support, least: float) -> tuple[Mesh, Ints]:
@@ -221,7 +199,7 @@ def _sharpness(mesh: Mesh) -> Floats:
     weight = np.repeat(np.column_stack([normals, np.linalg.norm(normals, axis=1)]), 3, axis=0)
     x, y, z, area = (np.bincount(mesh.faces.ravel(), column, len(mesh.vertices)) for column in weight.T)
     sharpness = 1 - np.sqrt(x * x + y * y + z * z) / np.maximum(area, 1e-30)
-    return _average_over_faces(mesh.faces, sharpness[:, None], SHARP_ROUNDS)[:, 0]
+    return average_over_faces(mesh.faces, sharpness[:, None], SHARP_ROUNDS)[:, 0]
 
 
 def _move_to_neighbours(vertices: Floats, ends: Ints, steps: Sequence[float]) -> Floats:

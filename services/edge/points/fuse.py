@@ -165,9 +165,11 @@ def _merge_agreeing(grid: VoxelGrid, views: list[DepthView], origin: Floats, tic
 
 
 def _contradicted_mask(verdict: ViewAgreement) -> Bools:
-    """Return a mask (N,): True where at least two views, and more than half as many as agree, see free space."""
-    contradicted: Bools = (verdict.contradict >= 2) & (verdict.contradict * 2 > verdict.agree)
-    return contradicted
+    """Return a mask (N,): True where at least two views, and more than half as many as agree, see free space; and where
+    one view does on a point that one view alone believes."""
+    outvoted = (verdict.contradict >= 2) & (verdict.contradict * 2 > verdict.agree)
+    alone: Bools = (verdict.contradict >= 1) & (verdict.agree <= 1)
+    return outvoted | alone
 
 
 def _outvoted_mask(verdict: ViewAgreement, voxel: float) -> Bools:

@@ -30,25 +30,15 @@ from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.parallel import in_threads
 from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.rays import Hits, Scene, pinhole
+from services.edge.render.rays import Hits, Scene
 from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
+from services.edge.render.silhouette import beyond, cast_pixels, disc, outline_thing, see_mesh
 
-LONGEST_PX = 480
-"""Longer side of the pictures in which surfaces are compared: a hole of 1 % of the picture is then 5 pixels wide."""
 LIKENESS_PX = 960
 """Longer side of the pictures in which colours are compared."""
-_CLOSED = 0.02  # radius of the closing of a silhouette, of the root of its area: holes that reach the outline
-_AROUND = 0.08  # reach of what is searched for parts of the thing that the mesh lacks, of the same length
-_CORE = 0.01  # how far inside the mesh's outline the photo surely shows the thing
-_ASIDE = 0.02  # of the mesh's longest side: what the photo's depth shows as far from the mesh is not the thing
-_PAST = 0.04  # relative depth by which a photo that looks past a place sees farther
 _AGREES = 0.02  # relative depth within which a photo's depth and a place are one surface
 _MEETS = 0.01  # of the depth: the mesh meets it
 _FACING = 0.1  # least cosine of a place's normal in a photo that sees it
-_ROUNDS = 3  # of GrabCut
-_OUTLINE_PX = 1  # how well an outline is known: less beside it is no leak
-_LEAST_GROUND = 0.02  # of the picture: with less background around the thing nothing is cut out
-_LEAST_PIXELS = 200  # of the silhouette; a photo that shows less of the mesh says nothing
 _SAMPLES = 2  # per pixel and axis: a texture finer than the pixels would look sharper than it is
 _PROBES = 20_000  # pixels of a photo for which it is asked which side the other photos saw
 _HOLE, _INSIDE, _LEAK = (255, 0, 255), (255, 200, 0), (0, 200, 255)  # sRGB signal colours of the marked pictures
@@ -186,34 +176,23 @@ def _check(
 ) -> SurfaceCheck | None:
     import cv2
 
-    rgb = shrink_to(picture.load_rgb(), LONGEST_PX)
-    height, width = rgb.shape[:2]
-    hits, rays = _cast(picture, scene, width, height)
-    found = (hits.face >= 0).reshape(height, width)
-    whole = _filled_silhouette(found)
-    if whole.sum() < _LEAST_PIXELS:
+    view = see_mesh(picture, scene)
+    if view is None:
         return None
-    z = np.where(found, hits.along.reshape(height, width), 0)  # the rays have depth 1 along the optical axis
-    own = cv2.resize(picture.depth(), (width, height), interpolation=cv2.INTER_NEAREST)
-    past = (own > 0) & (own > (1 + _PAST) * _nearest_known(z, found))
-    if known is None:
-        places = picture.eye + own.reshape(-1, 1) * rays
-        aside = (own > 0) & ~whole & (scene.longest > 0)
-        aside[aside] = _far_from(places[aside.ravel()], mesh, _ASIDE * scene.longest)
-        thing = _cut_out(rgb, found, whole, past | aside)
-    else:
-        thing = _resize_mask(known, (width, height))
+    found, whole, z, own, past = view.found, view.whole, view.z, view.own, view.past
+    height, width = found.shape
+    thing = outline_thing(view, picture, mesh, scene) if known is None else _resize_mask(known, (width, height))
     inside = np.zeros(found.size, bool)
     step = max(1, int(found.sum()) // _PROBES)
     probes = np.flatnonzero(found)[::step]
-    places = picture.eye + hits.along[probes, None] * rays[probes]
-    wrong = _shows_back(places, normals[hits.face[probes]], picture.eye, seen_by, depths)
+    places = picture.eye + view.hits.along[probes, None] * view.rays[probes]
+    wrong = _shows_back(places, normals[view.hits.face[probes]], picture.eye, seen_by, depths)
     inside[probes] = wrong
     if step > 1:  # the pixels between the probes, for the picture
         inside = cv2.dilate(inside.reshape(height, width).astype(np.uint8), np.ones((step, step), np.uint8)) > 0
     inside = inside.reshape(height, width) & found
     hole = whole & thing & ~found
-    leak = found & ~(cv2.dilate(thing.astype(np.uint8), _disc(_OUTLINE_PX)) > 0)
+    leak = found & beyond(thing)
     on = thing & (own > 0) & ~past
     figures = PhotoFigures(
         photos=1,
@@ -223,78 +202,7 @@ def _check(
         leak=_share(leak, found),
         depth=_share(found & (np.abs(z - own) < _MEETS * own), on) if on.any() else None,
     )
-    return SurfaceCheck(picture, rgb, found, thing, hole, inside, leak, figures)
-
-
-def _cast(picture: PosedPicture, scene: Scene, width: int, height: int) -> tuple[Hits, Floats]:
-    """Cast a ray through every pixel; also return the rays (N,3), whose length along the optical axis is 1 of the
-    camera's units."""
-    back = np.linalg.inv(picture.to_camera)[:3, :3]
-    x = ((np.arange(width) + 0.5) / width - picture.middle[0]) / picture.focal[0]
-    y = ((np.arange(height) + 0.5) / height - picture.middle[1]) / picture.focal[1]
-    rays = pinhole(x, y, *back.T)
-    return scene.cast(picture.eye[None], rays), rays
-
-
-def _filled_silhouette(found: Bools) -> Bools:
-    """Close the gaps of a mask (h,w) and fill its holes."""
-    import cv2
-    from scipy.ndimage import binary_fill_holes
-
-    radius = max(2, round(_CLOSED * float(np.sqrt(found.sum()))))
-    padded = np.pad(found.astype(np.uint8), radius)
-    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, _disc(radius))[radius:-radius, radius:-radius]
-    return np.asarray(binary_fill_holes(closed > 0))
-
-
-def _disc(radius: int) -> Bytes:
-    import cv2
-
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2), np.uint8)
-
-
-def _nearest_known(z: Floats, found: Bools) -> Floats:
-    """Depth (h,w) of the mesh, and where it is not, of the mesh's nearest pixel."""
-    import cv2
-
-    if found.all():
-        return z
-    _, label = cv2.distanceTransformWithLabels(
-        (~found).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    of_label = np.zeros(label.max() + 1, z.dtype)
-    of_label[label[found]] = z[found]
-    nearest: Floats = of_label[label]
-    return nearest
-
-
-def _far_from(places: Floats, mesh: Mesh, reach: float) -> Bools:
-    """(N,) whether places lie farther from every vertex of the mesh."""
-    from scipy.spatial import cKDTree
-
-    step = max(1, len(mesh.vertices) // _PROBES)
-    away, _ = cKDTree(mesh.vertices[::step]).query(places, distance_upper_bound=reach)
-    return np.asarray(~np.isfinite(away))
-
-
-def _cut_out(rgb: Bytes, found: Bools, whole: Bools, past: Bools) -> Bools:
-    """Find the thing in a photo (h,w): near the mesh's silhouette, without what is known to be something else."""
-    import cv2
-
-    length = float(np.sqrt(whole.sum()))
-    around = cv2.dilate(whole.astype(np.uint8), _disc(max(3, round(_AROUND * length)))) > 0
-    core = cv2.erode(found.astype(np.uint8), _disc(max(2, round(_CORE * length)))) > 0
-    ground = ~around | past
-    if ground.mean() < _LEAST_GROUND or not (core & ~past).any():
-        return whole & ~past
-    labels = np.full(found.shape, cv2.GC_PR_BGD, np.uint8)
-    labels[whole] = cv2.GC_PR_FGD
-    labels[core] = cv2.GC_FGD
-    labels[ground] = cv2.GC_BGD
-    models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.setRNGSeed(0)  # GrabCut draws its first colour clusters
-    cv2.grabCut(np.ascontiguousarray(rgb[..., ::-1]), labels, (0, 0, 0, 0), *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
-    return np.asarray((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
+    return SurfaceCheck(picture, view.rgb, found, thing, hole, inside, leak, figures)
 
 
 def _shows_back(
@@ -323,14 +231,14 @@ def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callab
     photo = shrink_to(picture.load_rgb(), LIKENESS_PX)
     height, width = photo.shape[:2]
     fine = (_SAMPLES * width, _SAMPLES * height)
-    hits, _ = _cast(picture, scene, *fine)
+    hits, _ = cast_pixels(picture, scene, *fine)
     met = hits.face >= 0
     drawn = np.full((len(met), 3), 32, np.float32)
     drawn[met] = colours(Hits(hits.face[met], hits.along[met], hits.bary[met]))
     rendering = cv2.resize(drawn.reshape(*fine[::-1], 3), (width, height), interpolation=cv2.INTER_AREA)
     found = cv2.resize(met.reshape(fine[::-1]).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) == 1
     shown = _resize_mask(thing, (width, height))
-    both = cv2.erode((shown & found).astype(np.uint8), _disc(2)) > 0
+    both = cv2.erode((shown & found).astype(np.uint8), disc(2)) > 0
     if not both.any():
         return LikenessCheck(photo, np.clip(rendering, 0, 255).astype(np.uint8), 0.0, 0.0, 0.0)
     true = photo.astype(np.float32)

@@ -130,6 +130,15 @@ def test_what_most_views_see_through_goes() -> None:
     assert np.mean(from_truth(fuse(frames).xyz) > 0.02) < 1e-3
 
 
+def test_what_one_view_alone_believes_goes_where_another_looks_through() -> None:
+    """A sheet in front of the table, in one depth image of two."""
+    table = plane(1.2, 1.2), (150, 120, 90)
+    (haunted,) = film(scene(table, (plane(0.15, 0.15, z=0.2), (0, 255, 0))), WALK[:1])
+    (clean,) = film(scene(table), WALK[2:3])
+    assert fuse([haunted]).xyz[:, 2].max() > 0.15
+    assert fuse([haunted, clean]).xyz[:, 2].max() < 0.05
+
+
 def test_confidence_grows_with_agreeing_views() -> None:
     frames = film(table_with_sphere(), WALK, sensor=PHONE_LIKE)
     many, few = fuse(frames), fuse(frames[:2])

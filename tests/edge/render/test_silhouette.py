@@ -1,0 +1,51 @@
+"""Rims that photos show to be background are found; true borders and thin parts are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from services.edge.mesh.nouns import Mesh
+from services.edge.render.silhouette import outside_outlines
+from tests.support import surfaces
+from tests.support.posed_pictures import photographs, printed
+
+RIM = 0.03  # width: four pixels of the photos
+EYES = [(0.5, 0.2, 1.4), (-0.3, 0.4, 1.4), (0.1, -0.5, 1.3), (-0.4, -0.3, 1.5), (0.0, 0.0, 1.6)]
+
+
+def sheet(high: float) -> Mesh:
+    """A wavy sheet over y in [−0.5, 0.5] and x from −0.5 to `high`, with a print."""
+    flat = surfaces.patch(lambda u, v: [u, v, 0 * u], 120, 120)
+    x, y = (0.5 + high) * (flat.vertices[:, 0] + 0.5) - 0.5, flat.vertices[:, 1]
+    return printed(Mesh(np.stack([x, y, 0.05 * np.sin(6 * x) * np.cos(5 * y)], axis=1), flat.faces))
+
+
+THING = sheet(0.5)
+
+
+@pytest.mark.parametrize("depth", [True, False], ids=["with depth", "colours alone"])
+def test_a_rim_beside_the_thing_is_found(depth: bool) -> None:
+    mesh = sheet(0.5 + RIM)
+    outside = outside_outlines(mesh, photographs(THING, EYES, depth=depth))
+    x = mesh.vertices[:, 0]
+    assert outside[x > 0.5 + RIM / 2].mean() > 0.6
+    assert not outside[x < 0.5 - RIM / 2].any()
+
+
+def test_a_thing_without_rims_keeps_everything() -> None:
+    assert not outside_outlines(THING, photographs(THING, EYES)).any()
+
+
+def test_one_photo_alone_decides_nothing() -> None:
+    mesh = sheet(0.5 + RIM)
+    assert not outside_outlines(mesh, photographs(THING, EYES[:1])).any()
+
+
+def test_a_thin_stem_keeps_its_thickness() -> None:
+    """A tube of three pixels' width in most photos."""
+    stem = printed(
+        surfaces.patch(lambda u, v: [0.012 * np.cos(2 * np.pi * u), 0.012 * np.sin(2 * np.pi * u), v - 0.5], 24, 80)
+    )
+    eyes = [(1.5 * np.cos(turn), 1.5 * np.sin(turn), 0.2) for turn in np.arange(6) * np.pi / 3]
+    assert outside_outlines(stem, photographs(stem, eyes)).mean() < 0.01
