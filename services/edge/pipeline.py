@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from services.edge.arrays import DistanceFn, Floats, part_of
-from services.edge.asset.assemble import assemble_bundle
+from services.edge.asset.assemble import assemble_bundle, colour_levels
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface
 from services.edge.asset.photo_check import check_surface_with_photos, fill_gaps_with_photos, trim_rims_with_photos
 from services.edge.asset.target import NO_TARGET, Target, require_encoder
@@ -160,13 +160,15 @@ def bundles(
     finest = min(preset.finest, PREVIEW_FINEST) if preset.fit else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
+    levels = yield from colour_levels(preview, subject, clock, bar)
     pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode)
+    pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
     trains = preset.fit is not None
     if trains or points.texture_views:
-        yield from pack(preview, state="preview", quality=quality, last=False)
+        yield from pack_preview(last=False)
     if not trains:
         bar.set_range(TEXTURED_STARTS, bar.reached, share)
-        yield from pack(preview, state="preview", quality=quality, last=True)
+        yield from pack_preview(last=True)
     if preset.fit:
         bar.set_range(REFINED_STARTS, share, 1.0)
         fitted, fitted_noise = (xyz_unit, None) if preset.denoised else (measured, noise)
@@ -175,7 +177,7 @@ def bundles(
         if isinstance(config, NetworkConfig) and not len(watched):  # the cloud is too small to hold any out
             config = replace(config, patience=0)
         training = FieldTraining(fitted, fitted_noise, config, device, distance, xyz_unit, watched, checkpoint)
-        yield from _refinement(training, subject, preview, quality, pack, clock, bar)
+        yield from _refinement(training, subject, preview, quality, pack_preview, pack, clock, bar)
 
 
 def _refinement(
@@ -183,6 +185,7 @@ def _refinement(
     subject: AssetSubject,
     preview: MeasuredSurface,
     before: Mapping[str, Any],
+    pack_preview: Callable[..., Iterator[Progress | Bundle]],
     pack: Callable[..., Iterator[Progress | Bundle]],
     clock: Clock,
     bar: Bar,
@@ -194,7 +197,7 @@ def _refinement(
 
     def keep_preview(why: str, quality: Mapping[str, Any] | None = None) -> Iterator[Progress | Bundle | PreviewKept]:
         """Publish the preview's mesh again as the last bundle, with textures, animation and USDZ."""
-        yield from pack(preview, state="preview", quality=before, last=True)
+        yield from pack_preview(last=True)
         yield PreviewKept(why, quality, dict(clock.seconds))
 
     try:
@@ -221,7 +224,8 @@ def _refinement(
     warnings = trained.warnings
     if verdict.outcome == "even":
         warnings += (f"training did not improve on the preview: {verdict.because}",)
-    yield from pack(made, state="refined", quality=quality, warnings=warnings, last=True)
+    levels = yield from colour_levels(made, subject, clock, bar)
+    yield from pack(made, levels, state="refined", quality=quality, warnings=warnings, last=True)
 
 
 def _surface(

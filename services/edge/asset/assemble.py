@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from services.edge.arrays import Floats, Tick, part_of
@@ -21,8 +21,36 @@ from services.storage.bundle import Bundle, State
 _LODS_SHARE = 0.3  # of the TEXTURING stage's time goes into levels of detail, where they get textures too
 
 
+@dataclass(frozen=True, slots=True)
+class ColouredLevels:
+    """A coloured mesh in the capture frame, and its levels of detail in the asset frame, finest first.
+
+    to_asset  (4,4) from the capture frame to the asset frame
+    """
+
+    full: Mesh
+    to_asset: Floats
+    levels: tuple[Mesh, ...]
+
+
+def colour_levels(
+    surface: MeasuredSurface, subject: AssetSubject, clock: Clock, bar: Bar
+) -> Generator[Progress, None, ColouredLevels]:
+    """Colour a surface's mesh from the captured points and make its levels of detail: what all its bundles share."""
+    points, mesh_unit = subject.points, surface.mesh_unit
+    yield bar.begin("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
+    with clock("TEXTURING"):
+        if points.rgb is not None:
+            mesh_unit = transfer_colours(mesh_unit, subject.xyz_unit, points.rgb)
+        full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
+        to_asset = asset_frame(full.vertices, points)
+        tick = part_of(bar.tick("TEXTURING"), 0, _LODS_SHARE)
+        return ColouredLevels(full, to_asset, build_levels(full, to_asset, subject, tick))
+
+
 def assemble_bundle(
     surface: MeasuredSurface,
+    coloured: ColouredLevels,
     *,
     subject: AssetSubject,
     state: State,
@@ -33,7 +61,7 @@ def assemble_bundle(
     last: bool,
     encode: EncodeKtx2 | None = None,
 ) -> Iterator[Progress | Bundle]:
-    """Colour a surface's mesh, make its levels of detail, and yield the bundle: files, preview images, manifest.
+    """Yield the bundle of a surface whose levels of detail are made: files, preview images, manifest.
 
     last    whether this is the job's last bundle. Textures, animation and USDZ are made only then; they would delay the
             preview
@@ -41,20 +69,14 @@ def assemble_bundle(
 
     Raises EdgeError BUDGET_UNREACHABLE and Ktx2Error: before a refined bundle, but after a preview is yielded.
     """
-    points, mesh_unit = subject.points, surface.mesh_unit
-    yield bar.begin("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
-    with clock("TEXTURING"):
-        tick = bar.tick("TEXTURING")
-        if points.rgb is not None:
-            mesh_unit = transfer_colours(mesh_unit, subject.xyz_unit, points.rgb)
-        full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
-        to_asset = asset_frame(full.vertices, points)
-        levels = build_levels(full, to_asset, subject, part_of(tick, 0, _LODS_SHARE if last else 1))
-        rest = part_of(tick, _LODS_SHARE, 1)
-        assets: Sequence[Mesh | TexturedMesh] = levels
-        texture_warnings: tuple[str, ...] = ()
-        failed = None
-        if last:
+    levels, to_asset = coloured.levels, coloured.to_asset
+    assets: Sequence[Mesh | TexturedMesh] = levels
+    texture_warnings: tuple[str, ...] = ()
+    failed = None
+    if last:
+        yield bar.begin("TEXTURING", f"textures of {len(levels)} levels of detail")
+        with clock("TEXTURING"):
+            rest = part_of(bar.tick("TEXTURING"), _LODS_SHARE, 1)
             assets, texture_warnings, failed = _try_textures(levels, to_asset, subject, state, encode, rest)
     yield bar.begin("PACKING", "files and preview images")
     with clock("PACKING"):
@@ -63,7 +85,7 @@ def assemble_bundle(
         costs = [measure_cost(glb) for glb in files.values()]
         files |= preview_images(assets, last=last, tick=tick)
         files["mesh.ply"] = ply_bytes(
-            full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None
+            coloured.full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None
         )
         private: dict[str, bytes] = {}
         if last and surface.check.surface:
