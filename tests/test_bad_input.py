@@ -326,7 +326,7 @@ JOBS: dict[str, tuple[bytes, int, str]] = {
     "half a character": (b'{"capture": "\\ud800", "asset_key": "dress"}', 422, "REQUEST_INVALID"),
     "a number for a capture": (job(capture=1), 422, "REQUEST_INVALID"),
     "a list for a preset": (job(preset=["draft"]), 422, "REQUEST_INVALID"),
-    "a word for a flag": (job(isolate="maybe"), 422, "REQUEST_INVALID"),
+    "a word for a flag": (job(cut="maybe"), 422, "REQUEST_INVALID"),
     "a thing of no size": (job(longest_m=0), 422, "REQUEST_INVALID"),
     "a thing of a light year": (job(longest_m=9.5e15), 422, "REQUEST_INVALID"),
     "an unknown field": (job(colour="red"), 422, "REQUEST_INVALID"),

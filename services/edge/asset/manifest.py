@@ -150,6 +150,7 @@ def build_manifest(
             "frames": source.frames,
             "photos": [asdict(verdict) for verdict in source.verdicts],
             "unseen": _unseen_sides(points, to_asset),
+            "cut": None if points.cut is None else asdict(points.cut),
         },
         "origin": "guess" if source.kind == "image" else "measured",
         "confidence": round(float(points.confidence.mean()), 3),

@@ -24,10 +24,10 @@ from services.edge.capture.nouns import ScaleConfidence
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
 from services.edge.points.clean_cloud import MIN_POINTS
-from services.edge.points.nouns import Points, UnseenSide
+from services.edge.points.nouns import CutReport, Points, UnseenSide
 from services.storage.archives import ArchiveError, ArchiveLimits, unpack
 
-VERSION = 1
+VERSION = 2
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -57,6 +57,7 @@ class _Head:
     up: _Vector | None
     warnings: tuple[str, ...]
     unseen: tuple[UnseenSide, ...]
+    cut: CutReport | None
     source: CaptureSummary
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
 
@@ -104,6 +105,7 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         up=None if head.up is None else np.array(head.up, np.float64),
         warnings=head.warnings,
         unseen=head.unseen,
+        cut=head.cut,
     )
     return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
 
@@ -120,6 +122,7 @@ def _head_of(prepared: PreparedPoints) -> _Head:
         up=None if points.up is None else _vector(points.up),
         warnings=points.warnings,
         unseen=points.unseen,
+        cut=points.cut,
         source=prepared.source,
         seconds=seconds,
     )

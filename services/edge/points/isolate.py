@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
+from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
-from services.edge.points.nouns import Points
+from services.edge.points.nouns import CutReport, Points
 from services.edge.points.outliers import label_components
 from services.edge.points.plane import Plane, largest_plane
+from services.edge.points.removed_parts import largest_doubt
 
 _PLANE_REACH = 0.012
 """Distance from a plane within which points belong to it, as a share of the points' extent."""
@@ -50,6 +52,9 @@ _PROBE = 20_000
 _MIN_SHARE = 0.015
 _MIN_POINTS = 100
 """An object has at least this many points, and this share of all."""
+_SAMPLED = 100_000
+"""Points kept of what a cut was made from: a picture of 360 pixels shows no more."""
+_ASK = 'If it belongs to the thing, reconstruct again with the cut "scene", which keeps everything.'
 
 
 def isolate_object(
@@ -78,6 +83,7 @@ def isolate_object(
         everything = _near_mask(xyz, middle, eyes)
         plane = _supporting_plane(xyz[everything], points.up, eyes)
     tick(0.93)
+    removed = plane
     if plane is None:
         thing = _object_mask(xyz, everything, middle)
         warning = "" if turntable else "No table or floor was found below the thing; only separate parts were removed."
@@ -85,7 +91,7 @@ def isolate_object(
         above = everything & (plane.height(xyz) > _half_slab(plane))
         thing, warning = _object_mask(xyz, above, middle), ""
         if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
-            thing = _object_mask(xyz, everything, middle)
+            thing, removed = _object_mask(xyz, everything, middle), None
             warning = "The thing is too flat to separate it from the plane that it lies on, so that plane was kept."
     tick(1.0)
     if thing.sum() < _MIN_POINTS:
@@ -96,7 +102,27 @@ def isolate_object(
         )
     warnings = (*points.warnings, warning) if warning else points.warnings
     up = points.up if plane is None or turntable else _level_with(plane, points.up)
-    return replace(points.subset(thing), warnings=warnings, up=up)
+    doubt, share = _doubt(xyz, thing, everything, removed)
+    warnings = (*warnings, f"{doubt} {_ASK}") if doubt else warnings
+    return replace(
+        points.subset(thing),
+        warnings=warnings,
+        up=up,
+        cut=CutReport("object", "the thing in the middle was cut out of its surroundings", doubt, round(share, 3)),
+        uncut=_sample(points),
+    )
+
+
+def _doubt(xyz: Floats, thing: Bools, near: Bools, plane: Plane | None) -> tuple[str, float]:
+    """Find what the cut may have removed of the object itself, among what is near, with a plane or without one."""
+    half = 0.0 if plane is None else _half_slab(plane)
+    return largest_doubt(xyz, thing, near, plane, half, _TOUCH_LINKS * _LINK_SPACINGS * _spacing(xyz[thing]))
+
+
+def _sample(points: Points) -> Cloud:
+    """Return points of a cloud, few enough to keep beside it, for a picture of what the cut was made from."""
+    few = np.random.default_rng(0).permutation(len(points))[:_SAMPLED]
+    return Cloud(points.xyz[few], pick(points.rgb, few))
 
 
 def _level_with(plane: Plane, up: Floats | None) -> Floats | None:

@@ -21,7 +21,7 @@ from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import PhotoVerdict
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
-from services.edge.jobs.points_archive import MOST_POINTS, read_prepared, write_prepared
+from services.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
 from services.edge.jobs.points_cache import load_points, save_points
 from services.edge.points.nouns import Points, UnseenSide
 from services.storage.archives import unpack
@@ -164,7 +164,7 @@ ARRAYS: dict[str, tuple[str, bytes]] = {
 
 HEADS: dict[str, Any] = {
     "no version": {"version": None},
-    "a newer version": {"version": 2},
+    "a newer version": {"version": VERSION + 1},
     "a count below any capture's": {"points": 99},
     "a count beyond any capture's": {"points": MOST_POINTS + 1},
     "no scale": {"metres_per_unit": 0},
@@ -194,7 +194,7 @@ def test_a_head_that_is_none_is_named(tmp_path: Path, files: Files, what: str) -
     refused = refusal(tmp_path, {**files, "points.json": json.dumps(head).encode()})
     assert refused.file == "points.json"
     if what == "a newer version":
-        assert "is of version 2; this worker reads 1" in refused.message
+        assert f"is of version {VERSION + 1}; this worker reads {VERSION}" in refused.message
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"7", b"[" * 100_000, b'{"version": 1}', b"\xff", b" " * (5 << 20)])
