@@ -134,9 +134,21 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
     chosen = f" ({escape(report['preset_because'])})" if report["preset_because"] else ""
     yield f"<p>{report['points']:,} points, {size} m (scale {escape(report['scale_confidence'])}), "
     yield f"preset {escape(report['preset'])}{chosen}</p>"
+    if up := report["capture"].get("up"):
+        yield f"<p>Up is told by {_UP_SOURCES[up['source']]} (confidence {up['confidence']:.2f}).</p>"
     if report["verdict"]:
         yield f"<p>The refined surface is <b>{_VERDICTS[report['verdict']]}</b>: {escape(report['because'])}</p>"
 
+
+_UP_SOURCES = {
+    "app": "the capture itself",
+    "gravity": "gravity, as the photos' metadata have it",
+    "turntable": "the turntable's axis",
+    "lines": "vertical lines in the pictures",
+    "walk": "the plane in which the cameras went around",
+    "plane": "the floor, or what the thing stands on",
+    "cameras": "how the cameras were held",
+}
 
 _VERDICTS = {
     "better": "better than the preview",

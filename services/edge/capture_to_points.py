@@ -7,7 +7,6 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from services.edge.arrays import Tick, no_tick, pick
@@ -26,7 +25,7 @@ from services.edge.points.orbit import sees_a_scene
 from services.edge.points.outliers import inliers
 from services.edge.points.scale import scale_to_longest
 from services.edge.points.texture_views import hold_out_frames, select_texture_views, texture_view
-from services.edge.points.upright import estimate_up, level_up
+from services.edge.points.upright import find_up
 from services.edge.progress import Bar, Clock, Progress
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
@@ -188,14 +187,15 @@ def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
     xyz = fused.xyz[keep]
     if stereo:
         xyz = smooth_stereo_points(xyz, fused.confidence[keep], lambda part: tick(0.4 + 0.6 * part))
-    poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in capture.frames])
+    up, up_source = find_up(capture, xyz)
     return Points(
         xyz=xyz,
         rgb=pick(fused.rgb, keep),
         confidence=fused.confidence[keep],
         metres_per_unit=capture.metres_per_unit,
         scale_confidence=capture.scale_confidence,
-        up=estimate_up(poses, xyz) if capture.up is None else level_up(capture.up, xyz),
+        up=up,
+        up_source=up_source,
         warnings=capture.warnings + fused.warnings,
         texture_views=select_texture_views(capture.frames, fused.sharpness),
     )

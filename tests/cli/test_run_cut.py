@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from services.cli.main import app
+from services.cli.report import _UP_SOURCES
+from services.edge.capture.nouns import UpTeller
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_pictures")]
 
@@ -66,6 +68,10 @@ def test_a_cloud_is_left_as_it_is_without_the_option(pair: Path, tmp_path: Path)
         "removed": 0,
     }
     assert 'alt="cut-' not in page
+
+
+def test_the_report_tells_what_told_up() -> None:
+    assert set(_UP_SOURCES) == set(get_args(UpTeller)), "every source has a sentence"
 
 
 def test_a_cut_that_does_not_exist_is_refused(pair: Path, tmp_path: Path) -> None:

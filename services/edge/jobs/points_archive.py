@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from services.atomic_write import atomic_write
-from services.edge.capture.nouns import ScaleConfidence
+from services.edge.capture.nouns import ScaleConfidence, UpSource
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
 from services.edge.points.clean_cloud import MIN_POINTS
@@ -55,6 +55,7 @@ class _Head:
     metres_per_unit: Annotated[float, Field(gt=0)]
     scale_confidence: ScaleConfidence
     up: _Vector | None
+    up_source: UpSource | None
     warnings: tuple[str, ...]
     unseen: tuple[UnseenSide, ...]
     cut: CutReport | None
@@ -105,6 +106,7 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         up=None if head.up is None else np.array(head.up, np.float64),
         warnings=head.warnings,
         unseen=head.unseen,
+        up_source=head.up_source,
         cut=head.cut,
     )
     return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
@@ -120,6 +122,7 @@ def _head_of(prepared: PreparedPoints) -> _Head:
         metres_per_unit=float(points.metres_per_unit),
         scale_confidence=points.scale_confidence,
         up=None if points.up is None else _vector(points.up),
+        up_source=points.up_source,
         warnings=points.warnings,
         unseen=points.unseen,
         cut=points.cut,

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
-from services.edge.capture.nouns import Cloud
+from services.edge.capture.nouns import Cloud, UpSource
 from services.edge.errors import CaptureError
 from services.edge.points.nouns import CutReport, Points
 from services.edge.points.outliers import label_components
 from services.edge.points.plane import Plane, largest_plane
 from services.edge.points.removed_parts import largest_doubt
+from services.edge.points.upright import NEARLY_LEVEL_DEG, plane_source
 
 _PLANE_REACH = 0.012
 """Distance from a plane within which points belong to it, as a share of the points' extent."""
@@ -22,9 +23,6 @@ _WIDE_PLANE_SHARE = 0.04
 """The same for a plane that reaches farther to the sides than what is over it."""
 _UPRIGHT_DEG = 20.0
 """Largest tilt of a supporting plane against the horizontal."""
-_NEARLY_LEVEL_DEG = 10.0
-"""Largest tilt of a supporting plane that is believed to be level. Of a statue's up, the largest plane in sight was
-7 degrees off, the cameras 1, the plane below the pedestal less."""
 _ONE_SIDE = 0.9
 """Share of the cameras, or of the points beside a turntable's plate, that must be on one side of a plane."""
 _OVER = 0.75
@@ -69,8 +67,10 @@ def isolate_object(
 
     aim (3,): the point that the cameras looked at, capture frame; None: the middle of the points. cameras (M,3)
     positions. turntable: the points have only the object and perhaps the plate that turns with it, wider than it.
-    Up becomes the normal of that plane, if it is nearly level. For a flat object that lies on the plane, the plane
-    stays, with a warning. Raises CaptureError: CAPTURE_NOTHING_LEFT without a cluster of at least `_MIN_POINTS` points.
+    Up becomes the normal of that plane, if it is nearly level and nothing surer contradicts it. For a flat object
+    that lies on the plane, the plane stays, with a warning.
+
+    Raises CaptureError: CAPTURE_NOTHING_LEFT without a cluster of at least `_MIN_POINTS` points.
     """
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
@@ -101,13 +101,14 @@ def isolate_object(
             hints=("Reconstruct without isolating the thing.", "Keep the thing in the middle of the picture."),
         )
     warnings = (*points.warnings, warning) if warning else points.warnings
-    up = points.up if plane is None or turntable else _level_with(plane, points.up)
+    up, up_source = (points.up, points.up_source) if plane is None else _level_with(plane, points)
     doubt, share = _doubt(xyz, thing, everything, removed)
     warnings = (*warnings, f"{doubt} {_ASK}") if doubt else warnings
     return replace(
         points.subset(thing),
         warnings=warnings,
         up=up,
+        up_source=up_source,
         cut=CutReport("object", "the thing in the middle was cut out of its surroundings", doubt, round(share, 3)),
         uncut=_sample(points),
     )
@@ -125,11 +126,15 @@ def _sample(points: Points) -> Cloud:
     return Cloud(points.xyz[few], pick(points.rgb, few))
 
 
-def _level_with(plane: Plane, up: Floats | None) -> Floats | None:
-    """Return the supporting plane's normal where it is nearly `up`, which cameras tell only nearly; else `up`."""
-    if up is None or plane.normal @ up < np.cos(np.radians(_NEARLY_LEVEL_DEG)):
-        return up
-    return plane.normal
+def _level_with(plane: Plane, points: Points) -> tuple[Floats | None, UpSource | None]:
+    """Return the supporting plane's normal as up where it is nearly that, and where nothing surer contradicts it."""
+    up, source = points.up, points.up_source
+    within_deg = NEARLY_LEVEL_DEG
+    if source is not None and source.teller not in ("plane", "cameras"):
+        within_deg = source.error_deg
+    if up is None or plane.normal @ up < np.cos(np.radians(within_deg)):
+        return up, source
+    return plane.normal, plane_source(plane.normal, up)
 
 
 def _near_mask(xyz: Floats, middle: Floats | None, cameras: Floats | None) -> Bools:

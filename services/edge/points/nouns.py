@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
-from services.edge.capture.nouns import Cloud, Intrinsics, ScaleConfidence
+from services.edge.capture.nouns import Cloud, Intrinsics, ScaleConfidence, UpSource
 
 Cut = Literal["auto", "object", "scene"]
 """auto: the object where photos were taken around one, else the scene; object: without what it stands on and what
@@ -71,7 +71,7 @@ class Points:
     """Point cloud after cleaning, in the capture frame and its units.
 
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
-    metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report;
+    metres_per_unit, scale_confidence, up, up_source as in `Capture`; warnings: sentences for the report;
     unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing;
     held_out_views: pictures that neither points nor textures are made from, to compare the result with. Both are empty
     where the capture's files are not on this machine. cut: what was kept, None where there was no choice;
@@ -90,6 +90,7 @@ class Points:
     held_out_views: tuple[TextureView, ...] = ()
     cut: CutReport | None = None
     uncut: Cloud | None = None
+    up_source: UpSource | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)
