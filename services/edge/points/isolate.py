@@ -114,6 +114,10 @@ def isolate_object(
     )
 
 
+def _confidence(source: UpSource) -> float:
+    return source.confidence
+
+
 def _doubt(xyz: Floats, thing: Bools, near: Bools, plane: Plane | None) -> tuple[str, float]:
     """Find what the cut may have removed of the object itself, among what is near, with a plane or without one."""
     half = 0.0 if plane is None else _half_slab(plane)
@@ -134,7 +138,9 @@ def _level_with(plane: Plane, points: Points) -> tuple[Floats | None, UpSource |
         within_deg = source.error_deg
     if up is None or plane.normal @ up < np.cos(np.radians(within_deg)):
         return up, source
-    return plane.normal, plane_source(plane.normal, up)
+    found = plane_source(plane.normal, up)
+    # Two planes are often one: that they agree makes neither surer.
+    return plane.normal, found if source is None or source.teller != "plane" else min(found, source, key=_confidence)
 
 
 def _near_mask(xyz: Floats, middle: Floats | None, cameras: Floats | None) -> Bools:

@@ -31,6 +31,9 @@ _PANNED_DEG = 20.0
 """Least rotation of the cameras about the vertical, for their horizontal axes to define the horizon."""
 _HELD, _GUESSED = 0.5, 0.2
 """Confidence of how cameras were held, which turned about a thing or hardly turned."""
+_LEAN_DEG, _UNPANNED_LEAN_DEG = 5.0, 15.0
+"""Largest angle of vertical lines to how cameras were held that turned about a thing, or hardly turned: lines farther
+off are edges of a thing that leans."""
 _WALK_DEG = 20.0
 """Largest angle between the plane of a walk and the horizon of the cameras on it: a turn over the thing has more."""
 _ROUND_WALK = 0.25
@@ -45,7 +48,8 @@ def find_up(capture: Capture, xyz: Floats) -> tuple[Floats, UpSource]:
         return level_up(capture.up, xyz), capture.up_source
     poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in capture.frames])
     held, how = from_cameras(poses)
-    for found in (vertical_lines(capture.frames, held), from_walk(poses[:, :3, 3], held)):
+    lean_deg = _LEAN_DEG if how.confidence >= _HELD else _UNPANNED_LEAN_DEG
+    for found in (vertical_lines(capture.frames, held, lean_deg), from_walk(poses[:, :3, 3], held)):
         if found is not None and found[1].confidence >= SURE:
             return found
     return from_floor(poses, held, xyz) or (held, how)

@@ -19,8 +19,6 @@ _LONGEST_PX = 640
 """Longer side of the pictures: the detector finds the long edges, and not every brick."""
 _LEAST_LENGTH = 0.05
 """Least length of a segment, over the picture's longer side: 30 pixels tell its direction to a degree."""
-_WITHIN_DEG = 15.0
-"""Largest angle of the vertical to how the cameras were held; people hold them level within a few degrees."""
 _AGREE_DEG = 1.0
 """Largest angle between a segment and the vertical that it votes for."""
 _TRIES, _ROUNDS = 400, 5
@@ -36,17 +34,18 @@ _SYSTEMATIC_DEG = 0.5
 """Error that all lines share: lenses, and walls that lean."""
 
 
-def vertical_lines(frames: Sequence[Frame], held: Floats) -> tuple[Floats, UpSource] | None:
+def vertical_lines(frames: Sequence[Frame], held: Floats, within_deg: float) -> tuple[Floats, UpSource] | None:
     """Return the unit vector (3,) along the vertical lines in posed frames and its confidence; None where hardly any.
 
-    held (3,): roughly up, as the cameras were held
+    held (3,): roughly up, as the cameras were held; within_deg: largest angle of the vertical to it. Where it is
+    small, edges of a thing that leans are not taken for the vertical.
     """
     normal, length, picture = _segments(frames)
-    near = np.abs(normal @ held) < np.sin(np.radians(_WITHIN_DEG))
+    near = np.abs(normal @ held) < np.sin(np.radians(within_deg))
     normal, length, picture = normal[near], length[near], picture[near]
     if len(normal) < _LEAST_SEGMENTS:
         return None
-    up = _most_agreed(normal, length, held)
+    up = _most_agreed(normal, length, held, within_deg)
     if up is None:
         return None
     agree = np.abs(normal @ up) < np.sin(np.radians(_AGREE_DEG))
@@ -94,14 +93,14 @@ def _planes(rgb: Bytes, camera: Intrinsics) -> tuple[Floats, Floats]:
     return normal / np.linalg.norm(normal, axis=1, keepdims=True), length
 
 
-def _most_agreed(normal: Floats, length: Floats, held: Floats) -> Floats | None:
+def _most_agreed(normal: Floats, length: Floats, held: Floats, within_deg: float) -> Floats | None:
     """Return the direction (3,) near `held` that the longest segments agree on (RANSAC, then least squares)."""
     pairs = np.random.default_rng(0).integers(len(normal), size=(_TRIES, 2))
     tries = np.cross(normal[pairs[:, 0]], normal[pairs[:, 1]])
     size = np.linalg.norm(tries, axis=1)
     tries = tries[size > _LEAST_SPREAD] / size[size > _LEAST_SPREAD, None]
     tries *= np.sign(tries @ held)[:, None]
-    tries = tries[tries @ held > np.cos(np.radians(_WITHIN_DEG))]
+    tries = tries[tries @ held > np.cos(np.radians(within_deg))]
     if not len(tries):
         return None
     limit = np.sin(np.radians(_AGREE_DEG))
@@ -111,4 +110,4 @@ def _most_agreed(normal: Floats, length: Floats, held: Floats) -> Floats | None:
         weighted = normal[agree] * length[agree, None]
         up = np.linalg.eigh(weighted.T @ normal[agree])[1][:, 0]
         up = up * np.sign(up @ held)
-    return up if up @ held > np.cos(np.radians(_WITHIN_DEG)) else None
+    return up if up @ held > np.cos(np.radians(within_deg)) else None

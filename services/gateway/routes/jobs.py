@@ -53,7 +53,9 @@ async def create_job(
     return JobView.of(job, time.time())
 
 
-@router.post("/jobs/{job}/again", status_code=202, response_model=JobView, responses=problems(404, 409, 422, 503))
+@router.post(
+    "/jobs/{job}/again", status_code=202, response_model=JobView, responses=problems(400, 404, 409, 413, 415, 422, 503)
+)
 async def repeat_job(
     job: str, body: JobAgain, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
 ) -> JobView:

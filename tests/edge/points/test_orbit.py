@@ -98,13 +98,14 @@ def test_a_rendered_room_is_not_cut(poses: Floats, why: str) -> None:
     assert np.ptp(points.xyz, axis=0).max() > 3
 
 
-def test_a_thing_on_a_table_is_cut_from_a_half_circle_before_a_wall() -> None:
+@pytest.mark.parametrize("arc", [0.8, 2.0], ids=["a half circle", "all around"])
+def test_a_thing_on_a_table_before_a_wall_is_cut(arc: float) -> None:
     wall = trimesh.creation.box((3.0, 0.02, 2.0))
-    wall.apply_translation([0, 0.8, 0.5])
+    wall.apply_translation([0, 1.2, 0.5])
     ball = trimesh.creation.icosphere(4, 0.15)
     ball.apply_translation([0, 0, 0.15])
     world = scene((plane(1.2, 1.2), (150, 120, 90)), (ball, (200, 40, 40)), (wall, (200, 200, 190)))
-    turns = np.pi * (1 + np.linspace(0.1, 0.9, 10))
+    turns = np.pi * (1.5 + np.linspace(-arc / 2, arc / 2, 12, endpoint=arc < 2))
     poses = np.stack([look_at((np.cos(turn), np.sin(turn), 0.7), (0, 0, 0.12)) for turn in turns])
     points = to_points(filmed(world, poses))
     assert points.cut is not None
