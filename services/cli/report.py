@@ -106,7 +106,7 @@ def _cut(cut: Mapping[str, Any] | None, compared: Mapping[str, bytes]) -> Iterat
             yield f"<figcaption>{caption}</figcaption></figure>"
 
 
-_KEPT = {"object": "The thing", "scene": "Everything that was seen"}
+_KEPT = {"object": "The thing in the middle", "scene": "Everything that was seen"}
 _CUT_PICTURES = {
     "cut-object.jpg": "kept: the thing, <code>--cut object</code>",
     "cut-scene.jpg": "it was cut from this: <code>--cut scene</code>",

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
-from services.edge.capture.nouns import Cloud, UpSource
+from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
 from services.edge.points.nouns import CutReport, Points
 from services.edge.points.outliers import label_components
 from services.edge.points.plane import Plane, largest_plane
 from services.edge.points.removed_parts import largest_doubt
-from services.edge.points.upright import NEARLY_LEVEL_DEG, plane_source
+from services.edge.points.upright import level_with
 
 _PLANE_REACH = 0.012
 """Distance from a plane within which points belong to it, as a share of the points' extent."""
@@ -101,7 +101,9 @@ def isolate_object(
             hints=("Reconstruct without isolating the thing.", "Keep the thing in the middle of the picture."),
         )
     warnings = (*points.warnings, warning) if warning else points.warnings
-    up, up_source = (points.up, points.up_source) if plane is None else _level_with(plane, points)
+    up, up_source = points.up, points.up_source
+    if plane is not None and up is not None:
+        up, up_source = level_with(plane.normal, up, up_source)
     doubt, share = _doubt(xyz, thing, everything, removed)
     warnings = (*warnings, f"{doubt} {_ASK}") if doubt else warnings
     return replace(
@@ -109,13 +111,9 @@ def isolate_object(
         warnings=warnings,
         up=up,
         up_source=up_source,
-        cut=CutReport("object", "the thing in the middle was cut out of its surroundings", doubt, round(share, 3)),
+        cut=CutReport("object", "it was cut out of its surroundings", doubt, round(share, 3)),
         uncut=_sample(points),
     )
-
-
-def _confidence(source: UpSource) -> float:
-    return source.confidence
 
 
 def _doubt(xyz: Floats, thing: Bools, near: Bools, plane: Plane | None) -> tuple[str, float]:
@@ -128,19 +126,6 @@ def _sample(points: Points) -> Cloud:
     """Return points of a cloud, few enough to keep beside it, for a picture of what the cut was made from."""
     few = np.random.default_rng(0).permutation(len(points))[:_SAMPLED]
     return Cloud(points.xyz[few], pick(points.rgb, few))
-
-
-def _level_with(plane: Plane, points: Points) -> tuple[Floats | None, UpSource | None]:
-    """Return the supporting plane's normal as up where it is nearly that, and where nothing surer contradicts it."""
-    up, source = points.up, points.up_source
-    within_deg = NEARLY_LEVEL_DEG
-    if source is not None and source.teller not in ("plane", "cameras"):
-        within_deg = source.error_deg
-    if up is None or plane.normal @ up < np.cos(np.radians(within_deg)):
-        return up, source
-    found = plane_source(plane.normal, up)
-    # Two planes are often one: that they agree makes neither surer.
-    return plane.normal, found if source is None or source.teller != "plane" else min(found, source, key=_confidence)
 
 
 def _near_mask(xyz: Floats, middle: Floats | None, cameras: Floats | None) -> Bools:

@@ -16,7 +16,7 @@ from services.edge.points.vertical_lines import vertical_lines
 
 SURE = 0.7
 """Confidence from which on a source is believed without asking the next one: an expected error of three degrees."""
-NEARLY_LEVEL_DEG = 10.0
+_NEARLY_LEVEL_DEG = 10.0
 """Largest tilt of a plane that is believed to be level. Of a statue's up, the largest plane in sight was 7 degrees off,
 the cameras 1, the plane below the pedestal less."""
 _UNPANNED_DEG = 30.0
@@ -96,11 +96,11 @@ def from_floor(poses: Floats, held: Floats, xyz: Floats) -> tuple[Floats, UpSour
     """
     right = poses[:, :3, 0]
     panned = _is_panned(right)
-    within_deg = NEARLY_LEVEL_DEG if panned else _UNPANNED_DEG
+    within_deg = _NEARLY_LEVEL_DEG if panned else _UNPANNED_DEG
     normal = _large_plane(xyz, held, within_deg)
     if normal is None:
         return None
-    rolled = abs(float(np.mean(right @ normal))) > np.sin(np.radians(NEARLY_LEVEL_DEG))
+    rolled = abs(float(np.mean(right @ normal))) > np.sin(np.radians(_NEARLY_LEVEL_DEG))
     return None if rolled and not panned else (normal, plane_source(normal, held))
 
 
@@ -108,6 +108,22 @@ def plane_source(normal: Floats, up: Floats) -> UpSource:
     """Return how sure a plane's normal (3,) is, by how far it is from what else is known to be up (3,)."""
     away_deg = float(np.degrees(np.arccos(np.clip(normal @ up, -1, 1))))
     return UpSource("plane", certainty(away_deg / 4))
+
+
+def level_with(normal: Floats, up: Floats, source: UpSource | None) -> tuple[Floats, UpSource | None]:
+    """Return the supporting plane's normal (3,) as up where it is nearly that, and where nothing surer contradicts it.
+
+    up (3,): as known so far, from `source`.
+    """
+    within_deg = _NEARLY_LEVEL_DEG
+    if source is not None and source.teller not in ("plane", "cameras"):
+        within_deg = source.error_deg
+    if normal @ up < np.cos(np.radians(within_deg)):
+        return up, source
+    found = plane_source(normal, up)
+    if source is not None and source.teller == "plane":  # two planes are often one: that they agree makes neither surer
+        found = UpSource("plane", min(found.confidence, source.confidence))
+    return normal, found
 
 
 def level_up(up: Floats, xyz: Floats) -> Floats:

@@ -11,10 +11,10 @@ const page = {
   button: element('recut', HTMLButtonElement),
 };
 
-/** @type {{ kept: string, other: Cut, offer: string }[]} */
+/** @type {{ kept: string, name: string, other: Cut, offer: string }[]} */
 const CUTS = [
-  { kept: 'object', other: 'scene', offer: 'Keep everything that was seen' },
-  { kept: 'scene', other: 'object', offer: 'Keep only the thing in the middle' },
+  { kept: 'object', name: 'the thing in the middle', other: 'scene', offer: 'Keep everything that was seen' },
+  { kept: 'scene', name: 'everything that was seen', other: 'object', offer: 'Keep only the thing in the middle' },
 ];
 
 /** @type {() => void} */
@@ -30,7 +30,7 @@ export function showCut(job, capture) {
   const choice = CUTS.find(({ kept }) => kept === cut?.kept);
   page.section.hidden = !cut || !choice;
   if (!cut || !choice) return;
-  page.kept.textContent = `What was kept: ${cut.because}.`; // a doubt stands among the warnings
+  page.kept.textContent = `What was kept: ${choice.name}; ${cut.because}.`; // a doubt stands among the warnings
   page.button.textContent = choice.offer;
   recut = () => repeatJob(job, choice.other);
 }
