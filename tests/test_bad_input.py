@@ -326,7 +326,7 @@ JOBS: dict[str, tuple[bytes, int, str]] = {
     "half a character": (b'{"capture": "\\ud800", "asset_key": "dress"}', 422, "REQUEST_INVALID"),
     "a number for a capture": (job(capture=1), 422, "REQUEST_INVALID"),
     "a list for a preset": (job(preset=["draft"]), 422, "REQUEST_INVALID"),
-    "a word for a flag": (job(isolate="maybe"), 422, "REQUEST_INVALID"),
+    "a cut that does not exist": (job(cut="maybe"), 422, "REQUEST_INVALID"),
     "a thing of no size": (job(longest_m=0), 422, "REQUEST_INVALID"),
     "a thing of a light year": (job(longest_m=9.5e15), 422, "REQUEST_INVALID"),
     "an unknown field": (job(colour="red"), 422, "REQUEST_INVALID"),
@@ -350,6 +350,25 @@ JOBS: dict[str, tuple[bytes, int, str]] = {
 def test_an_order_that_makes_no_sense_is_refused(name: str, product: Product) -> None:
     body, status, code = JOBS[name]
     document = problem_of(product.client.post("/v1/jobs", content=body, headers=JSON))
+    assert (document["status"], document["code"]) == (status, code), document
+
+
+AGAIN: dict[str, tuple[str, bytes, int, str]] = {
+    "an unknown job": ("job_unknown", b'{"cut": "scene"}', 404, "JOB_UNKNOWN"),
+    "a job of 0 bytes": ("%00", b'{"cut": "scene"}', 404, "JOB_UNKNOWN"),
+    "no cut": ("job_unknown", b"{}", 422, "REQUEST_INVALID"),
+    "a cut that does not exist": ("job_unknown", b'{"cut": "half"}', 422, "REQUEST_INVALID"),
+    "another capture": ("job_unknown", b'{"cut": "scene", "capture": "cap_1"}', 422, "REQUEST_INVALID"),
+    "60,000 brackets": ("job_unknown", b"[" * 60_000, 400, "BAD_REQUEST"),
+    "a megabyte": ("job_unknown", b'{"cut": "' + b"x" * 1_000_000 + b'"}', 413, "REQUEST_TOO_LARGE"),
+}
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", AGAIN)
+def test_a_job_that_cannot_be_repeated_is_refused(name: str, product: Product) -> None:
+    job_id, body, status, code = AGAIN[name]
+    document = problem_of(product.client.post(f"/v1/jobs/{job_id}/again", content=body, headers=JSON))
     assert (document["status"], document["code"]) == (status, code), document
 
 

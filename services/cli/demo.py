@@ -29,8 +29,8 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     key = key_from(capture) if capture else _KEY
     source = capture or _simulate_capture(out)
     with run_stack("127.0.0.1", _port(), out / "data") as stack:
-        isolate = None if capture else True
-        job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "isolate": isolate})
+        cut = "auto" if capture else "object"
+        job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "cut": cut})
         manifest = pull_asset(key, out / "asset", stack.url, cache=out / "cache")
         (out / "report.json").write_text(json.dumps({"job": job, "asset": manifest}, indent=2) + "\n")
         console.print(f"picture  {out / 'asset' / 'preview.png'}")

@@ -24,13 +24,14 @@ app = typer.Typer(
 app.add_typer(catalogue, name="catalogue")
 
 FillChoice = Literal["none", "unseen", "all"]
+CutChoice = Literal["auto", "object", "scene"]
 
-Isolate = Annotated[
-    bool | None,
+CutOption = Annotated[
+    CutChoice,
     typer.Option(
-        "--isolate/--whole",
-        help="Remove the floor or table and the surroundings, or keep them. Default: remove them if the photos were "
-        "taken around one object.",
+        "--cut",
+        help="What to keep: object, without the floor or table and the surroundings; scene: everything that was seen; "
+        "auto: the object if the photos were taken around one.",
     ),
 ]
 Longest = Annotated[
@@ -65,7 +66,7 @@ def run(
     resolution: Annotated[
         int, typer.Option(min=0, max=1024, help="Grid cells along the longest side; 0: automatic.")
     ] = 0,
-    isolate: Isolate = None,
+    cut: CutOption = "auto",
     longest: Longest = None,
     fill: Fill = None,
     target: Target = "",
@@ -78,7 +79,7 @@ def run(
     """Reconstruct a capture in this process, without servers: writes meshes, pictures and a report to a folder."""
     from services.cli.run import RunOptions, run_capture
 
-    options = RunOptions(key, collection, isolate, longest, target, reference, fill)
+    options = RunOptions(key, collection, cut, longest, target, reference, fill)
     run_capture(capture, out, options, preset=preset, device=device, resolution=resolution)
 
 
@@ -112,7 +113,7 @@ def push(
     ] = "",
     label: Annotated[str, typer.Option(help="A name for people. Default: the key.")] = "",
     collection: Collection = "",
-    isolate: Isolate = None,
+    cut: CutOption = "auto",
     longest: Longest = None,
     fill: Fill = None,
     target: Target = "",
@@ -123,7 +124,7 @@ def push(
     options = {
         "preset": preset or None,
         "collection": collection or None,
-        "isolate": isolate,
+        "cut": cut,
         "longest_m": longest,
         "fill": fill,
         "target": target or None,

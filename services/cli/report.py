@@ -35,6 +35,7 @@ _ROWS = {
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #222 }
 figure { display: inline-block; width: 49%; margin: 0; vertical-align: top } img { width: 100% }
+figure.small { width: 24rem; max-width: 49% }
 @media (max-width: 40rem) { figure { width: 100% } }
 table { border-collapse: collapse; margin: 1rem 0 } th, td { text-align: left; padding: .2rem 1rem .2rem 0 }
 td.figure { text-align: right; font-variant-numeric: tabular-nums } small { color: #666 }
@@ -62,7 +63,8 @@ def report_page(
     """Return the HTML of a report.
 
     pictures  PNG by state, the preview first
-    compared  JPEG by name: held-out photos beside renderings, with holes marked
+    compared  JPEG by name: what a cut kept and what it was made from; held-out photos beside renderings, with holes
+              marked
     """
     title = escape(report["label"] or report["key"])
     certificates = {state: each for state, each in report["certificates"].items() if each}
@@ -79,6 +81,7 @@ def report_page(
             "</tr>",
             *_certificate_rows(certificates),
             "</table>",
+            *_cut(report["capture"].get("cut"), compared or {}),
             *_compared_photos(compared or {}),
             *_reference_table(report["reference"]),
             *_stages(report["seconds"]),
@@ -90,15 +93,40 @@ def report_page(
     )
 
 
+def _cut(cut: Mapping[str, Any] | None, compared: Mapping[str, bytes]) -> Iterator[str]:
+    """Yield what was kept of the capture and why; after a cut also pictures of both, and how to get the other."""
+    if not cut:
+        return
+    yield f"<h2>What was kept</h2><p>{_KEPT[cut['kept']]}: {escape(cut['because'])}.</p>"
+    if cut["doubt"]:
+        yield f'<p class="warning">{escape(cut["doubt"])}</p>'
+    for name, caption in _CUT_PICTURES.items():
+        if name in compared:
+            yield f'<figure class="small"><img src="{_jpeg(compared[name])}" alt="{name}">'
+            yield f"<figcaption>{caption}</figcaption></figure>"
+
+
+_KEPT = {"object": "The thing in the middle", "scene": "Everything that was seen"}
+_CUT_PICTURES = {
+    "cut-object.jpg": "kept: the thing, <code>--cut object</code>",
+    "cut-scene.jpg": "it was cut from this: <code>--cut scene</code>",
+}
+
+
+def _jpeg(content: bytes) -> str:
+    return f"data:image/jpeg;base64,{b64encode(content).decode()}"
+
+
 def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:
     """Yield held-out photos beside renderings from the same camera."""
-    if not compared:
+    photos = {name: content for name, content in compared.items() if name not in _CUT_PICTURES}
+    if not photos:
         return
     yield "<h2>Compared with photos that were not used</h2>"
     yield "<p><small>left the photo, right the mesh from its camera; magenta: holes, yellow: the inside of the thing, "
     yield "blue: surface where the photo shows background</small></p>"
-    for name, jpeg in compared.items():
-        yield f'<img src="data:image/jpeg;base64,{b64encode(jpeg).decode()}" alt="{escape(name)}">'
+    for name, content in photos.items():
+        yield f'<img src="{_jpeg(content)}" alt="{escape(name)}">'
 
 
 def _summary(report: Mapping[str, Any]) -> Iterator[str]:
@@ -106,9 +134,21 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
     chosen = f" ({escape(report['preset_because'])})" if report["preset_because"] else ""
     yield f"<p>{report['points']:,} points, {size} m (scale {escape(report['scale_confidence'])}), "
     yield f"preset {escape(report['preset'])}{chosen}</p>"
+    if up := report["capture"].get("up"):
+        yield f"<p>Up is told by {_UP_SOURCES[up['source']]} (confidence {up['confidence']:.2f}).</p>"
     if report["verdict"]:
         yield f"<p>The refined surface is <b>{_VERDICTS[report['verdict']]}</b>: {escape(report['because'])}</p>"
 
+
+_UP_SOURCES = {
+    "app": "the capture itself",
+    "gravity": "gravity, as the photos' metadata have it",
+    "turntable": "the turntable's axis",
+    "lines": "vertical lines in the pictures",
+    "walk": "the plane in which the cameras went around",
+    "plane": "the floor, or what the thing stands on",
+    "cameras": "how the cameras were held",
+}
 
 _VERDICTS = {
     "better": "better than the preview",

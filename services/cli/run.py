@@ -27,6 +27,7 @@ from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from services.edge.mesh.fill_gaps import Fill
 from services.edge.mesh.nouns import Mesh
+from services.edge.points.nouns import Cut
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
@@ -44,7 +45,7 @@ class RunOptions:
 
     key        asset key; "": made from the capture's name
     collection name of the collection in the bundle's catalogue
-    isolate    remove the object's surroundings; None: only if photos were taken around one object
+    cut        what to keep: the object without its surroundings, the scene, or what fits the capture
     longest_m  metres between the farthest points of the object, or None
     fill       which holes of the mesh are filled; None: by the kind of capture
     target     device class whose budget the levels of detail must meet; "": none
@@ -53,7 +54,7 @@ class RunOptions:
 
     key: str = ""
     collection: str = DEFAULT_COLLECTION
-    isolate: bool | None = None
+    cut: Cut = "auto"
     longest_m: float | None = None
     target: str = ""
     reference: Path | None = None
@@ -167,7 +168,7 @@ def _reconstruct_into(
             preset,
             device=device,
             checkpoint=results.checkpoint,
-            isolate=options.isolate,
+            cut=options.cut,
             longest_m=options.longest_m,
             fill=options.fill,
             label=label,
@@ -252,7 +253,7 @@ class Results:
     def write(self, bundle: Bundle) -> None:
         """Write a bundle's files and update the report."""
         if bundle.state == "preview":
-            earlier = [path.name for path in self.out.glob("photo-*.jpg")]
+            earlier = [path.name for path in (*self.out.glob("photo-*.jpg"), *self.out.glob("cut-*.jpg"))]
             for name in (*_EARLIER_RESULTS, *earlier):
                 shutil.rmtree(self.out / name, ignore_errors=True)
                 with suppress(FileNotFoundError, IsADirectoryError):

@@ -7,7 +7,6 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from services.edge.arrays import Tick, no_tick, pick
@@ -21,12 +20,12 @@ from services.edge.points.coverage import unseen_sides
 from services.edge.points.denoise_stereo import smooth_stereo_points
 from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
 from services.edge.points.isolate import isolate_object
-from services.edge.points.nouns import Points, TextureView
-from services.edge.points.orbit import orbits_one_object
+from services.edge.points.nouns import Cut, CutReport, Points, TextureView
+from services.edge.points.orbit import sees_a_scene
 from services.edge.points.outliers import inliers
 from services.edge.points.scale import scale_to_longest
 from services.edge.points.texture_views import hold_out_frames, select_texture_views, texture_view
-from services.edge.points.upright import estimate_up, level_up
+from services.edge.points.upright import find_up
 from services.edge.progress import Bar, Clock, Progress
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
@@ -37,6 +36,8 @@ PHOTO_STARTS = {"VALIDATING": 0.0, "ALIGNING": 0.01, "POINT_CLOUD": 0.62, "FITTI
 
 PREVIEW_SHARE = 0.15
 """Fraction of the whole progress bar that the preview takes, where a training follows it."""
+
+_ALL_WANTED = CutReport("scene", "everything was asked for")
 
 _PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most of the time
 
@@ -76,7 +77,7 @@ def prepare(
     *,
     refines: bool,
     device: str = "cpu",
-    isolate: bool | None = None,
+    cut: Cut = "auto",
     longest_m: float | None = None,
     hold_out: int | None = None,
 ) -> Generator[Progress, None, PreparedPoints]:
@@ -95,7 +96,7 @@ def prepare(
             source = replace(source, verdicts=capture.verdicts)
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
-        points = _points(capture, isolate, hold_out, bar)
+        points = _points(capture, cut, hold_out, bar)
         points = scale_to_longest(points, longest_m) if longest_m else points
         points = replace(
             points,
@@ -110,54 +111,60 @@ def _at_texture_resolution(view: TextureView) -> TextureView:
     return replace(view, load_rgb=at_texture_resolution(view.load_rgb))
 
 
-def _points(capture: Capture, isolate: bool | None, hold_out: int | None, bar: Bar) -> Points:
+def _points(capture: Capture, cut: Cut, hold_out: int | None, bar: Bar) -> Points:
     if capture.kind == "image":
         from services.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
         return guess_points(capture, tick=bar.tick("POINT_CLOUD"))
-    return to_points(capture, isolate=isolate, hold_out=hold_out, tick=bar.tick("POINT_CLOUD"))
+    return to_points(capture, cut=cut, hold_out=hold_out, tick=bar.tick("POINT_CLOUD"))
 
 
 def to_points(
     capture: Capture,
     *,
     voxel: float | None = None,
-    isolate: bool | None = None,
+    cut: Cut = "auto",
     hold_out: int | None = None,
     tick: Tick = no_tick,
 ) -> Points:
     """Make a clean, coloured point cloud of a capture, in its frame and units.
 
     voxel    distance between points in capture units; None: from the depth pixels' size, and a cloud is left as it is
-    isolate  whether to keep only the object in the middle, without what it stands on and what stands around it. None:
-             only where photos were taken around one object, and that object is found
+    cut      what to keep: "object" the one in the middle, without what it stands on and what stands around it; "scene"
+             everything; "auto" the object where photos were taken around one, and it is found
     hold_out number of pictures that points and textures are not made from; None: a few of a capture that has many
 
-    Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `isolate` finds
+    Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `cut` finds
     no object, CAPTURE_NO_POSES where frames without poses cannot be tracked. `tick` may raise `Cancelled`.
     """
     if any(frame.camera_to_world is None for frame in capture.frames):
         posed = _track(capture, lambda fraction: tick(0.5 * fraction))
         return to_points(
-            posed, voxel=voxel, isolate=isolate, hold_out=hold_out, tick=lambda fraction: tick(0.5 + 0.5 * fraction)
+            posed, voxel=voxel, cut=cut, hold_out=hold_out, tick=lambda fraction: tick(0.5 + 0.5 * fraction)
         )
-    share = 1.0 if isolate is False else 0.9
+    share = 1.0 if cut == "scene" else 0.9
     if capture.kind == "points":
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
-        return isolate_object(points, tick=tick) if isolate else points
+        kept = _ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is")
+        return isolate_object(points, tick=tick) if cut == "object" else replace(points, cut=kept)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     capture = replace(capture, frames=frames)
     fused = fuse(frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
     points = replace(points, held_out_views=tuple(map(texture_view, held_out)))
-    if isolate is False or (isolate is None and not _is_around_one_object(capture)):
-        return points
+    if cut == "scene":
+        return replace(points, cut=_ALL_WANTED)
+    if cut == "auto" and (scene := sees_a_scene(capture.frames)):
+        return replace(points, cut=CutReport("scene", scene))
     try:
         isolated = isolate_object(points, aim=fused.aim, cameras=fused.cameras, turntable=capture.turntable, tick=tick)
     except CaptureError as error:
-        if isolate:
+        if cut == "object":
             raise
-        return replace(points, warnings=(*points.warnings, f"The surroundings were not removed: {error.message}."))
+        kept = CutReport("scene", f"no thing was found in the middle: {error.message}")
+        return replace(
+            points, cut=kept, warnings=(*points.warnings, f"The surroundings were not removed: {error.message}.")
+        )
     return replace(isolated, unseen=unseen_sides(isolated, capture.frames))
 
 
@@ -165,14 +172,6 @@ def _track(capture: Capture, tick: Tick) -> Capture:
     """The capture with the camera poses that tracking its frames found."""
     tracked = track_frames(capture.frames, tick)
     return replace(capture, frames=tracked.frames, warnings=capture.warnings + tracked.warnings)
-
-
-def _is_around_one_object(capture: Capture) -> bool:
-    """Whether the frames are photos taken around one object.
-
-    Photos show the surroundings whether they are wanted or not; a depth sensor is pointed at what is wanted.
-    """
-    return has_stereo_depth(capture.frames) and orbits_one_object(capture.frames)
 
 
 def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
@@ -188,14 +187,15 @@ def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
     xyz = fused.xyz[keep]
     if stereo:
         xyz = smooth_stereo_points(xyz, fused.confidence[keep], lambda part: tick(0.4 + 0.6 * part))
-    poses = np.stack([np.asarray(frame.camera_to_world, np.float64) for frame in capture.frames])
+    up, up_source = find_up(capture, xyz)
     return Points(
         xyz=xyz,
         rgb=pick(fused.rgb, keep),
         confidence=fused.confidence[keep],
         metres_per_unit=capture.metres_per_unit,
         scale_confidence=capture.scale_confidence,
-        up=estimate_up(poses, xyz) if capture.up is None else level_up(capture.up, xyz),
+        up=up,
+        up_source=up_source,
         warnings=capture.warnings + fused.warnings,
         texture_views=select_texture_views(capture.frames, fused.sharpness),
     )

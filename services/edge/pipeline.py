@@ -34,7 +34,7 @@ from services.edge.mesh.fill_gaps import Fill
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.points.downsample import downsample_points
-from services.edge.points.nouns import Points
+from services.edge.points.nouns import Cut, Points
 from services.edge.points.unit import unit_frame
 from services.edge.preset import AUTOMATIC, Preset, load_preset
 from services.edge.preset_choice import choose, traits_of
@@ -70,7 +70,7 @@ def reconstruct(
     *,
     device: str = "cpu",
     checkpoint: Path | None = None,
-    isolate: bool | None = None,
+    cut: Cut = "auto",
     longest_m: float | None = None,
     hold_out: int | None = None,
     fill: Fill | None = None,
@@ -83,7 +83,7 @@ def reconstruct(
 
     device      device that compares photos and trains the field: "cpu", "cuda:0"
     checkpoint  file that the training writes and resumes from; the caller removes it
-    isolate     whether to remove the supporting plane and clutter; None: where photos were taken around one object
+    cut         what to keep: the object without its surroundings, the scene, or what fits the capture
     longest_m   greatest distance between two points of the object in metres, where it is known
     hold_out    number of photos that the result is not made from, but compared with; None: a few of 16 or more
     fill        which holes of the mesh are filled; None: "unseen" for photos and depth images, "none" for clouds
@@ -101,7 +101,7 @@ def reconstruct(
     bar = Bar(watch)
     refines = preset.fit is not None or preset.name == AUTOMATIC
     prepared = yield from prepare(
-        capture, bar, refines=refines, device=device, isolate=isolate, longest_m=longest_m, hold_out=hold_out
+        capture, bar, refines=refines, device=device, cut=cut, longest_m=longest_m, hold_out=hold_out
     )
     share = preview_share(prepared.source.kind)
     yield from bundles(

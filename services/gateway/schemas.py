@@ -15,6 +15,13 @@ _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
 _EXAMPLE_CAPTURE = "cap_7f3c9a1e5b2d4c68"
 
 
+CutName = Literal["", "auto", "object", "scene"]
+_CUT = (
+    "What to keep. object: without the floor or table and the surroundings; scene: everything that was seen; auto or "
+    "empty: the object if photos were taken around one."
+)
+
+
 class JobRequest(BaseModel):
     """A job: which capture to reconstruct, how, and as which asset."""
 
@@ -33,13 +40,7 @@ class JobRequest(BaseModel):
     target: Annotated[
         str, Field(max_length=100, description="Device class whose budget the levels of detail must meet; empty: none.")
     ] = ""
-    isolate: Annotated[
-        bool | None,
-        Field(
-            description="Whether to remove the floor or table and the surroundings; null: only if photos were taken "
-            "around one object."
-        ),
-    ] = None
+    cut: Annotated[CutName, Field(description=_CUT)] = ""
     longest_m: Annotated[
         float | None,
         Field(ge=0.001, le=1_000, description="Metres between the farthest points of the object, if you measured it."),
@@ -68,11 +69,19 @@ class JobRequest(BaseModel):
             asset_key=self.asset_key,
             label=self.label,
             target=self.target,
-            isolate=self.isolate,
+            cut=self.cut,
             longest_m=self.longest_m,
             collection=collection,
             fill=self.fill,
         )
+
+
+class JobAgain(BaseModel):
+    """What a repeated job does differently. Everything else is as in the earlier job."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"cut": "scene"}})
+
+    cut: Annotated[CutName, Field(description=_CUT)]
 
 
 class ProblemView(BaseModel):
@@ -114,11 +123,14 @@ class PublishedView(BaseModel):
 
 
 class Links(BaseModel):
-    """URLs of a job and its asset. `collection` and `place` (the asset in its collection) are "" until it is chosen."""
+    """URLs of a job and its asset. `again` takes a POST with another cut. `collection` and `place` (the asset in its
+    collection) are "" until it is chosen.
+    """
 
     self: str
     events: str
     cancel: str
+    again: str
     asset: str
     view: str
     collection: str
@@ -140,6 +152,7 @@ class JobView(BaseModel):
     asset_key: str
     collection: str
     capture: str
+    cut: str
     label: str
     attempts: int
     created: datetime
@@ -165,6 +178,7 @@ class JobView(BaseModel):
             asset_key=job.order.asset_key,
             collection=_collection(job),
             capture=job.order.capture,
+            cut=job.order.cut,
             label=job.order.label,
             attempts=job.lease.attempts,
             created=datetime.fromtimestamp(job.created, UTC),
@@ -254,6 +268,7 @@ def _links(job: Job) -> Links:
         self=here,
         events=f"{here}/events",
         cancel=f"{here}/cancel",
+        again=f"{here}/again",
         asset=f"/v1/assets/{key}",
         view=f"/view/{key}",
         collection=collection,

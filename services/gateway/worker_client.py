@@ -184,12 +184,12 @@ def _header(job: Job, size: int) -> pb.Header:
         preset=order.preset,
         asset_key=order.asset_key,
         target=order.target,
-        isolate=order.isolate,
         capture_bytes=size,
         label=order.label,
         longest_m=order.longest_m or 0.0,
         collection=order.collection,
         fill=order.fill,
+        cut=order.cut,
     )
 
 

@@ -57,7 +57,7 @@ def one(case: str) -> dict[str, Any]:
             depth_frames(aligned)
         depth = to_depth(capture)
         with _timed(seconds, "fuse"):
-            points = to_points(depth, isolate=True)
+            points = to_points(depth, cut="object")
     peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return {
         "placed": f"{len(depth.frames)} of {len(capture.photos)}",

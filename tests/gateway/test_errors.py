@@ -80,7 +80,7 @@ async def test_one_key_one_job(tmp_path: Path) -> None:
         first = await client.post("/v1/jobs", json=body, headers=headers)
         again = await client.post("/v1/jobs", json=body, headers=headers)
         assert first.headers["location"] == again.headers["location"] == f"/v1/jobs/{first.json()['id']}"
-        other = await client.post("/v1/jobs", json={**body, "isolate": True}, headers=headers)
+        other = await client.post("/v1/jobs", json={**body, "cut": "object"}, headers=headers)
         assert problem(other) == (409, "IDEMPOTENCY_CONFLICT")
         assert len((await client.get("/v1/jobs")).json()["jobs"]) == 1
 

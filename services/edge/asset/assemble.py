@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from services.edge.arrays import Floats, Tick, part_of
+from services.edge.asset.cut_pictures import pictures_of_cut
 from services.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface, asset_frame, build_manifest
 from services.edge.asset.photo_check import check_textures_with_photos, figures_with_textures, marked_pictures
@@ -93,6 +94,7 @@ def assemble_bundle(
             figures = figures_with_textures(surface.check, likeness)
             quality = {**quality, "photos": asdict(figures) if figures else None}
             private = marked_pictures(surface.check, likeness)
+        private |= pictures_of_cut(subject.colours, to_asset) if last else {}
     manifest = build_manifest(
         subject,
         quality=quality,

@@ -150,6 +150,8 @@ def build_manifest(
             "frames": source.frames,
             "photos": [asdict(verdict) for verdict in source.verdicts],
             "unseen": _unseen_sides(points, to_asset),
+            "up": _up_source(points),
+            "cut": None if points.cut is None else asdict(points.cut),
         },
         "origin": "guess" if source.kind == "image" else "measured",
         "confidence": round(float(points.confidence.mean()), 3),
@@ -166,6 +168,12 @@ def build_manifest(
         "seconds": dict(seconds),
         "warnings": all_warnings,
     }
+
+
+def _up_source(points: Points) -> dict[str, Any] | None:
+    """What told which way is up, and its confidence; None where nothing did."""
+    source = points.up_source
+    return None if source is None else {"source": source.teller, "confidence": source.confidence}
 
 
 def _unseen_sides(points: Points, to_asset: Floats) -> list[dict[str, Any]]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
+
+from pydantic import Field
 
 from services.edge.arrays import Bools, Bytes, Floats, pick
 
@@ -13,6 +15,34 @@ ScaleConfidence = Literal["metric", "estimated", "unknown"]
 
 MIN_PHOTOS = 3  # depth from two views needs a third view that confirms it
 WALK_AROUND_ADVICE = "take 15 to 30 photos around the thing, each overlapping the last by two thirds"
+
+
+UpTeller = Literal["app", "gravity", "turntable", "lines", "walk", "plane", "cameras"]
+"""What tells which way is up. app: the format or the app, from its sensors; gravity: the photos' metadata; turntable:
+its axis; lines: vertical lines in the pictures; walk: the plane of the cameras' way; plane: a floor, a table or what
+the thing stands on; cameras: how they were held."""
+
+
+@dataclass(frozen=True, slots=True)
+class UpSource:
+    """What told which way is up, and its confidence: 1 for certain, 0 for an error of `_WORST_UP_DEG` or more."""
+
+    teller: UpTeller
+    confidence: Annotated[float, Field(ge=0, le=1)]
+
+    @property
+    def error_deg(self) -> float:
+        """The expected error in degrees."""
+        return (1 - self.confidence) * _WORST_UP_DEG
+
+
+_WORST_UP_DEG = 10.0  # a lean that everybody sees
+APP_UP = UpSource("app", 0.95)  # a phone's fusion of its sensors: within half a degree
+
+
+def certainty(error_deg: float) -> float:
+    """Return the confidence of an up direction with this expected error: 1 for none, 0 from `_WORST_UP_DEG` on."""
+    return round(max(0.0, 1 - float(error_deg) / _WORST_UP_DEG), 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +106,8 @@ class Photo:
     camera_to_world  (4,4) float64, OpenCV axes, or None where structure from motion has to compute it
     load_alpha       -> (h,w) uint8 as stored, or None when decoding shows that the file has no alpha channel
     mask             (h,w) bool of any size, as stored: True where the picture may be used; None: everywhere
+    up_in_camera     unit vector against gravity in the axes of the stored picture, or None where the file has none
+    elevation_deg    of the optical axis over the horizon, or None where the file has none
     """
 
     name: str
@@ -89,6 +121,8 @@ class Photo:
     camera_to_world: Floats | None = None
     load_alpha: Callable[[], Bytes | None] | None = None
     mask: Bools | None = None
+    up_in_camera: tuple[float, float, float] | None = None
+    elevation_deg: float | None = None
 
 
 PhotoFault = Literal["ok", "blur", "dark", "duplicate", "no_overlap", "unreadable"]
@@ -130,6 +164,7 @@ class Capture:
     metres_per_unit   metres per unit of the capture frame, as far as known
     scale_confidence  "metric" where format or sensor guarantee it, "unknown" for a bare cloud
     up                (3,) unit vector against gravity in the capture frame, or None where it is unknown
+    up_source         what told `up`, and how surely
     turntable         whether the object turned in front of a fixed camera: the poses are relative to it, and only it
                       and its plate are in the masks
     warnings          sentences for the report: frames skipped, points dropped, ...
@@ -144,5 +179,6 @@ class Capture:
     metres_per_unit: float = 1.0
     scale_confidence: ScaleConfidence = "unknown"
     up: Floats | None = None
+    up_source: UpSource = APP_UP
     turntable: bool = False
     warnings: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from services.edge.capture.files import Folder
+from services.edge.capture.gravity import elevation_deg, up_in_camera
 from services.edge.capture.images import read_bytes
 from services.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
 from services.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
@@ -73,7 +74,17 @@ def read_photo(folder: Folder, name: str) -> Photo:
     camera = camera_key(header.tags, focal, header.size)
     pixels = PhotoPixels(partial(read_bytes, path, name), name, header.decoder, header.size, header.turned)
     alpha = partial(alpha_channel, path, name) if header.decoder != "heif" else None
-    return Photo(name, header.size, camera, pixels, focal, header.turns, load_alpha=alpha)
+    return Photo(
+        name,
+        header.size,
+        camera,
+        pixels,
+        focal,
+        header.turns,
+        load_alpha=alpha,
+        up_in_camera=up_in_camera(header.tags, header.turns),
+        elevation_deg=elevation_deg(header.tags),
+    )
 
 
 def evenly_spaced(photos: Sequence[_T]) -> list[_T]:

@@ -20,14 +20,14 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from services.atomic_write import atomic_write
-from services.edge.capture.nouns import ScaleConfidence
+from services.edge.capture.nouns import ScaleConfidence, UpSource
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
 from services.edge.points.clean_cloud import MIN_POINTS
-from services.edge.points.nouns import Points, UnseenSide
+from services.edge.points.nouns import CutReport, Points, UnseenSide
 from services.storage.archives import ArchiveError, ArchiveLimits, unpack
 
-VERSION = 1
+VERSION = 2
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -55,8 +55,10 @@ class _Head:
     metres_per_unit: Annotated[float, Field(gt=0)]
     scale_confidence: ScaleConfidence
     up: _Vector | None
+    up_source: UpSource | None
     warnings: tuple[str, ...]
     unseen: tuple[UnseenSide, ...]
+    cut: CutReport | None
     source: CaptureSummary
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
 
@@ -104,6 +106,8 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         up=None if head.up is None else np.array(head.up, np.float64),
         warnings=head.warnings,
         unseen=head.unseen,
+        up_source=head.up_source,
+        cut=head.cut,
     )
     return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
 
@@ -118,8 +122,10 @@ def _head_of(prepared: PreparedPoints) -> _Head:
         metres_per_unit=float(points.metres_per_unit),
         scale_confidence=points.scale_confidence,
         up=None if points.up is None else _vector(points.up),
+        up_source=points.up_source,
         warnings=points.warnings,
         unseen=points.unseen,
+        cut=points.cut,
         source=prepared.source,
         seconds=seconds,
     )

@@ -144,7 +144,7 @@ class Reconstructor:
             bar,
             refines=refines,
             device=self._device.name,
-            isolate=request.isolate,
+            cut=request.cut,
             longest_m=request.longest_m,
         )
         return _run_to_end(steps, report), seconds

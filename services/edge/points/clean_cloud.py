@@ -58,6 +58,7 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
         metres_per_unit=metres_per_unit,
         scale_confidence=scale_confidence,
         up=capture.up,
+        up_source=None if capture.up is None else capture.up_source,
         warnings=capture.warnings + warnings,
     )
 

@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick
+from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
+from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
-from services.edge.points.nouns import Points
+from services.edge.points.nouns import CutReport, Points
 from services.edge.points.outliers import label_components
 from services.edge.points.plane import Plane, largest_plane
+from services.edge.points.removed_parts import largest_doubt
+from services.edge.points.upright import level_with
 
 _PLANE_REACH = 0.012
 """Distance from a plane within which points belong to it, as a share of the points' extent."""
@@ -20,9 +23,6 @@ _WIDE_PLANE_SHARE = 0.04
 """The same for a plane that reaches farther to the sides than what is over it."""
 _UPRIGHT_DEG = 20.0
 """Largest tilt of a supporting plane against the horizontal."""
-_NEARLY_LEVEL_DEG = 10.0
-"""Largest tilt of a supporting plane that is believed to be level. Of a statue's up, the largest plane in sight was
-7 degrees off, the cameras 1, the plane below the pedestal less."""
 _ONE_SIDE = 0.9
 """Share of the cameras, or of the points beside a turntable's plate, that must be on one side of a plane."""
 _OVER = 0.75
@@ -50,6 +50,9 @@ _PROBE = 20_000
 _MIN_SHARE = 0.015
 _MIN_POINTS = 100
 """An object has at least this many points, and this share of all."""
+_SAMPLED = 100_000
+"""Points kept of what a cut was made from: a picture of 360 pixels shows no more."""
+_ASK = 'If it belongs to the thing, reconstruct again with the cut "scene", which keeps everything.'
 
 
 def isolate_object(
@@ -64,8 +67,10 @@ def isolate_object(
 
     aim (3,): the point that the cameras looked at, capture frame; None: the middle of the points. cameras (M,3)
     positions. turntable: the points have only the object and perhaps the plate that turns with it, wider than it.
-    Up becomes the normal of that plane, if it is nearly level. For a flat object that lies on the plane, the plane
-    stays, with a warning. Raises CaptureError: CAPTURE_NOTHING_LEFT without a cluster of at least `_MIN_POINTS` points.
+    Up becomes the normal of that plane, if it is nearly level and nothing surer contradicts it. For a flat object
+    that lies on the plane, the plane stays, with a warning.
+
+    Raises CaptureError: CAPTURE_NOTHING_LEFT without a cluster of at least `_MIN_POINTS` points.
     """
     origin = np.median(points.xyz, axis=0)
     xyz = points.xyz - origin
@@ -78,6 +83,7 @@ def isolate_object(
         everything = _near_mask(xyz, middle, eyes)
         plane = _supporting_plane(xyz[everything], points.up, eyes)
     tick(0.93)
+    removed = plane
     if plane is None:
         thing = _object_mask(xyz, everything, middle)
         warning = "" if turntable else "No table or floor was found below the thing; only separate parts were removed."
@@ -85,7 +91,7 @@ def isolate_object(
         above = everything & (plane.height(xyz) > _half_slab(plane))
         thing, warning = _object_mask(xyz, above, middle), ""
         if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
-            thing = _object_mask(xyz, everything, middle)
+            thing, removed = _object_mask(xyz, everything, middle), None
             warning = "The thing is too flat to separate it from the plane that it lies on, so that plane was kept."
     tick(1.0)
     if thing.sum() < _MIN_POINTS:
@@ -95,15 +101,31 @@ def isolate_object(
             hints=("Reconstruct without isolating the thing.", "Keep the thing in the middle of the picture."),
         )
     warnings = (*points.warnings, warning) if warning else points.warnings
-    up = points.up if plane is None or turntable else _level_with(plane, points.up)
-    return replace(points.subset(thing), warnings=warnings, up=up)
+    up, up_source = points.up, points.up_source
+    if plane is not None and up is not None:
+        up, up_source = level_with(plane.normal, up, up_source)
+    doubt, share = _doubt(xyz, thing, everything, removed)
+    warnings = (*warnings, f"{doubt} {_ASK}") if doubt else warnings
+    return replace(
+        points.subset(thing),
+        warnings=warnings,
+        up=up,
+        up_source=up_source,
+        cut=CutReport("object", "it was cut out of its surroundings", doubt, round(share, 3)),
+        uncut=_sample(points),
+    )
 
 
-def _level_with(plane: Plane, up: Floats | None) -> Floats | None:
-    """Return the supporting plane's normal where it is nearly `up`, which cameras tell only nearly; else `up`."""
-    if up is None or plane.normal @ up < np.cos(np.radians(_NEARLY_LEVEL_DEG)):
-        return up
-    return plane.normal
+def _doubt(xyz: Floats, thing: Bools, near: Bools, plane: Plane | None) -> tuple[str, float]:
+    """Find what the cut may have removed of the object itself, among what is near, with a plane or without one."""
+    half = 0.0 if plane is None else _half_slab(plane)
+    return largest_doubt(xyz, thing, near, plane, half, _TOUCH_LINKS * _LINK_SPACINGS * _spacing(xyz[thing]))
+
+
+def _sample(points: Points) -> Cloud:
+    """Return points of a cloud, few enough to keep beside it, for a picture of what the cut was made from."""
+    few = np.random.default_rng(0).permutation(len(points))[:_SAMPLED]
+    return Cloud(points.xyz[few], pick(points.rgb, few))
 
 
 def _near_mask(xyz: Floats, middle: Floats | None, cameras: Floats | None) -> Bools:

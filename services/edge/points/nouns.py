@@ -4,9 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
-from services.edge.capture.nouns import Intrinsics, ScaleConfidence
+from services.edge.capture.nouns import Cloud, Intrinsics, ScaleConfidence, UpSource
+
+Cut = Literal["auto", "object", "scene"]
+"""auto: the object where photos were taken around one, else the scene; object: without what it stands on and what
+stands around it; scene: everything that was seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class CutReport:
+    """What was kept of a capture, and the largest removed part that may belong to it.
+
+    kept     the object in the middle, or everything that was seen
+    because  a sentence: why
+    doubt    a sentence about a large part that was removed; "" where only surroundings were
+    removed  points of that part over the points kept; 0 without one
+    """
+
+    kept: Literal["object", "scene"]
+    because: str
+    doubt: str = ""
+    removed: Annotated[float, Field(ge=0)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +71,11 @@ class Points:
     """Point cloud after cleaning, in the capture frame and its units.
 
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
-    metres_per_unit, scale_confidence, up as in `Capture`; warnings: sentences for the report;
+    metres_per_unit, scale_confidence, up, up_source as in `Capture`; warnings: sentences for the report;
     unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing;
     held_out_views: pictures that neither points nor textures are made from, to compare the result with. Both are empty
-    where the capture's files are not on this machine.
+    where the capture's files are not on this machine. cut: what was kept, None where there was no choice;
+    uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine.
     """
 
     xyz: Floats
@@ -64,6 +88,9 @@ class Points:
     unseen: tuple[UnseenSide, ...] = ()
     texture_views: tuple[TextureView, ...] = ()
     held_out_views: tuple[TextureView, ...] = ()
+    cut: CutReport | None = None
+    uncut: Cloud | None = None
+    up_source: UpSource | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)

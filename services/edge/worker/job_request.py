@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import TypeVar, get_args
 
 import grpc
 
@@ -12,7 +13,10 @@ from services.edge.api import edge_pb2 as pb
 from services.edge.asset.target import require_encoder, target_of
 from services.edge.errors import EdgeError
 from services.edge.mesh.fill_gaps import Fill
+from services.edge.points.nouns import Cut
 from services.edge.worker.capabilities import Capabilities
+
+T = TypeVar("T")
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
 """Job ids, keys, collections: they become object names and log lines, so no character may mean anything to a path or a
@@ -49,6 +53,7 @@ class ReconstructionRequest:
 
     collection  collection that lists the asset; "": this worker's default collection
     fill        which holes of the mesh are filled; None: by the kind of capture
+    cut         what of the capture is kept
     """
 
     job: str
@@ -56,12 +61,12 @@ class ReconstructionRequest:
     preset: str
     asset_key: str
     target: str
-    isolate: bool | None
     longest_m: float | None
     label: str
     prepared: bool
     collection: str = ""
     fill: Fill | None = None
+    cut: Cut = "auto"
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -81,7 +86,6 @@ class ReconstructionRequest:
         preset = header.preset or offer.names[0]
         _require_offered(preset, offer)
         label = header.label or header.asset_key
-        isolate = header.isolate if header.HasField("isolate") else None
         longest_m = _checked_length("longest_m", header.longest_m) if header.longest_m else None
         return cls(
             job=header.job,
@@ -89,24 +93,21 @@ class ReconstructionRequest:
             preset=preset,
             asset_key=header.asset_key,
             target=header.target,
-            isolate=isolate,
             longest_m=longest_m,
             label=label,
             prepared=header.prepared,
             collection=header.collection,
-            fill=_checked_fill(header.fill),
+            fill=_checked_choice("fill", header.fill, get_args(Fill)) if header.fill else None,
+            cut=_checked_choice("cut", header.cut or "auto", get_args(Cut)),
         )
 
 
-def _checked_fill(name: str) -> Fill | None:
-    """Return the choice of a header's `fill`; None where it is empty."""
-    for choice in get_args(Fill):
+def _checked_choice(field: str, name: str, choices: Sequence[T]) -> T:
+    """Return the one of a field's choices that has this name."""
+    for choice in choices:
         if choice == name:
-            chosen: Fill = choice
-            return chosen
-    if name:
-        raise invalid("FILL_UNKNOWN", f"there is no fill {name}; use one of {', '.join(get_args(Fill))}")
-    return None
+            return choice
+    raise invalid(f"{field.upper()}_UNKNOWN", f"there is no {field} {name}; use one of {', '.join(map(str, choices))}")
 
 
 def _require_name(code: str, field: str, value: str) -> None:

@@ -33,7 +33,7 @@ class Order:
     asset_key: str
     label: str = ""
     target: str = ""
-    isolate: bool | None = None  # remove the surroundings; None: only if the photos were taken around one object
+    cut: str = ""  # what to keep: object or scene; "" or auto: the object if the photos were taken around one
     longest_m: float | None = None  # metres between the object's farthest points, where the user knows it
     collection: str = ""  # collection that lists the asset; "": the worker's default
     fill: str = ""  # holes of the mesh to fill: none, unseen or all; "": by the kind of capture

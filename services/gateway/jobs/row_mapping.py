@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -24,12 +25,19 @@ def job_from_row(row: sa.Row[Any]) -> Job:
     return Job(
         **{
             **values,
-            "order": Order(**values["order"]),
+            "order": _order_of(values["order"]),
             "state": State(values["state"]),
             "warnings": tuple(values["warnings"]),
             "lease": Lease(**lease),
         }
     )
+
+
+def _order_of(stored: Mapping[str, Any]) -> Order:
+    """Convert a stored order. One of before `cut` has `isolate` instead: true, false, or null for "auto"."""
+    values = dict(stored)
+    isolate = values.pop("isolate", None)
+    return Order(**{"cut": {True: "object", False: "scene"}.get(isolate, ""), **values})
 
 
 def job_values(job: Job) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""/v1/jobs: create, read, follow (server-sent events) and cancel jobs. /v1/presets: the presets that jobs may name."""
+"""/v1/jobs: create, repeat, read, follow (server-sent events), cancel. /v1/presets: the presets that jobs may name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import asyncio
 import hashlib
 import json
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
@@ -22,7 +23,7 @@ from services.gateway.jobs.state_machine import request_cancel
 from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.routes.store_access import in_thread, store_of
-from services.gateway.schemas import JobPage, JobRequest, JobView, Presets, PresetView, problems
+from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
 from services.storage.catalogue.entry import valid_key
 
@@ -47,15 +48,28 @@ async def create_job(
     body: JobRequest, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
 ) -> JobView:
     """Create a job that reconstructs a capture. The answer is sent after the job has been stored."""
-    job_store: AsyncJobStore = request.app.state.job_store
-    body_sha256 = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
-    job = await job_store.read(JobStore.find_by_key, idempotency_key, body_sha256)
-    if job is None:
-        order = await _make_order(body, request)
-        job = await job_store.write(JobStore.create, order, key=idempotency_key, body_sha256=body_sha256)
-        request.app.state.dispatcher.wake()
+    job = await _create_once(body.model_dump_json(), partial(_make_order, body, request), request, idempotency_key)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return JobView.of(job, time.time())
+
+
+@router.post(
+    "/jobs/{job}/again", status_code=202, response_model=JobView, responses=problems(400, 404, 409, 413, 415, 422, 503)
+)
+async def repeat_job(
+    job: str, body: JobAgain, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
+) -> JobView:
+    """Create a job with the same capture, key and options as an earlier one, but another cut. Nothing is uploaded."""
+
+    async def changed_order() -> Order:
+        earlier: Job = await request.app.state.job_store.read(JobStore.get, job)
+        await _require_capture(earlier.order.capture, request)
+        return replace(earlier.order, cut=body.cut)
+
+    content = f"{job} {body.model_dump_json()}"
+    repeated = await _create_once(content, changed_order, request, idempotency_key)
+    response.headers["Location"] = f"/v1/jobs/{repeated.id}"
+    return JobView.of(repeated, time.time())
 
 
 @router.get("/jobs", response_model=JobPage, responses=problems(422))
@@ -133,6 +147,22 @@ async def list_presets(request: Request) -> Presets:
     return Presets(presets=[PresetView.of(preset) for preset in known.values()], default=next(iter(known)))
 
 
+async def _create_once(
+    content: str, make_order: Callable[[], Awaitable[Order]], request: Request, idempotency_key: str
+) -> Job:
+    """Store a job and wake the dispatcher; for a known idempotency key, return its job.
+
+    content  of the request: a key that comes with another one is refused. Raises Problem.
+    """
+    job_store: AsyncJobStore = request.app.state.job_store
+    sha256 = hashlib.sha256(content.encode()).hexdigest()
+    job: Job | None = await job_store.read(JobStore.find_by_key, idempotency_key, sha256)
+    if job is None:
+        job = await job_store.write(JobStore.create, await make_order(), key=idempotency_key, body_sha256=sha256)
+        request.app.state.dispatcher.wake()
+    return job
+
+
 async def _event_stream(
     job_store: AsyncJobStore, metrics: Metrics, job_id: str, last_seq: int
 ) -> AsyncIterator[ServerSentEvent]:
@@ -188,20 +218,24 @@ async def _make_order(body: JobRequest, request: Request) -> Order:
             hints=("put a name for people into `label`",),
         )
     preset = await _known_preset(body.preset, request)
-    store = store_of(request)
+    await _require_capture(body.capture, request)
+    choose = partial(choose_collection, named=body.collection, capture=body.capture, key=body.asset_key)
+    return body.order(preset, await in_thread(lambda: choose(store_of(request))))
+
+
+async def _require_capture(capture: str, request: Request) -> None:
+    """Raises Problem CAPTURE_UNKNOWN for a capture that is not stored."""
     try:
-        await capture_bytes(store, body.capture)
+        await capture_bytes(store_of(request), capture)
     except (FileNotFoundError, ValueError):
         raise Problem(
             404,
             "CAPTURE_UNKNOWN",
-            f"there is no capture '{body.capture}'",
+            f"there is no capture '{capture}'",
             hints=("upload it first, with POST /v1/captures",),
         ) from None
     except OSError as error:
         raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
-    choose = partial(choose_collection, named=body.collection, capture=body.capture, key=body.asset_key)
-    return body.order(preset, await in_thread(lambda: choose(store)))
 
 
 async def _known_preset(preset: str, request: Request) -> str:

@@ -1,7 +1,9 @@
 """Strip EXIF (TIFF 6.0, Exif 2.32) of location and personal data: rebuild the block from an allow list of tags.
 
 An allow list, so that a maker's new private tags are removed too. The rebuilt block is padded with zeros to the old
-length, so that it replaces the old one in place.
+length, so that it replaces the old one in place. Which way was down stays: the camera's elevation, and of an iPhone's
+maker note the acceleration alone (`services/apple_maker_note.py`). It tells nothing about a person or a place, and
+without it the reconstruction must guess what is upright.
 """
 
 from __future__ import annotations
@@ -9,7 +11,11 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
+from services.apple_maker_note import acceleration_note
+
 _EXIF_IFD = 0x8769
+_MAKER_NOTE, _UNDEFINED = 0x927C, 7  # tag, and its field type
+_ELEVATION = 0x9405  # CameraElevationAngle: of the optical axis over the horizon
 # Image size, orientation, resolution, make and model: needed to decode the image, and to guess its lens.
 _ALLOWED_IMAGE_TAGS = {
     0x0100,
@@ -31,7 +37,7 @@ _ALLOWED_IMAGE_TAGS = {
 _ALLOWED_EXIF_TAGS = (
     {0x829A, 0x829D, 0x8822, 0x8827, 0x9000, 0x9003, 0x9004, 0x9101, 0xA000, 0xA001, 0xA002, 0xA003}
     | set(range(0x9201, 0x920B))  # shutter, aperture, brightness, bias, distance, metering, light, flash, focal length
-    | {0x9290, 0x9291, 0x9292, 0xA20E, 0xA20F, 0xA210, 0xA217}
+    | {_ELEVATION, _MAKER_NOTE, 0x9290, 0x9291, 0x9292, 0xA20E, 0xA20F, 0xA210, 0xA217}
     | set(range(0xA401, 0xA40D))
     | {0xA432, 0xA433, 0xA434}
 )
@@ -148,10 +154,23 @@ def _directory(block: bytes, order: str, offset: int, allowed: set[int]) -> _Dir
         total += size
         if start + size > len(block) or total > len(block):  # overlapping values could add up to gigabytes
             raise BrokenExifError(f"{tag_name(tag)} ends outside of the block")
-        found.fields.append(_Field(tag, kind, number, bytes(block[start : start + size])))
+        value = bytes(block[start : start + size])
+        if tag == _MAKER_NOTE:
+            _add_maker_note(found, value)
+        else:
+            found.fields.append(_Field(tag, kind, number, value))
     end = offset + 2 + 12 * count
     found.next_offset = struct.unpack_from(order + "I", block, end)[0] if end + 4 <= len(block) else 0
     return found
+
+
+def _add_maker_note(found: _Directory, value: bytes) -> None:
+    """Add what stays of a maker note to a directory: the acceleration, if it has one."""
+    note = acceleration_note(value)
+    if note:
+        found.fields.append(_Field(_MAKER_NOTE, _UNDEFINED, len(note), note))
+    if note != value:
+        found.removed.append(tag_name(_MAKER_NOTE))
 
 
 def _write_tiff(order: str, image: list[_Field], exif: list[_Field]) -> bytes:

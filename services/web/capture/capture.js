@@ -6,13 +6,13 @@ import { showState, showTrouble } from './page-state.js';
 import { getJson, keyFrom, postJson, uploadCapture } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 
-/** @import { CaptureReceipt, Job, JobRequest, Presets } from '../shared/types.d.ts' */
+/** @import { CaptureReceipt, Cut, Job, JobRequest, Presets } from '../shared/types.d.ts' */
 
 document.body.dataset.started = 'yes';
 const page = {
   form: element('form', HTMLFormElement),
   preset: element('preset', HTMLSelectElement),
-  isolate: element('isolate', HTMLSelectElement),
+  cut: element('cut', HTMLSelectElement),
   fill: element('fill', HTMLSelectElement),
   longest: element('longest', HTMLInputElement),
   cancel: element('cancel', HTMLButtonElement),
@@ -57,13 +57,13 @@ async function send() {
  * @returns {JobRequest}
  */
 function jobRequest({ capture }, name) {
-  const [isolate, centimetres] = [page.isolate.value, page.longest.valueAsNumber];
+  const centimetres = page.longest.valueAsNumber;
   return {
     capture,
     asset_key: keyFrom(name),
     label: name,
     preset: page.preset.value,
-    isolate: isolate ? isolate === 'true' : null,
+    cut: /** @type {Cut} */ (page.cut.value),
     longest_m: centimetres > 0 ? centimetres / 100 : null,
     fill: page.fill.value,
   };

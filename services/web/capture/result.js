@@ -1,5 +1,6 @@
 // The result of a job: the preview that turns, the address of the viewer, which photos were used, and the quality figures.
 import { durationText } from './job-progress.js';
+import { showCut } from './other-cut.js';
 import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
 import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
@@ -58,7 +59,8 @@ export function showResult(job, published) {
  * @param {Job} job
  * @param {PublishedVersion} published
  */
-async function showVersion({ asset_key: key }, published) {
+async function showVersion(job, published) {
+  const key = job.asset_key;
   if (published.version <= shownVersion) return;
   const view = new URL(`/view/${encodeURIComponent(key)}`, location.href).href;
   page.result.hidden = false;
@@ -69,7 +71,7 @@ async function showVersion({ asset_key: key }, published) {
   const { showPreview } = await withTimeLimit(import('./preview.js'), PREVIEW_MODULES_MS);
   /** @type {AssetEntry} */
   const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
-  await showManifest(entry);
+  await showManifest(job, entry);
   await showPreview(page.preview, entry);
   page.preview.hidden = false;
   page.notDrawn.hidden = true;
@@ -87,13 +89,15 @@ function showWithoutPreview() {
 
 /**
  * Shows what the manifest says of the capture and of the quality. A refined version has the figures of its preview too.
+ * @param {Job} job
  * @param {AssetEntry} entry
  */
-async function showManifest(entry) {
+async function showManifest(job, entry) {
   /** @type {Partial<Manifest>} */
   const { quality, capture } = await getJson(entry.manifest.url).catch(() => ({}));
   showVerdicts(page.used, capture);
   showUnseenSides(page.unseen, capture);
+  showCut(job, capture);
   if (!quality) return;
   /** @type {[title: string, figures: QualityFigures][]} */
   const columns = [[entry.state === 'refined' ? 'Refined' : 'Preview', quality]];

@@ -64,6 +64,13 @@ export interface CaptureSummary {
   format?: string;
   photos?: PhotoVerdict[];
   unseen?: { advice: string }[];
+  cut?: CutReport | null;
+}
+
+/** What was kept of a capture, and why. */
+export interface CutReport {
+  kept: 'object' | 'scene';
+  because: string;
 }
 
 /** A few coloured points that are shown until the mesh is loaded: flat lists of metres and of sRGB bytes. */
@@ -155,13 +162,16 @@ export interface CaptureReceipt {
   files?: { file: string; stripped?: string[] }[];
 }
 
+/** What to keep of a capture: the object without its surroundings, everything, or the object if photos were taken around one. */
+export type Cut = 'auto' | 'object' | 'scene';
+
 /** A job to start: POST /v1/jobs. */
 export interface JobRequest {
   capture: string;
   asset_key: string;
   label: string;
   preset: string;
-  isolate: boolean | null;
+  cut: Cut;
   longest_m: number | null;
   fill: string;
 }
@@ -198,4 +208,5 @@ export interface Job extends JobProgress {
   asset: PublishedVersion | null;
   error: ProblemDocument | null;
   warnings: string[];
+  links: { again: string };
 }

@@ -170,7 +170,7 @@ def test_marked_pictures_are_jpegs_of_photo_beside_rendering(coloured: bool) -> 
 def test_a_capture_of_many_pictures_ends_with_their_figures() -> None:
     frames = film(table_with_sphere(), orbit(16, radius=0.7, height=0.5))
     preset = Preset("coarse", resolution=48, most_points=10_000, lod_faces=(2_000,))
-    steps = reconstruct(Capture("rgbd", "test", frames=frames), preset, isolate=False)
+    steps = reconstruct(Capture("rgbd", "test", frames=frames), preset, cut="scene")
     *_, bundle = [step for step in steps if isinstance(step, Bundle)]
     figures = bundle.manifest["quality"]["photos"]
     assert figures["photos"] == 2

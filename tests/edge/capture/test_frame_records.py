@@ -64,12 +64,12 @@ def test_a_photo_is_loaded_larger_for_a_texture_than_for_its_depth() -> None:
 
 def test_points_of_a_capture_bring_them_along() -> None:
     frames = tuple(frame(number) for number in range(3))
-    points = to_points(Capture("rgbd", "test", frames=frames), isolate=False)
+    points = to_points(Capture("rgbd", "test", frames=frames), cut="scene")
     assert [shot.load_rgb()[0, 0, 0] for shot in points.texture_views] == [0, 1, 2]
     assert points.texture_views[1].camera_to_world == pytest.approx(frames[1].camera_to_world)
     assert points.texture_views[1].load_depth_m().shape == (48, 64)
     assert points.texture_views[1].intrinsics == CAMERA
     bare = to_points(
-        Capture("rgbd", "test", frames=tuple(replace(each, load_rgb=None) for each in frames)), isolate=False
+        Capture("rgbd", "test", frames=tuple(replace(each, load_rgb=None) for each in frames)), cut="scene"
     )
     assert bare.texture_views == ()

@@ -296,7 +296,7 @@ class Standing(Scripted):
 @pytest.mark.parametrize(
     ("offer", "said"),
     [
-        (replace(Standing.offer, points_version=0), "takes points of version 0, not 1"),
+        (replace(Standing.offer, points_version=0), f"takes points of version 0, not {VERSION}"),
         (replace(Standing.offer, central="127.0.0.1:1"), "has a central itself, 127.0.0.1:1"),
         (replace(Standing.offer, presets=(pb.Preset(name="theirs"),)), "does not offer preset quick"),
     ],
@@ -402,12 +402,12 @@ async def test_the_job_goes_up_as_it_was_asked_for(
                     "collection": "ada",
                     "fence": 7,
                 }
-                events = await edge.ended(dome, "job_x", isolate=False, longest_m=2.0, **asked)
+                events = await edge.ended(dome, "job_x", cut="scene", longest_m=2.0, **asked)
                 await edge.ended(dome, "job_y", preset="quick")
     assert standing.seen["job_y"].collection == "default", "what nobody named is named by the worker near the phone"
     seen = standing.seen["job_x"]
     assert {name: getattr(seen, name) for name in asked} == asked
-    assert (seen.prepared, seen.isolate, seen.longest_m) == (True, None, None)
+    assert (seen.prepared, seen.cut, seen.longest_m) == (True, "auto", None)
     assert events[-1].finished.warnings == ["one"]
     begun, ended = STARTS["FITTING"], [event.progress.fraction for event in events if event.HasField("progress")][-1]
     assert ended == pytest.approx(begun + (1 - begun) * 2 / 3), "central's bar is the rest of this one"

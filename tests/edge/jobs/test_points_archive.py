@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import PhotoVerdict
+from services.edge.capture.nouns import PhotoVerdict, UpSource
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
-from services.edge.jobs.points_archive import MOST_POINTS, read_prepared, write_prepared
+from services.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
 from services.edge.jobs.points_cache import load_points, save_points
-from services.edge.points.nouns import Points, UnseenSide
+from services.edge.points.nouns import CutReport, Points, UnseenSide
 from services.storage.archives import unpack
 
 VERDICTS = (PhotoVerdict("a.jpg", "ok"), PhotoVerdict("b.jpg", "blur", "hold still"))
@@ -43,6 +43,8 @@ def prepared_points(count: int = 120) -> PreparedPoints:
         up=np.array([0.0, 0.6, 0.8]),
         warnings=("two photos were left out",),
         unseen=(UnseenSide("shoot from the left", (-1.0, 0.0, 0.0), 0.25),),
+        cut=CutReport("object", "it stands in the middle", "a box was removed", 0.5),
+        up_source=UpSource("lines", 0.9),
     )
     return PreparedPoints(points, CaptureSummary("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 
@@ -62,7 +64,7 @@ def anything(draw: st.DrawFn) -> PreparedPoints:
         warnings=tuple(draw(st.lists(TEXT, max_size=3))),
     )
     if draw(st.booleans()):
-        points = replace(points, rgb=None, up=None, unseen=())
+        points = replace(points, rgb=None, up=None, unseen=(), cut=None, up_source=None)
     source = CaptureSummary(
         draw(st.sampled_from(["points", "rgbd", "image"])), draw(TEXT), draw(st.integers(0, 1 << 40))
     )
@@ -82,8 +84,15 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
                 (ours.up, theirs.up),
             ]
         )
-        and (ours.metres_per_unit, ours.scale_confidence, ours.warnings, ours.unseen)
-        == (theirs.metres_per_unit, theirs.scale_confidence, theirs.warnings, theirs.unseen)
+        and (ours.metres_per_unit, ours.scale_confidence, ours.warnings, ours.unseen, ours.cut, ours.up_source)
+        == (
+            theirs.metres_per_unit,
+            theirs.scale_confidence,
+            theirs.warnings,
+            theirs.unseen,
+            theirs.cut,
+            theirs.up_source,
+        )
         and (first.source, dict(first.seconds)) == (second.source, dict(second.seconds))
     )
 
@@ -164,13 +173,16 @@ ARRAYS: dict[str, tuple[str, bytes]] = {
 
 HEADS: dict[str, Any] = {
     "no version": {"version": None},
-    "a newer version": {"version": 2},
+    "a newer version": {"version": VERSION + 1},
     "a count below any capture's": {"points": 99},
     "a count beyond any capture's": {"points": MOST_POINTS + 1},
     "no scale": {"metres_per_unit": 0},
     "a scale that is no number": {"metres_per_unit": "1"},
     "an unknown confidence of scale": {"scale_confidence": "certain"},
     "no direction": {"up": [0, 0, 0]},
+    "a direction from nowhere": {"up_source": {"teller": "a dream", "confidence": 1}},
+    "a direction surer than sure": {"up_source": {"teller": "walk", "confidence": 1.5}},
+    "a cut that does not exist": {"cut": {"kept": "half", "because": "", "doubt": "", "removed": 0}},
     "half a direction": {"up": [0, 1]},
     "a side that is no direction": {"unseen": [{"advice": "a", "toward": [0, 0, 9], "share": 0.5}]},
     "a side without a share": {"unseen": [{"advice": "a", "toward": [0, 0, 1], "share": 2}]},
@@ -194,7 +206,7 @@ def test_a_head_that_is_none_is_named(tmp_path: Path, files: Files, what: str) -
     refused = refusal(tmp_path, {**files, "points.json": json.dumps(head).encode()})
     assert refused.file == "points.json"
     if what == "a newer version":
-        assert "is of version 2; this worker reads 1" in refused.message
+        assert f"is of version {VERSION + 1}; this worker reads {VERSION}" in refused.message
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"7", b"[" * 100_000, b'{"version": 1}', b"\xff", b" " * (5 << 20)])

@@ -192,7 +192,7 @@ def test_points_of_frames_without_poses_lie_on_the_things() -> None:
         "rgbd", "synthetic", frames=bare(film(world, ORBIT[:8], sensor=SENSOR)), scale_confidence="metric"
     )
     ticks: list[float] = []
-    points = to_points(capture, isolate=False, tick=ticks.append)
+    points = to_points(capture, cut="scene", tick=ticks.append)
     xyz = points.xyz @ ORBIT[0][:3, :3].T + ORBIT[0][:3, 3]
     truth = trimesh.Trimesh(world.vertices, world.faces, process=False).sample(200_000)
     assert np.median(cKDTree(truth).query(xyz)[0]) < 0.003

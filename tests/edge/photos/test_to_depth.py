@@ -309,7 +309,7 @@ def test_photos_without_poses_come_out_at_arms_length_in_the_same_shape(walk: Wa
     assert said[-1] == pytest.approx(1)
     assert (depth.kind, depth.scale_confidence) == ("rgbd", "unknown")
     assert [(verdict.name, verdict.verdict) for verdict in depth.verdicts] == [(p.name, "ok") for p in walk.photos]
-    points = to_points(depth, isolate=True)
+    points = to_points(depth, cut="object")
     # The thing is 0.4 m high where cameras are 0.95 m away; at arm's length it is smaller by their ratio.
     eyes = np.stack([frame.camera_to_world[:3, 3] for frame in depth.frames])
     truth = walk.camera_to_world[:, :3, 3]
@@ -332,7 +332,7 @@ def test_a_black_capture_says_so(walk: Walkaround) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
 def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Capture) -> None:
-    steps = list(reconstruct(posed, replace(load_preset("draft"), resolution=48), isolate=True, label="Shell"))
+    steps = list(reconstruct(posed, replace(load_preset("draft"), resolution=48), cut="object", label="Shell"))
     stages = list(dict.fromkeys(step.stage for step in steps if isinstance(step, Progress)))
     assert stages[:2] == ["ALIGNING", "POINT_CLOUD"]
     fractions = [step.fraction for step in steps if isinstance(step, Progress)]
@@ -378,7 +378,7 @@ def test_photographed_fruit_lies_on_the_reference_surface(data_dir: Path, monkey
     mesh = trimesh.load_mesh(folder / "foo.obj", process=False)
     truth, face = trimesh.sample.sample_surface(mesh, 100_000, seed=0)
     # A long lens leaves the focal length open by a percent, and with it the scale between cameras and thing.
-    xyz = align_to_surface(to_points(depth, isolate=True).xyz, truth, mesh.face_normals[face], to_theirs)
+    xyz = align_to_surface(to_points(depth, cut="object").xyz, truth, mesh.face_normals[face], to_theirs)
     assert len(xyz) > 20_000
     gap, nearest = cKDTree(truth).query(xyz)
     off = np.abs(np.einsum("ni,ni->n", xyz - truth[nearest], mesh.face_normals[face[nearest]]))

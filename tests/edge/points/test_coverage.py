@@ -61,7 +61,7 @@ def half() -> Capture:
 
 
 def test_half_a_circle_asks_for_what_is_behind(half: Capture) -> None:
-    points = to_points(half, isolate=True)
+    points = to_points(half, cut="object")
     assert len(points.unseen) <= 2
     first = points.unseen[0]
     assert degrees_between(first.toward, [0, -1, 0]) < 45
@@ -74,26 +74,26 @@ def test_half_a_circle_asks_for_what_is_behind(half: Capture) -> None:
 @pytest.mark.slow
 def test_all_round_at_two_heights_asks_for_nothing() -> None:
     poses = np.concatenate([ring(12, height=0.35), ring(8, height=0.75, radius=0.5)])
-    assert to_points(scanned(ball(), poses), isolate=True).unseen == ()
-    assert to_points(scanned(cup(), poses), isolate=True).unseen == ()
+    assert to_points(scanned(ball(), poses), cut="object").unseen == ()
+    assert to_points(scanned(cup(), poses), cut="object").unseen == ()
 
 
 def test_a_tall_cup_filmed_from_its_own_height_is_to_be_seen_from_above() -> None:
-    (side,) = to_points(scanned(cup(), ring(14, height=0.25, radius=0.9)), isolate=True).unseen
+    (side,) = to_points(scanned(cup(), ring(14, height=0.25, radius=0.9)), cut="object").unseen
     assert side.advice == f"Shoot from above: {side.share:.0%} of the thing is seen too little."
     assert degrees_between(side.toward, [0, 0, 1]) < 20
 
 
 @pytest.mark.slow
 def test_what_was_only_seen_from_high_up_is_to_be_seen_from_lower_down() -> None:
-    sides = to_points(scanned(cup(), ring(14, height=0.9, radius=0.4)), isolate=True).unseen
+    sides = to_points(scanned(cup(), ring(14, height=0.9, radius=0.4)), cut="object").unseen
     assert 1 <= len(sides) <= 3
     assert all("lower down" in side.advice for side in sides)
     assert [side.share for side in sides] == sorted((side.share for side in sides), reverse=True)
 
 
 def test_with_its_surroundings_nothing_is_asked(half: Capture) -> None:
-    assert to_points(half, isolate=False).unseen == ()
+    assert to_points(half, cut="scene").unseen == ()
 
 
 def around(gap_deg: float, turn: Floats) -> tuple[Points, Capture]:
@@ -150,7 +150,7 @@ def test_without_an_up_nothing_is_told() -> None:
 @pytest.mark.usefixtures("small_pictures")
 def test_the_manifest_tells_it_in_the_assets_frame(half: Capture) -> None:
     """Z is up in the capture and y in the asset: nobody stood at the capture's -y, the asset's +z."""
-    steps = reconstruct(half, replace(load_preset("draft"), resolution=40), isolate=True)
+    steps = reconstruct(half, replace(load_preset("draft"), resolution=40), cut="object")
     *_, bundle = [step for step in steps if isinstance(step, Bundle)]
     (side, *_) = bundle.manifest["capture"]["unseen"]
     assert set(side) == {"advice", "toward", "share"}

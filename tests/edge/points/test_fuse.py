@@ -283,7 +283,7 @@ def test_one_frame_and_a_larger_sensor() -> None:
 def test_ticks_rise_to_one_and_cancel() -> None:
     capture = rgbd(film(table_with_sphere(), WALK[:4]))
     seen: list[float] = []
-    to_points(capture, isolate=True, tick=seen.append)
+    to_points(capture, cut="object", tick=seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(1.0)
 

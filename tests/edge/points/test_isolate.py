@@ -16,7 +16,7 @@ from services.edge.errors import CaptureError
 from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Points
 from services.edge.points.plane import largest_plane
-from services.edge.points.upright import estimate_up
+from services.edge.points.upright import from_cameras
 from tests.support.scenes import Sensor, film, look_at, orbit, plane, scene
 
 SENSOR = Sensor(noise_m=0.003, jitter_m=0.002, jitter_deg=0.1, flying=0.5)
@@ -40,7 +40,7 @@ def off_ball(xyz: Floats) -> Floats:
 
 
 def isolate(xyz: Floats, up: Floats | None = UP) -> Points:
-    return to_points(Capture("points", "ply", Cloud(xyz), up=up), isolate=True)
+    return to_points(Capture("points", "ply", Cloud(xyz), up=up), cut="object")
 
 
 @pytest.mark.parametrize("up", [UP, None], ids=["gravity known", "gravity unknown"])
@@ -106,7 +106,7 @@ def test_filmed_ball_with_clutter() -> None:
     ball.apply_translation([0, 0, 0.15])
     world = scene((plane(1.2, 1.2), (150, 120, 90)), (ball, (200, 40, 40)), (box, (0, 0, 200)))
     frames = film(world, orbit(10, radius=0.9, height=0.7, turn=0.5), sensor=SENSOR)
-    points = to_points(Capture("rgbd", "synthetic", frames=frames, scale_confidence="metric"), isolate=True)
+    points = to_points(Capture("rgbd", "synthetic", frames=frames, scale_confidence="metric"), cut="object")
     assert np.percentile(off_ball(points.xyz), 99) < 0.012
     assert np.ptp(points.xyz[:, 0]) > 0.25
     assert len(points.xyz) == len(points.rgb if points.rgb is not None else []) == len(points.confidence)
@@ -128,17 +128,16 @@ def test_no_plane_through_one_place() -> None:
 
 
 def test_up_without_any_floor_comes_from_the_cameras() -> None:
-    ball = trimesh.sample.sample_surface(trimesh.creation.icosphere(3, 0.2), 2_000, seed=1)[0]
     walk = orbit(12, radius=1, height=0.8)
-    assert estimate_up(walk, ball) @ UP > np.cos(np.radians(1))
+    assert from_cameras(walk)[0] @ UP > np.cos(np.radians(1))
     level = look_at((1, 0, 0), (0, 0, 0))[None]
-    assert estimate_up(level, ball) @ UP > np.cos(np.radians(1))
+    assert from_cameras(level)[0] @ UP > np.cos(np.radians(1))
 
 
 @pytest.mark.slow
 @pytest.mark.data
 def test_a_lamp_is_taken_off_its_wall(data_dir: Path) -> None:
-    points = to_points(read_capture(data_dir / "cloud_room" / "fragment.pcd"), isolate=True)
+    points = to_points(read_capture(data_dir / "cloud_room" / "fragment.pcd"), cut="object")
     assert 2_000 < len(points) < 8_000
     assert np.ptp(points.xyz, axis=0).max() < 0.6
 
@@ -168,3 +167,66 @@ def test_a_pedestal_stays_with_what_stands_on_it_and_the_floor_and_the_wall_go(u
     assert found.up is None or found.up @ UP > np.cos(np.radians(0.2)), "the floor tells it better"
     assert len(found) == pytest.approx(whole.sum(), rel=0.02)
     assert np.abs(found.xyz[:, :2]).max() < 0.36, "nothing of the floor or of the wall"
+
+
+def standing(*parts: Floats) -> Points:
+    """A ball of 6,000 points on the plane z = 0, cut out of these parts."""
+    ball = trimesh.sample.sample_surface(trimesh.creation.icosphere(4, 0.15), 6_000, seed=2)[0] + [0, 0, 0.15]
+    cloud = np.concatenate([ball, *parts])
+    cloud += np.random.default_rng(0).normal(0, 0.001, cloud.shape)
+    return isolate_object(Points(cloud, None, np.ones(len(cloud), np.float32), 1.0, "metric", UP))
+
+
+def sheet(side: float, count: int) -> Floats:
+    found: Floats = trimesh.sample.sample_surface(plane(side, side), count, seed=1)[0]
+    return found
+
+
+def disc(radius: float, count: int) -> Floats:
+    square = sheet(2 * radius, 2 * count)
+    return square[np.linalg.norm(square, axis=1) < radius][:count]
+
+
+def off_centre(count: int) -> Floats:
+    """A second ball on the same ground."""
+    found: Floats = trimesh.sample.sample_surface(trimesh.creation.icosphere(4, 0.15), count, seed=4)[0]
+    return found + np.array([0.5, 0, 0.15])
+
+
+def column(radius: float, depth: float, count: int) -> Floats:
+    """The side of a cylinder under the plane z = 0."""
+    turn, down = np.random.default_rng(3).uniform([0, 0.02], [2 * np.pi, depth], (count, 2)).T
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), -down], axis=1)
+
+
+def test_bare_ground_is_removed_without_a_question() -> None:
+    found = standing(sheet(1.6, 20_000))
+    assert found.cut is not None
+    assert (found.cut.kept, found.cut.doubt, found.cut.removed) == ("object", "", 0)
+    assert found.uncut is not None
+    assert len(found.uncut.xyz) == 26_000
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("parts", "word", "share"),
+    [
+        ((sheet(1.6, 20_000), column(0.3, 0.4, 1_500)), "below the plane", 0.25),
+        ((disc(0.17, 9_000),), "ends where it ends", 1.5),
+        ((sheet(1.6, 20_000), off_centre(3_000)), "beside the thing", 0.5),
+    ],
+    ids=["a pedestal below its top", "a stand", "a second thing"],
+)
+def test_a_large_part_that_was_removed_is_asked_about(parts: tuple[Floats, ...], word: str, share: float) -> None:
+    found = standing(*parts)
+    assert found.cut is not None
+    assert word in found.cut.doubt
+    assert found.cut.removed == pytest.approx(share, rel=0.15)
+    assert any("scene" in warning for warning in found.warnings)
+    assert off_ball(found.xyz).max() < 0.01, "it is removed all the same"
+
+
+def test_a_small_part_is_not_asked_about() -> None:
+    found = standing(sheet(1.6, 20_000), column(0.3, 0.4, 500))
+    assert found.cut is not None
+    assert found.cut.doubt == ""

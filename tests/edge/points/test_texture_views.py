@@ -64,7 +64,7 @@ def test_neither_points_nor_textures_are_made_from_them(pictures: int, asked: in
         replace(each, load_rgb=lambda shade=255 * (each.name in white): np.full((48, 64, 3), shade, np.uint8))
         for each in frames
     )
-    points = to_points(Capture("rgbd", "test", frames=coloured), isolate=False, hold_out=asked)
+    points = to_points(Capture("rgbd", "test", frames=coloured), cut="scene", hold_out=asked)
     compared = [each.name for each in points.held_out_views]
     used = [each.name for each in points.texture_views]
     assert set(compared) == white

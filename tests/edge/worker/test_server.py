@@ -75,27 +75,27 @@ async def queued(client: Client, job: str) -> grpc.aio.StreamStreamCall:
 
 
 async def test_a_job_runs_to_its_end(client: Client, work: Scripted, scratch: Path) -> None:
-    events = await client.ended(b"ticks 3", preset="fine", isolate=True, fence=7)
+    events = await client.ended(b"ticks 3", preset="fine", cut="object", fence=7)
     assert [event.seq for event in events] == list(range(1, len(events) + 1))
     assert {event.job for event in events} == {"job_1"}
     assert [event.elapsed_s for event in events] == sorted(event.elapsed_s for event in events)
     assert [event.WhichOneof("what") for event in events] == ["progress"] * 3 + ["published", "finished"]
     assert events[-1].finished == pb.Finished(warnings=["one"], seconds={"FITTING": 1.5})
     seen = work.seen["job_1"]
-    assert (seen.preset, seen.isolate, seen.fence, seen.label) == ("fine", True, 7, "dress")
+    assert (seen.preset, seen.cut, seen.fence, seen.label) == ("fine", "object", 7, "dress")
     assert leftovers(scratch) == []
 
 
 @pytest.mark.parametrize(
-    ("header", "isolate", "longest_m"),
-    [({}, None, None), ({"isolate": False, "longest_m": 0.31}, False, 0.31)],
+    ("header", "cut", "longest_m"),
+    [({}, "auto", None), ({"cut": "scene", "longest_m": 0.31}, "scene", 0.31)],
 )
 async def test_what_was_left_open_stays_open(
-    client: Client, work: Scripted, header: dict[str, object], isolate: bool | None, longest_m: float | None
+    client: Client, work: Scripted, header: dict[str, object], cut: str, longest_m: float | None
 ) -> None:
     await client.ended(b"ticks 1", **header)
     seen = work.seen["job_1"]
-    assert (seen.isolate, seen.longest_m) == (isolate, longest_m)
+    assert (seen.cut, seen.longest_m) == (cut, longest_m)
 
 
 async def test_the_fraction_never_goes_back(client: Client) -> None:

@@ -84,6 +84,7 @@ MALFORMED = {
     "a key with a path": [head(asset_key="a/b")],
     "a key of other letters": [head(asset_key="плащ")],
     "a fill that does not exist": [head(fill="everything")],
+    "a cut that does not exist": [head(cut="everything")],
     "an over-long collection": [head(collection="c" * 300)],
     "a hidden collection": [head(collection=".ada")],
     "a collection above": [head(collection="..")],
@@ -253,7 +254,7 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 
 NUMBERS = {
-    "Header": "job fence preset asset_key target isolate capture_bytes label longest_m prepared collection fill",
+    "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill - cut",
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
     "Event": "job seq elapsed_s progress heartbeat published failure finished",
     "Failure": "code message file hints retryable stage",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 from services.gateway.errors import Problem
+from services.gateway.jobs import tables
 from services.gateway.jobs.job import Job, Order, State
 from services.gateway.jobs.reports import RunFinished, RunProgress, VersionPublished
 from services.gateway.jobs.state_machine import (
@@ -27,7 +29,7 @@ from services.gateway.jobs.tables import metadata, open_engine
 from tests.conftest import missing
 from tests.referees.postgres import programs, running
 
-ORDER = Order("cap_1", "draft", "dress", "Dress", isolate=True)
+ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object")
 RETRY = Retry(3, 1.0)
 
 
@@ -83,6 +85,17 @@ def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> N
     assert again.state is State.SUCCEEDED
     assert again.elapsed_s == pytest.approx(5)
     assert [event.seq for event in events] == list(range(1, job.last_event + 1))
+
+
+@pytest.mark.parametrize(("isolate", "cut"), [(True, "object"), (False, "scene"), (None, "")])
+def test_an_order_of_before_the_cut_keeps_its_choice(store: JobStore, url: str, isolate: bool | None, cut: str) -> None:
+    made = store.create(ORDER)
+    engine = open_engine(url)
+    older = {name: value for name, value in asdict(ORDER).items() if name != "cut"} | {"isolate": isolate}
+    with engine.begin() as connection:
+        connection.execute(tables.jobs.update().where(tables.jobs.c.id == made.id).values(order=older))
+    engine.dispose()
+    assert store.get(made.id).order == replace(ORDER, cut=cut)
 
 
 def test_the_queue_is_first_come_first_served(store: JobStore) -> None:

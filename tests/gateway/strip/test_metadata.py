@@ -12,11 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
+from services.apple_maker_note import read_acceleration
 from services.gateway.strip import exr, heif, jpeg, matroska, mp4, png, tiff, webp
 from services.gateway.strip.exif import clean_exif
 from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
 from tests.support import private_pictures
+from tests.support.maker_notes import SECRET, apple_note
 from tests.support.private_pictures import (
     EXIF_IFD,
     FOCAL_35MM,
@@ -26,6 +29,7 @@ from tests.support.private_pictures import (
     OWNER,
     PLACE,
     SERIAL,
+    picture,
 )
 
 Clean = Callable[[Buffer], CleanResult]
@@ -104,6 +108,25 @@ def test_what_reconstruction_needs_stays(name: str) -> None:
     assert exif[0x0110] == "Phone 9"
     if name != "heic":  # there the rotation is a property of the picture, and Pillow's plugin resets the tag
         assert exif[ORIENTATION] == 6
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "HEIF", "WEBP"])
+def test_which_way_was_down_stays_and_nothing_else_of_the_maker_note(kind: str) -> None:
+    """Gravity makes the result stand upright, and tells nothing about a person or a place."""
+    pillow_heif.register_heif_opener()
+    exif = Image.Exif()
+    camera = exif.get_ifd(EXIF_IFD)
+    camera[0x927C], camera[0x9405] = apple_note((0.02, -0.9, -0.43)), IFDRational(-253, 10)
+    buffer = io.BytesIO()
+    picture().save(buffer, kind, exif=exif.tobytes())
+    clean = PICTURES["heic" if kind == "HEIF" else kind.lower()][0]
+    after, removed = cleaned(clean, buffer.getvalue())
+    kept = opened(after).getexif().get_ifd(EXIF_IFD)
+    assert read_acceleration(kept[0x927C]) == pytest.approx((0.02, -0.9, -0.43), abs=1e-3)
+    assert float(kept[0x9405]) == pytest.approx(-25.3)
+    assert SECRET not in after
+    assert "MakerNote" in removed, "the rest of it went"
+    assert cleaned(clean, after)[1] == ()
 
 
 @pytest.mark.parametrize("name", ["jpeg", "png", "heic", "webp"])

@@ -1,0 +1,74 @@
+"""A job again with another cut: the stored capture and every other option stay, and nothing is uploaded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from services.gateway.jobs.capture_objects import capture_name
+from services.gateway.jobs.job import Order
+from services.gateway.jobs.store import JobStore
+from services.gateway.jobs.tables import open_engine
+from tests.support.in_process_gateway import capture, gateway, memory
+
+OPTIONS = {"label": "My dress", "preset": "draft", "longest_m": 0.31, "fill": "all", "target": "quest3"}
+
+
+async def test_everything_but_the_cut_stays(tmp_path: Path) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        body = {"capture": capture(store), "asset_key": "dress", **OPTIONS}
+        first = (await client.post("/v1/jobs", json=body)).json()
+        answer = await client.post(first["links"]["again"], json={"cut": "scene"})
+        again = answer.json()
+        assert answer.status_code == 202
+        assert answer.headers["location"] == f"/v1/jobs/{again['id']}" != f"/v1/jobs/{first['id']}"
+        assert (first["cut"], again["cut"]) == ("", "scene")
+        same = ("capture", "asset_key", "label", "preset")
+        assert [again[name] for name in same] == [first[name] for name in same]
+    earlier, later = (stored_order(tmp_path / "gw", each["id"]) for each in (first, again))
+    assert later == replace(earlier, cut="scene")
+    assert (earlier.longest_m, earlier.fill, earlier.target) == (0.31, "all", "quest3")
+
+
+def stored_order(data_dir: Path, job: str) -> Order:
+    """The order of a job as it is in the gateway's database."""
+    engine = open_engine(f"sqlite:///{data_dir / 'gateway.db'}")
+    try:
+        return JobStore(engine).get(job).order
+    finally:
+        engine.dispose()
+
+
+async def test_one_tap_twice_is_one_job(tmp_path: Path) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        first = (await client.post("/v1/jobs", json={"capture": capture(store), "asset_key": "dress"})).json()
+        tap = {"url": first["links"]["again"], "headers": {"Idempotency-Key": "tap"}}
+        one, two = [await client.post(**tap, json={"cut": "scene"}) for _ in range(2)]
+        assert one.json()["id"] == two.json()["id"]
+        other = await client.post(**tap, json={"cut": "object"})
+        assert (other.status_code, other.json()["code"]) == (409, "IDEMPOTENCY_CONFLICT")
+        assert len((await client.get("/v1/jobs")).json()["jobs"]) == 2
+
+
+@pytest.mark.parametrize("body", [{}, {"cut": "half"}, {"cut": "scene", "preset": "fine"}])
+async def test_what_cannot_be_changed_is_refused(tmp_path: Path, body: dict[str, str]) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        first = (await client.post("/v1/jobs", json={"capture": capture(store), "asset_key": "dress"})).json()
+        answer = await client.post(first["links"]["again"], json=body)
+        assert (answer.status_code, answer.json()["code"]) == (422, "REQUEST_INVALID")
+
+
+async def test_an_unknown_job_and_a_capture_that_is_gone_have_names(tmp_path: Path) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        unknown = await client.post("/v1/jobs/job_0/again", json={"cut": "scene"})
+        assert (unknown.status_code, unknown.json()["code"]) == (404, "JOB_UNKNOWN")
+        first = (await client.post("/v1/jobs", json={"capture": capture(store), "asset_key": "dress"})).json()
+        store.delete(capture_name(first["capture"]))
+        gone = await client.post(first["links"]["again"], json={"cut": "scene"})
+        assert (gone.status_code, gone.json()["code"]) == (404, "CAPTURE_UNKNOWN")
