@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -13,12 +14,14 @@ from pydantic import Field
 from services.edge.arrays import Tick, no_tick, pick
 from services.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
 from services.edge.errors import CaptureError
-from services.edge.odometry.tracker import track_frames
+from services.edge.odometry.posed_frames import with_poses
 from services.edge.photos.depth_maps import at_texture_resolution
 from services.edge.photos.to_depth import to_depth
 from services.edge.points.clean_cloud import MIN_POINTS, cloud_points
 from services.edge.points.coverage import unseen_sides
 from services.edge.points.denoise_stereo import smooth_stereo_points
+from services.edge.points.flatness import flatness_warning
+from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
 from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Points, TextureView
@@ -37,6 +40,8 @@ PHOTO_STARTS = {"VALIDATING": 0.0, "ALIGNING": 0.01, "POINT_CLOUD": 0.62, "FITTI
 
 PREVIEW_SHARE = 0.15
 """Fraction of the whole progress bar that the preview takes, where a training follows it."""
+
+_POSES = 0.5  # share of the time to the points that computing poses takes, for frames without any
 
 _PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most of the time
 
@@ -134,37 +139,47 @@ def to_points(
     hold_out number of pictures that points and textures are not made from; None: a few of a capture that has many
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `isolate` finds
-    no object, CAPTURE_NO_POSES where frames without poses cannot be tracked. `tick` may raise `Cancelled`.
+    no object, CAPTURE_NO_POSES where frames without poses cannot be placed, CAPTURE_BAD_POSE where poses contradict
+    their frames. `tick` may raise `Cancelled`.
     """
-    if any(frame.camera_to_world is None for frame in capture.frames):
-        posed = _track(capture, lambda fraction: tick(0.5 * fraction))
-        return to_points(
-            posed, voxel=voxel, isolate=isolate, hold_out=hold_out, tick=lambda fraction: tick(0.5 + 0.5 * fraction)
-        )
+    if capture.kind == "rgbd" and not has_stereo_depth(capture.frames):  # stereo depth was made with its poses
+        posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
+        if posed is not capture:
+            capture, tick = posed, partial(_second_part, tick)
     share = 1.0 if isolate is False else 0.9
     if capture.kind == "points":
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
         return isolate_object(points, tick=tick) if isolate else points
     frames, held_out = hold_out_frames(capture.frames, hold_out)
-    capture = replace(capture, frames=frames)
+    held_out = tuple(frame for frame in held_out if FrameFaults().read_picture(frame) is not None)
     fused = fuse(frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
+    capture = replace(capture, frames=fused.frames)
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
     points = replace(points, held_out_views=tuple(map(texture_view, held_out)))
-    if isolate is False or (isolate is None and not _is_around_one_object(capture)):
-        return points
+    if isolate or (isolate is None and _is_around_one_object(capture)):
+        points = _isolated(points, capture, fused, tick, required=bool(isolate))
+    if has_stereo_depth(frames):
+        points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
+    return points
+
+
+def _isolated(points: Points, capture: Capture, fused: FusedPoints, tick: Tick, *, required: bool) -> Points:
+    """The object's points alone, with its unseen sides; all points and a warning where no object is found.
+
+    Raises CAPTURE_NOTHING_LEFT instead where isolation is `required`.
+    """
     try:
         isolated = isolate_object(points, aim=fused.aim, cameras=fused.cameras, turntable=capture.turntable, tick=tick)
     except CaptureError as error:
-        if isolate:
+        if required:
             raise
         return replace(points, warnings=(*points.warnings, f"The surroundings were not removed: {error.message}."))
     return replace(isolated, unseen=unseen_sides(isolated, capture.frames))
 
 
-def _track(capture: Capture, tick: Tick) -> Capture:
-    """The capture with the camera poses that tracking its frames found."""
-    tracked = track_frames(capture.frames, tick)
-    return replace(capture, frames=tracked.frames, warnings=capture.warnings + tracked.warnings)
+def _second_part(tick: Tick, fraction: float) -> None:
+    """Report the fraction of the time after the poses were computed."""
+    tick(_POSES + (1 - _POSES) * fraction)
 
 
 def _is_around_one_object(capture: Capture) -> bool:
@@ -196,6 +211,7 @@ def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
         metres_per_unit=capture.metres_per_unit,
         scale_confidence=capture.scale_confidence,
         up=estimate_up(poses, xyz) if capture.up is None else level_up(capture.up, xyz),
-        warnings=capture.warnings + fused.warnings,
+        # Tracking and fusion may have met the same damaged picture.
+        warnings=tuple(dict.fromkeys(capture.warnings + fused.warnings)),
         texture_views=select_texture_views(capture.frames, fused.sharpness),
     )
