@@ -14,6 +14,7 @@ from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import prepare, to_points
 from services.edge.errors import CaptureError
+from services.edge.photos import sfm_child, sfm_process
 from services.edge.photos.to_depth import to_depth
 from services.edge.points.nouns import Points
 from services.edge.progress import Bar, ignore_progress
@@ -124,6 +125,12 @@ def test_the_sky_has_no_texture(tmp_path: Path) -> None:
     assert caught.value.code == "CAPTURE_LOW_OVERLAP"
     assert "8 photos show hardly any texture" in caught.value.hints[0]
     assert "IMG_00.jpg" in caught.value.hints[1]
+
+
+def test_the_mapper_ends_by_itself_before_its_parents_patience_does() -> None:
+    """Then what it has placed is used; a child that is killed leaves nothing."""
+    seconds = sfm_child._options(1.0, given=False).max_runtime_seconds
+    assert 0 < seconds < sfm_process._SILENT_SECONDS
 
 
 def test_depth_of_one_value_is_a_placeholder(tmp_path: Path) -> None:
