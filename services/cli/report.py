@@ -82,6 +82,7 @@ def report_page(
             *_certificate_rows(certificates),
             "</table>",
             *_cut(report["capture"].get("cut"), compared or {}),
+            *_pieces(certificates),
             *_compared_photos(compared or {}),
             *_reference_table(report["reference"]),
             *_stages(report["seconds"]),
@@ -115,6 +116,19 @@ _CUT_PICTURES = {
 
 def _jpeg(content: bytes) -> str:
     return f"data:image/jpeg;base64,{b64encode(content).decode()}"
+
+
+def _pieces(certificates: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the pieces of the last surface, kept and dropped, with the reason for each."""
+    pieces = list(certificates.values())[-1].get("pieces") if certificates else None
+    if not pieces:
+        return
+    yield "<h2>Pieces</h2><table><tr><th>share of the area</th><th>pieces</th><th></th><th></th></tr>"
+    for each in pieces:
+        fate = "kept" if each["kept"] else "dropped"
+        yield f'<tr><td class="figure">{each["share"]:.2%}</td><td class="figure">{each["count"]:,}</td>'
+        yield f"<td>{fate}</td><td>{escape(each['reason'])}</td></tr>"
+    yield "</table>"
 
 
 def _compared_photos(compared: Mapping[str, bytes]) -> Iterator[str]:

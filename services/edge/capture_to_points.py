@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated
 
 from pydantic import Field
@@ -12,12 +13,14 @@ from pydantic import Field
 from services.edge.arrays import Tick, no_tick, pick
 from services.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
 from services.edge.errors import CaptureError
-from services.edge.odometry.tracker import track_frames
+from services.edge.odometry.posed_frames import with_poses
 from services.edge.photos.depth_maps import at_texture_resolution
 from services.edge.photos.to_depth import to_depth
 from services.edge.points.clean_cloud import MIN_POINTS, cloud_points
 from services.edge.points.coverage import unseen_sides
 from services.edge.points.denoise_stereo import smooth_stereo_points
+from services.edge.points.flatness import flatness_warning
+from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
 from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Cut, CutReport, Points, TextureView
@@ -38,6 +41,7 @@ PREVIEW_SHARE = 0.15
 """Fraction of the whole progress bar that the preview takes, where a training follows it."""
 
 _ALL_WANTED = CutReport("scene", "everything was asked for")
+_POSES = 0.5  # share of the time to the points that computing poses takes, for frames without any
 
 _PHOTO_PREVIEW_SHARE = 0.6  # the same for photos, whose depth images take most of the time
 
@@ -135,23 +139,36 @@ def to_points(
     hold_out number of pictures that points and textures are not made from; None: a few of a capture that has many
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `cut` finds
-    no object, CAPTURE_NO_POSES where frames without poses cannot be tracked. `tick` may raise `Cancelled`.
+    no object, CAPTURE_NO_POSES where frames without poses cannot be placed, CAPTURE_BAD_POSE where poses contradict
+    their frames. `tick` may raise `Cancelled`.
     """
-    if any(frame.camera_to_world is None for frame in capture.frames):
-        posed = _track(capture, lambda fraction: tick(0.5 * fraction))
-        return to_points(
-            posed, voxel=voxel, cut=cut, hold_out=hold_out, tick=lambda fraction: tick(0.5 + 0.5 * fraction)
-        )
+    if capture.kind == "rgbd" and not has_stereo_depth(capture.frames):  # stereo depth was made with its poses
+        posed = with_poses(capture, lambda fraction: tick(_POSES * fraction))
+        if posed is not capture:
+            capture, tick = posed, partial(_second_part, tick)
     share = 1.0 if cut == "scene" else 0.9
     if capture.kind == "points":
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
         kept = _ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is")
         return isolate_object(points, tick=tick) if cut == "object" else replace(points, cut=kept)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
-    capture = replace(capture, frames=frames)
+    held_out = tuple(frame for frame in held_out if FrameFaults().read_picture(frame) is not None)
     fused = fuse(frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
+    capture = replace(capture, frames=fused.frames)
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
     points = replace(points, held_out_views=tuple(map(texture_view, held_out)))
+    points = _cut(points, capture, fused, cut, tick)
+    if has_stereo_depth(frames):
+        points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))
+    return points
+
+
+def _cut(points: Points, capture: Capture, fused: FusedPoints, cut: Cut, tick: Tick) -> Points:
+    """Keep the object's points alone, with its unseen sides; all points where the capture shows a scene, and with a
+    warning where no object is found.
+
+    Raises CAPTURE_NOTHING_LEFT instead where an object is asked for.
+    """
     if cut == "scene":
         return replace(points, cut=_ALL_WANTED)
     if cut == "auto" and (scene := sees_a_scene(capture.frames)):
@@ -168,10 +185,9 @@ def to_points(
     return replace(isolated, unseen=unseen_sides(isolated, capture.frames))
 
 
-def _track(capture: Capture, tick: Tick) -> Capture:
-    """The capture with the camera poses that tracking its frames found."""
-    tracked = track_frames(capture.frames, tick)
-    return replace(capture, frames=tracked.frames, warnings=capture.warnings + tracked.warnings)
+def _second_part(tick: Tick, fraction: float) -> None:
+    """Report the fraction of the time after the poses were computed."""
+    tick(_POSES + (1 - _POSES) * fraction)
 
 
 def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
@@ -196,6 +212,7 @@ def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
         scale_confidence=capture.scale_confidence,
         up=up,
         up_source=up_source,
-        warnings=capture.warnings + fused.warnings,
+        # Tracking and fusion may have met the same damaged picture.
+        warnings=tuple(dict.fromkeys(capture.warnings + fused.warnings)),
         texture_views=select_texture_views(capture.frames, fused.sharpness),
     )

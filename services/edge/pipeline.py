@@ -18,7 +18,12 @@ from typing import Any
 from services.edge.arrays import DistanceFn, Floats, part_of
 from services.edge.asset.assemble import assemble_bundle, colour_levels
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface
-from services.edge.asset.photo_check import check_surface_with_photos, fill_gaps_with_photos, trim_rims_with_photos
+from services.edge.asset.photo_check import (
+    check_surface_with_photos,
+    drop_false_pieces,
+    fill_gaps_with_photos,
+    trim_rims_with_photos,
+)
 from services.edge.asset.target import NO_TARGET, Target, require_encoder
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
@@ -239,7 +244,8 @@ def _surface(
     with clock("EXTRACTING"):
         tick = bar.tick("EXTRACTING")
         raw = extract(distance, near, resolution=resolution, tick=part_of(tick, 0, EXTRACT_SHARE))
-        mesh_unit = clean(raw, near, tick=part_of(tick, EXTRACT_SHARE, 1))
+        specks: list[float] = []
+        mesh_unit = clean(raw, near, specks=specks, tick=part_of(tick, EXTRACT_SHARE, 1))
         del raw
         if len(mesh_unit.faces) == 0:
             raise EdgeError(
@@ -247,10 +253,11 @@ def _surface(
                 f"no surface was found among {len(near):,} points at {resolution} cells",
                 hints=("capture the object from closer and from more sides",),
             )
+        mesh_unit, pieces = drop_false_pieces(mesh_unit, subject.colours, subject.unit, specks)
         mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
         check = check_surface_with_photos(filled.mesh, subject.colours, subject.unit)
-        certificate = certify(distance, filled.mesh, subject.evidence, check.figures)
+        certificate = certify(distance, filled.mesh, subject.evidence, check.figures, pieces)
         return MeasuredSurface(filled, resolution, certificate, check)
 
 

@@ -87,6 +87,10 @@ def test_the_report_tells_figures_seconds_and_warnings(out: Path) -> None:
     report = json.loads((out / "report.json").read_text())
     assert report["points"] > 7900
     assert report["quality"]["components"] == 1
+    assert report["quality"]["pieces"][0]["reason"] == "the largest"
+    page = (out / "report.html").read_text()
+    assert "<h2>Pieces</h2>" in page
+    assert "the largest" in page
     assert report["quality"]["non_manifold_edges"] == 0
     assert report["quality"]["boundary_loops"] == 1
     assert {"POINT_CLOUD", "FITTING", "EXTRACTING", "PACKING"} <= report["seconds"].keys()

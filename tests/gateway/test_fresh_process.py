@@ -77,6 +77,7 @@ FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "several in one JPEG": ("a.jpg", several_pictures),
     "OpenEXR": ("a.exr", private_pictures.exr),
     "QuickTime": ("a.mov", private_pictures.film),
+    "E57": ("a.e57", private_pictures.e57),
     "WebM": ("a.webm", private_pictures.webm),
 }
 

@@ -213,6 +213,24 @@ def write_video(path: Path, pictures: list[np.ndarray]) -> None:
         container.mux(stream.encode())
 
 
+def write_kitti(folder: Path) -> Path:
+    """KITTI's odometry: camera 2 stands half a metre beside camera 0, whose poses are told."""
+    fx, fy, cx, cy = colour_camera()
+    aside = np.eye(4)
+    aside[0, 3] = 0.5
+    rows = []
+    for index, pose in enumerate(poses(12)):
+        save_png(folder / f"image_2/{index:06}.png", picture(index)[..., ::-1])
+        rows.append(" ".join(f"{value:.9e}" for value in (pose @ np.linalg.inv(aside))[:3].ravel()))
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    lines = [f"P{number}: " + " ".join(map(str, (matrix @ np.eye(3, 4)).ravel())) for number in (0, 1)]
+    lines.append("P2: " + " ".join(map(str, (matrix @ np.linalg.inv(aside)[:3]).ravel())))
+    (folder / "calib.txt").write_text("\n".join([*lines, "Tr: " + " ".join(["0.1"] * 12)]) + "\n")
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    (folder / "times.txt").write_text("\n".join(f"{index / 10:e}" for index in range(12)) + "\n")
+    return folder
+
+
 def write_polycam(folder: Path) -> Path:
     fx, fy, cx, cy = colour_camera()
     for index, pose in enumerate(poses()):
@@ -456,6 +474,25 @@ def save_las(path: Path, xyz: np.ndarray, rgb: np.ndarray) -> None:
     las.x, las.y, las.z = xyz.astype(np.float64).T
     las.red, las.green, las.blue = rgb.astype(np.uint16).T * 257
     las.write(str(path))
+
+
+def save_e57(path: Path, scans: list[dict[str, np.ndarray]], poses: list[np.ndarray] | None = None) -> None:
+    """E57 of scans whose columns have the standard's names; poses (4,4) scan-to-file, or the identity."""
+    import pye57
+
+    with pye57.E57(str(path), mode="w") as writer:
+        for number, scan in enumerate(scans):
+            pose = np.eye(4) if poses is None else poses[number]
+            turned = np.roll(quaternion(pose[:3, :3]), 1)  # w first
+            writer.write_scan_raw(scan, name=f"Scan {number}", rotation=turned, translation=pose[:3, 3])
+
+
+def e57_scan(xyz: np.ndarray, rgb: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """The columns of a scan."""
+    columns = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), xyz.astype(np.float64).T, strict=True))
+    if rgb is not None:
+        columns |= dict(zip(("colorRed", "colorGreen", "colorBlue"), np.ascontiguousarray(rgb.T), strict=True))
+    return columns
 
 
 def npy_bytes(array: np.ndarray) -> bytes:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import io
 import struct
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pillow_heif
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
@@ -182,3 +186,27 @@ def huge_png(width: int, height: int) -> bytes:
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@cache  # the standard asks for identifiers, which are drawn at random
+def e57() -> bytes:
+    """A scan whose name, description, sensor and photo tell everything, as laser scanners write them."""
+    import pye57
+    from pye57 import libe57
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scan.e57"
+        with pye57.E57(str(path), mode="w") as writer:
+            xyz = np.random.default_rng(0).normal(size=(300, 3))
+            columns = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), xyz.T, strict=True))
+            writer.write_scan_raw(columns, name=f"{OWNER.decode()}, {PLACE.decode()}")
+            file, photo = writer.image_file, jpeg()
+            writer.data3d[0].set("sensorSerialNumber", libe57.StringNode(file, SERIAL.decode()))
+            blob = libe57.BlobNode(file, len(photo))
+            picture = libe57.StructureNode(file)
+            visual = libe57.StructureNode(file)
+            writer.root["images2D"].append(picture)
+            picture.set("visualReferenceRepresentation", visual)
+            visual.set("jpegImage", blob)
+            blob.write(bytearray(photo), 0, len(photo))
+        return path.read_bytes()

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.edge.arrays import Floats
+from services.edge.mesh.clean import SPECK
 from services.edge.mesh.fill_gaps import Fill, FilledMesh, fill_gaps
 from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.mesh.pieces import Piece, SplitMesh, list_pieces
+from services.edge.mesh.topology import compact
 from services.edge.mesh.trim_rims import trim_rims
 from services.edge.points.nouns import Points, TextureView, UnitFrame
 from services.edge.render.free_space import ColouredSurface, ask_views
@@ -22,6 +25,7 @@ from services.edge.render.photo_comparison import (
     marked_jpeg,
     mean_figures,
 )
+from services.edge.render.piece_support import piece_support
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.silhouette import outside_outlines
 
@@ -33,6 +37,15 @@ _MUCH_INSIDE = 0.03
 """The same of pixels that show the inside of the thing through a hole."""
 _MUCH_LEAK = 0.03
 """Share of the mesh's pixels beside the thing from which on rims and flying pieces are noticed."""
+
+
+_SMALL_PIECE = 0.05
+"""Share of the area of all pieces: a larger one is kept whatever the photos say, as a pose may be wrong instead."""
+_FEWEST_VIEWS = 2
+"""Photos that see a piece; one alone confirms nothing."""
+_UNLIKE, _UNLIKE_USUAL = 30.0, 2.5
+"""sRGB levels by which the photos of a piece differ, and times what those of the largest differ, above which they show
+different things: exposure and gloss give 10 to 20."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +105,50 @@ def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> M
     step = max(1, len(untracked) // _MOST_OUTLINES)
     outside = outside_outlines(mesh_unit, [posed_picture(view, _to_unit(unit)) for view in untracked[::step]])
     return trim_rims(mesh_unit, outside)
+
+
+def drop_false_pieces(
+    mesh_unit: Mesh, points: Points, unit: UnitFrame, specks: Sequence[float] = ()
+) -> tuple[Mesh, tuple[Piece, ...]]:
+    """Drop small pieces that fewer than two photos see, or whose colours the photos disagree on.
+
+    mesh_unit  in the unit frame; specks: areas of pieces that were dropped before, because they are too small
+    Returns the mesh, and a list of all pieces with the reason for each. Without photos that have depth, all are kept.
+    """
+    split = SplitMesh.of(mesh_unit)
+    largest, whole = int(split.areas.argmax()), float(split.areas.sum())
+    small = np.flatnonzero(split.areas < _SMALL_PIECE * whole)
+    small = small[small != largest]
+    reasons = ["large"] * len(split.areas)
+    reasons[largest] = "the largest"
+    kept = np.ones(len(split.areas), bool)
+    views = [view for view in points.texture_views if len(small)]
+    pictures = [posed_picture(view, _to_unit(unit)) for view in (*views, *(points.held_out_views if views else ()))]
+    support = piece_support(split, [largest, *small.tolist()], pictures)
+    usual = float(np.nan_to_num(support.unlike[0]))
+    for row, number in enumerate(small.tolist(), start=1):
+        if support.views[0] < _FEWEST_VIEWS:  # of clouds, and of photos without depth
+            reasons[number] = "small, and there are no photos to ask"
+            continue
+        kept[number], reasons[number] = _judge_piece(int(support.views[row]), float(support.unlike[row]), usual)
+    pieces = list_pieces(
+        [*split.areas.tolist(), *specks],
+        [*kept.tolist(), *[False] * len(specks)],
+        [*reasons, *[f"smaller than {SPECK:.0f} squared point spacings"] * len(specks)],
+    )
+    return (mesh_unit if kept.all() else compact(mesh_unit, kept[split.piece])), pieces
+
+
+def _judge_piece(views: int, unlike: float, usual: float) -> tuple[bool, str]:
+    """Return whether a small piece is kept, and why.
+
+    views   photos that see it; unlike, usual: sRGB levels by which they differ in its colours, and the largest piece's
+    """
+    if views < _FEWEST_VIEWS:
+        return False, "only one photo sees it" if views else "no photo sees it"
+    if unlike > max(_UNLIKE, _UNLIKE_USUAL * usual):
+        return False, "the photos that see it disagree on its colours"
+    return True, "two photos or more see it alike"
 
 
 def fill_gaps_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame, fill: Fill) -> FilledMesh:

@@ -48,13 +48,14 @@ class _Frame:
 _FRAMES = {
     "glb": _Frame("metric", UP_Y),  # glTF 2.0, section 3.4: metres, Y up
     "gltf": _Frame("metric", UP_Y),
+    "e57": _Frame("metric", UP_Z),  # ASTM E2807: metres; scanners level themselves
     "las": _Frame("estimated", UP_Z),  # usually metres; the coordinate reference system, which is not read, decides
 }
 _MESHES = ("obj", "off", "stl", "glb", "gltf")
 
 
 def cloud_format(folder: Folder, name: str) -> str | None:
-    """Detect the format of a file from its first bytes: ply, pcd, npy, las, a mesh format, xyz, or None."""
+    """Detect the format of a file from its first bytes: ply, pcd, npy, las, e57, a mesh format, xyz, or None."""
     path = folder.path(name)
     with translate_errors(name, "file"), path.open("rb") as stream:
         head = stream.read(_SNIFF_BYTES)
@@ -68,7 +69,7 @@ def _by_magic(head: bytes) -> str | None:
     """Return the format that a magic number or a PCD header identifies, or None."""
     if re.match(rb"ply\r?\n", head):
         return "ply"
-    for magic, name in ((b"\x93NUMPY", "npy"), (b"LASF", "las"), (b"glTF", "glb")):
+    for magic, name in ((b"\x93NUMPY", "npy"), (b"LASF", "las"), (b"ASTM-E57", "e57"), (b"glTF", "glb")):
         if head.startswith(magic):
             return name
     if re.search(rb"^FIELDS\b", head[:2048], re.M) and re.search(rb"^(VERSION|SIZE|WIDTH|DATA)\b", head[:2048], re.M):
@@ -113,6 +114,10 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
         what = f"is larger than {limit // 2**20:,} MiB, the most that is read of a {kind.upper()} file"
         hint = "downsample the point cloud, or simplify the mesh"
         raise CaptureError("CAPTURE_TOO_LARGE", what, file=name, hints=(hint,))
+    if kind == "e57":
+        from services.edge.capture.e57 import read_e57
+
+        return read_e57(path, name, folder.tick)
     if kind == "las":
         from services.edge.capture.las import read_las
 

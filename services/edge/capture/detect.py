@@ -14,6 +14,7 @@ from services.edge.capture import (
     colmap,
     depth16,
     film,
+    kitti,
     nerfstudio,
     photos,
     polycam,
@@ -24,10 +25,10 @@ from services.edge.capture import (
     stray,
     tum,
 )
+from services.edge.capture.calibration import is_side_table
 from services.edge.capture.cloud import cloud_format, read_cloud
 from services.edge.capture.files import Folder, open_folder, translate_errors, unreadable
 from services.edge.capture.nouns import MIN_PHOTOS, Capture
-from services.edge.capture.poses import is_matrix
 from services.edge.errors import CaptureError
 
 _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ...] = (
@@ -41,9 +42,24 @@ _FORMATS: tuple[tuple[Callable[[Folder], bool], Callable[[Folder], Capture]], ..
     (pose_files.matches, pose_files.read),
     (arkitscenes.matches, arkitscenes.read),
     (replica.matches, replica.read),
+    (kitti.matches, kitti.read),
     (tum.matches, tum.read),  # last: it accepts any capture with a folder called "depth"
 )
-_CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".pts", ".npy", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf")
+_CLOUD_SUFFIXES = (
+    ".ply",
+    ".pcd",
+    ".xyz",
+    ".pts",
+    ".npy",
+    ".las",
+    ".laz",
+    ".e57",
+    ".obj",
+    ".off",
+    ".stl",
+    ".glb",
+    ".gltf",
+)
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
 # Text tables of numbers that belong to a recording; they look like point clouds, and are none.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
@@ -122,7 +138,7 @@ def _candidate(folder: Folder, name: str) -> str | None:
     if name.rsplit("/", 1)[-1].lower() in _SIDE_TABLES:
         return None
     kind = cloud_format(folder, name)
-    return None if kind == "xyz" and len(folder.names) > 1 and is_matrix(folder.path(name), name) else kind
+    return None if kind == "xyz" and len(folder.names) > 1 and is_side_table(folder, name) else kind
 
 
 def _nothing_readable(folder: Folder) -> CaptureError:

@@ -134,10 +134,10 @@ def _valid_frames(records: Sequence[FrameRecord], axes: Axes) -> tuple[list[Fram
             errors.append(error)
     if len(errors) > MAX_BAD_SHARE * len(records):
         raise errors[0]
-    return frames, [*_as_warnings("frame skipped", errors), *_as_warnings("colours skipped", colourless)]
+    return frames, [*as_warnings("frame skipped", errors), *as_warnings("colours skipped", colourless)]
 
 
-def _as_warnings(what: str, errors: Sequence[CaptureError]) -> list[str]:
+def as_warnings(what: str, errors: Sequence[CaptureError]) -> list[str]:
     """Return the first few errors as warnings, and the number of the others."""
     more = len(errors) - _FRAMES_TO_WARN_OF
     warnings = [f"{what}: {error}" for error in errors[:_FRAMES_TO_WARN_OF]]
@@ -203,21 +203,36 @@ def _check_sizes(frames: Sequence[Frame]) -> None:
 
 
 def _check_depth(frames: Sequence[Frame], file: str) -> None:
-    """Raise CAPTURE_EMPTY when the first, the last and the middle depth image all have no depth."""
-    measured = [_has_depth(frames[index]) for index in {0, len(frames) - 1}]
-    if not any(measured) and not _has_depth(frames[len(frames) // 2]):
+    """Raise CAPTURE_EMPTY when no depth image has depth, CAPTURE_DEGENERATE when all have one value at every pixel.
+
+    The first and the last are decoded; the others only until one has depth that differs.
+    """
+    ranges = [_depth_range_m(frames[place]) for place in {0, len(frames) - 1}]
+    for frame in frames[1:-1]:
+        if any(low < high for low, high in ranges):
+            return
+        ranges.append(_depth_range_m(frame))
+    if not any(high > 0 for _, high in ranges):
         hint = ("record again, and keep the thing within the sensor's range, 0.3 to 5 m",)
         raise CaptureError("CAPTURE_EMPTY", "has depth images in which every pixel is empty", file=file, hints=hint)
+    if all(low == high for low, high in ranges):
+        what = f"has depth images that say {max(ranges)[1]:.3g} m at every pixel: they are placeholders, not measured"
+        hints = ("record again with an app that saves the sensor's depth", "or send the pictures alone, as photos")
+        raise CaptureError("CAPTURE_DEGENERATE", what, file=file, hints=hints)
 
 
-def _has_depth(frame: Frame) -> bool:
-    """Return whether any pixel of the depth image has depth. Raises IMAGE_UNREADABLE for a size unlike the header's."""
+def _depth_range_m(frame: Frame) -> tuple[float, float]:
+    """Return the least and the largest depth, 0 for both without any.
+
+    Raises IMAGE_UNREADABLE for a size unlike the header's.
+    """
     depth_m = frame.load_depth_m()
     if depth_m.shape != (frame.intrinsics.height, frame.intrinsics.width):
         header = f"{frame.intrinsics.width} x {frame.intrinsics.height}"
         what = f"decodes to {depth_m.shape[1]} x {depth_m.shape[0]} pixels, but its header says {header}"
         raise CaptureError("IMAGE_UNREADABLE", what, file=frame.name)
-    return bool((depth_m > 0).any())
+    known = depth_m[depth_m > 0]
+    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
 def _unit_warning(frames: Sequence[Frame]) -> tuple[str, ...]:

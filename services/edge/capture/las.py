@@ -1,10 +1,8 @@
-"""Read LAS and LAZ point clouds with laspy. Georeferenced coordinates are moved near the origin to keep precision."""
+"""Read LAS and LAZ point clouds with laspy; a LAZ in a child process, as its decoder may abort on hostile counts."""
 
 from __future__ import annotations
 
 import struct
-import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.capture.colours import rgb8
+from services.edge.capture.cloud_process import decode_in_child, near_origin
 from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
 from services.edge.capture.tables import MAX_POINTS, too_many_points, truncated
-from services.edge.child_process import ChildError, run_child
 from services.edge.errors import CaptureError
 
-POSITIONS, COLOURS = "xyz.npy", "rgb.npy"
-"""Files that the child process `laz_child` writes: (N,3) float64, and (N,3) uint16 if the LAZ has colours."""
-
 _CHUNK_BYTES = 64 * 2**20  # of records decoded at a time: a truncated file fails before all points are allocated
-_FAR = 10_000.0  # metres from the origin above which coordinates are georeferenced: no scan of a room is that large
 _HEADER_BYTES = 227  # of LAS 1.2
 _VLR_HEADER_BYTES = 54
 _MAX_RECORD_BYTES = 1024  # the largest standard point has 67 bytes; the rest is room for extra dimensions
 _COMPRESSED = 0x80  # bit of the point format that marks LAZ
-_CHILD_BYTES = 6 * 2**30  # limit of the child's address space; 20 million points take under 2 GiB
-_CHILD_SECONDS = 120.0  # time limit of the child; 20 million points take about 40 s
 
 
 def read_las(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[str, ...]]:
@@ -39,15 +30,8 @@ def read_las(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
     """
     compressed = _check_header(path, file)
     with translate_errors(file, "LAS"):
-        xyz, rgb = _read_in_child(path, file, tick) if compressed else decode_points(path)
-    finite = xyz[np.isfinite(xyz).all(axis=1)]
-    colours = None if rgb is None else rgb8(rgb)
-    if not len(finite) or np.abs(finite).max() < _FAR:
-        return Cloud(xyz, colours), ()
-    origin = np.floor(finite.min(axis=0))
-    moved = ", ".join(f"{value:.0f}" for value in origin)
-    warning = f"{file}: coordinates are georeferenced; ({moved}) was subtracted from every point"
-    return Cloud(xyz - origin, colours), (warning,)
+        xyz, rgb = decode_in_child("LAZ", path, file, tick) if compressed else decode_points(path)
+    return near_origin(xyz, rgb, file)
 
 
 def _check_header(path: Path, file: str) -> bool:
@@ -113,20 +97,3 @@ def _columns(chunk: Any) -> tuple[Floats, NDArray[Any] | None]:
     if "red" not in set(chunk.point_format.dimension_names):
         return xyz, None
     return xyz, np.stack([np.asarray(chunk.red), np.asarray(chunk.green), np.asarray(chunk.blue)], axis=1)
-
-
-def _read_in_child(path: Path, file: str, tick: Tick) -> tuple[Floats, NDArray[Any] | None]:
-    """Decode a LAZ in a child process: its decoder, in Rust, aborts the process on a count it cannot allocate."""
-    with tempfile.TemporaryDirectory(prefix="laz-") as name:
-        folder = Path(name)
-        module, limit = "services.edge.capture.laz_child", str(_CHILD_BYTES)
-        command = [sys.executable, "-m", module, str(path.resolve()), name, limit]
-        try:
-            run_child(command, "the LAZ decoder", folder / "log", tick, most_seconds=_CHILD_SECONDS)
-        except ChildError as error:
-            if error.too_slow:
-                what = f"takes too long to decode: more than {_CHILD_SECONDS:.0f} s"
-                raise CaptureError("CAPTURE_TOO_LARGE", what, file=file) from None
-            raise unreadable(file, "is not a readable LAZ (its compressed points are damaged)") from None
-        colours = folder / COLOURS
-        return np.load(folder / POSITIONS), np.load(colours) if colours.exists() else None

@@ -3,8 +3,8 @@
 7-Scenes, 3DMatch and BundleFusion have `frame-N.depth.png`, `frame-N.color.png` and `frame-N.pose.txt`; ScanNet's
 export has `depth/N.png`, `color/N.jpg` and `pose/N.txt`. Depth is u16 mm, or as `m_depthShift` says. A pose is a 4 x 4
 camera-to-world matrix in OpenCV axes and metres, of infinities or NaN where tracking was lost. The camera stands in
-`camera-intrinsics.txt` (3DMatch), `intrinsic/intrinsic_depth.txt` (ScanNet) or `info.txt` (BundleFusion); 7-Scenes has
-no file of it.
+`camera-intrinsics.txt` (3DMatch), `intrinsic/intrinsic_depth.txt` (ScanNet), `info.txt` (BundleFusion) or another
+text file with a calibration; 7-Scenes has no file of it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.edge.arrays import Floats
+from services.edge.capture.calibration import find_calibration
 from services.edge.capture.files import Folder, numbers, read_text, unreadable
 from services.edge.capture.frame_records import (
     FrameRecord,
@@ -120,6 +121,8 @@ def _camera(folder: Folder, depth: str) -> tuple[Intrinsics, float, tuple[str, .
                 if not 0 < steps < np.inf:
                     raise unreadable(name, f"has m_depthShift = {steps}, which is not a positive, finite number")
                 return matrix_pinhole(matrix, size), steps, ()
+    if (found := find_calibration(folder, size)) is not None:
+        return found, STEPS_PER_METRE, ()
     if size[0] * 3 != size[1] * 4:
         what = f"is {size[0]} x {size[1]}, and no file has the camera's intrinsics"
         hint = "add a camera-intrinsics.txt with the 3 x 3 camera matrix"

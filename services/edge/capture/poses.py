@@ -6,13 +6,11 @@ becomes the other by a half turn of the camera about its X axis: T_opencv = T_op
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from services.edge.arrays import Floats
-from services.edge.capture.files import data_lines, read_text
 from services.edge.errors import CaptureError
 
 Axes = Literal["opencv", "opengl"]
@@ -20,16 +18,7 @@ Axes = Literal["opencv", "opengl"]
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 ORTHONORMAL_TOLERANCE = 1e-2  # of an entry; apps print five digits, a scaled or sheared rotation is off by far more
 _EXACT = 1e-13  # float64 rounding: a rotation this close, as from a quaternion, would not get better by an SVD
-_MOST_MATRIX_BYTES = 1_000  # 16 numbers of 25 digits and their exponents are half of it
 MAX_DISTANCE = 1e6  # metres from the origin; the same limit as for points
-
-
-def is_matrix(path: Path, file: str) -> bool:
-    """Return whether a text file has nothing but a matrix of 3 or 4 rows and columns: a pose or a camera, no points."""
-    if path.stat().st_size > _MOST_MATRIX_BYTES:
-        return False
-    rows = [line.split() for line in data_lines(read_text(path, file))]
-    return len(rows) in (3, 4) and all(len(row) == len(rows[0]) for row in rows) and len(rows[0]) in (3, 4)
 
 
 def bad_pose(file: str, reason: str, hint: str = "record again: tracking was lost") -> CaptureError:

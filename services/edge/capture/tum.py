@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from services.edge.arrays import Floats
+from services.edge.capture.calibration import find_calibration
 from services.edge.capture.files import (
     Folder,
     data_lines,
@@ -169,9 +170,10 @@ def _ground_truth(folder: Folder, truth: str) -> tuple[Floats, list[Floats]]:
 
 
 def _camera(folder: Folder, depths: Sequence[str], steps_per_metre: float) -> tuple[Intrinsics, float]:
-    """Return intrinsics and depth steps per metre, from the first JSON with an intrinsic_matrix, or else the defaults.
+    """Return intrinsics and depth steps per metre, from the first JSON with an intrinsic_matrix, or else from a text
+    file with a calibration, or else the defaults.
 
-    The matrix is column-major, as Open3D writes it.
+    The JSON's matrix is column-major, as Open3D writes it.
     """
     for name in folder.directly_in("", ".json"):
         record = read_json(folder.path(name), name)
@@ -185,6 +187,10 @@ def _camera(folder: Folder, depths: Sequence[str], steps_per_metre: float) -> tu
             return camera, scale
     if not depths:
         raise CaptureError("CAPTURE_EMPTY", "has no depth images", file="depth")
+    if not depths[0].endswith(".npy"):
+        found = find_calibration(folder, image_size(folder.path(depths[0]), depths[0]))
+        if found is not None:
+            return found, steps_per_metre
     return _default_camera(folder, depths[0]), steps_per_metre
 
 

@@ -70,10 +70,12 @@ def clean(
     pin_hole: float = PIN_HOLE,
     tear: float = TEAR,
     overhang_most: float = OVERHANG,
+    specks: list[float] | None = None,
     tick: Tick = no_tick,
 ) -> Mesh:
     """Trim a mesh to the points (N,3) near it, close its gaps and orient its faces; both in one frame.
 
+    specks gets the areas of the pieces that were dropped because they have room for fewer than `speck` points.
     speck in points; pin_hole, tear and overhang_most in local spacings. `tick` is called between the steps with the
     fraction done and may raise `Cancelled`. The result has no edge with more than two faces, is oriented
     consistently where that is possible, and is empty when no part of the mesh is backed by points.
@@ -85,12 +87,13 @@ def clean(
     tick(0.1)
     mesh = orient(mesh, part_of(tick, 0.1, 0.25))
     support = Support(np.asarray(near, np.float64), mesh, vertex_normals(mesh), part_of(tick, 0.25, 0.35))
-    mesh, border = _drop_specks(mesh, support, speck)
+    dropped = [] if specks is None else specks
+    mesh, border = _drop_specks(mesh, support, speck, dropped)
     mesh, border = _close_gaps(mesh, border, support, Gaps(pin_hole, SLIT, tear), part_of(tick, 0.4, 0.5))
     mesh = _trim(mesh, border, support, overhang_most, part_of(tick, 0.5, 0.7))
-    mesh, border = _drop_specks(mesh, support, speck)
+    mesh, border = _drop_specks(mesh, support, speck, dropped)
     mesh, _ = _close_gaps(mesh, border, support, Gaps(AFTER * pin_hole, SLIT_AFTER, tear), part_of(tick, 0.75, 0.8))
-    mesh, _ = _drop_specks(mesh, support, speck)  # closing gaps may cut crumbs off
+    mesh, _ = _drop_specks(mesh, support, speck, dropped)  # closing gaps may cut crumbs off
     mesh = orient(compact(mesh), part_of(tick, 0.8, 0.9))
     mesh = _tighten_fins(mesh, support)
     tick(0.95)
@@ -149,8 +152,10 @@ def _trim(mesh: Mesh, border: Ints, support: Support, most: float, tick: Tick) -
     return to_manifold(trimmed, _mask(border_edges(trimmed.faces), len(trimmed.vertices)))
 
 
-def _drop_specks(mesh: Mesh, support: Support, least: float) -> tuple[Mesh, Ints]:
+def _drop_specks(mesh: Mesh, support: Support, least: float, dropped: list[float]) -> tuple[Mesh, Ints]:
     """Drop pieces with room for fewer than `least` points, except the largest -> the mesh, and its border.
+
+    `dropped` gets their areas.
 
     The spacing of a small piece among others (a leaf) spans the gaps around it, so the points that it holds count too.
     """
@@ -163,6 +168,8 @@ def _drop_specks(mesh: Mesh, support: Support, least: float) -> tuple[Mesh, Ints
     own = np.bincount(of_vertex[in_use], support.points_held(len(mesh.vertices))[in_use], len(points))
     points = np.maximum(points, own)
     kept: Bools = (points >= least) | (points == points.max(initial=0))
+    areas = np.bincount(piece, np.linalg.norm(face_normals(mesh.vertices, mesh.faces), axis=1) / 2)
+    dropped += areas[~kept].tolist()
     mesh, border = Mesh(mesh.vertices, mesh.faces[kept[piece]]), edges.border(mesh.faces)
     return mesh, border[_mask(mesh.faces, len(mesh.vertices))[border].all(axis=1)]
 

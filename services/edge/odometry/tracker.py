@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick, no_tick
+from services.edge.arrays import Bytes, Floats, Tick, no_tick
 from services.edge.capture.nouns import Frame
 from services.edge.errors import CaptureError
 from services.edge.odometry.icp import MIN_PAIRS, IcpFit, align
@@ -22,8 +22,9 @@ from services.edge.odometry.loop_closure import close_loops
 from services.edge.odometry.pose_graph import Edge, optimise_poses
 from services.edge.odometry.pyramid import Level, pyramid
 from services.edge.odometry.relocalise import relocalise
-from services.edge.points.depth_limits import DepthLimits, read_view
+from services.edge.points.depth_limits import DepthLimits
 from services.edge.points.depth_range import survey_frames
+from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.fuse import at_resolution
 
 _MAX_SIDE = 320
@@ -62,9 +63,11 @@ def track_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> TrackedFrames
     `tick` may raise `Cancelled`.
     """
     limits = survey_frames(frames).limits
-    state = _TrackState()
+    state, faults = _TrackState(), FrameFaults()
     for number, frame in enumerate(frames):
-        state.track(number, _level(frame, limits))
+        level = _level(frame, limits, faults)
+        if level is not None:
+            state.track(number, level)
         if state.lost_in_a_row(number) > _MAX_LOST:
             break
         tick(0.7 * (number + 1) / len(frames))
@@ -73,7 +76,7 @@ def track_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> TrackedFrames
     poses = optimise_poses(np.stack(state.poses), state.edges + loops)
     tick(1.0)
     posed = (replace(frames[at], camera_to_world=poses[key] @ inside) for at, (key, inside) in state.places.items())
-    return TrackedFrames(tuple(posed), _lost_warning(frames, state))
+    return TrackedFrames(tuple(posed), _lost_warning(frames, state) + faults.warnings(len(frames)))
 
 
 class _TrackState:
@@ -146,22 +149,26 @@ def _is_next_key(fit: IcpFit, level: Level) -> bool:
     return fit.overlap < _KEY_OVERLAP or turn > _KEY_TURN_DEG or shift > _KEY_SHIFT
 
 
-def _level(frame: Frame, limits: DepthLimits) -> Level:
-    """Load a frame's filtered depth and its grey picture, at most _MAX_SIDE pixels along the longer side."""
-    view = read_view(replace(frame, camera_to_world=np.eye(4)), limits)
-    level = Level(view.intrinsics, view.inverse_depth, _grey(frame, view.inverse_depth.shape))
+def _level(frame: Frame, limits: DepthLimits, faults: FrameFaults) -> Level | None:
+    """Load a frame's filtered depth and its grey picture, at most _MAX_SIDE pixels along the longer side.
+
+    None where the depth cannot be decoded."""
+    view = faults.read_view(replace(frame, camera_to_world=np.eye(4)), limits)
+    if view is None:
+        return None
+    level = Level(view.intrinsics, view.inverse_depth, _grey(faults.read_picture(frame), view.inverse_depth.shape))
     while max(level.inverse_depth.shape) > _MAX_SIDE:
         level = level.half_size()
     return level
 
 
-def _grey(frame: Frame, shape: tuple[int, ...]) -> Floats | None:
-    """Load a frame's picture as blurred grey (H,W) float32 0..1, or None without a picture."""
+def _grey(rgb: Bytes | None, shape: tuple[int, ...]) -> Floats | None:
+    """Convert a picture to blurred grey (H,W) float32 0..1; None without a picture."""
     import cv2
 
-    if frame.load_rgb is None:
+    if rgb is None:
         return None
-    grey = cv2.cvtColor(at_resolution(frame.load_rgb(), shape), cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
+    grey = cv2.cvtColor(at_resolution(rgb, shape), cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.float32)
 
 

@@ -38,6 +38,7 @@ _SMALLEST_MODEL = 3  # photos of a model
 _FEWEST_INLIERS = 15  # points that place a photo; COLMAP's 30 split 20 photos of fruit of 600 x 400 into 9, 7 and 6
 _MOST_MODELS = 5  # with more, the photos do not show one object
 _ANY_DISTORTION = 1e6  # COLMAP drops every point of a camera with a coefficient over 1; a long lens has k3 = -6.3
+_MOST_MAPPING_SECONDS = 300  # after which the mapper ends with what it has placed; 100 photos take 10, 300 take 60
 _PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2): signal for this process when its parent dies
 
 
@@ -192,6 +193,7 @@ def _options(slack: float, *, given: bool) -> Any:
         min_model_size=_SMALLEST_MODEL,
         max_num_models=_MOST_MODELS,
         extract_colors=False,
+        max_runtime_seconds=_MOST_MAPPING_SECONDS,
         num_threads=1,  # on two threads the same photos gave cameras that differed in the fifth digit
         random_seed=_SEED,
         ba_global_frames_ratio=1.4,

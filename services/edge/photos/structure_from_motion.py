@@ -177,12 +177,12 @@ def _error_px(views: Sequence[PhotoView], attempt: _Attempt) -> float:
     for number, view in enumerate(views):
         mine = answer.seen_view == number
         observed = attempt.features[answer.placed[number]].xy[answer.seen_feature[mine]]
-        offset = _project(view, answer.xyz[answer.seen_point[mine]]) - observed
+        offset = project(view, answer.xyz[answer.seen_point[mine]]) - observed
         distances.append(np.linalg.norm(offset, axis=1) / pixel_ratio(view.photo, attempt.setting))
     return float(np.concatenate(distances).mean())
 
 
-def _project(view: PhotoView, xyz: Floats) -> Floats:
+def project(view: PhotoView, xyz: Floats) -> Floats:
     """Project points (K,3) to pixels (K,2) of the stored photo."""
     at, world_to_camera = view.intrinsics, np.linalg.inv(view.camera_to_world)
     turn, _ = cv2.Rodrigues(world_to_camera[:3, :3])
@@ -247,6 +247,9 @@ def _low_overlap(photos: Sequence[Photo], attempt: _Attempt) -> CaptureError:
     hints = (f"not placed: {_names(photos, left_out)}", *_gaps(photos, attempt), _HOW_TO_SHOOT)
     if all(photo.camera_to_world is not None for photo in photos):
         hints = (*hints, "check that the poses belong to these photos, and that they are camera-to-world")
+    plain = sum(len(features.xy) < _UNTEXTURED for features in attempt.features)
+    if plain > (1 - _ENOUGH) * len(photos):
+        hints = (f"{plain} photos show hardly any texture, as sky, mirrors, glass and plain walls do not", *hints)
     message = f"only {len(placed)} of {len(photos)} photos overlap enough to be placed"
     return CaptureError("CAPTURE_LOW_OVERLAP", message, hints=hints)
 

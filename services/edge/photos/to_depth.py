@@ -15,6 +15,7 @@ from services.edge.photos.crop import crop_photo
 from services.edge.photos.depth_maps import depth_frames
 from services.edge.photos.gravity import gravity_up
 from services.edge.photos.nouns import Alignment, PhotoView
+from services.edge.photos.parallax import require_parallax
 from services.edge.photos.screening import screen
 from services.edge.photos.structure_from_motion import align
 from services.edge.photos.turntable import axis_up, mask_background, thing_box
@@ -30,6 +31,13 @@ _UNITLESS = (
     "longest side for its true size."
 )
 _TURNTABLE_UP = UpSource("turntable", 0.95)  # 0.03 to 0.05 degrees on rendered turntables; real plates wobble
+_CONTRADICTED = (
+    "The poses that came with the photos contradict what the photos show, so they were not used: the cameras were "
+    "computed from the photos alone, and the size is not known. Check that each pose belongs to its photo, and that "
+    "the poses are camera-to-world"
+)
+_NAMED = 8
+"""Most photos that a sentence names."""
 _TURNTABLE = "The thing turns in front of a still background (a turntable), so the background was masked out."
 
 
@@ -39,7 +47,9 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     device: where the plane sweep computes, "cpu" or a GPU as PyTorch names it.
     Poses that came with the photos keep their units, and where nothing tells what these are, the capture's
     `metres_per_unit` puts the object at arm's length; computed poses are scaled so.
-    Raises CaptureError: CAPTURE_LOW_OVERLAP where the photos do not overlap enough, with what to shoot next.
+    Poses that contradict the photos are not used.
+    Raises CaptureError: CAPTURE_LOW_OVERLAP where the photos do not overlap enough, with what to shoot next;
+    CAPTURE_DEGENERATE where the camera turned, but did not move.
     """
     masked = mask_background(capture.photos, lambda fraction: tick(_MASKED * fraction))
     turntable = bool(masked)
@@ -48,9 +58,12 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     )
     if refused and len(photos) < MIN_PHOTOS:
         raise _too_few_photos(len(capture.photos), refused)
-    alignment = align(photos, tick=lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
+    alignment, contradicted = _align(photos, lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
+    require_parallax(alignment)
+    if contradicted:
+        capture = replace(capture, metres_per_unit=1.0, scale_confidence="unknown", up=None)
     metres_per_unit, unitless = capture.metres_per_unit, ""
-    if any(photo.camera_to_world is None for photo in photos):
+    if contradicted or any(photo.camera_to_world is None for photo in photos):
         alignment = _scale_to_arms_length(alignment)
     elif capture.scale_confidence == "unknown":
         metres_per_unit, unitless = _ARMS_LENGTH / _median_reach(alignment), _UNITLESS
@@ -70,11 +83,25 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
         warnings=(
             *capture.warnings,
             *_unused_warning(verdicts),
+            *((_CONTRADICTED,) if contradicted else ()),
             *alignment.warnings,
             *((unitless,) if unitless else ()),
             *((_TURNTABLE,) if turntable else ()),
         ),
     )
+
+
+def _align(photos: Sequence[Photo], tick: Tick) -> tuple[Alignment, bool]:
+    """Align the photos, and tell whether the poses that came with them contradict them and were not used."""
+    try:
+        return align(photos, tick=tick), False
+    except CaptureError as error:
+        if any(photo.camera_to_world is None for photo in photos):
+            raise
+        try:
+            return align([replace(photo, camera_to_world=None) for photo in photos], tick=tick), True
+        except CaptureError:
+            raise error from None
 
 
 def _which_way_is_up(
@@ -141,7 +168,10 @@ def _unused_warning(verdicts: Sequence[PhotoVerdict]) -> tuple[str, ...]:
     left = [verdict for verdict in verdicts if verdict.verdict != "ok"]
     if not left:
         return ()
-    return (f"{len(left)} of {len(verdicts)} photos were not used: {_count_kinds(left)}.",)
+    named = [verdict.name for verdict in left if verdict.verdict != "no_overlap"]  # the alignment's warning names those
+    more = f" and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    which = f" ({', '.join(named[:_NAMED])}{more})" if named else ""
+    return (f"{len(left)} of {len(verdicts)} photos were not used: {_count_kinds(left)}{which}.",)
 
 
 def _count_kinds(verdicts: Sequence[PhotoVerdict]) -> str:

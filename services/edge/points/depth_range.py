@@ -37,15 +37,25 @@ class Survey:
 
 
 def survey_frames(frames: Sequence[Frame]) -> Survey:
-    """Survey up to `_SURVEY_FRAMES` frames. Raises CaptureError: CAPTURE_TOO_FEW_POINTS when they have no depth."""
+    """Survey up to `_SURVEY_FRAMES` frames; those that cannot be decoded are passed over.
+
+    Raises CaptureError: CAPTURE_TOO_FEW_POINTS when they have no depth, or why not one of them can be decoded.
+    """
     chosen = frames[:: max(1, -(-len(frames) // _SURVEY_FRAMES))]
     depths, confidences, pixels = [], [], []
+    broken: list[CaptureError] = []
     for frame in chosen:
-        depth_m, confidence, camera = load_depth(frame)
+        try:
+            depth_m, confidence, camera = load_depth(frame)
+        except CaptureError as error:
+            broken.append(error)
+            continue
         z = depth_m[depth_m > 0]
         depths.append(z)
         confidences.append(confidence[depth_m > 0])
         pixels.append(z / max(camera.fx, camera.fy))
+    if not depths:
+        raise broken[0]
     z, confidence, pixel = np.concatenate(depths), np.concatenate(confidences), np.concatenate(pixels)
     if z.size < MIN_PIXELS:
         raise too_few_pixels(len(chosen), z.size, 0, DepthLimits(_NEAR_M, _FAR_M, _MIN_CONFIDENCE))

@@ -16,8 +16,9 @@ import numpy as np
 from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick
 from services.edge.capture.nouns import Frame
 from services.edge.points.depth_consensus import ViewAgreement, vote_on_points
-from services.edge.points.depth_limits import DepthView, read_view
+from services.edge.points.depth_limits import DepthView
 from services.edge.points.depth_range import MIN_PIXELS, survey_frames, too_few_pixels
+from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.voxel_grid import Samples, VoxelGrid, voxel_keys
 from services.edge.srgb import to_linear, to_srgb
 
@@ -49,14 +50,16 @@ class FusedPoints:
     """Result of the fusion: points in the capture frame (metres).
 
     xyz (N,3) float64; rgb (N,3) uint8 or None; confidence (N,) float32; voxel: size used, metres;
-    cameras (M,3) positions; sharpness (M,) of the pictures, 0 without one; aim (3,): median of the surface points in
-    the middle of the images, or None.
+    frames: the M that could be decoded, without `load_rgb` where only the picture could not; cameras (M,3) positions;
+    sharpness (M,) of the pictures, 0 without one; aim (3,): median of the surface points in the middle of the images,
+    or None.
     """
 
     xyz: Floats
     rgb: Bytes | None
     confidence: Floats
     voxel: float
+    frames: tuple[Frame, ...]
     cameras: Floats
     sharpness: Floats
     aim: Floats | None
@@ -67,7 +70,8 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     """Fuse posed depth frames into points, `voxel` metres apart (None: derived from the pixels' size).
 
     One frame is in memory at a time, besides the grid and at most `_VOTING_VIEWS` depth images. Raises CaptureError:
-    CAPTURE_TOO_FEW_POINTS where hardly any depth is usable.
+    CAPTURE_TOO_FEW_POINTS where hardly any depth is usable, or the first one's error where more than MAX_BAD_SHARE of
+    the depth images cannot be decoded.
     """
     survey = survey_frames(frames)
     origin = np.asarray(frames[0].camera_to_world, np.float64)[:3, 3]
@@ -76,25 +80,43 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     voters = set(np.linspace(0, len(frames) - 1, min(len(frames), _VOTING_VIEWS)).round().astype(int).tolist())
     views: list[DepthView] = []
     aims: list[Floats] = []
-    sharpness = np.zeros(len(frames))
+    used: list[Frame] = []
+    sharpness: list[float] = []
+    faults = FrameFaults()
     read = usable = 0
     for number, frame in enumerate(frames):
-        view = read_view(frame, survey.limits)
-        samples, sharpness[number] = _observe(view, frame, origin)
+        view = faults.read_view(frame, survey.limits)
+        if view is None:
+            continue
+        rgb = faults.read_picture(frame)
+        samples, sharp = _observe(view, rgb, origin)
+        used.append(frame if rgb is not None else replace(frame, load_rgb=None))
+        sharpness.append(sharp)
         grid.add(samples)
         aims += _aim_point(view)
         read, usable = read + view.read, usable + len(samples)
         if number in voters:
             views.append(view)
         tick(0.7 * (number + 1) / len(frames))
+    faults.check(len(frames))
     if usable < MIN_PIXELS:
         raise too_few_pixels(len(frames), read, usable, survey.limits)
     merged = _merge_agreeing(grid, views, origin, lambda fraction: tick(0.7 + 0.3 * fraction))
     rgb = to_srgb(_fill_light(merged)) if merged.clarity.any() else None
-    cameras = np.stack([np.asarray(frame.camera_to_world, np.float64)[:3, 3] for frame in frames])
+    cameras = np.stack([np.asarray(frame.camera_to_world, np.float64)[:3, 3] for frame in used])
     aim = np.median(np.stack(aims), axis=0) if aims else None
     xyz = merged.xyz.astype(np.float64) + origin
-    return FusedPoints(xyz, rgb, np.clip(merged.confidence, 0, 1), grid.voxel, cameras, sharpness, aim, survey.warnings)
+    return FusedPoints(
+        xyz,
+        rgb,
+        np.clip(merged.confidence, 0, 1),
+        grid.voxel,
+        tuple(used),
+        cameras,
+        np.array(sharpness),
+        aim,
+        survey.warnings + faults.warnings(len(frames)),
+    )
 
 
 def has_stereo_depth(frames: Sequence[Frame]) -> bool:
@@ -102,7 +124,7 @@ def has_stereo_depth(frames: Sequence[Frame]) -> bool:
     return any(frame.window_px > 1 for frame in frames)
 
 
-def _observe(view: DepthView, frame: Frame, origin: Floats) -> tuple[Samples, float]:
+def _observe(view: DepthView, rgb: Bytes | None, origin: Floats) -> tuple[Samples, float]:
     """Back-project the valid pixels of a view; return the samples and the picture's sharpness.
 
     weight = cosine · confidence / z²: depth noise grows with z."""
@@ -118,8 +140,8 @@ def _observe(view: DepthView, frame: Frame, origin: Floats) -> tuple[Samples, fl
     light: Floats = np.zeros((len(xyz), 3), np.float32)
     clarity: Floats = np.zeros(len(xyz), np.float32)
     sharpness = 0.0
-    if frame.load_rgb is not None:
-        rgb = at_resolution(frame.load_rgb(), view.inverse_depth.shape)
+    if rgb is not None:
+        rgb = at_resolution(rgb, view.inverse_depth.shape)
         light = to_linear(rgb[rows, columns])
         sharpness = _sharpness(rgb)
         clarity = sharpness**_SHARP * view.cosine[rows, columns] ** _FRONTAL

@@ -1,4 +1,4 @@
-"""Helpers to strip metadata in place, for the formats' modules (jpeg, png, webp, heif, tiff, exr, mp4, matroska).
+"""Helpers to strip metadata in place, for the formats' modules (jpeg, png, webp, heif, tiff, exr, e57, mp4, matroska).
 
 Each of those has `clean(data) -> CleanResult`, which works on a writable memory map and moves no byte. So a 20 MB photo
 costs no memory, offsets in the file stay valid, and the pixels stay bit-identical.

@@ -20,6 +20,7 @@ class Kind(Enum):
     VIDEO = "video"
     MATROSKA = "matroska"
     ARCHIVE = "archive"
+    E57 = "e57"
     DATA = "data"
     UNKNOWN = "unknown"
 
@@ -33,6 +34,7 @@ _MAGIC = (
     (b"MM\0*", Kind.TIFF),
     (b"v/1\x01", Kind.EXR),
     (b"\x1aE\xdf\xa3", Kind.MATROSKA),
+    (b"ASTM-E57", Kind.E57),
     (b"PK\x03\x04", Kind.ARCHIVE),
     (b"PK\x05\x06", Kind.ARCHIVE),
     (b"\x1f\x8b\x08", Kind.ARCHIVE),
@@ -50,7 +52,22 @@ _MATROSKA_SUFFIXES = {".webm", ".mkv"}
 # Point clouds and meshes; Record3D's depth and confidence; Android's DEPTH16 and glTF's buffers; arrays; poses,
 # intrinsics.
 _DATA_SUFFIXES = {".ply", ".pcd", ".xyz", ".pts", ".las", ".laz", ".obj", ".off", ".stl", ".glb", ".gltf", ".mtl"}
-_DATA_SUFFIXES |= {".depth", ".conf", ".bin", ".npy", ".json", ".csv", ".txt", ".log", ".yaml", ".yml", ".xml", ".md"}
+_DATA_SUFFIXES |= {
+    ".e57",
+    ".info",
+    ".depth",
+    ".conf",
+    ".bin",
+    ".npy",
+    ".json",
+    ".csv",
+    ".txt",
+    ".log",
+    ".yaml",
+    ".yml",
+    ".xml",
+    ".md",
+}
 
 
 def sniff(name: str, head: bytes) -> Kind:

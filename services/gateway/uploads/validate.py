@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from services.gateway.errors import Problem
-from services.gateway.strip import exr, heif, jpeg, matroska, mp4, png, tiff, webp
+from services.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
 from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
 from services.gateway.uploads.image_checks import MAX_PIXELS, TooLargeError, check_image, map_file
 from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
@@ -22,6 +22,7 @@ _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
     Kind.TIFF: tiff.clean,
     Kind.HEIF: heif.clean,
     Kind.EXR: exr.clean,
+    Kind.E57: e57.clean,
     Kind.VIDEO: mp4.clean,
     Kind.MATROSKA: matroska.clean,
 }
@@ -64,7 +65,7 @@ def validate(folder: Path, names: Iterable[str]) -> list[FileReport]:
             "CAPTURE_UNKNOWN_FORMAT",
             "no file of the upload is a photo, a video, a point cloud or a scan",
             file=verdicts[0].file,
-            hints=("send photos, a video, .ply, .pcd, .las, .obj or the export of a scanner app",),
+            hints=("send photos, a video, .ply, .pcd, .las, .e57, .obj or the export of a scanner app",),
         )
     return verdicts
 

@@ -24,6 +24,7 @@ from services.edge.odometry.pose_graph import Edge, optimise_poses
 from services.edge.odometry.pyramid import Level, pyramid
 from services.edge.odometry.relocalise import relocalise
 from services.edge.odometry.tracker import track_frames
+from services.edge.points.frame_faults import FrameFaults
 from tests.support import captures
 from tests.support.scenes import PHONE, Scene, Sensor, film, look_at, orbit, plane, scene, table_with_sphere
 
@@ -57,7 +58,9 @@ def off_m(tracked: tuple[Frame, ...], truth: Floats) -> Floats:
 
 def levels(pose: Floats, world: Scene, *, noise_m: float = 0.0, seed: int = 0) -> tuple[Level, ...]:
     (frame,) = film(world, pose[None], sensor=Sensor(noise_m=noise_m), seed=seed)
-    return pyramid(tracker._level(frame, tracker.survey_frames([frame]).limits))
+    level = tracker._level(frame, tracker.survey_frames([frame]).limits, FrameFaults())
+    assert level is not None
+    return pyramid(level)
 
 
 @pytest.mark.slow

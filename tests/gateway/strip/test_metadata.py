@@ -7,7 +7,9 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pillow_heif
+import pye57
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,7 +17,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from services.apple_maker_note import read_acceleration
-from services.gateway.strip import exr, heif, jpeg, matroska, mp4, png, tiff, webp
+from services.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
 from services.gateway.strip.exif import clean_exif
 from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
 from tests.support import private_pictures
@@ -51,6 +53,7 @@ CLEANERS: dict[str, tuple[Clean, Callable[[], bytes]]] = {
     "webm": (matroska.clean, private_pictures.webm),
     "webm as it is filmed": (matroska.clean, lambda: private_pictures.webm(open_ended=True)),
     "exr": (exr.clean, private_pictures.exr),
+    "e57": (e57.clean, private_pictures.e57),
 }
 
 
@@ -144,6 +147,20 @@ def test_cleaning_twice_finds_nothing(name: str) -> None:
     assert cleaned(clean, once) == (once, ())
 
 
+def test_a_cleaned_e57_has_the_same_points_and_whole_pages(tmp_path: Path) -> None:
+    """pye57 compares the checksum of every page that it reads."""
+    told = private_pictures.e57()
+    scans = []
+    for content in (told, cleaned(e57.clean, told)[0]):
+        (tmp_path / "scan.e57").write_bytes(content)
+        with pye57.E57(str(tmp_path / "scan.e57")) as reader:
+            scans.append(reader.read_scan_raw(0))
+            photo = reader.root["images2D"][0]["visualReferenceRepresentation"]["jpegImage"]
+            pixels = photo.read_buffer()
+    assert all(np.array_equal(scans[0][axis], scans[1][axis]) for axis in scans[0])
+    assert not any(pixels)
+
+
 def test_a_picture_without_metadata_is_left_as_it_is() -> None:
     for format_, clean in (("JPEG", jpeg.clean), ("PNG", png.clean), ("WEBP", webp.clean), ("TIFF", tiff.clean)):
         buffer = io.BytesIO()
@@ -207,7 +224,7 @@ def test_a_real_film_plays_the_same_frames(suffix: str, options: dict[str, str],
     assert len(frames(after)) == 5
 
 
-@pytest.mark.parametrize("name", ["jpeg", "png", "heic", "webp"])
+@pytest.mark.parametrize("name", ["jpeg", "png", "heic", "webp", "e57"])
 def test_a_file_cut_anywhere_is_unreadable(name: str) -> None:
     clean, make = CLEANERS[name]
     whole, _ = cleaned(clean, make())

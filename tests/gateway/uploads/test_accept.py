@@ -193,6 +193,7 @@ async def test_files_that_no_capture_has_are_left_out_and_named(gateway: Gateway
         ("a.png", private_pictures.huge_png(100, 100), "IMAGE_UNREADABLE"),
         ("a.exr", private_pictures.exr(20_000, 20_000), "IMAGE_TOO_LARGE"),
         ("a.mp4", private_pictures.film()[:150], "CAPTURE_UNREADABLE"),
+        ("a.e57", private_pictures.e57()[:3000], "CAPTURE_UNREADABLE"),
         ("a.mov", b"no film at all", "CAPTURE_UNREADABLE"),
         ("a.webm", private_pictures.webm()[:150], "CAPTURE_UNREADABLE"),
         ("a.mkv", b"no film at all", "CAPTURE_UNREADABLE"),

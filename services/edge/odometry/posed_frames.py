@@ -1,0 +1,56 @@
+"""Give every depth frame a pose: the given one where the images agree, or else a tracked one, or the pictures'."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from services.edge.arrays import Tick, no_tick
+from services.edge.capture.nouns import MIN_PHOTOS, Capture
+from services.edge.errors import CaptureError, EdgeError
+from services.edge.odometry.check_poses import pose_fault
+from services.edge.odometry.tracker import track_frames
+from services.edge.photos.place_frames import place_frames
+
+_TRACKING = 0.6  # share of the progress that tracking takes, where structure from motion follows
+
+
+def with_poses(capture: Capture, tick: Tick = no_tick) -> Capture:
+    """Return an RGB-D capture whose frames all have poses that their images do not contradict.
+
+    Raises CaptureError: CAPTURE_NO_POSES where there are no poses and none can be computed, CAPTURE_BAD_POSE where the
+    given ones contradict the images and no others can be computed. `tick` may raise `Cancelled`.
+    """
+    if any(frame.camera_to_world is None for frame in capture.frames):
+        return _tracked(capture, tick)
+    fault = pose_fault(capture.frames)
+    if fault is None:
+        return capture
+    try:
+        tracked = _tracked(replace(capture, up=None), tick)
+    except CaptureError as error:
+        reason = f"{fault}; and they could not be computed from the images: {error.message}"
+        hint = "check that each pose belongs to its frame, and that they are camera-to-world, in metres"
+        raise CaptureError("CAPTURE_BAD_POSE", reason, file=error.file, hints=(hint, *error.hints)) from None
+    sentence = f"{fault[0].upper()}{fault[1:]}. They were not used: the camera's way was computed from the images."
+    return replace(tracked, warnings=(*capture.warnings, sentence, *tracked.warnings[len(capture.warnings) :]))
+
+
+def _tracked(capture: Capture, tick: Tick) -> Capture:
+    """Track the camera's way by the depth, or where that fails, compute it from the pictures."""
+    try:
+        tracked = track_frames(capture.frames, lambda fraction: tick(_TRACKING * fraction))
+        return replace(capture, frames=tracked.frames, warnings=capture.warnings + tracked.warnings)
+    except CaptureError as error:
+        pictures = sum(frame.load_rgb is not None for frame in capture.frames)
+        if error.code != "CAPTURE_NO_POSES" or pictures < MIN_PHOTOS:
+            raise
+        try:
+            frames, warnings = place_frames(capture.frames, lambda part: tick(_TRACKING + (1 - _TRACKING) * part))
+        except EdgeError as other:
+            hints = (*error.hints, f"The pictures could not be aligned either: {other.message}.")
+            raise CaptureError(error.code, error.message, file=error.file, hints=hints) from None
+        lost = (
+            f"The camera's way could not be tracked by depth from {error.file} on, so it was computed from"
+            f" {len(frames)} of the {pictures} pictures, and the depth gave its scale."
+        )
+        return replace(capture, frames=frames, warnings=(*capture.warnings, lost, *warnings))

@@ -1,0 +1,120 @@
+"""Strip E57 files (ASTM E2807): texts that say who scanned what, where and with which device, and the photos inside.
+
+Points and poses stay. A file is a header of 48 bytes, binary sections, and an XML section that describes them. It lies
+in pages of 1,024 bytes, each with a CRC-32C of its other 1,020, which is computed anew for the pages that change.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from functools import lru_cache
+
+from services.gateway.strip.in_place import MOST_PARTS, Buffer, CleanResult, UnreadableError, unique_names
+
+_HEADER = struct.Struct("<8s2I4Q")  # magic, version, length of the file, offset and length of the XML, page size
+_PAGE, _PAYLOAD = 1024, 1020
+_MOST_XML = 16 << 20  # bytes; a thousand scans take one megabyte
+_SECTION_HEADER = 16  # bytes of a blob before its content
+# What readers need of the texts. The others are names, descriptions, serial numbers, and where on earth it is.
+_ALLOWED_TEXTS = {b"formatName", b"guid"}
+_TEXT = re.compile(rb"<([\w:.-]+)[^>]*\btype=\"String\"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>", re.DOTALL)
+_BLOB = re.compile(rb"<([\w:.-]+)[^>]*\btype=\"Blob\"[^>]*>")
+_NUMBER = {name: re.compile(rb"\b" + name + rb"=\"(\d{1,18})\"") for name in (b"fileOffset", b"length")}
+
+
+def clean(data: Buffer) -> CleanResult:
+    """Overwrite texts with blanks and photos with zeros, in place. Raises UnreadableError for a damaged file."""
+    if len(data) < _HEADER.size:
+        raise UnreadableError("the E57 is cut short")
+    _, _, _, length, offset, xml_length, page = _HEADER.unpack_from(data, 0)
+    if page != _PAGE or length > len(data) or xml_length > _MOST_XML or offset + xml_length > length:
+        raise UnreadableError("the E57's header contradicts the file: it is damaged or cut short")
+    start = _logical(offset)
+    xml = _read(data, start, xml_length)
+    removed = []
+    for number, match in enumerate(_TEXT.finditer(xml)):
+        if number >= MOST_PARTS:
+            raise UnreadableError("the E57 has too many texts")
+        if match[1] not in _ALLOWED_TEXTS and match[2].strip():
+            _write(data, start + match.start(2), b" " * len(match[2]))
+            removed.append(match[1].decode())
+    removed += _blank_photos(data, xml)
+    return CleanResult(unique_names(removed), len(data))
+
+
+def _blank_photos(data: Buffer, xml: bytes) -> list[str]:
+    """Overwrite the content of all blobs, which are photos and their masks; return their names."""
+    removed, done = [], 0
+    places = {match[0]: match[1].decode() for match in _BLOB.finditer(xml)}
+    for tag, name in places.items():
+        at, length = (_NUMBER[key].search(tag) for key in (b"fileOffset", b"length"))
+        if at is None or length is None:
+            raise UnreadableError("the E57 has a photo without a place")
+        begin, count = _logical(int(at[1])) + _SECTION_HEADER, int(length[1])
+        done += count
+        if _physical(begin + count) > len(data) or done > len(data):
+            raise UnreadableError("the E57 has a photo that lies beyond its end")
+        if _write_zeros(data, begin, count):
+            removed.append(name)
+    return removed
+
+
+def _logical(physical: int) -> int:
+    """Convert an offset in the file to one in the file without its checksums."""
+    return physical // _PAGE * _PAYLOAD + min(physical % _PAGE, _PAYLOAD)
+
+
+def _physical(logical: int) -> int:
+    return logical // _PAYLOAD * _PAGE + logical % _PAYLOAD
+
+
+def _read(data: Buffer, start: int, count: int) -> bytes:
+    """Read `count` bytes without the checksums, from the logical offset `start`."""
+    first, last = start // _PAYLOAD, (start + count) // _PAYLOAD
+    pages = b"".join(data[at * _PAGE : at * _PAGE + _PAYLOAD] for at in range(first, last + 1))
+    return pages[start % _PAYLOAD :][:count]
+
+
+def _write(data: Buffer, start: int, content: bytes) -> None:
+    """Write bytes at a logical offset, and the checksums of the pages that they touch."""
+    done = 0
+    while done < len(content):
+        page, within = divmod(start + done, _PAYLOAD)
+        part = content[done : done + _PAYLOAD - within]
+        at = page * _PAGE
+        data[at + within : at + within + len(part)] = part
+        data[at + _PAYLOAD : at + _PAGE] = struct.pack(">I", _crc32c(bytes(data[at : at + _PAYLOAD])))
+        done += len(part)
+
+
+def _write_zeros(data: Buffer, start: int, count: int) -> bool:
+    """Overwrite `count` bytes at a logical offset with zeros, page by page; return whether any was not zero."""
+    changed = False
+    for at in range(start - start % _PAYLOAD, start + count, _PAYLOAD):
+        first, last = max(at, start), min(at + _PAYLOAD, start + count)
+        if _read(data, first, last - first).strip(b"\0"):
+            _write(data, first, bytes(last - first))
+            changed = True
+    return changed
+
+
+def _table() -> list[int]:
+    """The remainders of all bytes by Castagnoli's polynomial, bits reversed (RFC 3720, appendix B.4)."""
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = value >> 1 ^ (0x82F63B78 if value & 1 else 0)
+        table.append(value)
+    return table
+
+
+_TABLE = _table()
+
+
+@lru_cache(maxsize=4)  # most pages of a blanked photo are empty
+def _crc32c(payload: bytes) -> int:
+    value = 0xFFFFFFFF
+    for byte in payload:
+        value = _TABLE[(value ^ byte) & 0xFF] ^ value >> 8
+    return value ^ 0xFFFFFFFF

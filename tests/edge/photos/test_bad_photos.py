@@ -1,0 +1,185 @@
+"""Photos that cannot give a thing, or of which only some can: what is used is used, and a sentence names the rest."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.edge.arrays import Floats
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture
+from services.edge.capture_to_points import prepare, to_points
+from services.edge.errors import CaptureError
+from services.edge.photos import sfm_child, sfm_process
+from services.edge.photos.to_depth import to_depth
+from services.edge.points.nouns import Points
+from services.edge.progress import Bar, ignore_progress
+from tests.cli.test_run import capture2vr
+from tests.support import bad_photos
+from tests.support.captures import FLIP, save_png, steps, write_open3d
+from tests.support.walkaround import Walkaround, render_walkaround
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Walkaround:
+    return render_walkaround(tmp_path_factory.mktemp("walk"), views=10, size=(400, 300), arc=100)
+
+
+@pytest.fixture
+def photos(walk: Walkaround, tmp_path: Path) -> list[Path]:
+    """The walk's photos, in a folder of their own that may be spoilt."""
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    return [Path(shutil.copy(photo, folder)) for photo in walk.photos]
+
+
+def points_of(capture: Capture) -> Points:
+    steps = prepare(capture, Bar(ignore_progress), refines=False)
+    try:
+        while True:
+            next(steps)
+    except StopIteration as end:
+        points: Points = end.value.points
+        return points
+
+
+@pytest.mark.slow
+def test_black_photos_are_named_and_the_others_are_used(photos: list[Path]) -> None:
+    for photo in photos[1::2]:
+        bad_photos.blacken(photo)
+    points = points_of(read_capture(photos[0].parent))
+    assert len(points) > 2_000
+    (warning,) = [each for each in points.warnings if "dark" in each]
+    assert warning.startswith("5 of 10 photos were not used: 5 dark (IMG_0001.jpg, IMG_0003.jpg,")
+
+
+@pytest.mark.slow
+def test_of_two_things_the_one_with_more_photos_is_made(photos: list[Path], tmp_path: Path) -> None:
+    other = render_walkaround(tmp_path / "other", views=4, size=(400, 300), arc=40, seed=5)
+    for photo in other.photos:
+        photo.rename(photos[0].parent / f"other_{photo.name}")
+    capture = to_depth(read_capture(photos[0].parent))
+    assert {frame.name for frame in capture.frames} == {photo.name for photo in photos}
+    (warning,) = [each for each in capture.warnings if "groups of 10 and 4" in each]
+    assert "other_IMG_0000.jpg" in warning
+
+
+@pytest.mark.slow
+def test_a_damaged_photo_is_named_and_the_others_are_used(photos: list[Path]) -> None:
+    photos[4].write_bytes(photos[4].read_bytes()[:3000])
+    capture = to_depth(read_capture(photos[0].parent))
+    assert len(capture.frames) == 9
+    assert capture.warnings[0] == "1 of 10 photos were not used: 1 unreadable (IMG_0004.jpg)."
+
+
+def all_the_same(poses: Floats) -> Floats:
+    return np.repeat(poses[:1], len(poses), axis=0)
+
+
+def shuffled(poses: Floats) -> Floats:
+    return poses[np.random.default_rng(0).permutation(len(poses))]
+
+
+def in_opengl_axes(poses: Floats) -> Floats:
+    return poses @ FLIP
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spoil", [all_the_same, shuffled, in_opengl_axes])
+def test_poses_that_contradict_the_photos_are_not_used(
+    spoil: Callable[[Floats], Floats], walk: Walkaround, tmp_path: Path
+) -> None:
+    folder = bad_photos.write_posed(tmp_path / "posed", walk.photos, spoil(walk.camera_to_world), walk.intrinsics)
+    capture = to_depth(read_capture(folder))
+    assert len(capture.frames) == len(walk.photos)
+    assert any("contradict what the photos show" in warning for warning in capture.warnings)
+    assert capture.scale_confidence == "unknown"
+    assert capture.up is None
+    eyes = np.stack([np.asarray(frame.camera_to_world)[:3, 3] for frame in capture.frames])
+    apart = np.linalg.norm(np.diff(eyes, axis=0), axis=1) / np.ptp(eyes, axis=0).max()
+    true = np.linalg.norm(np.diff(walk.camera_to_world[:, :3, 3], axis=0), axis=1)
+    assert apart == pytest.approx(true / np.ptp(walk.camera_to_world[:, :3, 3], axis=0).max(), rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_picture_on_a_screen_is_called_flat(tmp_path: Path) -> None:
+    points = points_of(read_capture(bad_photos.write_of_a_screen(tmp_path)))
+    assert any("screen" in warning for warning in points.warnings)
+
+
+@pytest.mark.slow
+def test_photos_from_one_spot_show_no_depth(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError) as caught:
+        points_of(read_capture(bad_photos.write_from_one_spot(tmp_path)))
+    assert caught.value.code == "CAPTURE_DEGENERATE"
+    assert "IMG_00.jpg to IMG_09.jpg the camera turned, but it did not move" in caught.value.message
+
+
+def test_the_sky_has_no_texture(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError) as caught:
+        to_depth(read_capture(bad_photos.write_of_the_sky(tmp_path)))
+    assert caught.value.code == "CAPTURE_LOW_OVERLAP"
+    assert "8 photos show hardly any texture" in caught.value.hints[0]
+    assert "IMG_00.jpg" in caught.value.hints[1]
+
+
+def test_the_mapper_ends_by_itself_before_its_parents_patience_does() -> None:
+    """Then what it has placed is used; a child that is killed leaves nothing."""
+    seconds = sfm_child._options(1.0, given=False).max_runtime_seconds
+    assert 0 < seconds < sfm_process._SILENT_SECONDS
+
+
+def test_depth_of_one_value_is_a_placeholder(tmp_path: Path) -> None:
+    folder = write_open3d(tmp_path)
+    for index in range(4):
+        save_png(folder / f"depth/{index:05}.png", steps(np.ones((48, 64))))
+    with pytest.raises(CaptureError) as caught:
+        read_capture(folder)
+    assert (caught.value.code, caught.value.file) == ("CAPTURE_DEGENERATE", "depth")
+    assert "1 m at every pixel" in caught.value.message
+
+
+def test_one_whole_depth_image_among_empty_ones_is_found_wherever_it_is(tmp_path: Path) -> None:
+    folder = write_open3d(tmp_path)
+    for index in (0, 2, 3):
+        save_png(folder / f"depth/{index:05}.png", steps(np.zeros((48, 64))))
+    points = to_points(read_capture(folder), cut="scene")
+    assert len(points) >= 100
+    assert "3 of 4 depth images are empty" in points.warnings[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("write", "says", "advises"),
+    [
+        (bad_photos.write_from_one_spot, "did not move", "walk while you take them"),
+        (bad_photos.write_of_the_sky, "only 0 of 8 photos overlap", "hardly any texture"),
+        (
+            lambda folder: bad_photos.write_copies(folder, render_walkaround(folder / "one", views=1).photos[0]),
+            "cannot be used: 8 duplicate",
+            "take a step to the side",
+        ),
+        (
+            lambda folder: (
+                folder.mkdir() or render_walkaround(folder, views=3, size=(400, 300), arc=360).photos[0].parent
+            ),
+            "only 0 of 3 photos overlap",
+            "15 to 30 photos",
+        ),
+    ],
+    ids=["one spot", "sky", "copies", "no overlap"],
+)
+def test_the_command_line_says_what_is_wrong_and_what_to_do(
+    write: Callable[[Path], Path], says: str, advises: str, tmp_path: Path
+) -> None:
+    result = capture2vr("run", write(tmp_path / "bad"), "-o", tmp_path / "out", "--preset", "draft")
+    sentence = " ".join(result.stderr.split())
+    assert result.returncode == 2
+    assert "Traceback" not in sentence
+    assert says in sentence
+    assert advises in sentence
+    assert not (tmp_path / "out").exists()
