@@ -28,6 +28,7 @@ from services.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from services.edge.mesh.fill_gaps import Fill
 from services.edge.mesh.nouns import Mesh
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
+from services.photo_box import PhotoBox
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
@@ -49,6 +50,7 @@ class RunOptions:
     fill       which holes of the mesh are filled; None: by the kind of capture
     target     device class whose budget the levels of detail must meet; "": none
     reference  a mesh of the same object to measure the result's error, or None
+    box        rectangle of a single photo that the thing lies in, or None
     """
 
     key: str = ""
@@ -58,6 +60,7 @@ class RunOptions:
     target: str = ""
     reference: Path | None = None
     fill: Fill | None = None
+    box: PhotoBox | None = None
 
 
 DEFAULTS = RunOptions()
@@ -169,6 +172,7 @@ def _reconstruct_into(
             checkpoint=results.checkpoint,
             isolate=options.isolate,
             longest_m=options.longest_m,
+            box=options.box,
             fill=options.fill,
             label=label,
             target=target,

@@ -13,6 +13,7 @@ from services.edge.asset.target import require_encoder, target_of
 from services.edge.errors import EdgeError
 from services.edge.mesh.fill_gaps import Fill
 from services.edge.worker.capabilities import Capabilities
+from services.photo_box import HOW, InvalidBox, PhotoBox
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
 """Job ids, keys, collections: they become object names and log lines, so no character may mean anything to a path or a
@@ -49,6 +50,7 @@ class ReconstructionRequest:
 
     collection  collection that lists the asset; "": this worker's default collection
     fill        which holes of the mesh are filled; None: by the kind of capture
+    box         rectangle of a single photo that the thing lies in; None: it is looked for
     """
 
     job: str
@@ -62,6 +64,7 @@ class ReconstructionRequest:
     prepared: bool
     collection: str = ""
     fill: Fill | None = None
+    box: PhotoBox | None = None
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -95,7 +98,18 @@ class ReconstructionRequest:
             prepared=header.prepared,
             collection=header.collection,
             fill=_checked_fill(header.fill),
+            box=checked_box(header),
         )
+
+
+def checked_box(header: pb.Header) -> PhotoBox | None:
+    """Return a header's rectangle; None where it has none. Raises RefusedError INVALID_ARGUMENT."""
+    if not header.HasField("box"):
+        return None
+    try:
+        return PhotoBox.of((header.box.left, header.box.top, header.box.right, header.box.bottom))
+    except InvalidBox as error:
+        raise invalid("BOX_INVALID", f"{error}; {HOW}") from None
 
 
 def _checked_fill(name: str) -> Fill | None:

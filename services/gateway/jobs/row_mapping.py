@@ -21,10 +21,11 @@ def job_from_row(row: sa.Row[Any]) -> Job:
     values = dict(row._mapping)
     lease = {name: values.pop(f"lease_{name}") for name in _LEASE_FIELDS}
     del values["lease_job"]
+    order = values["order"]
     return Job(
         **{
             **values,
-            "order": Order(**values["order"]),
+            "order": Order(**{**order, "box": tuple(order.get("box", ()))}),  # JSON has lists only
             "state": State(values["state"]),
             "warnings": tuple(values["warnings"]),
             "lease": Lease(**lease),

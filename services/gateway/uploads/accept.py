@@ -10,7 +10,8 @@ import secrets
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +28,7 @@ from services.gateway.settings import GatewaySettings
 from services.gateway.uploads.receive import ReceivedUpload, UploadLimits, receive, too_many_files
 from services.gateway.uploads.validate import FileReport, validate
 from services.gateway.worker_client import Inspection, WorkerPool
+from services.photo_box import PhotoBox
 from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
 from services.storage.store import Store
 
@@ -66,17 +68,38 @@ class Uploads:
         self._staging.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(self._staging)
 
-    async def accept(self, request: Request) -> dict[str, Any]:
-        """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind."""
+    async def accept(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
+        """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind.
+
+        box  rectangle around the thing in a single photo, for its inspection
+        """
+        async with self._inspected(request, box) as (packed, inspection):
+            return await self._store_capture(packed, inspection)
+
+    async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
+        """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
+        async with self._inspected(request, box) as (_, found):
+            if found is None:
+                raise Problem(503, "WORKERS_AWAY", "no worker can look at the photo now", retryable=True)
+            return {"kind": found.kind, "outline": found.outline, "warnings": found.warnings}
+
+    @asynccontextmanager
+    async def _inspected(
+        self, request: Request, box: PhotoBox | None
+    ) -> AsyncIterator[tuple[_PackedCapture, Inspection | None]]:
+        """Receive, check and pack the request's capture, and have it inspected; its files are removed afterwards.
+
+        Raises Problem.
+        """
         self._check_free_space(request)
         folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._staging))
         try:
             received = await receive(request, folder / "in", self._limits, self._write)
             packed = await self._run_checker(lambda: _check_and_pack(received, folder, self._limits))
-            inspection = await self._workers.inspect(packed.archive)
+            inspection = await self._workers.inspect(packed.archive, box)
             if inspection is not None and inspection.failure is not None:
                 raise inspection.failure
-            return await self._store_capture(packed, inspection)
+            yield packed, inspection
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise _storage_full() from None
