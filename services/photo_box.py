@@ -9,7 +9,10 @@ from dataclasses import astuple, dataclass
 LEAST_SIDE = 0.01
 """Shortest side of a rectangle, as a share of the photo's: 40 pixels of a phone's photo; less is a slip of the hand."""
 
-HOW = "give left,top,right,bottom as shares of the upright photo's width and height, such as 0.2,0.1,0.8,0.95"
+HOW = (
+    "give left,top,right,bottom as shares of the upright photo's width and height, such as 0.2,0.1,0.8,0.95; "
+    "of pixels, divide by the photo's width and height"
+)
 """What to do about a wrong rectangle."""
 
 

@@ -117,7 +117,7 @@ def require_single_photo(capture: Capture, box: PhotoBox | None) -> None:
     """Raise CaptureError BOX_NOT_APPLICABLE for a rectangle with a capture that is not one photo."""
     if box and capture.kind != "image":
         pictures = len(capture.photos) or len(capture.frames)
-        what = f"{pictures} pictures" if pictures else f"points ({capture.format})"
+        what = f"{pictures} pictures" if pictures else f"no photo ({capture.format})"
         raise CaptureError(
             "BOX_NOT_APPLICABLE",
             f"a rectangle marks the thing in a single photo, but the capture has {what}",

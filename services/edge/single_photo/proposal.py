@@ -40,7 +40,8 @@ def propose(rgb: Bytes, name: str) -> Bools:
     found = [mask for mask in _candidates(rgb) if has_contrast(rgb, mask)]
     own = [own_colours(rgb, mask) for mask in found]
     if not found or max(own) < _OWN:
-        raise no_object(name, "shows nothing whose colours differ from those of its background")
+        reason = "shows nothing whose colours differ from those of its background"
+        raise no_object(name, reason, "if there is a thing in it, draw a rectangle around it (--box)")
     mask = max(zip(found, own, strict=True), key=lambda each: _merit(*each))[0]
     if is_cut_off(mask):
         raise no_object(name, "shows something that reaches beyond the picture on every side")

@@ -164,6 +164,13 @@ export interface JobRequest {
   isolate: boolean | null;
   longest_m: number | null;
   fill: string;
+  box: [left: number, top: number, right: number, bottom: number] | null;
+}
+
+/** The thing in a photo: POST /v1/outlines. Closed lines of corners, as shares of the upright photo's sides. */
+export interface PhotoOutline {
+  outline: [x: number, y: number][][];
+  warnings: string[];
 }
 
 export interface Presets {
