@@ -71,9 +71,11 @@ class CaptureView(BaseModel):
 
 class OutlineView(BaseModel):
     """The thing in a single photo: closed lines around it, of corners [x, y] as shares of the upright photo's width and
-    height. Captures of another kind have none. `warnings` says where the choice is doubtful.
+    height. Captures of another kind have none. `warnings` says where the choice is doubtful; `inspected`: whether a
+    worker could look.
     """
 
+    inspected: bool
     kind: str
     outline: list[list[tuple[float, float]]]
     warnings: list[str]

@@ -39,6 +39,8 @@ _ABANDONED_S = 24 * 3600.0  # a staging folder of this age was left by a gateway
 
 _ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
 
+_UNKNOWN = Inspection("", "", 0, 0, (), None)  # while no worker can look
+
 _T = TypeVar("_T")
 
 
@@ -79,9 +81,13 @@ class Uploads:
     async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
         """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
         async with self._inspected(request, box) as (_, found):
-            if found is None:
-                raise Problem(503, "WORKERS_AWAY", "no worker can look at the photo now", retryable=True)
-            return {"kind": found.kind, "outline": found.outline, "warnings": found.warnings}
+            facts = found or _UNKNOWN
+            return {
+                "inspected": found is not None,
+                "kind": facts.kind,
+                "outline": facts.outline,
+                "warnings": facts.warnings,
+            }
 
     @asynccontextmanager
     async def _inspected(
@@ -191,7 +197,7 @@ def _unpack(archive: Path, into: Path, limits: UploadLimits, client_name: str) -
 
 def _receipt(capture: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
     """Return the receipt: the answer to the upload, which is also stored."""
-    facts = inspection or Inspection("", "", 0, 0, (), None)
+    facts = inspection or _UNKNOWN
     return {
         "capture": capture,
         "name": packed.name,

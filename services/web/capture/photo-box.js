@@ -9,6 +9,7 @@ import { isConnectionProblem, sentences } from '../shared/problems.js';
 const COPY_PX = 640; // longer side of the copy that is sent to be outlined: the server looks at 320
 const LEAST_SIDE = 0.02; // of the photo: less is a tap, which takes the rectangle away
 const KEY_STEP = 0.02; // of the photo, for each press of an arrow key
+const LATER = 'The outline cannot be shown now. The server looks for the thing later, in the rectangle if you draw one.';
 /** @type {PhotoBox} */
 const FIRST_BOX = [0.25, 0.25, 0.75, 0.75]; // where a rectangle begins that is moved by keys
 /** @type {Record<string, [across: number, down: number]>} */
@@ -62,7 +63,7 @@ async function lookAgain() {
   drawOutline([]);
   document.body.dataset.outlined = '';
   page.note.textContent = 'Looking for the thing …';
-  const text = await findOutline(request).catch((error) => isConnectionProblem(error) ? 'The outline cannot be shown now.' : sentences(error));
+  const text = await findOutline(request).catch((error) => isConnectionProblem(error) ? LATER : sentences(error));
   if (request !== lastRequest) return;
   page.note.textContent = text;
   document.body.dataset.outlined = String(request);
@@ -74,7 +75,8 @@ async function lookAgain() {
  * @returns {Promise<string>} what to tell the person
  */
 async function findOutline(request) {
-  const { outline } = await outlinePhoto(await copyOf(page.photo), file?.name ?? 'photo', box);
+  const { inspected, outline } = await outlinePhoto(await copyOf(page.photo), file?.name ?? 'photo', box);
+  if (!inspected) return LATER;
   if (request === lastRequest) drawOutline(outline);
   return box ? 'This will be made into a mesh.' : 'This will be made into a mesh. Is it not the thing? Draw a rectangle around the thing, on the photo.';
 }
