@@ -126,7 +126,8 @@ async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
 async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
     """Outline the thing that would be reconstructed from a single photo, or from a rectangle of it.
 
-    Takes the same body as an upload, and stores nothing. A small copy of the photo is enough.
+    Takes the same body as an upload, and stores nothing. Send the photo itself: a smaller copy may give another
+    outline.
     """
     return OutlineView.model_validate(await _uploads(request).outline(request, parse_box(box)))
 

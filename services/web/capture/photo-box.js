@@ -6,7 +6,7 @@ import { isConnectionProblem, sentences } from '../shared/problems.js';
 /** @typedef {[left: number, top: number, right: number, bottom: number]} PhotoBox shares of the upright photo's sides */
 /** @typedef {{ x: number, y: number }} Place in the photo, as shares of its sides */
 
-const COPY_PX = 640; // longer side of the copy that is sent to be outlined: the server looks at 320
+const RETRY_MS = 10_000; // until the next look, where the workers are busy: each sends the photo again
 const LEAST_SIDE = 0.02; // of the photo: less is a tap, which takes the rectangle away
 const KEY_STEP = 0.02; // of the photo, for each press of an arrow key
 const LATER = 'The outline cannot be shown now. The server looks for the thing later, in the rectangle if you draw one.';
@@ -58,44 +58,31 @@ export function showSinglePhoto(photo) {
 
 /** Asks the server for the outline of the thing in the rectangle, or in the whole photo, and shows it. */
 async function lookAgain() {
+  if (!file) return;
   lastRequest += 1;
   const request = lastRequest;
   drawOutline([]);
   document.body.dataset.outlined = '';
   page.note.textContent = 'Looking for the thing …';
-  const text = await findOutline(request).catch((error) => isConnectionProblem(error) ? LATER : sentences(error));
+  const text = await findOutline(file, request).catch((error) => isConnectionProblem(error) ? '' : sentences(error));
   if (request !== lastRequest) return;
-  page.note.textContent = text;
-  document.body.dataset.outlined = String(request);
+  page.note.textContent = text || LATER;
+  if (text) document.body.dataset.outlined = String(request);
+  else setTimeout(() => request === lastRequest && document.body.dataset.state === 'choosing' && lookAgain(), RETRY_MS);
 }
 
 /**
- * Draws the outline, unless a newer request has been made meanwhile.
+ * Draws the outline, unless a newer request has been made meanwhile. The photo itself is sent: the outline in a smaller
+ * copy may be another.
+ * @param {File} photo
  * @param {number} request
- * @returns {Promise<string>} what to tell the person
+ * @returns {Promise<string>} what to tell the person; empty while no worker can look
  */
-async function findOutline(request) {
-  const { inspected, outline } = await outlinePhoto(await copyOf(page.photo), file?.name ?? 'photo', box);
-  if (!inspected) return LATER;
+async function findOutline(photo, request) {
+  const { inspected, outline } = await outlinePhoto(photo, box);
+  if (!inspected) return '';
   if (request === lastRequest) drawOutline(outline);
   return box ? 'This will be made into a mesh.' : 'This will be made into a mesh. Is it not the thing? Draw a rectangle around the thing, on the photo.';
-}
-
-/**
- * A small upright copy of a photo.
- * @param {HTMLImageElement} photo
- * @returns {Promise<Blob>}
- */
-function copyOf(photo) {
-  const scale = Math.min(1, COPY_PX / Math.max(photo.naturalWidth, photo.naturalHeight));
-  const canvas = document.createElement('canvas');
-  canvas.width = Math.round(photo.naturalWidth * scale);
-  canvas.height = Math.round(photo.naturalHeight * scale);
-  const pen = canvas.getContext('2d');
-  if (pen) pen.imageSmoothingQuality = 'high';
-  pen?.drawImage(photo, 0, 0, canvas.width, canvas.height);
-  // PNG keeps an alpha channel, which decides what the thing is.
-  return new Promise((resolve, reject) => canvas.toBlob((blob) => blob ? resolve(blob) : reject(new Error('The photo cannot be copied.')), 'image/png'));
 }
 
 // ---- drawing --------------------------------------------------------------------------------------------------------

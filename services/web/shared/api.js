@@ -97,15 +97,14 @@ const withBox = (path, box) => (box ? `${path}?box=${box.join(',')}` : path);
 
 /**
  * Outline the thing in a photo.
- * @param {Blob} photo a small copy
- * @param {string} name of the photo, for the server's sentences
+ * @param {File} photo
  * @param {number[] | null} box the rectangle that the thing lies in
  * @returns {Promise<PhotoOutline>}
  * @throws {Problem} as `getJson`
  */
-export async function outlinePhoto(photo, name, box) {
+export async function outlinePhoto(photo, box) {
   const form = new FormData();
-  form.append('files', photo, name);
+  form.append('files', photo, photo.name);
   const { response, bytes } = await fetchBytes(withBox('/v1/outlines', box), { method: 'POST', body: form, silenceMs: UPLOAD_CHECK_MS });
   return parseAnswer(response.status, decodeText(bytes));
 }
