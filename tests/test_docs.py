@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from services.cli.up import free_port
 from services.edge.export.ktx2 import VERSION as KTX2_VERSION
@@ -87,7 +88,7 @@ def of(page: str, *words: str) -> list[Command]:
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder to type the examples in, with a scan.ply, as a home of its own.
+    """A folder to type the examples in, with a scan.ply and a photo.jpg, as a home of its own.
 
     The scan is of a rod, which takes half the seconds of a ball: it covers a sixth of each picture.
     """
@@ -96,6 +97,9 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     xyz = rng.normal(size=(400, 3))
     xyz /= np.linalg.norm(xyz, axis=1, keepdims=True)
     write_ply(folder / "scan.ply", xyz * [0.05, 0.3, 0.05], rng.integers(0, 255, (400, 3)))
+    rgb = np.full((240, 320, 3), 215, np.uint8)
+    rgb[60:200, 100:220] = (30, 60, 170)
+    Image.fromarray(rgb).save(folder / "photo.jpg")
     return folder
 
 

@@ -11,7 +11,7 @@ import typer
 import services
 from services.cli.catalogue import app as catalogue
 from services.cli.errors import BadInput, printable
-from services.cli.options import DEFAULT_GATEWAY, Collection, Gateway, Trusted
+from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Trusted, parse_box
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.strict_settings import SettingsError
 
@@ -69,6 +69,7 @@ def run(
     cut: CutOption = "auto",
     longest: Longest = None,
     fill: Fill = None,
+    box: Box = "",
     target: Target = "",
     key: Annotated[str, typer.Option(help="Asset key. Default: made from the capture's name.")] = "",
     collection: Collection = DEFAULT_COLLECTION,
@@ -79,7 +80,7 @@ def run(
     """Reconstruct a capture in this process, without servers: writes meshes, pictures and a report to a folder."""
     from services.cli.run import RunOptions, run_capture
 
-    options = RunOptions(key, collection, cut, longest, target, reference, fill)
+    options = RunOptions(key, collection, cut, longest, target, reference, fill, parse_box(box))
     run_capture(capture, out, options, preset=preset, device=device, resolution=resolution)
 
 
@@ -116,17 +117,20 @@ def push(
     cut: CutOption = "auto",
     longest: Longest = None,
     fill: Fill = None,
+    box: Box = "",
     target: Target = "",
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
     from services.cli.push import push_capture
 
+    rectangle = parse_box(box)
     options = {
         "preset": preset or None,
         "collection": collection or None,
         "cut": cut,
         "longest_m": longest,
         "fill": fill,
+        "box": rectangle.values if rectangle else None,
         "target": target or None,
     }
     push_capture(capture, gateway, key=key, label=label, options=options)

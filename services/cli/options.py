@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from services.cli.errors import BadInput
+from services.photo_box import HOW, InvalidBox, PhotoBox
+
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
 
 Gateway = Annotated[str, typer.Option("--gateway", help="URL of the gateway.", envvar="CAPTURE2VR_GATEWAY")]
@@ -18,3 +21,18 @@ Trusted = Annotated[
         "STORAGE_TRUSTED_KEYS."
     ),
 ]
+Box = Annotated[
+    str,
+    typer.Option(
+        help="Rectangle around the thing in a single photo: left,top,right,bottom as shares of the upright photo's "
+        "width and height, such as 0.2,0.1,0.8,0.95. Default: what stands out, else the largest thing near the middle."
+    ),
+]
+
+
+def parse_box(text: str) -> PhotoBox | None:
+    """Parse the option --box; None where it is not given. Raises BadInput."""
+    try:
+        return PhotoBox.parse(text) if text else None
+    except InvalidBox as error:
+        raise BadInput(f"--box: {error} ({HOW})") from None

@@ -6,7 +6,7 @@ import json
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,7 @@ def push_capture(
         check_collection(collection)  # before megabytes are uploaded
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
-            capture = upload(client, source, bar)
+            capture = upload(client, source, bar, box=options.get("box"))
             request = {"capture": capture["capture"], "asset_key": key, "label": label or key}
             request |= {name: value for name, value in options.items() if value is not None}
             # One key per command: a retry after a lost answer finds the job, and creates no second one.
@@ -60,8 +60,11 @@ def push_capture(
     return _outcome(job, gateway)
 
 
-def upload(client: httpx.Client, source: Path, bar: StageBar) -> Any:
-    """Upload the capture as one zip; zip the source first if it is not one. Returns the receipt."""
+def upload(client: httpx.Client, source: Path, bar: StageBar, *, box: Sequence[float] | None = None) -> Any:
+    """Upload the capture as one zip; zip the source first if it is not one. Returns the receipt.
+
+    box  left, top, right, bottom of the thing in a single photo, with which the worker inspects it
+    """
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
         archive = source
         if not (source.is_file() and is_zip(source)):
@@ -69,7 +72,8 @@ def upload(client: httpx.Client, source: Path, bar: StageBar) -> Any:
             pack(source, archive)
         size = archive.stat().st_size
         headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
-        answer = client.post("/v1/captures", content=_chunks(archive, size, bar), headers=headers)
+        params = {"box": ",".join(map(str, box))} if box else {}
+        answer = client.post("/v1/captures", params=params, content=_chunks(archive, size, bar), headers=headers)
         return parse_answer(answer, file=source.name)
 
 

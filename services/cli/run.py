@@ -29,6 +29,7 @@ from services.edge.mesh.fill_gaps import Fill
 from services.edge.mesh.nouns import Mesh
 from services.edge.points.nouns import Cut
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
+from services.photo_box import PhotoBox
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
@@ -50,6 +51,7 @@ class RunOptions:
     fill       which holes of the mesh are filled; None: by the kind of capture
     target     device class whose budget the levels of detail must meet; "": none
     reference  a mesh of the same object to measure the result's error, or None
+    box        rectangle of a single photo that the thing lies in, or None
     """
 
     key: str = ""
@@ -59,6 +61,7 @@ class RunOptions:
     target: str = ""
     reference: Path | None = None
     fill: Fill | None = None
+    box: PhotoBox | None = None
 
 
 DEFAULTS = RunOptions()
@@ -170,6 +173,7 @@ def _reconstruct_into(
             checkpoint=results.checkpoint,
             cut=options.cut,
             longest_m=options.longest_m,
+            box=options.box,
             fill=options.fill,
             label=label,
             target=target,

@@ -30,6 +30,7 @@ from services.edge.points.scale import scale_to_longest
 from services.edge.points.texture_views import hold_out_frames, select_texture_views, texture_view
 from services.edge.points.upright import find_up
 from services.edge.progress import Bar, Clock, Progress
+from services.photo_box import PhotoBox
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
 # RGB-D room, on two cores.
@@ -84,11 +85,13 @@ def prepare(
     cut: Cut = "auto",
     longest_m: float | None = None,
     hold_out: int | None = None,
+    box: PhotoBox | None = None,
 ) -> Generator[Progress, None, PreparedPoints]:
     """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
     refines  whether a training may follow the preview
     """
+    require_single_photo(capture, box)
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
@@ -100,7 +103,7 @@ def prepare(
             source = replace(source, verdicts=capture.verdicts)
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
-        points = _points(capture, cut, hold_out, bar)
+        points = _points(capture, cut, hold_out, box, bar)
         points = scale_to_longest(points, longest_m) if longest_m else points
         points = replace(
             points,
@@ -115,11 +118,23 @@ def _at_texture_resolution(view: TextureView) -> TextureView:
     return replace(view, load_rgb=at_texture_resolution(view.load_rgb))
 
 
-def _points(capture: Capture, cut: Cut, hold_out: int | None, bar: Bar) -> Points:
+def require_single_photo(capture: Capture, box: PhotoBox | None) -> None:
+    """Raise CaptureError BOX_NOT_APPLICABLE for a rectangle with a capture that is not one photo."""
+    if box and capture.kind != "image":
+        pictures = len(capture.photos) or len(capture.frames)
+        what = f"{pictures} pictures" if pictures else f"no photo ({capture.format})"
+        raise CaptureError(
+            "BOX_NOT_APPLICABLE",
+            f"a rectangle marks the thing in a single photo, but the capture has {what}",
+            hints=("leave the rectangle out (--box), or send only the photo that it is drawn in",),
+        )
+
+
+def _points(capture: Capture, cut: Cut, hold_out: int | None, box: PhotoBox | None, bar: Bar) -> Points:
     if capture.kind == "image":
         from services.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
-        return guess_points(capture, tick=bar.tick("POINT_CLOUD"))
+        return guess_points(capture, box=box, tick=bar.tick("POINT_CLOUD"))
     return to_points(capture, cut=cut, hold_out=hold_out, tick=bar.tick("POINT_CLOUD"))
 
 

@@ -45,6 +45,7 @@ from services.edge.preset import AUTOMATIC, Preset, load_preset
 from services.edge.preset_choice import choose, traits_of
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
 from services.edge.training import FieldTraining, train
+from services.photo_box import PhotoBox
 from services.storage.bundle import Bundle
 
 # Fraction of its pass at which each stage begins. In the preview's pass the local field is there at once; in the
@@ -78,6 +79,7 @@ def reconstruct(
     cut: Cut = "auto",
     longest_m: float | None = None,
     hold_out: int | None = None,
+    box: PhotoBox | None = None,
     fill: Fill | None = None,
     label: str = "",
     target: Target = NO_TARGET,
@@ -91,6 +93,7 @@ def reconstruct(
     cut         what to keep: the object without its surroundings, the scene, or what fits the capture
     longest_m   greatest distance between two points of the object in metres, where it is known
     hold_out    number of photos that the result is not made from, but compared with; None: a few of 16 or more
+    box         rectangle of a single photo that the thing lies in; None: what stands out, or is near the middle
     fill        which holes of the mesh are filled; None: "unseen" for photos and depth images, "none" for clouds
     label       the asset's name for people, in the manifest
     target      device class whose budget the bundles must meet
@@ -106,7 +109,7 @@ def reconstruct(
     bar = Bar(watch)
     refines = preset.fit is not None or preset.name == AUTOMATIC
     prepared = yield from prepare(
-        capture, bar, refines=refines, device=device, cut=cut, longest_m=longest_m, hold_out=hold_out
+        capture, bar, refines=refines, device=device, cut=cut, longest_m=longest_m, hold_out=hold_out, box=box
     )
     share = preview_share(prepared.source.kind)
     yield from bundles(

@@ -60,6 +60,14 @@ class JobRequest(BaseModel):
             "through; all: also open ends and undersides; empty: unseen for photos and depth, none for clouds."
         ),
     ] = ""
+    box: Annotated[
+        list[float] | None,
+        Field(
+            description="Rectangle around the thing in a single photo: left, top, right and bottom as shares of the "
+            "upright photo's width and height; null: what stands out, else the largest thing near the middle.",
+            examples=[[0.2, 0.1, 0.8, 0.95]],
+        ),
+    ] = None
 
     def order(self, preset: str, collection: str) -> Order:
         """Convert to the job's order, with the preset and the collection that were chosen."""
@@ -73,6 +81,7 @@ class JobRequest(BaseModel):
             longest_m=self.longest_m,
             collection=collection,
             fill=self.fill,
+            box=tuple(self.box or ()),
         )
 
 

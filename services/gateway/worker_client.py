@@ -31,6 +31,7 @@ from services.gateway.worker_types import (
 )
 from services.grpc_client import RUN_S, SILENCE_S, GrpcClient, StreamEnded, file_chunks
 from services.grpc_security import NO_CREDENTIALS, ClientCredentials
+from services.photo_box import PhotoBox
 
 _log = logging.getLogger(__name__)
 
@@ -39,9 +40,16 @@ INSPECT_S = 120.0  # deadline of an inspection: uploading 1 GB within a data cen
 CANCEL_S = 2.0  # deadline of a cancellation; it is repeated until the run ends
 
 
+Outline = tuple[tuple[float, float], ...]
+
+
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """What a worker found in a capture. failure: why it cannot be reconstructed, or None"""
+    """What a worker found in a capture.
+
+    failure  why it cannot be reconstructed, or None
+    outline  closed lines around the thing in a single photo, of corners (x, y) as shares of its width and height
+    """
 
     kind: str
     format: str
@@ -49,6 +57,7 @@ class Inspection:
     points: int
     warnings: tuple[str, ...]
     failure: Problem | None
+    outline: tuple[Outline, ...] = ()
 
 
 class WorkerPool:
@@ -94,11 +103,14 @@ class WorkerPool:
         self._presets_by_worker.update({status.address: status.presets for status in found})
         return found
 
-    async def inspect(self, archive: Path) -> Inspection | None:
-        """Have a worker inspect a packed capture; None when no worker can do so now."""
+    async def inspect(self, archive: Path, box: PhotoBox | None = None) -> Inspection | None:
+        """Have a worker inspect a packed capture; None when no worker can do so now.
+
+        box  rectangle around the thing in a single photo
+        """
         for status in sorted(await self.poll(), key=lambda status: (status.draining, -status.free_slots)):
             try:
-                return await self._inspect(status.address, archive)
+                return await self._inspect(status.address, archive, box)
             except (WorkerBusy, WorkerLost):
                 continue
         return None
@@ -160,14 +172,16 @@ class WorkerPool:
             self._faults[address] = error.code()
             _log.warning("worker %s does not answer: %s: %s", address, error.code().name, error.details())
 
-    async def _inspect(self, address: str, archive: Path) -> Inspection:
-        header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size)
+    async def _inspect(self, address: str, archive: Path, box: PhotoBox | None) -> Inspection:
+        header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size, box=_wire_box(box))
         try:
             answer = await self._client(address).inspect(header, file_chunks(archive), INSPECT_S)
         except grpc.aio.AioRpcError as error:
             raise _to_exception(error.code(), error.details() or error.code().name) from None
         failure = problem_of(_failed(0, answer.failure)) if answer.HasField("failure") else None
-        return Inspection(answer.kind, answer.format, answer.frames, answer.points, tuple(answer.warnings), failure)
+        outline = tuple(tuple(zip(line.xy[::2], line.xy[1::2], strict=True)) for line in answer.outline)
+        warnings = tuple(answer.warnings)
+        return Inspection(answer.kind, answer.format, answer.frames, answer.points, warnings, failure, outline)
 
     def _client(self, address: str) -> GrpcClient:
         if address not in self._clients:
@@ -190,7 +204,12 @@ def _header(job: Job, size: int) -> pb.Header:
         collection=order.collection,
         fill=order.fill,
         cut=order.cut,
+        box=_wire_box(PhotoBox.of(order.box) if order.box else None),
     )
+
+
+def _wire_box(box: PhotoBox | None) -> pb.Box | None:
+    return pb.Box(left=box.left, top=box.top, right=box.right, bottom=box.bottom) if box else None
 
 
 async def _reports(events: AsyncGenerator[pb.Event, None]) -> AsyncGenerator[Report, None]:

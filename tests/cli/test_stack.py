@@ -18,6 +18,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from PIL import Image
 
 from services.cli.push import follow
 from services.cli.up import free_port
@@ -93,6 +94,24 @@ def test_a_second_push_makes_a_second_version(url: str, disk: Path) -> None:
         assert capture2vr("push", disk, "--gateway", url, "--key", "twice", "--preset", "draft").returncode == 0
         with urllib.request.urlopen(f"{url}/v1/assets/twice") as answer:
             assert json.load(answer)["version"] == version
+
+
+def test_a_rectangle_is_pushed_with_its_photo(url: str, disk: Path, tmp_path: Path) -> None:
+    rgb = np.full((300, 400, 3), 215, np.uint8)
+    rgb[90:210, 60:160], rgb[90:210, 230:350] = (180, 40, 30), (30, 60, 170)
+    photo = tmp_path / "squares.png"
+    Image.fromarray(rgb).save(photo)
+    asked = ("--gateway", url, "--preset", "draft", "--box", "0.55,0.2,0.95,0.8")
+    pushed = capture2vr("push", photo, "--key", "square", *asked)
+    assert pushed.returncode == 0, pushed.stderr
+    with urllib.request.urlopen(f"{url}/v1/assets/square") as answer:
+        manifest_url = json.load(answer)["manifest"]["url"]
+    with urllib.request.urlopen(manifest_url) as answer:
+        red, _, blue = np.array(json.load(answer)["anchors"]["rgb"]).reshape(-1, 3).mean(axis=0)
+    assert blue > red + 50
+    refused = capture2vr("push", disk, "--key", "leaf-box", *asked)
+    assert refused.returncode == 2
+    assert "single photo" in refused.stderr
 
 
 @pytest.mark.parametrize(

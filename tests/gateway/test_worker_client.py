@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job, Lease, Order
 from services.gateway.jobs.reports import RunFinished, VersionPublished
-from services.gateway.worker_client import WorkerPool
+from services.gateway.worker_client import WorkerPool, _header
 from services.gateway.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
 from tests.support.in_process_gateway import Making, memory, worker
 from tests.support.patience import CANCEL_S
@@ -97,6 +98,14 @@ async def test_a_run_is_reported_to_its_end_and_can_be_heard_again(tmp_path: Pat
         with pytest.raises(RunKnown):
             _ = [report async for report in workers.reconstruct(address, job(), chunks(archive), len(archive))]
         assert await workers.cancel(address, "job_1") is False
+
+
+def test_the_header_has_what_was_ordered() -> None:
+    ordered = job()
+    assert not _header(ordered, 7).HasField("box")
+    boxed = replace(ordered, order=replace(ordered.order, box=(0.25, 0.125, 0.75, 1.0)))
+    box = _header(boxed, 7).box
+    assert (box.left, box.top, box.right, box.bottom) == (0.25, 0.125, 0.75, 1.0)
 
 
 async def test_refusals_have_names(tmp_path: Path) -> None:

@@ -126,6 +126,13 @@ def _dark_png(side: int) -> bytes:
     return buffer.getvalue()
 
 
+def _sky() -> bytes:
+    """A JPEG of a sky without clouds, lighter towards the horizon."""
+    y = np.linspace(0, 1, 300)[:, None, None]
+    blue = np.broadcast_to((1 - y) * np.array([85, 135, 215]) + y * np.array([150, 190, 235]), (300, 400, 3))
+    return captures.jpg_bytes(blue.astype(np.uint8))
+
+
 def _few_poses(folder: Path) -> None:
     lines = (folder / "trajectory.log").read_text().splitlines()
     (folder / "trajectory.log").write_text("\n".join(lines[:10]) + "\n")
@@ -164,6 +171,10 @@ BAD: dict[str, Bad] = {
     "a truncated JPEG": Bad("IMAGE_UNREADABLE", "a.jpg", one("a.jpg", lambda: private_pictures.jpeg()[:1500])),
     "a CMYK JPEG of nothing": Bad("CAPTURE_NO_OBJECT", "a.jpg", one("a.jpg", lambda: _picture("CMYK", "JPEG"))),
     "a 16-bit PNG of nothing": Bad("CAPTURE_NO_OBJECT", "a.png", one("a.png", lambda: _picture("I;16", "PNG"))),
+    "the sky": Bad("CAPTURE_NO_OBJECT", "a.jpg", one("a.jpg", _sky)),
+    "a lens cap": Bad(
+        "CAPTURE_NO_OBJECT", "a.jpg", one("a.jpg", lambda: captures.jpg_bytes(np.zeros((300, 400, 3), np.uint8)))
+    ),
     "a GIF": Bad("CAPTURE_UNKNOWN_FORMAT", "a.gif", one("a.gif", lambda: _picture("P", "GIF"))),
     "a cut film": Bad("CAPTURE_UNREADABLE", "a.mp4", one("a.mp4", lambda: private_pictures.film()[:150])),
     # recordings

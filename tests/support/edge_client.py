@@ -20,6 +20,7 @@ from services.edge.worker.job_run import Report, Work
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.server import EdgeServer
 from services.edge.worker.settings import EdgeSettings
+from services.photo_box import PhotoBox
 from tests.support.patience import PATIENCE_S
 
 TICK_S = 0.02
@@ -82,7 +83,7 @@ class Scripted:
         report(pb.Published(asset_key=request.asset_key, version=1, state="preview", manifest="m"))
         return pb.Finished(warnings=["one"], seconds={"FITTING": 1.5})
 
-    def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
         if (text := archive.read_bytes().decode(errors="replace")) in self._acts:
             self._acts[text]()
         return pb.Inspection(kind="points", format="ply", points=len(text))

@@ -11,6 +11,7 @@ from services.edge.errors import EdgeError
 from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.job_request import ReconstructionRequest
 from services.edge.worker.job_run import Report
+from services.photo_box import PhotoBox
 from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.storage.catalogue.publish import publish
@@ -68,7 +69,7 @@ class Making:
                 raise EdgeError(script["fail_refining"], "as it was told", hints=("use a coarser preset",))
         return pb.Finished(warnings=["looks odd"], seconds={"FITTING": 0.5})
 
-    def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
         script = json.loads(archive.read_bytes())
         if "fail" in script:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", hints=("hold still",))

@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "cut")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -51,6 +51,7 @@ class Header(_message.Message):
     PREPARED_FIELD_NUMBER: _ClassVar[int]
     COLLECTION_FIELD_NUMBER: _ClassVar[int]
     FILL_FIELD_NUMBER: _ClassVar[int]
+    BOX_FIELD_NUMBER: _ClassVar[int]
     CUT_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
@@ -63,8 +64,21 @@ class Header(_message.Message):
     prepared: bool
     collection: str
     fill: str
+    box: Box
     cut: str
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., cut: _Optional[str] = ...) -> None: ...
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ...) -> None: ...
+
+class Box(_message.Message):
+    __slots__ = ("left", "top", "right", "bottom")
+    LEFT_FIELD_NUMBER: _ClassVar[int]
+    TOP_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_FIELD_NUMBER: _ClassVar[int]
+    BOTTOM_FIELD_NUMBER: _ClassVar[int]
+    left: float
+    top: float
+    right: float
+    bottom: float
+    def __init__(self, left: _Optional[float] = ..., top: _Optional[float] = ..., right: _Optional[float] = ..., bottom: _Optional[float] = ...) -> None: ...
 
 class Data(_message.Message):
     __slots__ = ("offset", "data")
@@ -171,20 +185,28 @@ class Finished(_message.Message):
     def __init__(self, warnings: _Optional[_Iterable[str]] = ..., seconds: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class Inspection(_message.Message):
-    __slots__ = ("kind", "format", "frames", "points", "warnings", "failure")
+    __slots__ = ("kind", "format", "frames", "points", "warnings", "failure", "outline")
     KIND_FIELD_NUMBER: _ClassVar[int]
     FORMAT_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     FAILURE_FIELD_NUMBER: _ClassVar[int]
+    OUTLINE_FIELD_NUMBER: _ClassVar[int]
     kind: str
     format: str
     frames: int
     points: int
     warnings: _containers.RepeatedScalarFieldContainer[str]
     failure: Failure
-    def __init__(self, kind: _Optional[str] = ..., format: _Optional[str] = ..., frames: _Optional[int] = ..., points: _Optional[int] = ..., warnings: _Optional[_Iterable[str]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ...) -> None: ...
+    outline: _containers.RepeatedCompositeFieldContainer[Polygon]
+    def __init__(self, kind: _Optional[str] = ..., format: _Optional[str] = ..., frames: _Optional[int] = ..., points: _Optional[int] = ..., warnings: _Optional[_Iterable[str]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., outline: _Optional[_Iterable[_Union[Polygon, _Mapping]]] = ...) -> None: ...
+
+class Polygon(_message.Message):
+    __slots__ = ("xy",)
+    XY_FIELD_NUMBER: _ClassVar[int]
+    xy: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, xy: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class AttachRequest(_message.Message):
     __slots__ = ("job", "after_seq")

@@ -82,7 +82,7 @@ class EdgeReconstructionServicer:
 
     def Inspect(self, request_iterator, context):
         """Read a capture without reconstructing it: the verdict that the phone gets before its upload is accepted.
-        Same upload as Reconstruct, but of the header only `capture_bytes` is used. A capture that cannot be used is an
+        Same upload as Reconstruct, but of the header only `capture_bytes` and `box` are used. A capture that cannot be used is an
         answer with `failure` set, not a status. Statuses as for Reconstruct.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Generator, Mapping
 from contextlib import closing
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,7 +15,7 @@ from services.edge.api import edge_pb2 as pb
 from services.edge.arrays import Tick, no_tick
 from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture
-from services.edge.capture_to_points import PreparedPoints, prepare
+from services.edge.capture_to_points import PreparedPoints, prepare, require_single_photo
 from services.edge.errors import CaptureError, EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.field.device import Device
@@ -31,6 +32,7 @@ from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.job_request import ReconstructionRequest
 from services.edge.worker.job_run import Report
 from services.edge.worker.memory_budget import MemoryBudget
+from services.photo_box import PhotoBox
 from services.storage.archives import ArchiveError, unpack
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.storage.catalogue.publish import Publish, publish
@@ -85,17 +87,21 @@ class Reconstructor:
         prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
         return _with_validating(self._fitter.fit(prepared, bar, request, checkpoint, report), seconds)
 
-    def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
-        """Read a capture and return its kind, format and size. Raises EdgeError when it cannot be used."""
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
+        """Read a capture and return its kind, format and size, and the outline of the thing in a single photo.
+
+        Raises EdgeError when it cannot be used.
+        """
         capture = _unpack_capture(archive, scratch)
-        if capture.kind == "image":
-            cut_out(capture.photos[0])  # raises for a photo that shows no object
+        require_single_photo(capture, box)
+        cut = cut_out(capture.photos[0], box) if capture.kind == "image" else None
         return pb.Inspection(
             kind=capture.kind,
             format=capture.format,
             frames=len(capture.frames) or len(capture.photos),
             points=len(capture.cloud.xyz) if capture.cloud else 0,
-            warnings=capture.warnings,
+            warnings=(*capture.warnings, *(cut.warnings if cut else ())),
+            outline=[pb.Polygon(xy=chain.from_iterable(line)) for line in (cut.outline() if cut else ())],
         )
 
     def _reconstruct_with(
@@ -146,6 +152,7 @@ class Reconstructor:
             device=self._device.name,
             cut=request.cut,
             longest_m=request.longest_m,
+            box=request.box,
         )
         return _run_to_end(steps, report), seconds
 

@@ -1,12 +1,13 @@
-"""Segment the thing in a photo, and crop the square around it that the network sees. numpy and OpenCV.
+"""Cut the thing out of a photo, and crop the square around it that the network sees. numpy and OpenCV.
 
-The mask is an alpha channel, where there is one; otherwise GrabCut computes it (Rother et al. 2004), started from what
-differs from the colours along the picture's border and lies near its middle.
+The mask is an alpha channel, where there is one. Otherwise a rectangle that a person drew decides; without one, what
+stands out from a plain background; and where nothing does, the largest thing near the middle is proposed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,66 +15,80 @@ import numpy as np
 from services.edge.arrays import Bools, Bytes, Floats
 from services.edge.capture.nouns import Photo
 from services.edge.errors import CaptureError
+from services.edge.single_photo.boxed import segment_in_box
+from services.edge.single_photo.plain_background import segment_by_colour
+from services.edge.single_photo.proposal import propose
+from services.edge.single_photo.segmentation import no_object
+from services.photo_box import WHOLE, PhotoBox
 
 LONGEST = 320
 """Longest side in pixels of the picture that is segmented: GrabCut takes 0.2 s, and the network sees only 64."""
-_BORDER = 0.04  # of the longer side: width of the border, which is taken for background
-_BORDER_COLOURS = 4  # clusters of k-means
-_ROUNDS = 5  # of GrabCut
-_SURELY, _PERHAPS = 2.5, 1.2  # `_strangeness` above which a pixel is surely, or perhaps, the thing
-_LEAST_LAB = 7.0  # least spread, in CIELAB: lamps and lenses make as much of one wall
-_LIGHTNESS = 0.6  # weight of lightness in a distance: shadows are darker than their ground and of the same colour
-_OUTLINE = 1.2  # least contrast of an outline, CIELAB per pixel; things have 4 and more, lens vignetting has none
-_AREA = (0.005, 0.92)  # least and most share of the picture that a thing covers
-_EDGE = 0.25  # share of a side of the picture that a thing which is cut off there covers at least
 _OPAQUE = 128  # alpha from which on a pixel belongs to the thing
-_ADVICE = (
-    "take the photo so that the whole thing is in it, with some background on every side",
-    "choose a background of another colour than the thing, in even light",
-)
+_AROUND = 0.15  # of a rectangle's sides: how much is seen around it, to tell the background. 0.35 and 0.7 are worse
+_ALL = 0.98  # share of the photo above which a rectangle leaves nothing around it that could tell the background
+_BEND = 0.75  # pixels that an outline may be off the mask's, to have fewer corners
+
+Polygon = tuple[tuple[float, float], ...]
+"""Corners (x, y) of a closed line, as shares of the upright photo's width and height."""
 
 
 @dataclass(frozen=True, slots=True)
 class CutOut:
-    """A segmented photo: rgb (h,w,3) uint8 upright, and mask (h,w) of the thing."""
+    """A segmented photo: rgb (h,w,3) uint8 upright, and mask (h,w) of the thing.
+
+    area      the part of the photo that `rgb` shows
+    warnings  sentences for the person who took the photo
+    """
 
     rgb: Bytes
     mask: Bools
+    area: PhotoBox = WHOLE
+    warnings: tuple[str, ...] = ()
+
+    def outline(self) -> tuple[Polygon, ...]:
+        """Outlines of the mask's components, as lines around its pixels."""
+        height, width = self.mask.shape
+        # Doubled: a contour goes through pixel centres, and so lies a quarter of a pixel inside, not a half.
+        doubled = cv2.resize(self.mask.astype(np.uint8), (2 * width, 2 * height), interpolation=cv2.INTER_NEAREST)
+        contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        bent = [cv2.approxPolyDP(contour, 2 * _BEND, closed=True).reshape(-1, 2) for contour in contours]
+        return tuple(self._to_photo((line + 0.5) / [2 * width, 2 * height]) for line in bent if len(line) > 2)
+
+    def bounds(self) -> PhotoBox:
+        """The mask's bounding box."""
+        rows, columns = np.flatnonzero(self.mask.any(axis=1)), np.flatnonzero(self.mask.any(axis=0))
+        corners = np.array([[columns[0], rows[0]], [columns[-1] + 1, rows[-1] + 1]]) / self.mask.shape[::-1]
+        (left, top), (right, bottom) = self._to_photo(corners)
+        return PhotoBox(left, top, right, bottom)
+
+    def _to_photo(self, places: Floats) -> Polygon:
+        """Convert places (n,2), as shares of the picture, to shares of the photo."""
+        area = self.area
+        whole = places * [area.width, area.height] + [area.left, area.top]
+        return tuple((float(x), float(y)) for x, y in whole)
 
 
-def cut_out(photo: Photo) -> CutOut:
+def cut_out(photo: Photo, box: PhotoBox | None = None) -> CutOut:
     """Segment the thing in a photo: by its alpha channel, if that hides anything, else by colour.
 
-    Raises CaptureError CAPTURE_NO_OBJECT where nothing stands out, or what does is cut off on every side.
+    box  the rectangle that the thing lies in, where a person has drawn one
+
+    Raises CaptureError CAPTURE_NO_OBJECT where there is no thing, or what there is is cut off on every side.
     """
-    stored = photo.load(LONGEST)
     alpha = photo.load_alpha() if photo.load_alpha else None
-    rgb = rotate_clockwise(stored, photo.turns)
-    if alpha is None or not 0 < (alpha >= _OPAQUE).mean() < 1:
-        return CutOut(rgb, segment_by_colour(rgb, photo.name))
-    height, width = stored.shape[:2]
-    small = np.asarray(cv2.resize(alpha, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    return CutOut(rgb, rotate_clockwise(small, photo.turns) >= _OPAQUE)
+    if alpha is not None and 0 < (alpha >= _OPAQUE).mean() < 1:
+        return _cut_by_alpha(photo, alpha, box)
+    if box is None or box.width * box.height > _ALL:
+        area = box or WHOLE
+        return _cut_whole(_load_area(photo, area), area, photo.name)
+    area = box.grown(_AROUND)
+    rgb = _load_area(photo, area)
+    return CutOut(rgb, segment_in_box(rgb, *_pixels(box, area, rgb.shape), photo.name), area)
 
 
 def rotate_clockwise(pixels: Bytes, turns: int) -> Bytes:
     """Rotate pixels clockwise by so many quarter turns."""
     return np.ascontiguousarray(np.rot90(pixels, -turns))
-
-
-def segment_by_colour(rgb: Bytes, name: str) -> Bools:
-    """Mask (h,w) of what differs in colour from the border. Raises CaptureError CAPTURE_NO_OBJECT."""
-    strange = _strangeness(rgb)
-    seeds = _seeds(strange)
-    if seeds is None:
-        raise _no_object(name, "shows nothing that stands out from its background")
-    cv2.setRNGSeed(0)  # GrabCut draws its first colour clusters
-    models = np.zeros((1, 65)), np.zeros((1, 65))
-    unused = (0, 0, 0, 0)  # the rectangle: the seeds take its place
-    labels, _, _ = cv2.grabCut(rgb[..., ::-1].copy(), seeds, unused, *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
-    mask = _main_part((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
-    _check(mask, strange, rgb, name)
-    return mask
 
 
 def crop_square(cut: CutOut, side: int, fill: float, *, shift: tuple[float, float] = (0.0, 0.0)) -> Floats:
@@ -97,82 +112,46 @@ def crop_square(cut: CutOut, side: int, fill: float, *, shift: tuple[float, floa
     return np.asarray(cv2.resize(drawn, (side, side), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _strangeness(rgb: Bytes) -> Floats:
-    """Distance (h,w) of each pixel's colour from the colours along the border, in units of their usual spread."""
-    lab = _lab(rgb)
-    border = lab[~_inside(lab.shape[:2])]
-    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.5)
-    cv2.setRNGSeed(0)
-    unlabelled = np.zeros((len(border), 1), np.int32)
-    compactness, _, centres = cv2.kmeans(border, _BORDER_COLOURS, unlabelled, criteria, 3, cv2.KMEANS_PP_CENTERS)
-    spread = max(_LEAST_LAB, 2 * float(np.sqrt(compactness / len(border))))
-    away = np.min([np.sqrt(((lab - centre) ** 2).sum(axis=2)) for centre in centres], axis=0)
-    return np.asarray(away / spread)
+def _cut_whole(rgb: Bytes, area: PhotoBox, name: str) -> CutOut:
+    """Cut out what stands out; where nothing does, what is proposed, with a warning. Raises CAPTURE_NO_OBJECT."""
+    with suppress(CaptureError):
+        return CutOut(rgb, segment_by_colour(rgb, name), area)
+    proposed = CutOut(rgb, propose(rgb, name), area)
+    warning = (
+        f"Nothing stands out from the background of {name}, so the largest thing near its middle was taken, in the "
+        f"rectangle {proposed.bounds()}. If that is not the thing, draw a rectangle around it (--box)."
+    )
+    return replace(proposed, warnings=(warning,))
 
 
-def _lab(rgb: Bytes) -> Floats:
-    """Convert to CIELAB (h,w,3), blurred against noise, lightness scaled by `_LIGHTNESS`."""
-    lab = cv2.cvtColor(cv2.GaussianBlur(rgb, (0, 0), 1.5).astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-    return np.asarray(lab * np.array([_LIGHTNESS, 1, 1], np.float32))
+def _cut_by_alpha(photo: Photo, alpha: Bytes, box: PhotoBox | None) -> CutOut:
+    stored = photo.load(LONGEST)
+    height, width = stored.shape[:2]
+    small = np.asarray(cv2.resize(alpha, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    mask = rotate_clockwise(small, photo.turns) >= _OPAQUE
+    if box:
+        rows, columns = _pixels(box, WHOLE, mask.shape)
+        chosen = np.zeros_like(mask)
+        chosen[rows, columns] = mask[rows, columns]
+        mask = chosen
+    if not mask.any():
+        advice = "draw the rectangle around the thing, or send the photo without its alpha channel"
+        raise no_object(photo.name, "is transparent everywhere in the rectangle", advice)
+    return CutOut(rotate_clockwise(stored, photo.turns), mask)
 
 
-def _inside(shape: tuple[int, ...]) -> Bools:
-    """Mask (h,w), False along the border."""
-    band = max(2, round(_BORDER * max(shape)))
-    inside = np.zeros(shape, bool)
-    inside[band:-band, band:-band] = True
-    return inside
+def _load_area(photo: Photo, area: PhotoBox) -> Bytes:
+    """Load a part of the upright photo, its longer side `LONGEST` pixels where the photo has as many."""
+    sides = photo.size if photo.turns % 2 == 0 else photo.size[::-1]
+    shown = max(area.width * sides[0], area.height * sides[1])
+    longest = min(max(sides), round(LONGEST * max(sides) / shown))
+    upright = rotate_clockwise(photo.load(longest), photo.turns)
+    rows, columns = _pixels(area, WHOLE, upright.shape)
+    return np.ascontiguousarray(upright[rows, columns])
 
 
-def _seeds(strange: Floats) -> Bytes | None:
-    """GrabCut's initial labels; None where nothing differs from the border. Near the middle a smaller one counts."""
-    h, w = strange.shape
-    y, x = np.mgrid[-1 : 1 : complex(h), -1 : 1 : complex(w)]
-    from_middle = np.sqrt(x * x + y * y)
-    strange = strange * np.clip(1.3 - 0.5 * from_middle, 0, 1)
-    seeds = np.where(strange > _PERHAPS, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    seeds[~_inside(strange.shape) & (strange < _PERHAPS)] = cv2.GC_BGD
-    if (strange > _SURELY).mean() < _AREA[0] / 2 or not (seeds == cv2.GC_BGD).any():
-        return None
-    return seeds
-
-
-def _main_part(mask: Bools) -> Bools:
-    """Keep the components that are large and near the middle, without specks and holes of a few pixels."""
-    kernel = np.ones((3, 3), np.uint8)
-    tidy = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
-    tidy = cv2.morphologyEx(tidy, cv2.MORPH_CLOSE, kernel)
-    count, labels, stats, centres = cv2.connectedComponentsWithStats(tidy)
-    if count < 2:
-        return np.zeros_like(mask)
-    middle = np.array(mask.shape[::-1]) / 2
-    gap = np.linalg.norm((centres[1:] - middle) / middle, axis=1)
-    merit = stats[1:, cv2.CC_STAT_AREA] * np.exp(-2 * gap * gap)
-    keep = np.flatnonzero(merit > 0.2 * merit.max()) + 1
-    return np.isin(labels, keep)
-
-
-def _check(mask: Bools, strange: Floats, rgb: Bytes, name: str) -> None:
-    """Raise CaptureError CAPTURE_NO_OBJECT for a mask that is tiny, without contrast or cut off on every side."""
-    share = float(mask.mean())
-    if share < _AREA[0]:
-        raise _no_object(name, "shows nothing that stands out from its background")
-    if float(np.median(strange[mask])) < _PERHAPS or _outline_contrast(rgb, mask) < _OUTLINE:
-        raise _no_object(name, "shows nothing whose colours differ from those of its background")
-    sides = mask[0].mean(), mask[-1].mean(), mask[:, 0].mean(), mask[:, -1].mean()
-    if share > _AREA[1] or all(side > _EDGE for side in sides):
-        raise _no_object(name, "shows something that reaches beyond the picture on every side")
-
-
-def _outline_contrast(rgb: Bytes, mask: Bools) -> float:
-    """Median change of colour across the mask's outline, in CIELAB per pixel."""
-    lab = _lab(rgb)
-    across, down = (cv2.Sobel(lab, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
-    steep = np.sqrt((across * across + down * down).sum(axis=2))
-    kernel = np.ones((3, 3), np.uint8)
-    outline = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_GRADIENT, kernel).astype(bool) & _inside(mask.shape)
-    return float(np.median(steep[outline])) if outline.any() else 0.0
-
-
-def _no_object(name: str, reason: str) -> CaptureError:
-    return CaptureError("CAPTURE_NO_OBJECT", reason, file=name, hints=_ADVICE)
+def _pixels(box: PhotoBox, area: PhotoBox, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of a rectangle in a picture of this shape that shows `area` of the photo."""
+    left, right = (round((x - area.left) / area.width * shape[1]) for x in (box.left, box.right))
+    top, bottom = (round((y - area.top) / area.height * shape[0]) for y in (box.top, box.bottom))
+    return slice(top, bottom), slice(left, right)

@@ -20,6 +20,7 @@ from services.edge.single_photo.camera import FILL, SIDE, project
 from services.edge.single_photo.cutout import CutOut, crop_square, cut_out
 from services.edge.single_photo.test_time_views import predict_from_views
 from services.edge.single_photo.weights import shipped_pixels
+from services.photo_box import PhotoBox
 
 MOST_CONFIDENT = 0.2
 """The highest confidence of a guessed point, of 1: nothing was measured."""
@@ -37,20 +38,22 @@ class Guess:
     xyz         (N,3) float64, N about 2,000
     rgb         (N,3) uint8 sRGB: of the pixel that shows the point, or of the nearest visible point
     confidence  (N,) float32 in [0, MOST_CONFIDENT]
+    warnings    sentences on how the thing was cut out
     """
 
     xyz: Floats
     rgb: Bytes
     confidence: Floats
+    warnings: tuple[str, ...] = ()
 
 
-def guess(photo: Photo, *, tick: Tick) -> Guess:
-    """Guess the points of the thing in a photo.
+def guess(photo: Photo, *, box: PhotoBox | None = None, tick: Tick) -> Guess:
+    """Guess the points of the thing in a photo, or in a rectangle of it.
 
     Raises CaptureError CAPTURE_NO_OBJECT, and whatever loading the photo raises.
     """
     tick(0.0)
-    cut = cut_out(photo)
+    cut = cut_out(photo, box)
     tick(0.6)
     picture = torch.from_numpy(crop_square(cut, SIDE, FILL)).permute(2, 0, 1)[None]
     prediction = predict_from_views(shipped_pixels(), picture)
@@ -63,7 +66,7 @@ def guess(photo: Photo, *, tick: Tick) -> Guess:
     xyz = (xyz[keep] - (low + high) / 2) / (high - low).max()
     confidence = (MOST_CONFIDENT * np.exp(-((apart[keep] / _AGREED) ** 2))).astype(np.float32)
     tick(1.0)
-    return Guess(xyz, rgb[keep], confidence)
+    return Guess(xyz, rgb[keep], confidence, cut.warnings)
 
 
 def disagreement(points: Floats) -> Floats:

@@ -9,6 +9,7 @@ from services.edge.capture.nouns import Capture
 from services.edge.points.denoise_stereo import smooth_stereo_points
 from services.edge.points.nouns import Points
 from services.edge.single_photo.guess import guess
+from services.photo_box import PhotoBox
 
 _USUAL_M = 0.4
 """Metres of a thing that fills half of a picture taken at arm's length: an assumption, not a measurement."""
@@ -16,10 +17,13 @@ _NEIGHBOURS = 48, 32
 """Neighbours that smooth 2,000 points: the views differ by a few percent, and a surface through all would crumple."""
 
 
-def to_points(capture: Capture, *, tick: Tick = no_tick) -> Points:
-    """Guess the points of the thing in the one photo, y up. Raises CaptureError CAPTURE_NO_OBJECT."""
+def to_points(capture: Capture, *, box: PhotoBox | None = None, tick: Tick = no_tick) -> Points:
+    """Guess the points of the thing in the one photo, or in a rectangle of it, y up.
+
+    Raises CaptureError CAPTURE_NO_OBJECT.
+    """
     (photo,) = capture.photos
-    guessed = guess(photo, tick=tick)
+    guessed = guess(photo, box=box, tick=tick)
     return Points(
         xyz=smooth_stereo_points(guessed.xyz, np.ones(len(guessed.xyz)), neighbours=_NEIGHBOURS),
         rgb=guessed.rgb,
@@ -27,5 +31,5 @@ def to_points(capture: Capture, *, tick: Tick = no_tick) -> Points:
         metres_per_unit=_USUAL_M,
         scale_confidence="unknown",
         up=np.array([0.0, 1.0, 0.0]),
-        warnings=capture.warnings,
+        warnings=capture.warnings + guessed.warnings,
     )

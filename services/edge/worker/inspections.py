@@ -16,6 +16,7 @@ from services.edge.worker.job_request import RefusedError
 from services.edge.worker.job_run import Work
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.upload import receive
+from services.photo_box import PhotoBox
 
 AT_ONCE = 4
 """Most inspections at once, each a thread that mostly decodes headers: more would slow down the jobs, and a phone can
@@ -33,9 +34,11 @@ class Inspections:
         self._scratch = scratch
         self._active = 0
 
-    async def inspect(self, chunks: AsyncIterator[pb.Chunk], capture_bytes: int) -> pb.Inspection:
-        """Receive an archive and read it. Raises RefusedError: RESOURCE_EXHAUSTED, DEADLINE_EXCEEDED, and as
-        `receive`."""
+    async def inspect(self, chunks: AsyncIterator[pb.Chunk], capture_bytes: int, box: PhotoBox | None) -> pb.Inspection:
+        """Receive an archive and read it, with the rectangle in a single photo, if there is one.
+
+        Raises RefusedError: RESOURCE_EXHAUSTED, DEADLINE_EXCEEDED, and as `receive`.
+        """
         if self._active >= AT_ONCE:
             status = grpc.StatusCode.RESOURCE_EXHAUSTED
             raise RefusedError(status, "INSPECTIONS_BUSY", f"{AT_ONCE} captures are being inspected already")
@@ -46,16 +49,16 @@ class Inspections:
         except BaseException:
             self._release(folder)
             raise
-        return await self._read(folder)
+        return await self._read(folder, box)
 
-    async def _read(self, folder: Path) -> pb.Inspection:
+    async def _read(self, folder: Path, box: PhotoBox | None) -> pb.Inspection:
         """Read the capture in a thread. The thread's end, not the caller's, releases the folder: a caller may hang up
         while a file is still being read."""
         loop = asyncio.get_running_loop()
         verdict: asyncio.Future[pb.Inspection] = loop.create_future()
 
         def read() -> None:
-            inspection = self._verdict(folder)
+            inspection = self._verdict(folder, box)
             with suppress(RuntimeError):  # the loop is closed: the worker has shut down
                 loop.call_soon_threadsafe(self._deliver, folder, verdict, inspection)
 
@@ -67,11 +70,11 @@ class Inspections:
             status = grpc.StatusCode.DEADLINE_EXCEEDED
             raise RefusedError(status, "INSPECTION_SLOW", f"the capture was not read within {WITHIN_S:.0f} s") from None
 
-    def _verdict(self, folder: Path) -> pb.Inspection:
+    def _verdict(self, folder: Path, box: PhotoBox | None) -> pb.Inspection:
         scratch = folder / "work"
         try:
             scratch.mkdir()
-            return self._work.inspect(folder / "capture.zip", scratch)
+            return self._work.inspect(folder / "capture.zip", scratch, box)
         except BaseException as error:  # noqa: BLE001 - the caller must get an answer whatever happens here
             failure = failure_of(error, job="of an inspection", scratch=scratch)
             failure.stage = pb.VALIDATING

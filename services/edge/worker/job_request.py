@@ -15,6 +15,7 @@ from services.edge.errors import EdgeError
 from services.edge.mesh.fill_gaps import Fill
 from services.edge.points.nouns import Cut
 from services.edge.worker.capabilities import Capabilities
+from services.photo_box import HOW, InvalidBox, PhotoBox
 
 T = TypeVar("T")
 
@@ -54,6 +55,7 @@ class ReconstructionRequest:
     collection  collection that lists the asset; "": this worker's default collection
     fill        which holes of the mesh are filled; None: by the kind of capture
     cut         what of the capture is kept
+    box         rectangle of a single photo that the thing lies in; None: it is looked for
     """
 
     job: str
@@ -67,6 +69,7 @@ class ReconstructionRequest:
     collection: str = ""
     fill: Fill | None = None
     cut: Cut = "auto"
+    box: PhotoBox | None = None
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -99,7 +102,18 @@ class ReconstructionRequest:
             collection=header.collection,
             fill=_checked_choice("fill", header.fill, get_args(Fill)) if header.fill else None,
             cut=_checked_choice("cut", header.cut or "auto", get_args(Cut)),
+            box=checked_box(header),
         )
+
+
+def checked_box(header: pb.Header) -> PhotoBox | None:
+    """Return a header's rectangle; None where it has none. Raises RefusedError INVALID_ARGUMENT."""
+    if not header.HasField("box"):
+        return None
+    try:
+        return PhotoBox.of((header.box.left, header.box.top, header.box.right, header.box.bottom))
+    except InvalidBox as error:
+        raise invalid("BOX_INVALID", f"{error}; {HOW}") from None
 
 
 def _checked_choice(field: str, name: str, choices: Sequence[T]) -> T:

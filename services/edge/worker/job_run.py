@@ -17,6 +17,7 @@ from services.edge.worker.checkpoint_files import CheckpointFiles
 from services.edge.worker.event_log import Ending, EventLog, Update
 from services.edge.worker.failures import failure_of
 from services.edge.worker.job_request import ReconstructionRequest
+from services.photo_box import PhotoBox
 
 Report = Callable[[Update], None]
 """Callback with which the work reports progress and published bundles, several times a second. Raises `Cancelled` once
@@ -49,8 +50,11 @@ class Work(Protocol):
         """
         ...
 
-    def inspect(self, archive: Path, scratch: Path) -> pb.Inspection:
-        """Read the capture without reconstructing it. Raises EdgeError when it cannot be used."""
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
+        """Read the capture without reconstructing it. Raises EdgeError when it cannot be used.
+
+        box  rectangle of a single photo that the thing lies in; None: it is looked for
+        """
         ...
 
 

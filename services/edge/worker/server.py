@@ -19,7 +19,7 @@ from services.edge.api import edge_pb2_grpc
 from services.edge.worker.authentication import TokenAuthentication, drain_messages
 from services.edge.worker.inspections import Inspections
 from services.edge.worker.job_queue import JobQueue
-from services.edge.worker.job_request import ReconstructionRequest, RefusedError
+from services.edge.worker.job_request import ReconstructionRequest, RefusedError, checked_box
 from services.edge.worker.job_run import Work
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.settings import EdgeSettings, server_security
@@ -72,7 +72,8 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
         chunks = aiter(request_iterator)
         try:
             header = await first_header(chunks, limit_bytes=self._settings.max_capture_bytes)
-            return await self._inspections.inspect(_admitting(chunks, context), header.capture_bytes)
+            box = checked_box(header)
+            return await self._inspections.inspect(_admitting(chunks, context), header.capture_bytes, box)
         except RefusedError as refused:
             await _refuse(context, refused, chunks)
 

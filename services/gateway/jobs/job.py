@@ -37,6 +37,7 @@ class Order:
     longest_m: float | None = None  # metres between the object's farthest points, where the user knows it
     collection: str = ""  # collection that lists the asset; "": the worker's default
     fill: str = ""  # holes of the mesh to fill: none, unseen or all; "": by the kind of capture
+    box: tuple[float, ...] = ()  # left, top, right, bottom of the thing in a single photo, as shares; (): look for it
 
 
 @dataclass(frozen=True, slots=True)

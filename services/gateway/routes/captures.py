@@ -1,10 +1,14 @@
-"""/v1/captures: upload of captures. The body is streamed by our own code, so its OpenAPI schema is written here too."""
+"""/v1/captures and /v1/outlines: upload of captures, and a look at one photo.
+
+The body is streamed by our own code, so its OpenAPI schema is written here too.
+"""
 
 from __future__ import annotations
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, ConfigDict
 
+from services.gateway.photo_boxes import BoxQuery, parse_box
 from services.gateway.schemas import problems
 from services.gateway.uploads.accept import Uploads
 
@@ -65,6 +69,18 @@ class CaptureView(BaseModel):
     files: list[FileVerdict]
 
 
+class OutlineView(BaseModel):
+    """The thing in a single photo: closed lines around it, of corners [x, y] as shares of the upright photo's width and
+    height. Captures of another kind have none. `warnings` says where the choice is doubtful; `inspected`: whether a
+    worker could look.
+    """
+
+    inspected: bool
+    kind: str
+    outline: list[list[tuple[float, float]]]
+    warnings: list[str]
+
+
 _FORM = {
     "type": "object",
     "properties": {
@@ -92,13 +108,28 @@ _BODY = {
     responses=problems(400, 408, 413, 415, 422, 503, 507),
     openapi_extra=_BODY,
 )
-async def upload_capture(request: Request) -> CaptureView:
+async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
     """Upload a capture: photos, a video, a point cloud, or the export of a scanner app, as files or as one zip.
 
     Every file is checked, and locations, serial numbers and names of persons are removed from it. The answer is sent
-    after the capture has been stored.
+    after the capture has been stored. `box` is only for the inspection of a single photo; a job names it again.
     """
-    return CaptureView.model_validate(await _uploads(request).accept(request))
+    return CaptureView.model_validate(await _uploads(request).accept(request, parse_box(box)))
+
+
+@router.post(
+    "/outlines",
+    response_model=OutlineView,
+    responses=problems(400, 408, 413, 415, 422, 503, 507),
+    openapi_extra=_BODY,
+)
+async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
+    """Outline the thing that would be reconstructed from a single photo, or from a rectangle of it.
+
+    Takes the same body as an upload, and stores nothing. Send the photo itself: a smaller copy may give another
+    outline.
+    """
+    return OutlineView.model_validate(await _uploads(request).outline(request, parse_box(box)))
 
 
 def _uploads(request: Request) -> Uploads:

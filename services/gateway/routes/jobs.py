@@ -22,6 +22,7 @@ from services.gateway.jobs.job import Event, Job, Order
 from services.gateway.jobs.state_machine import request_cancel
 from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.metrics import Metrics
+from services.gateway.photo_boxes import require_box
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
@@ -217,6 +218,7 @@ async def _make_order(body: JobRequest, request: Request) -> Order:
             "an asset key must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit",
             hints=("put a name for people into `label`",),
         )
+    require_box(body.box)
     preset = await _known_preset(body.preset, request)
     await _require_capture(body.capture, request)
     choose = partial(choose_collection, named=body.collection, capture=body.capture, key=body.asset_key)

@@ -10,7 +10,8 @@ import secrets
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +28,7 @@ from services.gateway.settings import GatewaySettings
 from services.gateway.uploads.receive import ReceivedUpload, UploadLimits, receive, too_many_files
 from services.gateway.uploads.validate import FileReport, validate
 from services.gateway.worker_client import Inspection, WorkerPool
+from services.photo_box import PhotoBox
 from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
 from services.storage.store import Store
 
@@ -36,6 +38,8 @@ _COPIES = 3  # of an upload on the disk at worst: as received, unpacked, packed
 _ABANDONED_S = 24 * 3600.0  # a staging folder of this age was left by a gateway that crashed
 
 _ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
+
+_UNKNOWN = Inspection("", "", 0, 0, (), None)  # while no worker can look
 
 _T = TypeVar("_T")
 
@@ -66,17 +70,42 @@ class Uploads:
         self._staging.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(self._staging)
 
-    async def accept(self, request: Request) -> dict[str, Any]:
-        """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind."""
+    async def accept(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
+        """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind.
+
+        box  rectangle around the thing in a single photo, for its inspection
+        """
+        async with self._inspected(request, box) as (packed, inspection):
+            return await self._store_capture(packed, inspection)
+
+    async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
+        """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
+        async with self._inspected(request, box) as (_, found):
+            facts = found or _UNKNOWN
+            return {
+                "inspected": found is not None,
+                "kind": facts.kind,
+                "outline": facts.outline,
+                "warnings": facts.warnings,
+            }
+
+    @asynccontextmanager
+    async def _inspected(
+        self, request: Request, box: PhotoBox | None
+    ) -> AsyncIterator[tuple[_PackedCapture, Inspection | None]]:
+        """Receive, check and pack the request's capture, and have it inspected; its files are removed afterwards.
+
+        Raises Problem.
+        """
         self._check_free_space(request)
         folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._staging))
         try:
             received = await receive(request, folder / "in", self._limits, self._write)
             packed = await self._run_checker(lambda: _check_and_pack(received, folder, self._limits))
-            inspection = await self._workers.inspect(packed.archive)
+            inspection = await self._workers.inspect(packed.archive, box)
             if inspection is not None and inspection.failure is not None:
                 raise inspection.failure
-            return await self._store_capture(packed, inspection)
+            yield packed, inspection
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise _storage_full() from None
@@ -168,7 +197,7 @@ def _unpack(archive: Path, into: Path, limits: UploadLimits, client_name: str) -
 
 def _receipt(capture: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
     """Return the receipt: the answer to the upload, which is also stored."""
-    facts = inspection or Inspection("", "", 0, 0, (), None)
+    facts = inspection or _UNKNOWN
     return {
         "capture": capture,
         "name": packed.name,

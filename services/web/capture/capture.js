@@ -3,6 +3,7 @@ import { chosenFiles, chosenName, startFileChoice } from './file-choice.js';
 import { showUploadProgress, startUploadProgress } from './job-progress.js';
 import { watchJob } from './job-watch.js';
 import { showState, showTrouble } from './page-state.js';
+import { chosenBox } from './photo-box.js';
 import { getJson, keyFrom, postJson, uploadCapture } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 
@@ -40,7 +41,7 @@ async function send() {
   page.cancel.hidden = true;
   startUploadProgress();
   try {
-    receipt ??= await uploadCapture(chosenFiles(), name, showUploadProgress);
+    receipt ??= await uploadCapture(chosenFiles(), name, chosenBox(), showUploadProgress);
     showReceipt(receipt);
     /** @type {Job} */
     const job = await postJson('/v1/jobs', jobRequest(receipt, name), { 'Idempotency-Key': jobKey });
@@ -66,6 +67,7 @@ function jobRequest({ capture }, name) {
     cut: /** @type {Cut} */ (page.cut.value),
     longest_m: centimetres > 0 ? centimetres / 100 : null,
     fill: page.fill.value,
+    box: chosenBox(),
   };
 }
 

@@ -1,6 +1,7 @@
 // The form's first two parts: which files to send, and the name of the object.
 import { mayHaveCompass, readHeading, startCompass } from './compass.js';
-import { guide, setHeading } from './guidance.js';
+import { guide, isPhoto, setHeading } from './guidance.js';
+import { showSinglePhoto } from './photo-box.js';
 import { keyFrom } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 
@@ -62,6 +63,7 @@ function showFiles() {
   const count = files.length === 1 ? '1 file' : `${files.length} files`;
   page.chosen.textContent = files.length ? `${count}, ${(bytes / 1e6).toFixed(1)} MB` : 'Nothing chosen yet.';
   page.list.hidden = guide(files, removeFiles);
+  showSinglePhoto(files.length === 1 && isPhoto(files[0]) ? files[0] : null);
   const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);
   if (files.length > LISTED) names.push(`… and ${files.length - LISTED} more`);
   fillList(page.list, names);

@@ -36,7 +36,7 @@ let removeFiles = () => {};
 let redrawTimer = 0;
 
 /** @param {File} file */
-const isPhoto = (file) => file.type.startsWith('image/') || /\.(jpe?g|png|webp|heic|heif|avif|tiff?)$/i.test(file.name);
+export const isPhoto = (file) => file.type.startsWith('image/') || /\.(jpe?g|png|webp|heic|heif|avif|tiff?)$/i.test(file.name);
 /** @param {File} file */
 const isFilm = (file) => file.type.startsWith('video/') || /\.(mp4|mov|m4v|webm|mkv)$/i.test(file.name);
 
@@ -133,6 +133,7 @@ function adviceFor(chosen, films) {
   const count = chosen.length;
   if (films && count < FEWEST) return `Its best pictures are chosen for you.${films > 1 ? ' Only the largest film is used.' : ''}`;
   if (films) return `There are photos enough, so the film is not used.${rest}`;
+  if (count === 1) return `One photo shows one side; the others are a guess. ${ADVISED.join(' to ')} from all around show them.${rest}`;
   if (count < FEWEST) return `At least ${FEWEST} are needed; ${ADVISED.join(' to ')} from all around are best.${rest}`;
   if (count < ADVISED[0]) return `${ADVISED.join(' to ')} are best: ${ADVISED[0] - count} more, from where there is none yet.${rest}`;
   if (count <= ADVISED[1]) return `A good number.${rest}`;

@@ -4,7 +4,7 @@ import { fetchBytes } from './network.js';
 import { Problem, isConnectionProblem, noAnswer, offline } from './problems.js';
 import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
-/** @import { CaptureReceipt, JobProgress } from './types.d.ts' */
+/** @import { CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
 const GATEWAY_ERRORS = [502, 503, 504]; // a proxy's word that the server behind it cannot be reached
@@ -89,14 +89,36 @@ export async function postJson(url, body, headers = {}) {
 }
 
 /**
+ * The address of a route that takes a rectangle in a single photo.
+ * @param {string} path
+ * @param {number[] | null} box left, top, right, bottom as shares of the upright photo's sides
+ */
+const withBox = (path, box) => (box ? `${path}?box=${box.join(',')}` : path);
+
+/**
+ * Outline the thing in a photo.
+ * @param {File} photo
+ * @param {number[] | null} box the rectangle that the thing lies in
+ * @returns {Promise<PhotoOutline>}
+ * @throws {Problem} as `getJson`
+ */
+export async function outlinePhoto(photo, box) {
+  const form = new FormData();
+  form.append('files', photo, photo.name);
+  const { response, bytes } = await fetchBytes(withBox('/v1/outlines', box), { method: 'POST', body: form, silenceMs: UPLOAD_CHECK_MS });
+  return parseAnswer(response.status, decodeText(bytes));
+}
+
+/**
  * Upload files as one capture. XMLHttpRequest, because fetch tells nothing of an upload's progress.
  * @param {File[]} files
  * @param {string} name
+ * @param {number[] | null} box the rectangle that the thing lies in, in a single photo
  * @param {(fraction: number) => void} onProgress
  * @returns {Promise<CaptureReceipt>}
  * @throws {Problem} OFFLINE, NO_ANSWER, and what the server says
  */
-export function uploadCapture(files, name, onProgress) {
+export function uploadCapture(files, name, box, onProgress) {
   const form = new FormData();
   form.append('name', name);
   for (const file of files) form.append('files', file, file.webkitRelativePath || file.name);
@@ -123,7 +145,7 @@ export function uploadCapture(files, name, onProgress) {
     request.onerror = () => reject(offline());
     request.onloadend = () => clearTimeout(timer);
     restart(NETWORK_SILENCE_MS);
-    request.open('POST', '/v1/captures');
+    request.open('POST', withBox('/v1/captures', box));
     request.send(form);
   });
 }

@@ -174,6 +174,14 @@ export interface JobRequest {
   cut: Cut;
   longest_m: number | null;
   fill: string;
+  box: [left: number, top: number, right: number, bottom: number] | null;
+}
+
+/** The thing in a photo: POST /v1/outlines. Closed lines of corners, as shares of the upright photo's sides. */
+export interface PhotoOutline {
+  inspected: boolean;
+  outline: [x: number, y: number][][];
+  warnings: string[];
 }
 
 export interface Presets {

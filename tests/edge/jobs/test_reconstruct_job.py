@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
 
+import cv2
 import grpc
 import numpy as np
 import pytest
@@ -154,6 +155,46 @@ async def test_a_good_capture_is_described(client: Client, tmp_path: Path) -> No
     verdict = await client.stub.Inspect(upload(archive(tmp_path, dome_ply=hemisphere_ply())))
     assert not verdict.HasField("failure")
     assert (verdict.kind, verdict.format, verdict.points) == ("points", "ply", 1000)
+
+
+def two_discs_png() -> bytes:
+    """A red disc on the left and a blue one on the right, before a light wall, 400 x 300 pixels."""
+    rgb = np.full((300, 400, 3), 215, np.uint8)
+    for middle, colour in ((110, (180, 40, 30)), (290, (30, 60, 170))):
+        cv2.circle(rgb, (middle, 150), 60, colour, cv2.FILLED)
+    return cv2.imencode(".png", rgb[..., ::-1])[1].tobytes()
+
+
+async def test_the_thing_in_a_photo_is_outlined_also_in_a_rectangle(client: Client, tmp_path: Path) -> None:
+    sent = archive(tmp_path, **{"discs.png": two_discs_png()})
+    both = await client.stub.Inspect(upload(sent))
+    assert (both.kind, both.frames, len(both.outline)) == ("image", 1, 2)
+    one = await client.stub.Inspect(upload(sent, box=pb.Box(left=0.55, top=0.2, right=0.95, bottom=0.8)))
+    (line,) = one.outline
+    assert min(line.xy[::2]) == pytest.approx(230 / 400, abs=0.01)
+    assert max(line.xy[1::2]) == pytest.approx(210 / 300, abs=0.01)
+
+
+async def test_a_rectangle_with_another_capture_is_an_error_that_says_why(client: Client, tmp_path: Path) -> None:
+    sent, box = archive(tmp_path, dome_ply=hemisphere_ply()), pb.Box(left=0.1, top=0.1, right=0.9, bottom=0.9)
+    inspected = (await client.stub.Inspect(upload(sent, box=box))).failure
+    failed = (await client.ended(sent, box=box))[-1].failure
+    assert inspected.code == failed.code == "BOX_NOT_APPLICABLE"
+    assert "single photo" in failed.message
+    assert failed.hints
+
+
+async def test_the_rectangle_says_which_thing_becomes_the_asset(
+    client: Client, store: MemoryStore, tmp_path: Path
+) -> None:
+    sent = archive(tmp_path, **{"discs.png": two_discs_png()})
+    box = pb.Box(left=0.55, top=0.2, right=0.95, bottom=0.8)
+    events = await client.ended(sent, asset_key="disc", preset="draft", box=box)
+    assert events[-1].HasField("finished"), events[-1]
+    published = [event.published.manifest for event in events if event.HasField("published")]
+    manifest = json.loads(store.get(published[-1]))
+    red, _, blue = np.array(manifest["anchors"]["rgb"]).reshape(-1, 3).mean(axis=0)
+    assert blue > red + 50
 
 
 async def test_a_cancelled_job_publishes_nothing(client: Client, store: MemoryStore, tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from services.edge.arrays import Bytes, no_tick
 from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Photo
 from services.edge.errors import Cancelled, CaptureError, EdgeError
 from services.edge.pipeline import reconstruct
 from services.edge.preset import load_preset
@@ -35,18 +34,11 @@ from services.edge.single_photo_training.shapes import SAMPLES, generate_shapes
 from services.edge.single_photo_training.train import HeadTraining, train
 from services.edge.single_photo_training.weight_files import FIELDS, load_field, training_of
 from services.storage.bundle import Bundle
+from tests.support.single_photos import photo
 
 CPU = torch.device("cpu")
 W, H = 400, 300
 QUICK_STEPS = 6
-
-
-def photo(rgb: Bytes, *, turns: int = 0, name: str = "one.jpg") -> Photo:
-    def load(longest: int | None = None) -> Bytes:
-        by = min(1.0, (longest or max(rgb.shape)) / max(rgb.shape[:2]))
-        return np.asarray(cv2.resize(rgb, None, fx=by, fy=by, interpolation=cv2.INTER_AREA), np.uint8)
-
-    return Photo(name, rgb.shape[1::-1], "camera", load, turns=turns)
 
 
 def wall(level: int, noise: float, seed: int = 0) -> Bytes:

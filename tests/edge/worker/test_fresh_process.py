@@ -31,7 +31,7 @@ from services.storage.memory import MemoryStore
 work = Reconstructor(MemoryStore(), known_presets(None), find_device("cpu"), MemoryBudget(1 << 40))
 
 def answer(archive, scratch):
-    found = work.inspect(archive, scratch)
+    found = work.inspect(archive, scratch, None)
     capture = read_capture(scratch / "capture")
     for frame in capture.frames:
         frame.load_depth_m()

@@ -85,6 +85,9 @@ MALFORMED = {
     "a key of other letters": [head(asset_key="плащ")],
     "a fill that does not exist": [head(fill="everything")],
     "a cut that does not exist": [head(cut="everything")],
+    "a reversed box": [head(box=pb.Box(left=0.8, top=0.1, right=0.2, bottom=0.9))],
+    "a box beyond the photo": [head(box=pb.Box(left=0.1, top=0.1, right=900, bottom=0.9))],
+    "an empty box": [head(box=pb.Box())],
     "an over-long collection": [head(collection="c" * 300)],
     "a hidden collection": [head(collection=".ada")],
     "a collection above": [head(collection="..")],
@@ -254,7 +257,9 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 
 NUMBERS = {
-    "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill - cut",
+    "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill box cut",
+    "Box": "left top right bottom",
+    "Inspection": "kind format frames points warnings failure outline",
     "Worker": "version device - slots free_slots queued draining jobs presets memory_bytes points_version central",
     "Event": "job seq elapsed_s progress heartbeat published failure finished",
     "Failure": "code message file hints retryable stage",

@@ -29,7 +29,7 @@ from services.gateway.jobs.tables import metadata, open_engine
 from tests.conftest import missing
 from tests.referees.postgres import programs, running
 
-ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object")
+ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object", box=(0.25, 0.125, 0.75, 1.0))
 RETRY = Retry(3, 1.0)
 
 

@@ -341,13 +341,16 @@ class _Worker(edge_pb2_grpc.EdgeReconstructionServicer):
     def __init__(self, verdict: pb.Inspection) -> None:
         self.verdict = verdict
         self.received = b""
+        self.headers: list[pb.Header] = []
 
     async def GetWorker(self, request: Any, context: Any) -> pb.Worker:  # noqa: N802 - the wire's name
         return pb.Worker(version="1", slots=1, free_slots=1)
 
     async def Inspect(self, chunks: AsyncIterator[pb.Chunk], context: Any) -> pb.Inspection:  # noqa: N802
         await context.send_initial_metadata(())  # admits the upload, as edge.proto has it
-        self.received = b"".join([chunk.data.data async for chunk in chunks])
+        parts = [chunk async for chunk in chunks]
+        self.headers.append(parts[0].header)
+        self.received = b"".join([part.data.data for part in parts])
         return self.verdict
 
 
@@ -379,6 +382,67 @@ async def test_a_workers_verdict_is_in_the_receipt(attended: Gateway, worker: tu
     assert (receipt["kind"], receipt["format"], receipt["points"]) == ("points", "ply", 1000)
     assert receipt["warnings"] == ["3 points dropped"]
     assert worker[0].received == attended.store.get(f"captures/{receipt['capture']}.zip")
+
+
+def jpeg() -> bytes:
+    buffer = io.BytesIO()
+    Image.new("RGB", (64, 48), (200, 60, 30)).save(buffer, "JPEG")
+    return buffer.getvalue()
+
+
+class TestOfOnePhoto:
+    @pytest.fixture
+    def verdict(self) -> pb.Inspection:
+        line = pb.Polygon(xy=[0.25, 0.25, 0.75, 0.25, 0.5, 0.75])
+        return pb.Inspection(kind="image", format="photo", frames=1, warnings=["a guess"], outline=[line])
+
+    async def test_the_outline_is_told_and_nothing_is_stored(
+        self, attended: Gateway, worker: tuple[_Worker, str]
+    ) -> None:
+        files = [("files", ("a.jpg", jpeg(), "image/jpeg"))]
+        for box in (None, [0.25, 0.125, 0.75, 1.0]):
+            params = {"box": ",".join(map(str, box))} if box else {}
+            answer = await attended.client.post("/v1/outlines", params=params, files=files)
+            assert answer.status_code == 200, answer.text
+            outline = [[[0.25, 0.25], [0.75, 0.25], [0.5, 0.75]]]
+            assert answer.json() == {"inspected": True, "kind": "image", "outline": outline, "warnings": ["a guess"]}
+        attended.assert_empty()
+        none, some = worker[0].headers
+        assert not none.HasField("box")
+        assert some.box == pb.Box(left=0.25, top=0.125, right=0.75, bottom=1.0)
+
+    async def test_an_upload_is_inspected_with_its_rectangle(
+        self, attended: Gateway, worker: tuple[_Worker, str]
+    ) -> None:
+        content = zipped(**{"a.jpg": jpeg()})
+        headers = {"Content-Type": "application/zip"}
+        answer = await attended.client.post("/v1/captures?box=0.25,0.125,0.75,1", content=content, headers=headers)
+        assert answer.status_code == 201, answer.text
+        assert worker[0].headers[0].box == pb.Box(left=0.25, top=0.125, right=0.75, bottom=1.0)
+
+
+@pytest.mark.parametrize("path", ["/v1/outlines", "/v1/captures"])
+@pytest.mark.parametrize("box", ["0.5,0.2,0.1,0.6", "120,80,900,700", "0.1,0.2", "a,b,c,d", "nan,0,1,1"])
+async def test_a_rectangle_that_is_none_is_refused(gateway: Gateway, path: str, box: str) -> None:
+    answer = await gateway.client.post(path, params={"box": box}, files=[("files", ("a.jpg", jpeg()))])
+    document = assert_problem(answer, 422, "BOX_INVALID")
+    assert document["detail"].startswith("box: ")
+    assert "left,top,right,bottom" in document["hints"][0]
+    gateway.assert_empty()
+
+
+async def test_without_a_worker_there_is_no_outline(gateway: Gateway) -> None:
+    answer = await gateway.client.post("/v1/outlines", files=[("files", ("a.jpg", jpeg()))])
+    assert answer.json() == {"inspected": False, "kind": "", "outline": [], "warnings": []}
+    gateway.assert_empty()
+
+
+async def test_a_photo_to_outline_may_be_larger_than_a_job_request(attended: Gateway) -> None:
+    large = io.BytesIO()
+    Image.frombytes("RGB", (300, 300), bytes(range(256)) * 1054 + bytes(176)).save(large, "BMP")
+    assert large.tell() > 200_000
+    answer = await attended.client.post("/v1/outlines", files=[("files", ("a.bmp", large.getvalue()))])
+    assert answer.status_code != 413
 
 
 class TestRefused:

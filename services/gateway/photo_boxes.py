@@ -1,0 +1,44 @@
+"""The rectangle of a request: checked, with a problem document for one that is none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated
+
+from fastapi import Query
+
+from services.gateway.errors import Problem
+from services.photo_box import HOW, InvalidBox, PhotoBox
+
+BoxQuery = Annotated[
+    str,
+    Query(
+        max_length=200,
+        description="Rectangle around the thing in a single photo: left,top,right,bottom as shares of the upright "
+        "photo's width and height; empty: what stands out, else the largest thing near the middle.",
+        examples=["0.2,0.1,0.8,0.95"],
+    ),
+]
+"""The query parameter `box`."""
+
+
+def parse_box(text: str) -> PhotoBox | None:
+    """Parse the query parameter `box`; None where it is empty. Raises Problem BOX_INVALID."""
+    with _as_problem():
+        return PhotoBox.parse(text) if text else None
+
+
+def require_box(values: Sequence[float] | None) -> None:
+    """Check the field `box` of a job request, where it is given. Raises Problem BOX_INVALID."""
+    with _as_problem():
+        if values is not None:
+            PhotoBox.of(values)
+
+
+@contextmanager
+def _as_problem() -> Iterator[None]:
+    try:
+        yield
+    except InvalidBox as error:
+        raise Problem(422, "BOX_INVALID", f"box: {error}", hints=(HOW,)) from None

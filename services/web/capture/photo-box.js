@@ -1,0 +1,175 @@
+// One photo: shows which part of it would be reconstructed, and lets the person draw a rectangle around another.
+import { outlinePhoto } from '../shared/api.js';
+import { element } from '../shared/dom.js';
+import { isConnectionProblem, sentences } from '../shared/problems.js';
+
+/** @typedef {[left: number, top: number, right: number, bottom: number]} PhotoBox shares of the upright photo's sides */
+/** @typedef {{ x: number, y: number }} Place in the photo, as shares of its sides */
+
+const RETRY_MS = 10_000; // until the next look, where the workers are busy: each sends the photo again
+const LEAST_SIDE = 0.02; // of the photo: less is a tap, which takes the rectangle away
+const KEY_STEP = 0.02; // of the photo, for each press of an arrow key
+const LATER = 'The outline cannot be shown now. The server looks for the thing later, in the rectangle if you draw one.';
+/** @type {PhotoBox} */
+const FIRST_BOX = [0.25, 0.25, 0.75, 0.75]; // where a rectangle begins that is moved by keys
+/** @type {Record<string, [across: number, down: number]>} */
+const ARROWS = { ArrowLeft: [-KEY_STEP, 0], ArrowRight: [KEY_STEP, 0], ArrowUp: [0, -KEY_STEP], ArrowDown: [0, KEY_STEP] };
+
+const page = {
+  section: element('which', HTMLElement),
+  photo: element('which-photo', HTMLImageElement),
+  drawing: element('which-drawing', SVGSVGElement),
+  outline: element('which-outline', SVGPathElement),
+  shade: element('which-shade', SVGPathElement),
+  rectangle: element('which-box', SVGRectElement),
+  note: element('which-note', HTMLElement),
+  clear: element('which-clear', HTMLButtonElement),
+};
+
+/** @type {File | null} */
+let file = null;
+/** @type {PhotoBox | null} */
+let box = null;
+/** @type {Place | null} */
+let start = null; // where the finger went down
+let lastRequest = 0; // answers to earlier ones are out of date
+
+/** The rectangle that was drawn in the one photo, or null. */
+export const chosenBox = () => (file ? box : null);
+
+/**
+ * Shows a photo and the outline of the thing in it. Hides all of it without a photo, or where the browser cannot show it.
+ * @param {File | null} photo
+ */
+export function showSinglePhoto(photo) {
+  if (photo === file) return;
+  lastRequest += 1;
+  URL.revokeObjectURL(page.photo.src);
+  page.section.hidden = true;
+  [file, box] = [photo, null];
+  drawBox();
+  if (!photo) return;
+  page.photo.onload = () => {
+    page.section.hidden = false;
+    lookAgain();
+  };
+  page.photo.src = URL.createObjectURL(photo);
+}
+
+/** Asks the server for the outline of the thing in the rectangle, or in the whole photo, and shows it. */
+async function lookAgain() {
+  if (!file) return;
+  lastRequest += 1;
+  const request = lastRequest;
+  drawOutline([]);
+  document.body.dataset.outlined = '';
+  page.note.textContent = 'Looking for the thing …';
+  const text = await findOutline(file, request).catch((error) => isConnectionProblem(error) ? '' : sentences(error));
+  if (request !== lastRequest) return;
+  page.note.textContent = text || LATER;
+  if (text) document.body.dataset.outlined = String(request);
+  else setTimeout(() => request === lastRequest && document.body.dataset.state === 'choosing' && lookAgain(), RETRY_MS);
+}
+
+/**
+ * Draws the outline, unless a newer request has been made meanwhile. The photo itself is sent: the outline in a smaller
+ * copy may be another.
+ * @param {File} photo
+ * @param {number} request
+ * @returns {Promise<string>} what to tell the person; empty while no worker can look
+ */
+async function findOutline(photo, request) {
+  const { inspected, outline } = await outlinePhoto(photo, box);
+  if (!inspected) return '';
+  if (request === lastRequest) drawOutline(outline);
+  return box ? 'This will be made into a mesh.' : 'This will be made into a mesh. Is it not the thing? Draw a rectangle around the thing, on the photo.';
+}
+
+// ---- drawing --------------------------------------------------------------------------------------------------------
+
+/** @param {[x: number, y: number][][]} lines closed, of corners */
+function drawOutline(lines) {
+  const path = lines.map((line) => `M${line.map((corner) => corner.join(' ')).join('L')}Z`).join('');
+  page.outline.setAttribute('d', path);
+  page.shade.setAttribute('d', path && `M0 0H1V1H0Z${path}`);
+}
+
+function drawBox() {
+  page.rectangle.toggleAttribute('hidden', !box); // an SVG has no such property
+  page.clear.hidden = !box;
+  const [left, top, right, bottom] = box ?? [0, 0, 0, 0];
+  for (const [name, value] of Object.entries({ x: left, y: top, width: right - left, height: bottom - top })) {
+    page.rectangle.setAttribute(name, String(value));
+  }
+}
+
+// ---- the rectangle --------------------------------------------------------------------------------------------------
+
+/** @param {number} value */
+const within = (value) => Math.round(1e4 * Math.min(1, Math.max(0, value))) / 1e4; // finer than a pixel of a screen
+
+/**
+ * @param {PointerEvent} event
+ * @returns {Place} in the photo; the nearest one for a finger beside it
+ */
+function placeOf(event) {
+  const area = page.drawing.getBoundingClientRect();
+  return { x: within((event.clientX - area.left) / area.width), y: within((event.clientY - area.top) / area.height) };
+}
+
+/** @param {PointerEvent} event */
+function startDrawing(event) {
+  if (!event.isPrimary || event.button !== 0) return;
+  page.drawing.setPointerCapture(event.pointerId); // the finger may leave the photo
+  start = placeOf(event);
+}
+
+/** @param {PointerEvent} event */
+function goOnDrawing(event) {
+  if (!start || !event.isPrimary) return;
+  const end = placeOf(event);
+  box = [Math.min(start.x, end.x), Math.min(start.y, end.y), Math.max(start.x, end.x), Math.max(start.y, end.y)];
+  drawOutline([]);
+  drawBox();
+}
+
+/** @param {PointerEvent} event */
+function endDrawing(event) {
+  if (!start || !event.isPrimary) return;
+  start = null;
+  if (box && Math.min(box[2] - box[0], box[3] - box[1]) < LEAST_SIDE) box = null;
+  setBox(box);
+}
+
+/** @param {PhotoBox | null} next */
+function setBox(next) {
+  box = next;
+  drawBox();
+  lookAgain();
+}
+
+/**
+ * Arrow keys move the rectangle; with Shift they move its right bottom corner. Delete takes it away.
+ * @param {KeyboardEvent} event
+ */
+function changeByKey(event) {
+  if (event.key === 'Delete' || event.key === 'Backspace') setBox(null);
+  if (!(event.key in ARROWS)) return;
+  event.preventDefault();
+  const [across, down] = ARROWS[event.key];
+  const [left, top, right, bottom] = box ?? FIRST_BOX;
+  /** @type {PhotoBox} */
+  const moved = event.shiftKey ? [left, top, right + across, bottom + down] : [left + across, top + down, right + across, bottom + down];
+  const fits = Math.min(...moved) >= 0 && Math.max(...moved) <= 1 && moved[2] - moved[0] >= LEAST_SIDE && moved[3] - moved[1] >= LEAST_SIDE;
+  setBox(fits ? moved : [left, top, right, bottom]);
+}
+
+page.photo.addEventListener('error', () => {
+  page.section.hidden = true; // such as HEIC; the server can read it
+});
+page.drawing.addEventListener('pointerdown', startDrawing);
+page.drawing.addEventListener('pointermove', goOnDrawing);
+page.drawing.addEventListener('pointerup', endDrawing);
+page.drawing.addEventListener('pointercancel', endDrawing);
+page.drawing.addEventListener('keydown', changeByKey);
+page.clear.addEventListener('click', () => setBox(null));

@@ -1,0 +1,65 @@
+"""The rectangle in a photo: what is one, and what is said of what is none."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.photo_box import WHOLE, InvalidBox, PhotoBox
+
+places = st.floats(0, 1)
+
+
+@given(places, places, places, places)
+def test_four_numbers_are_a_rectangle_in_the_photo_or_an_error(
+    left: float, top: float, right: float, bottom: float
+) -> None:
+    values = (left, top, right, bottom)
+    if right - left >= 0.01 and bottom - top >= 0.01:
+        assert PhotoBox.of(values).values == values
+    else:
+        with pytest.raises(InvalidBox):
+            PhotoBox.of(values)
+
+
+@given(places, places, places, places, st.floats(0, 3))
+def test_a_grown_rectangle_holds_the_smaller_and_stays_in_the_photo(
+    left: float, top: float, right: float, bottom: float, share: float
+) -> None:
+    box = PhotoBox(min(left, right), min(top, bottom), max(left, right), max(top, bottom))
+    grown = box.grown(share)
+    assert 0 <= grown.left <= box.left <= box.right <= grown.right <= 1
+    assert 0 <= grown.top <= box.top <= box.bottom <= grown.bottom <= 1
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "not four numbers"),
+        ("a,b,c,d", "not four numbers"),
+        ("0.1,0.2,0.3", "3 numbers instead of four"),
+        ("0.1,0.2,0.3,0.4,0.5", "5 numbers instead of four"),
+        ("120,80,900,700", "reaches beyond the photo"),
+        ("-0.1,0.2,0.5,0.6", "reaches beyond the photo"),
+        ("0.1,0.2,0.5,1.01", "reaches beyond the photo"),
+        ("0.5,0.2,0.1,0.6", "empty"),
+        ("0.1,0.6,0.5,0.2", "empty"),
+        ("0.1,0.2,0.1,0.6", "empty"),
+        ("0.1,0.2,0.105,0.6", "narrower than 1%"),
+        ("nan,0.2,0.5,0.6", "not finite"),
+        ("0.1,0.2,inf,0.6", "not finite"),
+    ],
+)
+def test_what_is_none_is_told_why(text: str, reason: str) -> None:
+    with pytest.raises(InvalidBox, match=reason):
+        PhotoBox.parse(text)
+
+
+def test_what_is_written_can_be_read() -> None:
+    box = PhotoBox.parse("0.125, 0.25,0.5,1")
+    assert PhotoBox.parse(str(box)) == box
+    assert math.isclose(box.width, 0.375)
+    assert str(WHOLE) == "0,0,1,1"
