@@ -50,7 +50,8 @@ Target = Annotated[
     typer.Option(
         help="Device class whose budget the levels of detail must meet: quest3, quest2, web or archive. "
         "With -unlit (quest3-unlit): colours as captured, independent of the scene's light. With -ktx2 (quest3-ktx2, "
-        "quest3-unlit-ktx2): KTX2 textures, made by the encoder in the folder EDGE_KTX2."
+        "quest3-unlit-ktx2): KTX2 textures, made by the encoder in the folder EDGE_KTX2. With -normals "
+        "(quest3-normals): normal maps, which show the full mesh's shape on the levels of detail."
     ),
 ]
 

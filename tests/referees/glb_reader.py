@@ -65,8 +65,12 @@ class Glb:
 
     @property
     def image(self) -> bytes:
-        """The file of the only picture."""
-        (image,) = self.document["images"]
+        """The file of the base colour."""
+        return self.image_file(0)
+
+    def image_file(self, number: int) -> bytes:
+        """The file of one of the pictures."""
+        image = self.document["images"][number]
         return self._content(self.document["bufferViews"][image["bufferView"]])
 
     @property

@@ -78,7 +78,7 @@ def assemble_bundle(
         yield bar.begin("TEXTURING", f"textures of {len(levels)} levels of detail")
         with clock("TEXTURING"):
             rest = part_of(bar.tick("TEXTURING"), _LODS_SHARE, 1)
-            assets, texture_warnings, failed = _try_textures(levels, to_asset, subject, state, encode, rest)
+            assets, texture_warnings, failed = _try_textures(coloured, subject, state, encode, rest)
     yield bar.begin("PACKING", "files and preview images")
     with clock("PACKING"):
         tick = bar.tick("PACKING")
@@ -116,13 +116,13 @@ def assemble_bundle(
 
 
 def _try_textures(
-    levels: Sequence[Mesh], to_asset: Floats, subject: AssetSubject, state: State, encode: EncodeKtx2 | None, tick: Tick
+    coloured: ColouredLevels, subject: AssetSubject, state: State, encode: EncodeKtx2 | None, tick: Tick
 ) -> tuple[Sequence[Mesh | TexturedMesh], tuple[str, ...], Ktx2Error | None]:
     """Return the levels with textures, warnings, and None. If a preview's textures cannot be encoded as KTX2: the
     levels without textures, and the error."""
     try:
-        return *add_textures(levels, to_asset, subject, encode, tick), None
+        return *add_textures(coloured.levels, coloured.full, coloured.to_asset, subject, encode, tick), None
     except Ktx2Error as error:
         if state == "refined":
             raise
-        return levels, (), error
+        return coloured.levels, (), error

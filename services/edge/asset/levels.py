@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from services.edge.arrays import Floats, Tick, part_of
@@ -16,25 +16,38 @@ from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.simplify import lods
 from services.edge.render.contact_sheet import render_sheet
 from services.edge.render.thumbnail import thumbnail, turning_preview
+from services.edge.texture.bake_normals import FullShape, bake_normals
 from services.edge.texture.bake_photos import PhotoProjection
 from services.edge.texture.nearest_colour import ColouredPoints
 from services.edge.texture.texture_mesh import Palette, texture_levels
 
 _EXPOSURE_SHARE = 0.2  # of the time goes into matching the photos' exposures
+_NORMALS_BEGIN = 0.9  # of the time, after which normal maps are baked
+_FEWER = 2  # times fewer triangles than the full mesh, from which on a level gets a normal map
+
+
+def in_asset_frame(full: Mesh, to_asset: Floats) -> Mesh:
+    """Move a mesh from the capture frame to the asset frame."""
+    return replace(full, vertices=full.vertices @ to_asset[:3, :3].T + to_asset[:3, 3])
 
 
 def build_levels(full: Mesh, to_asset: Floats, subject: AssetSubject, tick: Tick) -> tuple[Mesh, ...]:
     """Simplify a mesh in the capture frame to its levels of detail in the asset frame, finest first."""
-    vertices = full.vertices @ to_asset[:3, :3].T + to_asset[:3, 3]
     budgets = subject.target.lod_faces or subject.preset.lod_faces
-    return lods(replace(full, vertices=vertices), budgets, binding=bool(subject.target.lod_faces), tick=tick)
+    return lods(in_asset_frame(full, to_asset), budgets, binding=bool(subject.target.lod_faces), tick=tick)
 
 
 def add_textures(
-    levels: Sequence[Mesh], to_asset: Floats, subject: AssetSubject, encode: EncodeKtx2 | None, tick: Tick
+    levels: Sequence[Mesh],
+    full: Mesh,
+    to_asset: Floats,
+    subject: AssetSubject,
+    encode: EncodeKtx2 | None,
+    tick: Tick,
 ) -> tuple[tuple[Mesh | TexturedMesh, ...], tuple[str, ...]]:
     """Give textures to the levels that gain by them; also return a warning for each level that could get none.
 
+    full    the mesh that they are levels of detail of, in the capture frame
     encode  encoder of KTX2 textures; must be given where the target wants KTX2
     Raises Ktx2Error where the target wants KTX2 and a texture cannot be encoded.
     """
@@ -51,9 +64,35 @@ def add_textures(
     def fits(made: TexturedMesh) -> bool:
         return not target.last_bytes or len(pack_glb(made, target)) <= target.last_bytes
 
-    rest = part_of(tick, _EXPOSURE_SHARE if points.texture_views else 0.0, 1)
+    rest = part_of(tick, _EXPOSURE_SHARE if points.texture_views else 0.0, _NORMALS_BEGIN)
     encode = encode if target.ktx2 else None
-    return texture_levels(levels, palette, most_px=target.texture_px, fits=fits, encode=encode, tick=rest)
+    made, warnings = texture_levels(levels, palette, most_px=target.texture_px, fits=fits, encode=encode, tick=rest)
+    return _add_normal_maps(made, full, to_asset, target, fits, part_of(tick, _NORMALS_BEGIN, 1)), warnings
+
+
+def _add_normal_maps(
+    levels: Sequence[Mesh | TexturedMesh],
+    full: Mesh,
+    to_asset: Floats,
+    target: Target,
+    fits: Callable[[TexturedMesh], bool],
+    tick: Tick,
+) -> tuple[Mesh | TexturedMesh, ...]:
+    """Give normal maps to textured levels of much fewer triangles than the full mesh; to the last one if it fits."""
+    if not target.normal_px:
+        return tuple(levels)
+    shape = FullShape(in_asset_frame(full, to_asset))
+    made: list[Mesh | TexturedMesh] = []
+    for number, level in enumerate(levels):
+        made.append(level)
+        if isinstance(level, TexturedMesh) and _FEWER * len(level.mesh.faces) <= shape.faces:
+            done = part_of(tick, number / len(levels), (number + 1) / len(levels))
+            mapped = replace(
+                level, normals=bake_normals(level, shape, side=min(level.side, target.normal_px), tick=done)
+            )
+            if number < len(levels) - 1 or fits(mapped):
+                made[-1] = mapped
+    return tuple(made)
 
 
 def pack_glb(asset: Mesh | TexturedMesh, target: Target) -> bytes:

@@ -19,7 +19,8 @@ from services.edge.export.glb import KTX2, Packing
 from services.edge.export.ktx2 import Ktx2Header, ktx2_unavailable
 
 _MIB = 1 << 20
-_UNLIT, _KTX2 = "-unlit", "-ktx2"
+_UNLIT, _KTX2, _NORMALS = "-unlit", "-ktx2", "-normals"
+_NORMAL_PX = 1024  # side of a normal map: with its mips it takes 5.6 MB on the device
 _ALL = 100_000_000  # triangles: more than any extraction makes
 
 
@@ -31,6 +32,7 @@ class Target:
     last_bytes       most bytes of the coarsest level's file
     unpacked_bytes   most bytes of a level on the device: vertices, indices and textures with their mips
     texture_px       longest side of a texture; 0: colours stay at the vertices
+    normal_px        longest side of a normal map; 0: none
     packing          of the files
     unlit            whether colours are shown as they were captured, rather than in the light of the scene
     ktx2             whether textures are KTX2, by an encoder that is passed beside the target; otherwise JPEG
@@ -42,6 +44,7 @@ class Target:
     last_bytes: int = 0
     unpacked_bytes: int = 0
     texture_px: int = 2048
+    normal_px: int = 0
     packing: Packing = "meshopt"
     unlit: bool = False
     ktx2: bool = False
@@ -81,16 +84,20 @@ def target_of(name: str) -> Target:
     """Find a target by its name.
 
     "quest3-unlit" is quest3 with colours as captured, rather than in the light of the scene; "quest3-ktx2" and
-    "quest3-unlit-ktx2" have KTX2 textures. Raises EdgeError TARGET_UNKNOWN, naming all targets.
+    "quest3-unlit-ktx2" have KTX2 textures; "quest3-normals" has normal maps, which need the scene's light and are not
+    compressed. Raises EdgeError TARGET_UNKNOWN, naming all targets.
     """
     if not name:
         return NO_TARGET
+    if (base := name.removesuffix(_NORMALS)) != name and base in TARGETS and TARGETS[base].texture_px:
+        return replace(TARGETS[base], name=name, normal_px=_NORMAL_PX)
     plain = name.removesuffix(_KTX2)
     base = plain.removesuffix(_UNLIT)
     ktx2 = plain != name
     if base not in TARGETS or (ktx2 and not TARGETS[base].texture_px):
         known = ", ".join(TARGETS)
-        hints = (f"use one of: {known}", f"or one of them followed by {_UNLIT}, or by {_KTX2} if it has textures")
+        suffixes = f"or one of them followed by {_UNLIT}, or by {_KTX2} or {_NORMALS} if it has textures"
+        hints = (f"use one of: {known}", suffixes)
         raise EdgeError("TARGET_UNKNOWN", f"there is no target '{name}'", hints=hints)
     return replace(TARGETS[base], name=name, unlit=plain != base, ktx2=ktx2)
 

@@ -7,7 +7,7 @@ Two packings of the same mesh:
     float    positions and normals as 32-bit floats: for programs that support no extension
     meshopt  a quarter of the bytes or less: whole numbers on a grid of at most 0.1 mm and normals of 8 bits
              (KHR_mesh_quantization), ordered and compressed (EXT_meshopt_compression)
-A texture is embedded as JPEG, or as KTX2 where there is one (KHR_texture_basisu).
+A texture is embedded as JPEG, or as KTX2 where there is one (KHR_texture_basisu), a normal map as JPEG.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from services.edge.arrays import Bools, Floats, Ints
 from services.edge.export import meshopt
 from services.edge.export.glb_buffer import Buffer, CompressedBuffer
 from services.edge.export.glb_colour import SHORT, TRUE, rgba16
-from services.edge.export.shading import Shaded, shaded
+from services.edge.export.shading import Shaded, shaded, with_tangents
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 
@@ -57,20 +57,23 @@ def to_glb(asset: Mesh | TexturedMesh, packing: Packing = "float", *, unlit: boo
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """What goes into the file: a surface, and its texture where it has one.
+    """What goes into the file: a surface, and its texture and normal map where it has them.
 
     ktx2  whether the texture is KTX2 rather than JPEG
     """
 
     surface: Shaded
     picture: bytes | None
+    normals: bytes | None
     ktx2: bool
     unlit: bool
 
     @classmethod
     def of(cls, asset: Mesh | TexturedMesh, unlit: bool) -> _Drawn:
-        ktx2, jpeg = (asset.ktx2, asset.jpeg) if isinstance(asset, TexturedMesh) else (None, None)
-        return cls(shaded(asset), ktx2 or jpeg, ktx2 is not None, unlit)
+        if isinstance(asset, Mesh):
+            return cls(shaded(asset), None, None, False, unlit)
+        surface = with_tangents(shaded(asset)) if asset.normals else shaded(asset)
+        return cls(surface, asset.ktx2 or asset.jpeg, asset.normals, asset.ktx2 is not None, unlit)
 
     @property
     def mesh(self) -> Mesh:
@@ -98,6 +101,8 @@ def _floats(drawn: _Drawn) -> bytes:
     }
     if drawn.surface.uv is not None:
         attributes["TEXCOORD_0"] = buffer.add(drawn.surface.uv.astype("<f4"), "VEC2", _FLOAT)
+    if drawn.surface.tangents is not None:
+        attributes["TANGENT"] = buffer.add(drawn.surface.tangents.astype("<f4"), "VEC4", _FLOAT)
     return _file(drawn, TRUE, buffer, attributes, {"mesh": 0})
 
 
@@ -114,6 +119,8 @@ def _compressed(drawn: _Drawn) -> bytes:
     if drawn.surface.uv is not None:
         whole = np.rint(drawn.surface.uv * 65535).astype("<u2")
         attributes["TEXCOORD_0"] = buffer.add(whole, "VEC2", _USHORT, normalized=True)
+    if drawn.surface.tangents is not None:
+        attributes["TANGENT"] = buffer.add_tangents(drawn.surface.tangents)
     return _file(drawn, SHORT, buffer, attributes, {"mesh": 0, **grid.node()})
 
 
@@ -127,7 +134,8 @@ def _file(
     # 65535 itself is the primitive restart value and may not be an index.
     kind, component = (np.uint16, _USHORT) if len(mesh.vertices) <= 65535 else (np.uint32, _UINT)
     indices = buffer.add_indices(mesh.faces.astype(kind).ravel(), component)
-    pictured = {} if drawn.picture is None else _picture(buffer.add_file(drawn.picture), ktx2=drawn.ktx2)
+    files = [buffer.add_file(each) for each in (drawn.picture, drawn.normals) if each is not None]
+    pictured = _pictures(files, ktx2=drawn.ktx2) if files else {}
     document = _document(attributes, indices, node, _material(drawn)) | pictured | buffer.tables()
     needed = ["KHR_mesh_quantization"] * ("scale" in node) + buffer.extensions + [_BASISU] * drawn.ktx2
     used = needed + [_UNLIT] * drawn.unlit
@@ -142,17 +150,22 @@ def _material(drawn: _Drawn) -> dict[str, Any]:
         surface["baseColorTexture"] = {"index": 0}
     surface |= {"metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
     unlit: dict[str, Any] = {"extensions": {_UNLIT: {}}} if drawn.unlit else {}
-    return {"doubleSided": True, "pbrMetallicRoughness": surface} | unlit
+    bumps: dict[str, Any] = {} if drawn.normals is None else {"normalTexture": {"index": 1}}
+    return {"doubleSided": True, "pbrMetallicRoughness": surface} | bumps | unlit
 
 
-def _picture(view: int, *, ktx2: bool) -> dict[str, Any]:
-    """The base colour's texture in a buffer view: with mips, and not repeated, since charts touch its edges."""
+def _pictures(views: list[int], *, ktx2: bool) -> dict[str, Any]:
+    """The textures in buffer views, base colour first: with mips, and not repeated, since charts touch their edges."""
     sampler = {"magFilter": _LINEAR, "minFilter": _TRILINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP}
-    source: dict[str, Any] = {"extensions": {_BASISU: {"source": 0}}} if ktx2 else {"source": 0}
+    kinds = [KTX2 if ktx2 and number == 0 else "image/jpeg" for number in range(len(views))]
+    sources: list[dict[str, Any]] = [
+        {"extensions": {_BASISU: {"source": number}}} if kind == KTX2 else {"source": number}
+        for number, kind in enumerate(kinds)
+    ]
     return {
-        "images": [{"bufferView": view, "mimeType": KTX2 if ktx2 else "image/jpeg"}],
+        "images": [{"bufferView": view, "mimeType": kind} for view, kind in zip(views, kinds, strict=True)],
         "samplers": [sampler],
-        "textures": [{"sampler": 0, **source}],
+        "textures": [{"sampler": 0, **source} for source in sources],
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Floats
@@ -91,6 +92,14 @@ class CompressedBuffer(Buffer):
     def add_normals(self, normals: Floats) -> int:
         """Append unit normals (n,3), 8 bits a number."""
         number = self.add(meshopt.octahedral(normals), "VEC3", _BYTE, normalized=True)
+        self._views[-1]["extensions"][_MESHOPT]["filter"] = "OCTAHEDRAL"
+        return number
+
+    def add_tangents(self, tangents: Floats) -> int:
+        """Append tangents (n,4), 8 bits a number: unit vectors, and the sign of the bitangent."""
+        rows = meshopt.octahedral(tangents[:, :3])
+        rows[:, 3] = np.where(tangents[:, 3] < 0, -127, 127)
+        number = self.add(rows, "VEC4", _BYTE, normalized=True)
         self._views[-1]["extensions"][_MESHOPT]["filter"] = "OCTAHEDRAL"
         return number
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,15 +18,19 @@ class Shaded:
     mesh     its faces are the given ones, in their order
     normals  (V,3) float64, unit length
     uv       (V,2) float64 as in `TexturedMesh`, or None
+    tangents (V,4) float64 as glTF defines them, or None: a unit vector along u, and the sign of the bitangent, which
+             points up in the picture
     """
 
     mesh: Mesh
     normals: Floats
     uv: Floats | None
+    tangents: Floats | None = None
 
     def with_vertices(self, which: Bools | Ints, faces: Ints) -> Shaded:
         """Select vertices by a mask, or by indices in a new order, with `faces` (F,3) over the selected ones."""
-        return Shaded(self.mesh.with_vertices(which, faces), self.normals[which], pick(self.uv, which))
+        mesh, tangents = self.mesh.with_vertices(which, faces), pick(self.tangents, which)
+        return Shaded(mesh, self.normals[which], pick(self.uv, which), tangents)
 
 
 def shaded(subject: Mesh | TexturedMesh) -> Shaded:
@@ -41,6 +45,33 @@ def shaded(subject: Mesh | TexturedMesh) -> Shaded:
     in_textured, in_welded = np.divmod(pairs, count)
     mesh = Mesh(welded.vertices[in_welded], faces.reshape(-1, 3))
     return Shaded(mesh, normals[in_welded], subject.uv[in_textured])
+
+
+def with_tangents(surface: Shaded) -> Shaded:
+    """Add the tangents that a normal map needs. The surface must have texture coordinates."""
+    assert surface.uv is not None
+    faces, normals = surface.mesh.faces, surface.normals
+    a, b, c = (surface.mesh.vertices[faces[:, corner]] for corner in range(3))
+    (du1, dv1), (du2, dv2) = ((surface.uv[faces[:, k]] - surface.uv[faces[:, 0]]).T[:, :, None] for k in (1, 2))
+    turned = np.sign(du1 * dv2 - du2 * dv1)
+    along_u, up = (
+        _sum_at_corners(faces, each, len(normals))
+        for each in (turned * ((b - a) * dv2 - (c - a) * dv1), -turned * ((c - a) * du1 - (b - a) * du2))
+    )
+    along_u -= np.einsum("nx,nx->n", along_u, normals)[:, None] * normals
+    length = np.linalg.norm(along_u, axis=1, keepdims=True)
+    anywhere = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    anywhere /= np.maximum(np.linalg.norm(anywhere, axis=1, keepdims=True), 1e-12)
+    along_u = np.where(length > 0, along_u / np.maximum(length, 1e-300), anywhere)
+    sign = np.where(np.einsum("nx,nx->n", np.cross(normals, along_u), up) < 0, -1.0, 1.0)
+    return replace(surface, tangents=np.column_stack([along_u, sign]))
+
+
+def _sum_at_corners(faces: Ints, values: Floats, count: int) -> Floats:
+    """Sum values (F,3) of the faces around each of `count` vertices: (count,3)."""
+    corners = faces.ravel()
+    summed: Floats = np.stack([np.bincount(corners, np.repeat(each, 3), count) for each in values.T], axis=1)
+    return summed
 
 
 def _weld(mesh: Mesh) -> Mesh:

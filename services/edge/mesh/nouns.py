@@ -27,10 +27,11 @@ class Mesh:
 class TexturedMesh:
     """A mesh with a colour texture.
 
-    mesh   vertices doubled along the seams of the unwrapping; its rgb is None
-    uv     (V,2) float64 in [0,1], as in glTF: (0,0) is the upper left corner of the picture
-    jpeg   the base colour, sRGB; side: its pixels along each side
-    ktx2   the same picture with mips, which replaces the JPEG in the .glb; None: the .glb has the JPEG
+    mesh     vertices doubled along the seams of the unwrapping; its rgb is None
+    uv       (V,2) float64 in [0,1], as in glTF: (0,0) is the upper left corner of the picture
+    jpeg     the base colour, sRGB; side: its pixels along each side
+    ktx2     the same picture with mips, which replaces the JPEG in the .glb; None: the .glb has the JPEG
+    normals  normal map as JPEG, in glTF's frame of tangents; None: it is lit by its vertices' normals alone
     """
 
     mesh: Mesh
@@ -38,3 +39,4 @@ class TexturedMesh:
     jpeg: bytes
     side: int
     ktx2: bytes | None = None
+    normals: bytes | None = None

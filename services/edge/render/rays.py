@@ -65,6 +65,16 @@ class Scene:
         return self._scene.run(starts, (directions * self._scale).astype(np.float32), **options)
 
 
+def nearest_along(scene: Scene, places: Floats, normals: Floats, reach: float) -> Hits:
+    """Find where the line through each place (N,3) along its unit normal (N,3) meets the mesh, on the side where that
+    is nearer; nothing where it is farther off than `reach`."""
+    above, below = scene.cast(places, normals), scene.cast(places, -normals)
+    over = above.along <= below.along
+    along = np.where(over, above.along, below.along)
+    face = np.where(along <= reach, np.where(over, above.face, below.face), -1)
+    return Hits(face, along, np.where(over[:, None], above.bary, below.bary))
+
+
 def pinhole(x: Floats, y: Floats, right: Floats, down: Floats, ahead: Floats) -> Floats:
     """Ray directions of a pinhole camera: (len(y)·len(x),3) float32, row by row: ahead + x·right + y·down."""
     grid = np.empty((len(y), len(x), 3), dtype=np.float32)

@@ -81,7 +81,7 @@ def bake(mesh: Mesh, uv: Floats, light_at: LightAt, *, side: int, tick: Tick = n
     picture, known = np.zeros((side * side, 3), np.uint8), np.zeros(side * side, bool)
     picture[texels.place] = to_srgb(light_at(places, normals, part_of(tick, _FIND_END, _LIGHT_END)))
     known[texels.place] = True
-    filled = _fill_gaps(picture.reshape(side, side, 3), known.reshape(side, side))
+    filled = fill_unknown(picture.reshape(side, side, 3), known.reshape(side, side))
     tick(1)
     return filled, len(inner.place)
 
@@ -108,7 +108,7 @@ def positions_and_normals(mesh: Mesh, face: Ints, weight: Floats) -> tuple[Float
     return place, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
-def _fill_gaps(picture: Bytes, known: Bools) -> Bytes:
+def fill_unknown(picture: Bytes, known: Bools) -> Bytes:
     """Give every unknown texel the colour of the nearest known one."""
     row, column = distance_transform_edt(~known, return_distances=False, return_indices=True)
     return np.asarray(picture[row, column])

@@ -13,7 +13,7 @@ from PIL import Image
 from services.edge.arrays import no_tick
 from services.edge.asset.levels import add_textures, pack_glb
 from services.edge.asset.manifest import AssetSubject
-from services.edge.asset.target import TARGETS, Target
+from services.edge.asset.target import TARGETS, Target, measure_cost, target_of
 from services.edge.capture.nouns import Intrinsics
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.points.nouns import Points, TextureView
@@ -33,6 +33,13 @@ def print_of(xyz: np.ndarray) -> np.ndarray:
 def sheet() -> Mesh:
     made = surfaces.patch(lambda u, v: [u, v, 0 * u], 8, 8)
     return Mesh(2 * made.vertices + np.array([1, 1, 0]), made.faces)
+
+
+def bumpy_sheet() -> Mesh:
+    """The sheet with ripples, as full a mesh as an extraction's."""
+    made = surfaces.patch(lambda u, v: [u, v, 0 * u], 150, 150)
+    x, y, z = 2 * made.vertices.T
+    return Mesh(np.stack([x + 1, y + 1, z + 0.008 * np.sin(40 * x)], axis=1), made.faces)
 
 
 def points(count: int, *, coloured: bool = True, views: tuple[TextureView, ...] = ()) -> Points:
@@ -61,14 +68,37 @@ def to_asset() -> np.ndarray:
     return placed
 
 
-def asset_of(known: Points, target: Target = TARGETS["quest3"]) -> tuple[Mesh | TexturedMesh, tuple[str, ...]]:
-    """The only level, and what is said of it."""
+def asset_of(
+    known: Points, target: Target = TARGETS["quest3"], full: Mesh | None = None
+) -> tuple[Mesh | TexturedMesh, tuple[str, ...]]:
+    """The only level, of a full mesh that is the sheet itself where none is given, and what is said of it."""
     unasked: Any = None
     subject = AssetSubject(unasked, unasked, "", "", target, "none", known, known, unasked, known.xyz, unasked)
     mesh, placed = sheet(), to_asset()
     level = Mesh(mesh.vertices @ placed[:3, :3].T + placed[:3, 3], mesh.faces, print_of(mesh.vertices))
-    (asset,), warnings = add_textures([level], placed, subject, None, no_tick)
+    (asset,), warnings = add_textures([level], full or mesh, placed, subject, None, no_tick)
     return asset, warnings
+
+
+def test_a_level_of_much_fewer_triangles_gets_a_normal_map() -> None:
+    """Where the target asks for it; a full mesh of as many triangles has nothing to add."""
+    for target, full, expected in (
+        (target_of("quest3-normals"), bumpy_sheet(), True),
+        (target_of("quest3-normals"), sheet(), False),
+        (TARGETS["quest3"], bumpy_sheet(), False),
+    ):
+        asset, _ = asset_of(points(20_000), target, full)
+        assert isinstance(asset, TexturedMesh)
+        assert (asset.normals is not None) == expected
+        assert (measure_cost(pack_glb(asset, target)).texture_bytes > 4 * asset.side**2 * 1.4) == expected
+
+
+def test_a_normal_map_that_makes_the_last_level_too_large_is_left_out() -> None:
+    plain, _ = asset_of(points(20_000), TARGETS["quest3"])
+    limit = len(pack_glb(plain, TARGETS["quest3"])) + 100
+    asset, _ = asset_of(points(20_000), replace(target_of("quest3-normals"), last_bytes=limit), bumpy_sheet())
+    assert isinstance(asset, TexturedMesh)
+    assert asset.normals is None
 
 
 def share_right(asset: Mesh | TexturedMesh) -> float:

@@ -96,6 +96,14 @@ def test_what_has_textures_may_have_them_as_ktx2(name: str) -> None:
     assert not target_of(name).ktx2
 
 
+def test_what_has_textures_may_have_normal_maps() -> None:
+    assert target_of("quest3-normals").normal_px == 1024
+    assert target_of("quest3").normal_px == 0
+    for name in ("archive-normals", "quest3-unlit-normals", "quest3-normals-ktx2", "-normals"):
+        with pytest.raises(EdgeError, match="there is no target"):
+            target_of(name)
+
+
 def test_without_an_encoder_ktx2_is_refused_with_what_to_do() -> None:
     require_encoder(target_of("quest3"), has_encoder=False)
     require_encoder(target_of("quest3-unlit-ktx2"), has_encoder=True)

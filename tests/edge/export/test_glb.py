@@ -66,6 +66,7 @@ def textured(mesh: Mesh, seed: int = 0) -> TexturedMesh:
 
 
 PICTURED = {kind: textured(KINDS[kind]) for kind in ("one triangle", "one-sided", "tiny", "with degenerate and unused")}
+PICTURED["with a normal map"] = replace(PICTURED["one-sided"], normals=textured(TRIANGLE, seed=1).jpeg)
 ASSETS: dict[str, Mesh | TexturedMesh] = {**KINDS, **{f"{kind}, pictured": PICTURED[kind] for kind in PICTURED}}
 PACKINGS: tuple[Packing, ...] = ("float", "meshopt")
 # The validator does not know the extension, and what only the extension reads is to it unused.
@@ -151,6 +152,20 @@ def test_a_picture_goes_in_as_it_is_and_is_shown_with_mips(packing: Packing) -> 
     assert material["doubleSided"] is True
     assert (sampler["minFilter"], sampler["magFilter"]) == (9987, 9729)  # linear between mips, and within
     assert set(glb.primitive["attributes"]) == {"POSITION", "NORMAL", "TEXCOORD_0"}
+
+
+@pytest.mark.parametrize("packing", PACKINGS)
+def test_a_normal_map_goes_in_beside_the_picture(packing: Packing) -> None:
+    asset = PICTURED["with a normal map"]
+    glb = Glb.of(to_glb(asset, packing))
+    (material,) = glb.document["materials"]
+    colour, bumps = (
+        glb.document["textures"][texture["index"]]["source"]
+        for texture in (material["pbrMetallicRoughness"]["baseColorTexture"], material["normalTexture"])
+    )
+    assert glb.image_file(colour) == asset.jpeg
+    assert glb.image_file(bumps) == asset.normals
+    assert "normalTexture" not in Glb.of(to_glb(PICTURED["one-sided"], packing)).document["materials"][0]
 
 
 def test_normals_of_a_pictured_strip_with_one_side_never_point_through_it() -> None:
