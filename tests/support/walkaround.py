@@ -48,11 +48,14 @@ class Walkaround:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """A grid of quads: points (R,C,3), texels per quad's side, and three colours (3,3) in 0..1 that the noise mixes."""
+    """A grid of quads: points (R,C,3), texels per quad's side, and three colours (3,3) in 0..1 that the noise mixes.
+
+    repeat_m: side of the square that its texture repeats, None: nowhere."""
 
     points: Floats
     texels: tuple[int, int]
     colours: Floats
+    repeat_m: float | None = None
 
 
 def render_walkaround(
@@ -66,15 +69,19 @@ def render_walkaround(
     jpeg: int = 92,
     arc: float = 360.0,
     exif: bool = True,
+    contrast: float = 1.0,
+    repeat_m: float | None = None,
 ) -> Walkaround:
     """Photograph the shell `views` times on `arc` degrees around it.
 
     noise  of the sensor, 1 sigma in 8-bit steps; blur: of the lens, 1 sigma in pixels; jpeg: quality of the files;
     exif   whether the files tell the focal length, as phones do.
+    contrast  of the textures, 1: as of stone; 0.08: of unglazed clay on a plain table top
+    repeat_m  side of the square that the table's texture repeats, as a printed cloth does; None: nowhere
     """
     rng = np.random.default_rng(seed)
-    sheets = (_shell(), *_surroundings(rng))
-    stage = _Stage(sheets, rng)
+    sheets = (_shell(), *_surroundings(rng, repeat_m))
+    stage = _Stage(sheets, rng, contrast)
     camera = _camera(size)
     poses = _walk(views, arc, rng)
     folder.mkdir(parents=True, exist_ok=True)
@@ -122,12 +129,12 @@ def _shell() -> Sheet:
     return Sheet(points, (3, 3), np.array([[0.80, 0.42, 0.20], [0.30, 0.12, 0.08], [0.85, 0.74, 0.50]]))
 
 
-def _surroundings(rng: np.random.Generator) -> list[Sheet]:
+def _surroundings(rng: np.random.Generator, repeat_m: float | None = None) -> list[Sheet]:
     """The table and, further away on it, boxes of several colours."""
     side = 1.1
     corners = [[[-side, -side, FLOOR_Z], [-side, side, FLOOR_Z]], [[side, -side, FLOOR_Z], [side, side, FLOOR_Z]]]
     wood = np.array([[0.55, 0.45, 0.34], [0.36, 0.27, 0.19], [0.60, 0.53, 0.43]])
-    sheets = [Sheet(np.array(corners), (1400, 1400), wood)]
+    sheets = [Sheet(np.array(corners), (1400, 1400), wood, repeat_m)]
     for turn, colour in zip((0.5, 1.9, 3.0, 4.4, 5.5), np.eye(3)[[0, 2, 1, 0, 2]], strict=True):
         away = rng.uniform(0.55, 0.8)
         size = rng.uniform(0.08, 0.18, 3)
@@ -154,10 +161,10 @@ def _box(at: Floats, size: Floats, turn: float, colour: Floats) -> list[Sheet]:
 class _Stage:
     """All sheets as one mesh and one atlas of lit texels; `corners` (F,3,2) are the places of the faces in it."""
 
-    def __init__(self, sheets: Sequence[Sheet], rng: np.random.Generator) -> None:
+    def __init__(self, sheets: Sequence[Sheet], rng: np.random.Generator, contrast: float = 1.0) -> None:
         self.scene = Scene(_mesh(sheets))
         lattices = rng.random((2, 32, 32, 32), dtype=np.float32)
-        lit = [_lit(sheet, self.scene, lattices, rng) for sheet in sheets]
+        lit = [_lit(sheet, self.scene, lattices, rng, contrast) for sheet in sheets]
         width = max(texture.shape[1] for texture in lit)
         self.atlas = np.concatenate([_widened(texture, width) for texture in lit])
         tops = np.cumsum([0, *(len(texture) for texture in lit[:-1])])
@@ -224,7 +231,7 @@ def _texel_grid(sheet: Sheet, values: Floats) -> Floats:
     return np.asarray(cv2.remap(values.astype(np.float32), *np.meshgrid(column, row), cv2.INTER_LINEAR))
 
 
-def _lit(sheet: Sheet, scene: Scene, lattices: Floats, rng: np.random.Generator) -> Floats:
+def _lit(sheet: Sheet, scene: Scene, lattices: Floats, rng: np.random.Generator, contrast: float) -> Floats:
     """(h,w,3) float32: the colours of a sheet's texels in Lambert's light and soft shadow, alike on both sides."""
     xyz = _texel_grid(sheet, sheet.points)
     along, across = np.gradient(sheet.points, axis=(0, 1))
@@ -236,7 +243,9 @@ def _lit(sheet: Sheet, scene: Scene, lattices: Floats, rng: np.random.Generator)
     shaded = scene.blocked((xyz + above).reshape(-1, 3), towards, 3.0).reshape(xyz.shape[:2])
     shaded = cv2.blur(shaded.astype(np.float32), (9, 9))  # one ray for each texel: its neighbours make it a share
     light = _AMBIENT + (1 - _AMBIENT) * np.abs(normals @ sun) * (1 - shaded)
-    return np.asarray(_texture(xyz, sheet.colours, lattices) * light[..., None], np.float32)
+    texture = _texture(xyz if sheet.repeat_m is None else np.mod(xyz, sheet.repeat_m), sheet.colours, lattices)
+    mean = texture.mean(axis=(0, 1))
+    return np.asarray((mean + contrast * (texture - mean)) * light[..., None], np.float32)
 
 
 def _texture(xyz: Floats, colours: Floats, lattices: Floats) -> Floats:
