@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -29,6 +30,7 @@ _SAMPLES = 2  # per pixel and axis
 _TEXEL_M = 1.2e-3  # a pixel of 640 x 480 sees 1.6 mm of the thing
 _OCTAVES = 6  # of value noise, from 0.12 m to 4 mm: features for every scale that a detector looks at
 _COARSEST_M = 0.12
+_UPRIGHT = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # the stored picture's right is the upright one's down
 _SUN = np.array([0.45, -0.35, 0.82])  # towards the light
 _SUN_RADIUS = 0.08  # of the light at distance 1: how soft shadows are
 _AMBIENT = 0.42  # of the light that comes from everywhere
@@ -36,14 +38,27 @@ _AMBIENT = 0.42  # of the light that comes from everywhere
 
 @dataclass(frozen=True, slots=True)
 class Walkaround:
-    """photos: the files in the order of the walk; intrinsics: of each of them; camera_to_world (N,4,4) in OpenCV axes;
-    thing: the shell alone, as rendered; floor_z: the height of the table."""
+    """photos: the files in the order of the walk; intrinsics: of each that is a plain `Shot`; camera_to_world (N,4,4)
+    in OpenCV axes; thing: the shell alone, as rendered; floor_z: the height of the table."""
 
     photos: tuple[Path, ...]
     intrinsics: Intrinsics
     camera_to_world: Floats
     thing: Mesh
     floor_z: float
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """How the phone takes a photo.
+
+    zoom     times the main camera's focal length
+    upright  how a photo that the phone takes upright is stored: "tag", pixels as the sensor has them and an orientation
+             tag, as phones do; "pixels", pixels turned, as editors do; None: the phone is held sideways
+    """
+
+    zoom: int = 1
+    upright: Literal["tag", "pixels"] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +86,8 @@ def render_walkaround(
     exif: bool = True,
     contrast: float = 1.0,
     repeat_m: float | None = None,
+    back: bool = False,
+    shots: Sequence[Shot] = (Shot(),),
 ) -> Walkaround:
     """Photograph the shell `views` times on `arc` degrees around it.
 
@@ -78,40 +95,49 @@ def render_walkaround(
     exif   whether the files tell the focal length, as phones do.
     contrast  of the textures, 1: as of stone; 0.08: of unglazed clay on a plain table top
     repeat_m  side of the square that the table's texture repeats, as a printed cloth does; None: nowhere
+    back      whether the walk turns half way, and goes back
+    shots     how the photos are taken, again and again in this order
     """
     rng = np.random.default_rng(seed)
     sheets = (_shell(), *_surroundings(rng, repeat_m))
     stage = _Stage(sheets, rng, contrast)
-    camera = _camera(size)
-    poses = _walk(views, arc, rng)
+    poses = _walk(views, arc, rng, back=back)
     folder.mkdir(parents=True, exist_ok=True)
     photos = []
     for number, pose in enumerate(poses):
+        shot = shots[number % len(shots)]
+        if shot.upright == "tag":
+            pose[:3, :3] = pose[:3, :3] @ _UPRIGHT
+        camera = _camera(size[::-1] if shot.upright == "pixels" else size, shot.zoom)
         rgb = _developed(stage.picture(pose, camera), rng, noise=noise, blur=blur)
         path = folder / f"IMG_{number:04}.jpg"
-        Image.fromarray(rgb).save(path, quality=jpeg, subsampling=1, exif=_exif(exif))
+        Image.fromarray(rgb).save(path, quality=jpeg, subsampling=1, exif=_exif(exif, shot))
         photos.append(path)
-    return Walkaround(tuple(photos), camera, poses, _mesh(sheets[:1]), FLOOR_Z)
+    return Walkaround(tuple(photos), _camera(size), poses, _mesh(sheets[:1]), FLOOR_Z)
 
 
-def _camera(size: tuple[int, int]) -> Intrinsics:
+def _camera(size: tuple[int, int], zoom: int = 1) -> Intrinsics:
     width, height = size
-    focal = FOCAL_35MM / DIAGONAL_35MM * float(np.hypot(width, height))
+    focal = zoom * FOCAL_35MM / DIAGONAL_35MM * float(np.hypot(width, height))
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
-def _exif(tells: bool) -> Image.Exif:
+def _exif(tells: bool, shot: Shot) -> Image.Exif:
     exif = Image.Exif()
+    if shot.upright == "tag":
+        exif[0x0112] = 6  # to be turned clockwise by a quarter to be upright
     if tells:
         exif[0x010F], exif[0x0110] = "Phone Maker", "Phone 9"
-        exif.get_ifd(0x8769)[0xA405] = FOCAL_35MM
+        exif.get_ifd(0x8769)[0xA405] = shot.zoom * FOCAL_35MM
     return exif
 
 
-def _walk(views: int, arc: float, rng: np.random.Generator) -> Floats:
+def _walk(views: int, arc: float, rng: np.random.Generator, *, back: bool = False) -> Floats:
     """(views,4,4): the way of a hand that rises and sinks, aims a little off and does not hold level."""
     poses = []
-    for turn in np.radians(np.linspace(0, arc, views, endpoint=arc < 360) + rng.uniform(-1.5, 1.5, views)):
+    way = np.linspace(0, arc, views, endpoint=arc < 360)
+    way = np.minimum(2 * way, 2 * arc - 2 * way) if back else way
+    for turn in np.radians(way + rng.uniform(-1.5, 1.5, views)):
         radius, height = 0.78 + rng.uniform(-0.04, 0.04), 0.52 + 0.14 * np.sin(3 * turn) + rng.uniform(-0.02, 0.02)
         target = np.array([0, 0, 0.15]) + rng.uniform(-0.02, 0.02, 3)
         up = np.array([0, 0, 1]) + rng.normal(0, 0.03, 3)
