@@ -118,12 +118,14 @@ def _try(photos: Sequence[Photo], strategy: _Strategy, features: Sequence[Featur
 
 
 def _try_learned(photos: Sequence[Photo], before: Attempt, tick: Tick) -> Attempt:
-    """Try once more with what was matched before and with a network's matches of the photos that were left out.
+    """Try once more with what was matched before and with a network's matches.
 
+    It matches the photos that were left out, or all of them where most were, as SIFT's own matches are then few.
     Returns `before` where that places no more photos, with its trouble where the network fails."""
     tick = part_of(tick, *_LEARNED)
     try:
-        found = find_matches(photos, before.left_out, part_of(tick, 0.0, _LEARNED_MATCHES))
+        wanted = before.left_out if before.share >= _GOOD else np.arange(len(photos))
+        found = find_matches(photos, wanted, part_of(tick, 0.0, _LEARNED_MATCHES))
     except EdgeError as error:
         return replace(before, trouble=error.message)
     if not len(found.table):
@@ -149,10 +151,11 @@ def _problem(
     if len(poses) == len(given) == len(photos):
         lens_of, known = np.arange(len(photos)), np.array(poses, np.float64)
         return SfmProblem(tuple(given), lens_of, tuple(features), pairs, pixel, known, learned)
+    thorough = setting == FINE or learned is not None  # by then the incremental mapper alone has failed
     cameras = list(dict.fromkeys(photo.camera for photo in photos))
     lenses = [_initial_lens([photo for photo in photos if photo.camera == camera]) for camera in cameras]
     lens_of = np.array([cameras.index(photo.camera) for photo in photos])
-    return SfmProblem(tuple(lenses), lens_of, tuple(features), pairs, pixel, learned=learned)
+    return SfmProblem(tuple(lenses), lens_of, tuple(features), pairs, pixel, learned=learned, thorough=thorough)
 
 
 def _given_lens(intrinsics: Intrinsics, distortion: Sequence[float]) -> Lens:

@@ -53,6 +53,7 @@ class SfmProblem:
     pixel    side of one pixel of the features' pictures, in pixels of the stored photos
     poses    (N,4,4) camera_to_world in OpenCV axes if they are known, and then the lenses are too; else None
     learned  (T,4) further matches, which a network found, sorted: first photo, second photo, key point of each; or None
+    thorough whether a global mapper tries as well where the incremental one leaves photos out
     """
 
     lenses: tuple[Lens, ...]
@@ -62,6 +63,7 @@ class SfmProblem:
     pixel: float
     poses: Floats | None = None
     learned: Ints | None = None
+    thorough: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +122,7 @@ def write_problem(problem: SfmProblem, path: Path) -> None:
         "descriptors": np.concatenate([each.descriptors for each in problem.features]),
         "pairs": problem.pairs,
         "pixel": np.array(problem.pixel),
+        "thorough": np.array(problem.thorough),
     }
     if problem.poses is not None:
         arrays["poses"] = problem.poses
@@ -142,6 +145,7 @@ def read_problem(path: Path) -> SfmProblem:
         float(arrays["pixel"]),
         arrays.get("poses"),
         arrays.get("learned"),
+        bool(arrays["thorough"]),
     )
 
 

@@ -83,11 +83,12 @@ def test_a_problem_with_learned_matches_survives_its_file(tmp_path: Path) -> Non
         Features(np.zeros((2, 2), np.float32), np.zeros((2, 128), np.uint8)),
     )
     table = np.array([[0, 1, 3, 1]], np.int32)
-    write_problem(
-        SfmProblem((Lens(LENS),), np.zeros(2, np.int64), features, table[:, :2], 1.0, learned=table), tmp_path / "p.npz"
-    )
-    again = read_problem(tmp_path / "p.npz")
+    lens_of, pairs = np.zeros(2, np.int64), table[:, :2]
+    problem = SfmProblem((Lens(LENS),), lens_of, features, pairs, 1.0, learned=table, thorough=True)
+    write_problem(problem, tmp_path / "problem.npz")
+    again = read_problem(tmp_path / "problem.npz")
     assert [(len(each.xy), len(each.descriptors)) for each in again.features] == [(4, 3), (2, 2)]
+    assert again.thorough
     assert again.learned is not None
     assert again.learned.tolist() == table.tolist()
 
