@@ -17,8 +17,8 @@ HOW_TO_SHOOT = f"{WALK_AROUND_ADVICE}, with textured things beside it"
 _UNTEXTURED = 100  # key points; a photo with fewer cannot be placed because of its own lack of texture
 _NAMED = 8  # most photos that a sentence names
 _COULD_BE_INSTALLED = (
-    "on a worker with the extra learned-matching (pip install 'capture2vr[learned-matching]') a network "
-    "looks for matches where there is little texture or a wide step between photos"
+    "a worker with the extra capture2vr[learned-matching] installed looks for more matches by a network, which helps "
+    "where there is little texture, or a wide step between photos"
 )
 
 
