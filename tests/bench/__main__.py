@@ -13,6 +13,7 @@ BENCHES = {
     "complexity": "parameters, bytes, seconds a step of our network and the ancestors' (the paper's Table 5)",
     "extraction": "seconds, memory and topology of the extraction, 64 to 512 cells, local and learned field",
     "photos": "photos to points: seconds per stage, and distance from a surface that is known",
+    "matching": "photos that are hard to place: placed, errors of the cameras, by SIFT and with the network's matches",
     "captures": "captures to assets beside held-out photos: holes, leaks, likeness, seconds",
     "single-image": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "delivery": "what reaches a headset: bytes, seconds on the wire and to import, errors of the levels of detail",

@@ -17,10 +17,11 @@ _CLASSIFIERS = {
     "MIT License": "MIT",
     "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0",
 }
-_WORDS = {"3-Clause BSD License": "BSD-3-Clause"}
+_WORDS = {"3-Clause BSD License": "BSD-3-Clause", "BSD 3-Clause License": "BSD-3-Clause"}
 _TEXTS = {
     "Permission is hereby granted, free of charge": "MIT",
     "Redistribution and use in source and binary forms": "BSD",
+    "Licensed under the Apache License, Version 2.0": "Apache-2.0",
 }
 _SHARED_OBJECT = re.compile(r"\.(so|dylib|dll|pyd)(\.|$)")
 _GPL_LIBRARY = re.compile(r"(?:lib)?(x264|x265|xvidcore|postproc|rubberband|vidstab|fftw3|gsl|readline)(?![a-z])")
@@ -32,7 +33,9 @@ def licence_of(name: str) -> str:
     """SPDX expression of an installed distribution's licence, or `UNKNOWN`. Raises PackageNotFoundError."""
     found = distribution(name)
     words = found.metadata.get("License", "").strip()
-    return found.metadata.get("License-Expression") or _classified(found) or _by_text(words) or _short(words) or UNKNOWN
+    expression = found.metadata.get("License-Expression") or _several(words)
+    told = expression or _classified(found) or _by_text(words) or _short(words)
+    return told or _by_text(_licence_files(found)) or UNKNOWN
 
 
 def permits(expression: str, accepted: set[str]) -> bool:
@@ -52,6 +55,15 @@ def gpl_code_in(name: str) -> set[str]:
 def _classified(found: Distribution) -> str:
     names = (each.rpartition(" :: ")[2] for each in found.metadata.get_all("Classifier", ()) if each[:7] == "License")
     return " AND ".join(sorted({_CLASSIFIERS.get(name, name) for name in names}))
+
+
+def _licence_files(found: Distribution) -> str:
+    names = found.metadata.get_all("License-File", ())
+    return "\n".join(found.read_text(f"licenses/{name}") or "" for name in names)
+
+
+def _several(words: str) -> str:
+    return words if re.fullmatch(r"[\w.+-]+( (AND|OR) [\w.+-]+)+", words) else ""
 
 
 def _by_text(words: str) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -30,6 +31,7 @@ _SAMPLES = 2  # per pixel and axis
 _TEXEL_M = 1.2e-3  # a pixel of 640 x 480 sees 1.6 mm of the thing
 _OCTAVES = 6  # of value noise, from 0.12 m to 4 mm: features for every scale that a detector looks at
 _COARSEST_M = 0.12
+_UPRIGHT = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # the stored picture's right is the upright one's down
 _SUN = np.array([0.45, -0.35, 0.82])  # towards the light
 _SUN_RADIUS = 0.08  # of the light at distance 1: how soft shadows are
 _AMBIENT = 0.42  # of the light that comes from everywhere
@@ -37,8 +39,8 @@ _AMBIENT = 0.42  # of the light that comes from everywhere
 
 @dataclass(frozen=True, slots=True)
 class Walkaround:
-    """photos: the files in the order of the walk; intrinsics: of each of them; camera_to_world (N,4,4) in OpenCV axes;
-    thing: the shell alone, as rendered; floor_z: the height of the table."""
+    """photos: the files in the order of the walk; intrinsics: of each that is a plain `Shot`; camera_to_world (N,4,4)
+    in OpenCV axes; thing: the shell alone, as rendered; floor_z: the height of the table."""
 
     photos: tuple[Path, ...]
     intrinsics: Intrinsics
@@ -48,12 +50,28 @@ class Walkaround:
 
 
 @dataclass(frozen=True, slots=True)
+class Shot:
+    """How the phone takes a photo.
+
+    zoom     times the main camera's focal length
+    upright  how a photo that the phone takes upright is stored: "tag", pixels as the sensor has them and an orientation
+             tag, as phones do; "pixels", pixels turned, as editors do; None: the phone is held sideways
+    """
+
+    zoom: int = 1
+    upright: Literal["tag", "pixels"] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Sheet:
-    """A grid of quads: points (R,C,3), texels per quad's side, and three colours (3,3) in 0..1 that the noise mixes."""
+    """A grid of quads: points (R,C,3), texels per quad's side, and three colours (3,3) in 0..1 that the noise mixes.
+
+    repeat_m: side of the square that its texture repeats, None: nowhere."""
 
     points: Floats
     texels: tuple[int, int]
     colours: Floats
+    repeat_m: float | None = None
 
 
 def render_walkaround(
@@ -67,25 +85,36 @@ def render_walkaround(
     jpeg: int = 92,
     arc: float = 360.0,
     exif: bool = True,
+    contrast: float = 1.0,
+    repeat_m: float | None = None,
+    back: bool = False,
+    shots: Sequence[Shot] = (Shot(),),
 ) -> Walkaround:
     """Photograph the shell `views` times on `arc` degrees around it.
 
     noise  of the sensor, 1 sigma in 8-bit steps; blur: of the lens, 1 sigma in pixels; jpeg: quality of the files;
     exif   whether the files tell the focal length, as phones do.
+    contrast  of the textures, 1: as of stone; 0.08: of unglazed clay on a plain table top
+    repeat_m  side of the square that the table's texture repeats, as a printed cloth does; None: nowhere
+    back      whether the walk turns half way, and goes back
+    shots     how the photos are taken, again and again in this order
     """
     rng = np.random.default_rng(seed)
-    sheets = (_shell(), *_surroundings(rng))
-    stage = _Stage(sheets, rng)
-    camera = _camera(size)
-    poses = _walk(views, arc, rng)
+    sheets = (_shell(), *_surroundings(rng, repeat_m))
+    stage = _Stage(sheets, rng, contrast)
+    poses = _walk(views, arc, rng, back=back)
     folder.mkdir(parents=True, exist_ok=True)
     photos = []
     for number, pose in enumerate(poses):
+        shot = shots[number % len(shots)]
+        if shot.upright == "tag":
+            pose[:3, :3] = pose[:3, :3] @ _UPRIGHT
+        camera = _camera(size[::-1] if shot.upright == "pixels" else size, shot.zoom)
         rgb = _developed(stage.picture(pose, camera), rng, noise=noise, blur=blur)
         path = folder / f"IMG_{number:04}.jpg"
-        Image.fromarray(rgb).save(path, quality=jpeg, subsampling=1, exif=_exif(exif))
+        Image.fromarray(rgb).save(path, quality=jpeg, subsampling=1, exif=_exif(exif, shot))
         photos.append(path)
-    return Walkaround(tuple(photos), camera, poses, _mesh(sheets[:1]), FLOOR_Z)
+    return Walkaround(tuple(photos), _camera(size), poses, _mesh(sheets[:1]), FLOOR_Z)
 
 
 def film_walkaround(
@@ -109,24 +138,28 @@ def film_walkaround(
     return tuple(frames)
 
 
-def _camera(size: tuple[int, int]) -> Intrinsics:
+def _camera(size: tuple[int, int], zoom: int = 1) -> Intrinsics:
     width, height = size
-    focal = FOCAL_35MM / DIAGONAL_35MM * float(np.hypot(width, height))
+    focal = zoom * FOCAL_35MM / DIAGONAL_35MM * float(np.hypot(width, height))
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
-def _exif(tells: bool) -> Image.Exif:
+def _exif(tells: bool, shot: Shot) -> Image.Exif:
     exif = Image.Exif()
+    if shot.upright == "tag":
+        exif[0x0112] = 6  # to be turned clockwise by a quarter to be upright
     if tells:
         exif[0x010F], exif[0x0110] = "Phone Maker", "Phone 9"
-        exif.get_ifd(0x8769)[0xA405] = FOCAL_35MM
+        exif.get_ifd(0x8769)[0xA405] = shot.zoom * FOCAL_35MM
     return exif
 
 
-def _walk(views: int, arc: float, rng: np.random.Generator) -> Floats:
+def _walk(views: int, arc: float, rng: np.random.Generator, *, back: bool = False) -> Floats:
     """(views,4,4): the way of a hand that rises and sinks, aims a little off and does not hold level."""
     poses = []
-    for turn in np.radians(np.linspace(0, arc, views, endpoint=arc < 360) + rng.uniform(-1.5, 1.5, views)):
+    way = np.linspace(0, arc, views, endpoint=arc < 360)
+    way = np.minimum(2 * way, 2 * arc - 2 * way) if back else way
+    for turn in np.radians(way + rng.uniform(-1.5, 1.5, views)):
         radius, height = 0.78 + rng.uniform(-0.04, 0.04), 0.52 + 0.14 * np.sin(3 * turn) + rng.uniform(-0.02, 0.02)
         target = np.array([0, 0, 0.15]) + rng.uniform(-0.02, 0.02, 3)
         up = np.array([0, 0, 1]) + rng.normal(0, 0.03, 3)
@@ -144,12 +177,12 @@ def _shell() -> Sheet:
     return Sheet(points, (3, 3), np.array([[0.80, 0.42, 0.20], [0.30, 0.12, 0.08], [0.85, 0.74, 0.50]]))
 
 
-def _surroundings(rng: np.random.Generator) -> list[Sheet]:
+def _surroundings(rng: np.random.Generator, repeat_m: float | None = None) -> list[Sheet]:
     """The table and, further away on it, boxes of several colours."""
     side = 1.1
     corners = [[[-side, -side, FLOOR_Z], [-side, side, FLOOR_Z]], [[side, -side, FLOOR_Z], [side, side, FLOOR_Z]]]
     wood = np.array([[0.55, 0.45, 0.34], [0.36, 0.27, 0.19], [0.60, 0.53, 0.43]])
-    sheets = [Sheet(np.array(corners), (1400, 1400), wood)]
+    sheets = [Sheet(np.array(corners), (1400, 1400), wood, repeat_m)]
     for turn, colour in zip((0.5, 1.9, 3.0, 4.4, 5.5), np.eye(3)[[0, 2, 1, 0, 2]], strict=True):
         away = rng.uniform(0.55, 0.8)
         size = rng.uniform(0.08, 0.18, 3)
@@ -176,10 +209,10 @@ def _box(at: Floats, size: Floats, turn: float, colour: Floats) -> list[Sheet]:
 class _Stage:
     """All sheets as one mesh and one atlas of lit texels; `corners` (F,3,2) are the places of the faces in it."""
 
-    def __init__(self, sheets: Sequence[Sheet], rng: np.random.Generator) -> None:
+    def __init__(self, sheets: Sequence[Sheet], rng: np.random.Generator, contrast: float = 1.0) -> None:
         self.scene = Scene(_mesh(sheets))
         lattices = rng.random((2, 32, 32, 32), dtype=np.float32)
-        lit = [_lit(sheet, self.scene, lattices, rng) for sheet in sheets]
+        lit = [_lit(sheet, self.scene, lattices, rng, contrast) for sheet in sheets]
         width = max(texture.shape[1] for texture in lit)
         self.atlas = np.concatenate([_widened(texture, width) for texture in lit])
         tops = np.cumsum([0, *(len(texture) for texture in lit[:-1])])
@@ -246,7 +279,7 @@ def _texel_grid(sheet: Sheet, values: Floats) -> Floats:
     return np.asarray(cv2.remap(values.astype(np.float32), *np.meshgrid(column, row), cv2.INTER_LINEAR))
 
 
-def _lit(sheet: Sheet, scene: Scene, lattices: Floats, rng: np.random.Generator) -> Floats:
+def _lit(sheet: Sheet, scene: Scene, lattices: Floats, rng: np.random.Generator, contrast: float) -> Floats:
     """(h,w,3) float32: the colours of a sheet's texels in Lambert's light and soft shadow, alike on both sides."""
     xyz = _texel_grid(sheet, sheet.points)
     along, across = np.gradient(sheet.points, axis=(0, 1))
@@ -258,7 +291,9 @@ def _lit(sheet: Sheet, scene: Scene, lattices: Floats, rng: np.random.Generator)
     shaded = scene.blocked((xyz + above).reshape(-1, 3), towards, 3.0).reshape(xyz.shape[:2])
     shaded = cv2.blur(shaded.astype(np.float32), (9, 9))  # one ray for each texel: its neighbours make it a share
     light = _AMBIENT + (1 - _AMBIENT) * np.abs(normals @ sun) * (1 - shaded)
-    return np.asarray(_texture(xyz, sheet.colours, lattices) * light[..., None], np.float32)
+    texture = _texture(xyz if sheet.repeat_m is None else np.mod(xyz, sheet.repeat_m), sheet.colours, lattices)
+    mean = texture.mean(axis=(0, 1))
+    return np.asarray((mean + contrast * (texture - mean)) * light[..., None], np.float32)
 
 
 def _texture(xyz: Floats, colours: Floats, lattices: Floats) -> Floats:

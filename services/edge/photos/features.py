@@ -40,8 +40,11 @@ _QUANTUM = 512.0  # scale of the roots to bytes: the roots of a histogram that s
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Key points of a photo: xy (K,2) float32 pixels of the stored picture, pixel centres at integers; descriptors
-    (K,128) uint8."""
+    """Key points of a photo.
+
+    xy           (K,2) float32 pixels of the stored picture, pixel centres at integers
+    descriptors  (D,128) uint8 of the first D key points; the others, if any, come from a network with their matches
+    """
 
     xy: Floats
     descriptors: Bytes
@@ -86,6 +89,6 @@ def root_sift(histograms: Floats) -> Bytes:
     return np.clip(roots, 0, 255).astype(np.uint8)
 
 
-def pixel_ratio(photo: Photo, setting: SiftSettings) -> float:
-    """Return the side of one pixel of the downscaled picture in pixels of the stored photo."""
-    return max(1.0, max(photo.size) / setting.longest)
+def pixel_ratio(photo: Photo, longest: int) -> float:
+    """Return the side of one pixel of the photo downscaled to `longest` pixels, in pixels of the stored photo."""
+    return max(1.0, max(photo.size) / longest)

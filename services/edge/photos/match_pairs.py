@@ -17,6 +17,8 @@ MANY = 100  # photos up to which all pairs, 4,950, are ever matched
 _WINDOW = 4  # neighbours on either side in the capture's order; with these alone one gap split the model of 50 photos
 _WIDE_WINDOW = 12  # the same for more than MANY photos, where all pairs are too many
 _STEP = 4  # every 4th photo is matched with every other 4th: as exact as all pairs, at a third of the time
+_PARTNERS = 8  # photos that look most like one; among them are nearly all of its four neighbours
+_BESIDE = 2  # neighbours on either side, in the order of the capture, that are matched however they look
 _SKELETON = 100  # most photos of the skeleton, which keeps the number of pairs linear in that of the photos
 
 
@@ -41,6 +43,24 @@ def with_all(pairs: Ints, chosen: Ints, count: int) -> Ints:
     wanted[:, chosen] = True
     wanted[chosen] = True
     return _pairs(wanted)
+
+
+def promising(alike: Floats, wanted: Ints) -> Ints:
+    """Return pairs (M,2), first < second: each wanted photo with the photos most like it, and with its neighbours.
+
+    alike (N,N): how alike two photos are, 0 for not at all. The most promising pairs come first: every photo's best
+    partner, then every photo's second best. The last photo is the first one's neighbour: a walk around closes.
+    """
+    count = len(alike)
+    ranked: dict[tuple[int, int], int] = {}
+    for one in wanted.tolist():
+        best = np.argsort(-alike[one], kind="stable")[:_PARTNERS]
+        beside = [(one + step) % count for step in range(-_BESIDE, _BESIDE + 1)]
+        for rank, other in enumerate([*best[alike[one, best] > 0].tolist(), *beside]):
+            pair = (min(one, other), max(one, other))
+            if one != other:
+                ranked[pair] = min(rank, ranked.get(pair, rank))
+    return np.array(sorted(ranked, key=lambda pair: (ranked[pair], pair)), np.int32).reshape(-1, 2)
 
 
 def _neighbours_and_skeleton(count: int, window: int) -> Ints:

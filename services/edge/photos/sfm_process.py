@@ -52,6 +52,8 @@ class SfmProblem:
     pairs    (M,2) photos to match
     pixel    side of one pixel of the features' pictures, in pixels of the stored photos
     poses    (N,4,4) camera_to_world in OpenCV axes if they are known, and then the lenses are too; else None
+    learned  (T,4) further matches, which a network found, sorted: first photo, second photo, key point of each; or None
+    thorough whether a global mapper tries as well where the incremental one leaves photos out
     """
 
     lenses: tuple[Lens, ...]
@@ -60,6 +62,8 @@ class SfmProblem:
     pairs: Ints
     pixel: float
     poses: Floats | None = None
+    learned: Ints | None = None
+    thorough: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +117,17 @@ def write_problem(problem: SfmProblem, path: Path) -> None:
         "lenses": _lens_rows(problem.lenses),
         "lens_of": problem.lens_of,
         "counts": np.array([len(each.xy) for each in problem.features]),
+        "described": np.array([len(each.descriptors) for each in problem.features]),
         "xy": np.concatenate([each.xy for each in problem.features]),
         "descriptors": np.concatenate([each.descriptors for each in problem.features]),
         "pairs": problem.pairs,
         "pixel": np.array(problem.pixel),
+        "thorough": np.array(problem.thorough),
     }
     if problem.poses is not None:
         arrays["poses"] = problem.poses
+    if problem.learned is not None:
+        arrays["learned"] = problem.learned
     np.savez(path, **arrays)  # type: ignore[arg-type]
 
 
@@ -127,15 +135,17 @@ def read_problem(path: Path) -> SfmProblem:
     """Read what `write_problem` wrote."""
     with np.load(path) as file:
         arrays = dict(file)
-    ends = np.cumsum(arrays["counts"])[:-1]
-    parts = zip(np.split(arrays["xy"], ends), np.split(arrays["descriptors"], ends), strict=True)
+    xy = np.split(arrays["xy"], np.cumsum(arrays["counts"])[:-1])
+    descriptors = np.split(arrays["descriptors"], np.cumsum(arrays["described"])[:-1])
     return SfmProblem(
         _lenses(arrays["lenses"]),
         arrays["lens_of"],
-        tuple(Features(xy, descriptors) for xy, descriptors in parts),
+        tuple(Features(*each) for each in zip(xy, descriptors, strict=True)),
         arrays["pairs"],
         float(arrays["pixel"]),
         arrays.get("poses"),
+        arrays.get("learned"),
+        bool(arrays["thorough"]),
     )
 
 

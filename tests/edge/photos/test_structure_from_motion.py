@@ -279,9 +279,9 @@ def test_key_points_lie_where_their_blobs_do_whatever_the_pictures_size(longest:
     photo = photo_of(np.repeat(np.uint8(40 + 200 * np.minimum(light, 1))[..., None], 3, axis=2), "blobs.png")
     setting = SiftSettings(longest, 200, 0.015)
     offset = features_of(photo, setting).xy[:, None] - blobs
-    found = offset[np.linalg.norm(offset, axis=2) < 2 * pixel_ratio(photo, setting)]
+    found = offset[np.linalg.norm(offset, axis=2) < 2 * pixel_ratio(photo, setting.longest)]
     assert len(found) > 10
-    assert np.abs(np.median(found, axis=0)).max() < 0.05 * pixel_ratio(photo, setting)
+    assert np.abs(np.median(found, axis=0)).max() < 0.05 * pixel_ratio(photo, setting.longest)
 
 
 def test_root_sift_has_unit_length_and_bears_an_empty_histogram() -> None:
@@ -328,8 +328,8 @@ def test_a_few_photos_that_were_left_out_are_tried_once_more(monkeypatch: pytest
         model_of = np.where(np.arange(40) < len(placed), 0, -1)
         return SfmResult((), model_of, placed, np.zeros((len(placed), 4, 4)), np.zeros((0, 3)), none, none, none)
 
-    monkeypatch.setattr("services.edge.photos.structure_from_motion.find_features", found)
-    monkeypatch.setattr("services.edge.photos.structure_from_motion.solve", solved)
+    monkeypatch.setattr("services.edge.photos.placement_attempts.find_features", found)
+    monkeypatch.setattr("services.edge.photos.placement_attempts.solve", solved)
     monkeypatch.setattr("services.edge.photos.structure_from_motion._alignment", lambda photos, attempt: attempt)
     attempt = align([photo_of(np.zeros((30, 40, 3), np.uint8), f"{number}.jpg") for number in range(40)])
     assert len(attempt.answer.placed) == 40
