@@ -14,6 +14,7 @@ BENCHES = {
     "extraction": "seconds, memory and topology of the extraction, 64 to 512 cells, local and learned field",
     "photos": "photos to points: seconds per stage, and distance from a surface that is known",
     "captures": "captures to assets beside held-out photos: holes, leaks, likeness, seconds",
+    "texture": "seconds and CPU seconds of each level's texture, held-out likeness; --old COMMIT beside it",
     "single-image": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "delivery": "what reaches a headset: bytes, seconds on the wire and to import, errors of the levels of detail",
     "pipeline": "capture to published LOD set: seconds per stage and peak memory",
