@@ -149,12 +149,13 @@ def _cast_pixels(lit_scene: _LitScene, camera: Intrinsics, pose: Floats) -> tupl
 def _take_photo(lit_scene: _LitScene, pose: Floats, rng: np.random.Generator) -> Bytes:
     """Render a photo (720,960,3) uint8 sRGB, with the grain of a small sensor."""
     hits, rays = _cast_pixels(lit_scene, PHOTO, pose)
-    light = np.tile(to_linear(np.array(_ROOM, dtype=np.uint8)), (len(rays), 1))
+    light = np.empty((len(rays), 3), np.float32)
+    light[:] = to_linear(np.array(_ROOM, dtype=np.uint8))
     hit = np.flatnonzero(hits.face >= 0)
-    face = hits.face[hit]
-    behind = (np.einsum("nx,nx->n", lit_scene.flat[face], rays[hit]) > 0).astype(np.intp)
-    corners = lit_scene.mesh.faces[face]
-    light[hit] = sum(hits.bary[hit, c, None] * lit_scene.light[corners[:, c], behind] for c in range(3))
+    face, bary = hits.face.take(hit), hits.bary.take(hit, axis=0)
+    behind = (np.einsum("nx,nx->n", lit_scene.flat.take(face, axis=0), rays.take(hit, axis=0)) > 0).astype(np.intp)
+    corners, sides = lit_scene.mesh.faces.take(face, axis=0), lit_scene.light.reshape(-1, 3)
+    light[hit] = sum(bary[:, c, None] * sides.take(2 * corners[:, c] + behind, axis=0) for c in range(3))
     grain = rng.integers(-5, 6, (PHOTO.height, PHOTO.width, 1), dtype=np.int16)
     photo = to_srgb(light).reshape(PHOTO.height, PHOTO.width, 3) + grain
     pixels: Bytes = np.clip(photo, 0, 255).astype(np.uint8)

@@ -85,7 +85,8 @@ class Certificate:
     stray_area           share of the mesh farther than two spacings from every input point
     boundary_length      of all borders; boundary_loops: their connected chains
     distances            (H,) of the held-out points, for comparing two surfaces point by point
-    photos               figures of the comparison with held-out photos; None where the capture could spare none
+    photos               figures of the comparison with held-out photos; None where the capture could spare none, and
+                         until they are compared: `certify` does not
     pieces               of the surface, kept and dropped, with reasons; those dropped are not in the other figures
     """
 
@@ -140,12 +141,10 @@ def certify(
     distance: DistanceFn,
     mesh_unit: Mesh,
     evidence: Evidence,
-    photos: PhotoFigures | None = None,
     pieces: tuple[Piece, ...] = (),
 ) -> Certificate:
     """Measure a field and its mesh, which has faces, against the evidence: 0.3 s at 10,000 points, 1 s at 200,000.
 
-    photos  figures of the mesh's comparison with held-out photos, where there are any
     pieces  of the surface, kept and dropped
     """
     rng = np.random.default_rng(_SEED)
@@ -173,7 +172,6 @@ def certify(
         boundary_loops=component_count(border),
         non_manifold_edges=edges.crowded_count,
         distances=away,
-        photos=photos,
         pieces=pieces,
     )
 

@@ -174,6 +174,10 @@ def bundles(
     trains = preset.fit is not None
     if trains or points.texture_views:
         yield from pack_preview(last=False)
+    if points.held_out_views:
+        preview = _compare_with_photos(preview, subject, clock)
+        quality = preview.quality(preset, clock.seconds)
+        pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
     if not trains:
         bar.set_range(TEXTURED_STARTS, bar.reached, share)
         yield from pack_preview(last=True)
@@ -218,6 +222,7 @@ def _refinement(
         warning = _kept_warning("there was not enough memory for the refined one", ("choose a coarser preset",))
         yield PreviewKept(warning, None, dict(clock.seconds))
         return
+    made = _compare_with_photos(made, subject, clock)
     made = replace(made, steps=trained.steps, losses=trained.losses, device=trained.device)
     verdict = compare(preview.certificate, made.certificate)
     quality = {
@@ -259,9 +264,15 @@ def _surface(
         mesh_unit, pieces = drop_false_pieces(mesh_unit, subject.colours, subject.unit, specks)
         mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
-        check = check_surface_with_photos(filled.mesh, subject.colours, subject.unit)
-        certificate = certify(distance, filled.mesh, subject.evidence, check.figures, pieces)
-        return MeasuredSurface(filled, resolution, certificate, check)
+        certificate = certify(distance, filled.mesh, subject.evidence, pieces)
+        return MeasuredSurface(filled, resolution, certificate)
+
+
+def _compare_with_photos(surface: MeasuredSurface, subject: AssetSubject, clock: Clock) -> MeasuredSurface:
+    """Add the comparison with held-out photos, which takes a second: the first bundle is published without it."""
+    with clock("EXTRACTING"):
+        check = check_surface_with_photos(surface.mesh_unit, subject.colours, subject.unit)
+        return replace(surface, check=check, certificate=replace(surface.certificate, photos=check.figures))
 
 
 def _resolve_preset(preset: Preset, points: Points, device: str) -> tuple[Preset, str]:

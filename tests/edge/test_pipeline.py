@@ -235,10 +235,10 @@ def test_a_mesh_without_textures_is_there_before_the_one_with_photos(sheet_bundl
 
 def test_held_out_pictures_stand_in_the_certificate_and_never_among_the_files(sheet_bundles: list[Bundle]) -> None:
     plain, textured = (bundle.manifest["quality"]["photos"] for bundle in sheet_bundles)
+    assert plain is None  # the first mesh does not wait for the comparison
     assert textured["photos"] == 2
     assert textured["cover"] > 0.85
     assert textured["lace"] < 0.02
-    assert plain["psnr"] is None
     assert textured["psnr"] > 15
     assert list(sheet_bundles[-1].private) == ["photo-1.jpg", "photo-2.jpg"]
     assert not set(sheet_bundles[-1].files) & set(sheet_bundles[-1].private)

@@ -82,7 +82,7 @@ class MeasuredSurface:
 
     surface     the mesh, and which of its faces fill holes
     resolution  grid cells along the longest side
-    check       comparison with the held-out photos
+    check       comparison with the held-out photos, once it is made
     steps       of training, 0 for the local field; device: where it was trained
     losses      at the end of the training
     """

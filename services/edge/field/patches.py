@@ -124,12 +124,13 @@ def predict(patches: Patches, index: Ints, q: Floats) -> tuple[Floats, Floats]:
 
     Both have the sign of their patch's normal, which is arbitrary. Far from its point a patch is its plane.
     """
-    spacing = patches.spacing[index]
-    u, v, n = patches.u[index], patches.v[index], patches.normals[index]
-    relative = (q[:, None] - patches.xyz[index]) / spacing[..., None]
+    # `take` gathers rows two to three times as fast as an index in brackets.
+    spacing = patches.spacing.take(index)
+    u, v, n = (rows.take(index, axis=0) for rows in (patches.u, patches.v, patches.normals))
+    relative = (q[:, None] - patches.xyz.take(index, axis=0)) / spacing[..., None]
     s = np.einsum("mkx,mkx->mk", relative, u) / LENGTH
     t = np.einsum("mkx,mkx->mk", relative, v) / LENGTH
-    height, slope_u, slope_v, steep = patch_surface(patches.terms[index], s, t)
+    height, slope_u, slope_v, steep = patch_surface(patches.terms.take(index, axis=0), s, t)
     normal = (n - slope_u[..., None] * u - slope_v[..., None] * v) * steep[..., None]
     return (np.einsum("mkx,mkx->mk", relative, n) - height) * steep * spacing, normal
 
@@ -144,9 +145,13 @@ def _fit_round(planes: Planes, index: Ints, stage: PatchRound, tick: Tick) -> Pa
         u[part], v[part] = tangents(planes.normals[part])
         axes = np.stack([u[part], v[part], planes.normals[part]], axis=2)
         near = index[part]
-        relative = np.matmul(planes.xyz[near] - planes.xyz[part, None], axes) / planes.spacing[part, None, None]
+        relative = np.matmul(planes.xyz.take(near, axis=0) - planes.xyz[part, None], axes)
+        relative /= planes.spacing[part, None, None]
         relative[..., :2] /= LENGTH
-        around = _Neighbours(*np.moveaxis(relative, 2, 0), *np.moveaxis(np.matmul(planes.normals[near], axes), 2, 0))
+        normals = np.matmul(planes.normals.take(near, axis=0), axes)
+        around = _Neighbours(
+            *(np.ascontiguousarray(each[..., axis]) for each in (relative, normals) for axis in range(3))
+        )
         terms[part], weights = _regress(around, stage)
         close = np.exp(-np.square(around.s) - np.square(around.t))
         support[part] = (weights * close).sum(axis=1) / close.sum(axis=1)
@@ -190,7 +195,10 @@ def _features(s: Floats, t: Floats) -> Floats:
     for _ in range(DEGREE):
         s_to.append(s_to[-1] * s)
         t_to.append(t_to[-1] * t)
-    return np.stack([s_to[m] * t_to[n] * scale for (m, n), scale in zip(TERMS, _SCALE, strict=True)], axis=-1)
+    features = np.empty((*s.shape, len(TERMS)), np.float32)
+    for column, (m, n) in enumerate(TERMS):
+        np.multiply(s_to[m] * t_to[n], _SCALE[column], out=features[..., column])
+    return features
 
 
 def _cut_off_variance(squared: Floats) -> Floats:

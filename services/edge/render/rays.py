@@ -26,6 +26,11 @@ class Hits:
     along: Floats
     bary: Floats
 
+    @classmethod
+    def missed(cls, count: int) -> Hits:
+        """Make the hits of rays that meet nothing, to be overwritten."""
+        return cls(np.full(count, -1, np.int64), np.full(count, np.inf, np.float32), np.zeros((count, 3), np.float32))
+
 
 class Scene:
     """A mesh with Embree's acceleration structure. Rays are in the mesh's frame; inside, everything is centred and
@@ -39,13 +44,19 @@ class Scene:
         from embreex.rtcore_scene import EmbreeScene
 
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-        self._centre = (low + high) / 2
+        self._centre, self._low, self._high = (low + high) / 2, low, high
         self.longest = float((high - low).max())
         self._scale = 1.0 / max(self.longest, 1e-30)
         self._scene = EmbreeScene()
         vertices = ((mesh.vertices - self._centre) * self._scale).astype(np.float32)
         self._geometry = TriangleMesh(self._scene, vertices, mesh.faces.astype(np.int32))
         self._run(np.zeros((1, 3)), np.ones((1, 3)))  # builds the tree now, before threads share it
+
+    def corners(self) -> Floats:
+        """Corners (8,3) of the mesh's bounding box."""
+        low_or_high = np.stack(np.meshgrid(*[[0, 1]] * 3), axis=-1).reshape(-1, 3)
+        corners: Floats = np.where(low_or_high, self._high, self._low)
+        return corners
 
     def cast(self, origins: Floats, directions: Floats) -> Hits:
         """Find the first face along each ray; origins (N,3) or (1,3), directions (N,3) of any length but 0."""

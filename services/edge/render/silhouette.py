@@ -95,6 +95,8 @@ def outside_outlines(mesh: Mesh, pictures: Sequence[PosedPicture]) -> Bools:
     At least two photos, and twice as many as show the thing there, must show background. Only photos in whose
     silhouette of the mesh a vertex lies near the outline are asked.
     """
+    if len(pictures) < _FEWEST_VOTES:
+        return np.zeros(len(mesh.vertices), bool)
     scene = Scene(mesh)
     background, thing = (np.zeros(len(mesh.vertices), np.int64) for _ in range(2))
     for beside, on in in_threads(lambda picture: _vote(picture, mesh, scene), pictures):
@@ -139,7 +141,24 @@ def cast_pixels(picture: PosedPicture, scene: Scene, width: int, height: int) ->
     x = ((np.arange(width) + 0.5) / width - picture.middle[0]) / picture.focal[0]
     y = ((np.arange(height) + 0.5) / height - picture.middle[1]) / picture.focal[1]
     rays = pinhole(x, y, *back.T)
-    return scene.cast(picture.eye[None], rays), rays
+    rows, columns = _window(picture, scene, width, height)
+    within = scene.cast(picture.eye[None], rays.reshape(height, width, 3)[rows, columns].reshape(-1, 3))
+    hits = Hits.missed(len(rays))
+    for all_pixels, some in ((hits.face, within.face), (hits.along, within.along), (hits.bary, within.bary)):
+        shape = all_pixels.shape[1:]
+        window = all_pixels.reshape(height, width, *shape)[rows, columns]
+        window[:] = some.reshape(window.shape)
+    return hits, rays
+
+
+def _window(picture: PosedPicture, scene: Scene, width: int, height: int) -> tuple[slice, slice]:
+    """Rows and columns of a picture of that size outside of which no ray meets the mesh: those of its bounding box."""
+    at, z = picture.project(scene.corners())
+    if z.min() <= 0:
+        return slice(0, height), slice(0, width)
+    low, high = np.floor(at.min(axis=0) * (width, height)) - 1, np.ceil(at.max(axis=0) * (width, height)) + 1
+    (left, top), (right, bottom) = (np.clip(each, 0, (width, height)).astype(int) for each in (low, high))
+    return slice(top, bottom), slice(left, right)
 
 
 def _filled_silhouette(found: Bools) -> Bools:

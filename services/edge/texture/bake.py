@@ -97,13 +97,13 @@ def interpolate(values: Floats, corners: Ints, weight: Floats) -> Floats:
     """Interpolate vertex values (V,3) at places given by corners (N,3) and their weights (N,3): (N,3)."""
     mixed = np.zeros((len(corners), 3))
     for corner in range(3):  # one after the other: together they would take three times the memory
-        mixed += weight[:, corner, None] * values[corners[:, corner]]
+        mixed += weight[:, corner, None] * values.take(corners[:, corner], axis=0)
     return mixed
 
 
 def positions_and_normals(mesh: Mesh, face: Ints, weight: Floats) -> tuple[Floats, Floats]:
     """Positions (N,3) and unit normals (N,3) of places on faces (N,) with weights (N,3) of their corners."""
-    corners = mesh.faces[face]
+    corners = mesh.faces.take(face, axis=0)
     place, normal = (interpolate(values, corners, weight) for values in (mesh.vertices, vertex_normals(mesh)))
     return place, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 

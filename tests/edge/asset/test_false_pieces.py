@@ -108,7 +108,7 @@ def test_the_certificate_lists_what_went() -> None:
     found: Points = points((), views_of(SHEET))
     left, pieces = drop_false_pieces(BOTH, found, UNIT, specks=[1e-4] * 20)
     xyz = SHEET.vertices[::7]
-    told = certify(flat_field, left, Evidence.of(xyz, xyz[:0]), None, pieces).as_json()["pieces"]
+    told = certify(flat_field, left, Evidence.of(xyz, xyz[:0]), pieces).as_json()["pieces"]
     assert told[0] == {"share": pytest.approx(0.988, abs=0.005), "count": 1, "kept": True, "reason": "the largest"}
     assert sum(each["count"] for each in told) == 22
     assert {each["reason"] for each in told if not each["kept"]} == {

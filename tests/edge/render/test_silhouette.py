@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from services.edge.mesh.nouns import Mesh
-from services.edge.render.silhouette import outside_outlines
+from services.edge.render.rays import Scene
+from services.edge.render.silhouette import cast_pixels, outside_outlines
 from tests.support import surfaces
 from tests.support.posed_pictures import photographs, printed
 
@@ -35,6 +36,20 @@ def test_a_rim_beside_the_thing_is_found(depth: bool) -> None:
 
 def test_a_thing_without_rims_keeps_everything() -> None:
     assert not outside_outlines(THING, photographs(THING, EYES)).any()
+
+
+@pytest.mark.parametrize(
+    "eye", [(0.0, 0.0, 1.6), (0.9, 0.3, 0.7), (0.0, 0.0, 0.2), (0.49, 0.1, 0.04), (0.0, 0.0, -3.0)]
+)
+def test_rays_are_cast_wherever_the_mesh_may_be_seen(eye: tuple[float, float, float]) -> None:
+    """From afar, from near, and from where a part of the mesh is behind the camera."""
+    (picture,), scene = photographs(THING, [eye]), Scene(THING)
+    hits, rays = cast_pixels(picture, scene, 160, 120)
+    every = scene.cast(picture.eye[None], rays)
+    on = every.face >= 0
+    assert (hits.face == every.face).all()
+    assert (hits.along == every.along).all()
+    assert (hits.bary[on] == every.bary[on]).all()
 
 
 def test_one_photo_alone_decides_nothing() -> None:
