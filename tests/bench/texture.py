@@ -1,6 +1,6 @@
 """Costs of textures, level by level: seconds and CPU seconds of unwrapping, baking and encoding; held-out likeness.
 
-Preset `draft`, on the CPU. Each row in a process of its own; with `--old COMMIT` the same from a worktree of that commit
+Preset `draft`, on the CPU. Each row has its own process; with `--old COMMIT` the same from a worktree of that commit
 just before it, and the ratio of the CPU seconds, which other work on the machine changes less than seconds.
 """
 
