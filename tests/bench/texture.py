@@ -1,7 +1,7 @@
 """Costs of textures, level by level: seconds and CPU seconds of unwrapping, baking and encoding; held-out likeness.
 
-Preset `draft`, on the CPU. Each row has its own process; with `--old COMMIT` the same from a worktree of that commit
-just before it, and the ratio of the CPU seconds, which other work on the machine changes less than seconds.
+Preset `draft`, on the CPU. Each row in a process of its own. With `--old COMMIT` the same is measured in a worktree of
+that commit just before it, and the ratio of CPU seconds is shown: other work on the machine changes them little.
 """
 
 from __future__ import annotations
