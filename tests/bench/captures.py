@@ -42,13 +42,14 @@ from services.edge.render.rays import Scene, pinhole
 from services.edge.render.silhouette import LONGEST_PX
 from services.storage.bundle import Bundle
 from tests.bench.cell import ROOT
-from tests.bench.photo_sets import PhotoSet, film, fruit, shell, statue, statue_points
+from tests.bench.photo_sets import PhotoSet, exposure_steps, film, fruit, shell, statue, statue_points
 from tests.conftest import data_folder
 from tests.support import scenes
 
 _ONE_IN = 8  # photos is held out
 _PHONE = {"noise": 4.0, "blur": 1.0, "jpeg": 85}
 """Of the rendered photos: a phone's indoors, twice as noisy as the other benches' and less sharp."""
+_GLOSS = 0.5  # where white is 1: glazed clay in the sun
 _SENSOR = scenes.Sensor(noise_m=0.004, jitter_m=0.003, jitter_deg=0.15, flying=0.5)
 """Of a phone with LiDAR, as `services/cli/demo_phone.py` has it."""
 _SAMPLES = 1_000_000  # of the mesh: 0.15 % of the statue's size apart
@@ -113,6 +114,8 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "statue, 32 photos": lambda folder: _of(statue(), statue_points()),
     "statue, cameras given": lambda folder: _of(statue(folder), statue_points()),
     "shell, 25 photos": lambda folder: _of(shell(folder, 25, **_PHONE)),
+    "shell, exposure steps": lambda folder: _of(shell(folder, 25, gains=exposure_steps(25), **_PHONE)),
+    "shell, glossy": lambda folder: _of(shell(folder, 25, gloss=_GLOSS, **_PHONE)),
     "shell, film": lambda folder: _of(film(folder, **_PHONE)),
     "garment, 40 photos": lambda folder: _garment(folder, depth=False),
     "garment, RGB-D, 40 frames": lambda folder: _garment(folder, depth=True),

@@ -241,6 +241,15 @@ def shell(folder: Path, views: int, size: tuple[int, int] = (1280, 960), **fault
     )
 
 
+def exposure_steps(views: int, seed: int = 0) -> Floats:
+    """(views,3) gains as of a phone's automatic exposure and white balance: a step of up to 2/3 of a stop every few
+    photos, and a drift from cold to warm light and back. None is over 1, so that nothing is clipped."""
+    rng = np.random.default_rng(seed)
+    stops = np.repeat(rng.uniform(-1.0, -0.33, views), rng.integers(2, 6, views))[:views]
+    warmth = 0.12 * np.sin(2 * np.pi * np.arange(views) / views)  # of the red light, and as much of the blue one
+    return np.exp2(stops)[:, None] * np.exp(np.stack([warmth, 0 * warmth, -warmth], axis=1))
+
+
 def film(folder: Path, size: tuple[int, int] = (1280, 720), **faults: Any) -> PhotoSet:
     """A film of the same walk, of 12 s."""
     taken = shell(folder / "frames", _FILM_S * _FRAMES_A_SECOND, size, **faults)

@@ -1,8 +1,8 @@
 """Project photos onto a mesh and blend them into its texture, so that no seams show.
 
 1. align   refine the photos' poses on the mesh (`refine_poses`): prints of two photos a pixel apart would be blurred
-2. expose  match every photo's exposure and white balance to the captured points, which are averages over all photos: a
-           phone exposes each photo anew
+2. expose  match the photos' exposures and white balances to each other (`match_exposures`): a phone exposes each photo
+           anew
 3. see     a photo sees a place that lies within it, faces it, and is occluded neither by the mesh nor by a surface in
            the photo's depth image
 4. choose  of many photos the best few, for cells of some texels
@@ -28,6 +28,7 @@ from services.edge.render.rays import LIFT, Scene
 from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
 from services.edge.srgb import to_linear
 from services.edge.texture.bake import positions_and_normals, random_places
+from services.edge.texture.match_exposures import match_exposures
 from services.edge.texture.nearest_colour import ColouredPoints
 from services.edge.texture.refine_poses import LONGEST_PX, SeenPlaces, refine_poses
 
@@ -39,9 +40,6 @@ _CONFIRMS = 0.004  # of the depth: a place as near to the depth image's surface 
 _NEAREST = 1.5  # nearer than the usual distance over this, q grows no more: one close-up must not replace all others
 _SURE, _UNSURE = 0.35, 0.15  # q of the best view: from the first on only photos count, below the second only points
 _PROBES = 20_000  # places at which exposures are compared
-_FEWEST_PROBES = 100  # places that a photo must see to be compared; one that sees fewer keeps its exposure
-_DARK, _BRIGHT = 0.01, 0.9  # linear light that is compared: darker or brighter values may be clipped
-_MOST_GAIN = 3.0  # and least 1/3: a photo that differs more shows something else
 _AT_ONCE = 1 << 16  # places projected together: their arrays fit into the processor's cache
 _CELL_TEXELS = 12  # side of the cells for which pictures are chosen, in texels
 _LEAST_CELL = 1 / 512  # of the longest side: the least side of a cell
@@ -92,7 +90,7 @@ class PhotoProjection:
     def __init__(
         self, mesh: Mesh, pictures: Sequence[PosedPicture], points: ColouredPoints, tick: Tick = no_tick
     ) -> None:
-        self._scene, self._pictures, self._gains = Scene(mesh), pictures, list[Floats]()
+        self._scene, self._pictures = Scene(mesh), pictures
         self._depths = [picture.depth() for picture in pictures]
         places, normals = positions_and_normals(mesh, *random_places(mesh, _PROBES))
         self._usual = _usual_distance(places, pictures)
@@ -103,7 +101,7 @@ class PhotoProjection:
             visible, rgb = self._visible_places(picture, self._depths[number], places, normals), picture.load_rgb()
             finest[visible.index] = np.minimum(finest[visible.index], _pixel(picture, rgb) * visible.depth)
             small.append(shrink_to(rgb, LONGEST_PX))
-            visible_of.append(visible.index)
+            visible_of.append(SeenPlaces(visible.index, visible.quality))
             inner = pixels_at(_inner_mask(self._depths[number]), visible.at)
             seen.append(SeenPlaces(visible.index[inner], visible.quality[inner]))
             tick(_LOOK_SHARE * (number + 1) / len(pictures))
@@ -112,9 +110,7 @@ class PhotoProjection:
         self._pictures = refine_poses(
             pictures, [_grey(rgb) for rgb in small], places, seen, part_of(tick, _LOOK_SHARE, 1)
         )
-        for picture, rgb, index in zip(self._pictures, small, visible_of, strict=True):
-            at, _ = picture.project(places[index])
-            self._gains.append(_gain(known[index], bilinear(to_linear(rgb), at)))
+        self._gains = _gains(self._pictures, small, places, visible_of, known)
 
     def __call__(self, places: Floats, normals: Floats, texel: float, tick: Tick) -> tuple[Floats, Floats]:
         """Blend the photos' light at places (N,3) with unit normals, for texels of that size.
@@ -240,13 +236,20 @@ def _depth_difference(depth: Floats, at: Floats, z: Floats) -> Floats:
     return off
 
 
-def _gain(known: Floats, shown: Floats) -> Floats:
-    """(3,) gain that matches a photo's light to the known light: median ratio of the values that are not clipped."""
-    unclipped = ((known > _DARK) & (known < _BRIGHT) & (shown > _DARK) & (shown < _BRIGHT)).all(axis=1)
-    if unclipped.sum() < _FEWEST_PROBES:
-        return np.ones(3, np.float32)
-    ratio = np.median(known[unclipped] / shown[unclipped], axis=0)
-    return np.clip(ratio, 1 / _MOST_GAIN, _MOST_GAIN).astype(np.float32)
+def _gains(
+    pictures: Sequence[PosedPicture], small: Sequence[Bytes], places: Floats, seen: Sequence[SeenPlaces], known: Floats
+) -> Floats:
+    """(N,3) gains that bring the photos to one exposure.
+
+    small: the photos, downsampled; seen: of the places (P,3), those that each sees; known (P,3): the points' light
+    """
+    shown = np.zeros((len(places), len(pictures), 3), np.float32)
+    quality = np.zeros((len(places), len(pictures)), np.float32)
+    for number, (picture, rgb, each) in enumerate(zip(pictures, small, seen, strict=True)):
+        at, _ = picture.project(places[each.index])
+        shown[each.index, number] = bilinear(to_linear(rgb), at)
+        quality[each.index, number] = each.weight
+    return match_exposures(shown, quality, known)
 
 
 def _inner_mask(depth: Floats) -> Bools:

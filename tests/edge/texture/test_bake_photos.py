@@ -111,6 +111,22 @@ def test_pictures_of_different_exposure_are_brought_to_one_brightness() -> None:
     assert np.abs(shown - waves(places())).mean() < 2
 
 
+def test_exposure_steps_leave_no_seam_where_the_points_have_them_too() -> None:
+    """Each half of the ground was captured at an exposure of its own: matched to these points, the photos keep a step
+    between them. They share the middle, which tells that they show one print."""
+
+    def stepped(at: np.ndarray) -> np.ndarray:
+        return to_srgb(to_linear(waves(at).astype(np.uint8)) * np.where(at[:, :1] < 0, 0.6, 1.2))
+
+    eyes = [(x, 0.0, 0.6) for x in (-0.3, -0.1, 0.1, 0.3)]
+    taken = [photo(eye, exposure=exposure) for eye, exposure in zip(eyes, (0.6, 0.6, 1.2, 1.2), strict=True)]
+    at = places() * [1, 0.5, 1]
+    shown, _ = light_of(PhotoProjection(GROUND, taken, known(stepped)), at)
+    ratio = to_linear(shown.astype(np.uint8)) / to_linear(waves(at).astype(np.uint8))
+    left, right = (np.median(ratio[part], axis=0) for part in (at[:, 0] < -0.1, at[:, 0] > 0.1))
+    np.testing.assert_allclose(left, right, rtol=0.03)
+
+
 def test_no_line_shows_where_a_picture_ends() -> None:
     """The second picture ends in the middle of the ground and is tinted where nothing can correct it."""
 
