@@ -122,7 +122,7 @@ def _camera(size: tuple[int, int], zoom: int = 1) -> Intrinsics:
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
 
-def _exif(tells: bool, shot: Shot) -> Image.Exif:
+def _exif(tells: bool, shot: Shot = Shot()) -> Image.Exif:
     exif = Image.Exif()
     if shot.upright == "tag":
         exif[0x0112] = 6  # to be turned clockwise by a quarter to be upright
