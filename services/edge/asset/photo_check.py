@@ -30,7 +30,7 @@ from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.silhouette import outside_outlines
 
 _MOST_OUTLINES = 20
-"""About as many photos are asked for outlines, evenly chosen: each takes a sixth of a second."""
+"""Photos that are asked for outlines, evenly chosen: each takes a tenth of a second."""
 _MANY_HOLES = 0.03
 """Share of the thing's silhouette in holes from which on a person notices them at once."""
 _MUCH_INSIDE = 0.03
@@ -102,7 +102,7 @@ def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> M
     Depth that was matched between photos errs at outlines, by the width of a window; that of a sensor does not.
     """
     untracked = [view for view in points.texture_views if not view.tracked]
-    step = max(1, len(untracked) // _MOST_OUTLINES)
+    step = max(1, -(-len(untracked) // _MOST_OUTLINES))
     outside = outside_outlines(mesh_unit, [posed_picture(view, _to_unit(unit)) for view in untracked[::step]])
     return trim_rims(mesh_unit, outside)
 

@@ -29,6 +29,7 @@ _CERTAIN_OF_RIM = 0.02  # the same where photos vote on rims, so that one photo'
 _ASIDE = 0.02  # of the mesh's longest side: what the photo's depth shows as far from the mesh is not the thing
 _PAST = 0.04  # relative depth by which a photo that looks past a place sees farther
 _ROUNDS = 3  # of GrabCut
+_ROUNDS_OF_RIM = 1  # the same where photos vote on rims: three find no more of them
 _LEAST_GROUND = 0.02  # of the picture: with less background around the thing nothing is cut out
 _LEAST_PIXELS = 200  # of the silhouette; a photo that shows less of the mesh says nothing
 _PROBES = 20_000  # vertices of a mesh that stand for all of them in a search
@@ -77,16 +78,23 @@ def see_mesh(picture: PosedPicture, scene: Scene) -> MeshInPhoto | None:
 
 
 def outline_thing(
-    view: MeshInPhoto, picture: PosedPicture, mesh: Mesh, scene: Scene, certain: float = _CERTAIN
+    view: MeshInPhoto,
+    picture: PosedPicture,
+    mesh: Mesh,
+    scene: Scene,
+    *,
+    certain: float = _CERTAIN,
+    rounds: int = _ROUNDS,
 ) -> Bools:
     """Find the thing in a photo (h,w): near the mesh's silhouette, without what is known to be something else.
 
-    certain: how far inside the mesh's outline the photo surely shows the thing, of the root of the silhouette's area.
+    certain  how far inside the mesh's outline the photo surely shows the thing, of the root of the silhouette's area
+    rounds   of GrabCut
     """
     places = picture.eye + view.own.reshape(-1, 1) * view.rays
     aside = (view.own > 0) & ~view.whole & (scene.longest > 0)
     aside[aside] = _far_from(places[aside.ravel()], mesh, _ASIDE * scene.longest)
-    return _cut_out(view, view.past | aside, _core(view, certain))
+    return _cut_out(view, view.past | aside, _core(view, certain), rounds)
 
 
 def outside_outlines(mesh: Mesh, pictures: Sequence[PosedPicture]) -> Bools:
@@ -110,7 +118,7 @@ def _vote(picture: PosedPicture, mesh: Mesh, scene: Scene) -> tuple[Ints, Ints]:
     view = see_mesh(picture, scene)
     if view is None:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    thing = outline_thing(view, picture, mesh, scene, _CERTAIN_OF_RIM)
+    thing = outline_thing(view, picture, mesh, scene, certain=_CERTAIN_OF_RIM, rounds=_ROUNDS_OF_RIM)
     near = view.found & ~_core(view, _CERTAIN_OF_RIM)
     at, z = picture.project(mesh.vertices)
     shown = np.flatnonzero((z > 0) & (np.minimum(at, 1 - at).min(axis=1) > 0))
@@ -202,7 +210,7 @@ def _far_from(places: Floats, mesh: Mesh, reach: float) -> Bools:
     return np.asarray(~np.isfinite(away))
 
 
-def _cut_out(view: MeshInPhoto, other: Bools, core: Bools) -> Bools:
+def _cut_out(view: MeshInPhoto, other: Bools, core: Bools, rounds: int) -> Bools:
     """The thing in a photo (h,w) by GrabCut, started from the mesh's silhouette.
 
     other, core (h,w): what is known to be something else, and what is known to be the thing.
@@ -220,5 +228,5 @@ def _cut_out(view: MeshInPhoto, other: Bools, core: Bools) -> Bools:
     labels[ground] = cv2.GC_BGD
     bgr, models = np.ascontiguousarray(view.rgb[..., ::-1]), (np.zeros((1, 65)), np.zeros((1, 65)))
     cv2.setRNGSeed(0)  # GrabCut draws its first colour clusters
-    cv2.grabCut(bgr, labels, (0, 0, 0, 0), *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(bgr, labels, (0, 0, 0, 0), *models, rounds, cv2.GC_INIT_WITH_MASK)
     return np.asarray((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
