@@ -23,9 +23,14 @@ class CropBox:
     def pixels(self, size: tuple[int, int]) -> tuple[int, int, int, int]:
         """Return left, top, width and height in a picture of `size`; a box symmetric about the middle stays so."""
         width, height = size
-        left, top = round(self.left * width), round(self.top * height)
-        right, bottom = round((1 - self.right) * width), round((1 - self.bottom) * height)
+        left, top = _pixels(self.left * width), _pixels(self.top * height)
+        right, bottom = _pixels((1 - self.right) * width), _pixels((1 - self.bottom) * height)
         return left, top, max(1, width - left - right), max(1, height - top - bottom)
+
+
+def _pixels(length: float) -> int:
+    """Round to whole pixels, 37.4999999 like 37.5: both sides of a centred box must be rounded alike."""
+    return round(round(length, 6))
 
 
 def crop_photo(photo: Photo, box: CropBox) -> Photo:
