@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from services.edge.mesh.edges import border_edges
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.topology import pieces_of
 from services.edge.mesh.trim_rims import trim_rims
 from tests.support import surfaces
 
@@ -31,6 +32,21 @@ def test_what_is_surrounded_by_surface_stays() -> None:
     middle = np.linalg.norm(SHEET.vertices[:, :2], axis=1) < 0.2
     cut = trim_rims(SHEET, middle)
     assert area(cut) == pytest.approx(area(SHEET), rel=1e-6)
+
+
+def test_crumbs_that_a_cut_leaves_go_too() -> None:
+    x, y = SHEET.vertices[:, 0], SHEET.vertices[:, 1]
+    crumb = (x > 0.47) & (np.abs(y) < 0.02)  # on the far side of the rim, 1/1600 of the sheet
+    cut = trim_rims(SHEET, (x > 0.4) & ~crumb)
+    assert cut.vertices[:, 0].max() < 0.45
+    assert len(np.unique(pieces_of(cut.faces))) == 1
+
+
+def test_a_part_that_a_cut_separates_stays() -> None:
+    x = SHEET.vertices[:, 0]
+    cut = trim_rims(SHEET, (x > 0.2) & (x < 0.3))
+    assert len(np.unique(pieces_of(cut.faces))) == 2
+    assert area(cut) == pytest.approx(0.9 * area(SHEET), rel=0.05)
 
 
 def test_nothing_outside_changes_nothing() -> None:
