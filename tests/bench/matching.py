@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import resource
-import subprocess
 import sys
 import tempfile
 import time
@@ -24,8 +23,9 @@ from services.edge.errors import CaptureError
 from services.edge.photos.learned_matches import is_installed
 from services.edge.photos.structure_from_motion import align
 from services.edge.procrustes import procrustes
-from tests.bench.cell import ROOT
+from tests.bench.case_table import print_cases
 from tests.bench.photo_sets import PhotoSet, fruit, shell
+from tests.bench.texture import cpu_seconds
 
 _PHONE = {"noise": 4.0, "blur": 1.0, "jpeg": 85}
 """Of the rendered photos: a phone's indoors."""
@@ -60,7 +60,7 @@ def one(case: str) -> dict[str, Any]:
 
 def _figures(photos: tuple[Photo, ...], known: PhotoSet) -> dict[str, Any]:
     """Photos placed, errors of the cameras' centres, and what it took."""
-    began, busy = time.perf_counter(), _cpu_seconds()
+    began, busy = time.perf_counter(), cpu_seconds()
     try:
         views = align(photos).views
     except CaptureError:
@@ -74,28 +74,13 @@ def _figures(photos: tuple[Photo, ...], known: PhotoSet) -> dict[str, Any]:
         off = np.linalg.norm(ours @ to_true[:3, :3].T + to_true[:3, 3] - true, axis=1)
         off *= 100 / np.linalg.norm(np.ptp(np.array(list(known.cameras.values()))[:, :3, 3], axis=0))
         figures |= {"median %": round(float(np.median(off)), 2), "largest %": round(float(off.max()), 2)}
-    seconds = {"seconds": round(time.perf_counter() - began), "CPU s": round(_cpu_seconds() - busy)}
+    seconds = {"seconds": round(time.perf_counter() - began), "CPU s": round(cpu_seconds() - busy)}
     return {**figures, **seconds, "peak MB": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024}
-
-
-def _cpu_seconds() -> float:
-    """Seconds of computing of this process and of its children that have ended."""
-    usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(each.ru_utime + each.ru_stime for each in usage)
 
 
 def main(arguments: list[str]) -> None:
     """Print the table; a word among the arguments chooses the cases that have it."""
-    chosen = [case for case in CASES if all(word in case for word in arguments)]
-    for number, case in enumerate(chosen):
-        command = [sys.executable, "-m", "tests.bench.matching", case]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
-        if done.returncode:
-            raise SystemExit(done.stderr)
-        figures = json.loads(done.stdout.splitlines()[-1])
-        if not number:
-            print(f"| capture | {' | '.join(figures)} |\n|{'---|' * (len(figures) + 1)}")
-        print(f"| {case} | {' | '.join(map(str, figures.values()))} |", flush=True)
+    print_cases("tests.bench.matching", CASES, arguments)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import resource
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,7 +25,7 @@ from services.edge.photos.depth_maps import depth_frames
 from services.edge.photos.screening import screen
 from services.edge.photos.structure_from_motion import align
 from services.edge.photos.to_depth import to_depth
-from tests.bench.cell import ROOT
+from tests.bench.case_table import print_cases
 from tests.bench.photo_sets import PhotoSet, film, fruit, shell
 
 CASES = (
@@ -123,16 +122,7 @@ def _sees(pose: Floats, camera: Intrinsics, surface: Floats) -> Bools:
 
 def main(arguments: list[str]) -> None:
     """Print the table; a word among the arguments chooses the cases that have it."""
-    chosen = [case for case in CASES if all(word in case for word in arguments)]
-    for number, case in enumerate(chosen):
-        command = [sys.executable, "-m", "tests.bench.photos", case]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
-        if done.returncode:
-            raise SystemExit(done.stderr)
-        figures = json.loads(done.stdout.splitlines()[-1])
-        if not number:
-            print(f"| capture | {' | '.join(figures)} |\n|{'---|' * (len(figures) + 1)}")
-        print(f"| {case} | {' | '.join(map(str, figures.values()))} |", flush=True)
+    print_cases("tests.bench.photos", CASES, arguments)
 
 
 if __name__ == "__main__":

@@ -84,16 +84,8 @@ class PhotoCheck:
 
 def check_surface_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> PhotoCheck:
     """Compare a mesh in the unit frame with the held-out photos of its points."""
-    to_unit = _to_unit(unit)
-    return PhotoCheck(
-        tuple(
-            check_surface(
-                mesh_unit,
-                [posed_picture(view, to_unit) for view in points.held_out_views],
-                [posed_picture(view, to_unit) for view in points.texture_views],
-            )
-        )
-    )
+    held_out, seen_by = _in_unit_frame(points.held_out_views, unit), _in_unit_frame(points.texture_views, unit)
+    return PhotoCheck(tuple(check_surface(mesh_unit, held_out, seen_by)))
 
 
 def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> Mesh:
@@ -103,8 +95,7 @@ def trim_rims_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame) -> M
     """
     untracked = [view for view in points.texture_views if not view.tracked]
     step = max(1, -(-len(untracked) // _MOST_OUTLINES))
-    outside = outside_outlines(mesh_unit, [posed_picture(view, _to_unit(unit)) for view in untracked[::step]])
-    return trim_rims(mesh_unit, outside)
+    return trim_rims(mesh_unit, outside_outlines(mesh_unit, _in_unit_frame(untracked[::step], unit)))
 
 
 def drop_false_pieces(
@@ -122,9 +113,8 @@ def drop_false_pieces(
     reasons = ["large"] * len(split.areas)
     reasons[largest] = "the largest"
     kept = np.ones(len(split.areas), bool)
-    views = [view for view in points.texture_views if len(small)]
-    pictures = [posed_picture(view, _to_unit(unit)) for view in (*views, *(points.held_out_views if views else ()))]
-    support = piece_support(split, [largest, *small.tolist()], pictures)
+    views = (*points.texture_views, *points.held_out_views) if len(small) and points.texture_views else ()
+    support = piece_support(split, [largest, *small.tolist()], _in_unit_frame(views, unit))
     usual = float(np.nan_to_num(support.unlike[0]))
     for row, number in enumerate(small.tolist(), start=1):
         if support.views[0] < _FEWEST_VIEWS:  # of clouds, and of photos without depth
@@ -155,16 +145,16 @@ def fill_gaps_with_photos(mesh_unit: Mesh, points: Points, unit: UnitFrame, fill
     """Fill holes of a mesh in the unit frame that the photos of its points do not see through."""
     if fill == "none":
         return FilledMesh.unfilled(mesh_unit)
-    pictures = [posed_picture(view, _to_unit(unit)) for view in points.texture_views]
+    pictures = _in_unit_frame(points.texture_views, unit)
     surface = None if points.rgb is None else ColouredSurface(unit.to_unit(points.xyz), points.rgb)
     return fill_gaps(mesh_unit, fill, ask_views(pictures, surface))
 
 
-def _to_unit(unit: UnitFrame) -> Floats:
-    """Transform (4,4) from the capture frame to the unit frame."""
+def _in_unit_frame(views: Sequence[TextureView], unit: UnitFrame) -> list[PosedPicture]:
+    """Place photos with their cameras in the unit frame."""
     to_unit = np.eye(4)
     to_unit[:3] = np.column_stack([np.eye(3), -unit.centre]) / unit.size
-    return to_unit
+    return [posed_picture(view, to_unit) for view in views]
 
 
 def check_textures_with_photos(

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from services.edge.capture.files import Folder
-from services.edge.capture.gravity import elevation_deg, up_in_camera
+from services.edge.capture.gravity_tags import elevation_deg, up_in_camera
 from services.edge.capture.images import read_bytes
 from services.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
 from services.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header

@@ -91,15 +91,17 @@ class CompressedBuffer(Buffer):
 
     def add_normals(self, normals: Floats) -> int:
         """Append unit normals (n,3), 8 bits a number."""
-        number = self.add(meshopt.octahedral(normals), "VEC3", _BYTE, normalized=True)
-        self._views[-1]["extensions"][_MESHOPT]["filter"] = "OCTAHEDRAL"
-        return number
+        return self._add_octahedral(meshopt.octahedral(normals), "VEC3")
 
     def add_tangents(self, tangents: Floats) -> int:
         """Append tangents (n,4), 8 bits a number: unit vectors, and the sign of the bitangent."""
         rows = meshopt.octahedral(tangents[:, :3])
         rows[:, 3] = np.where(tangents[:, 3] < 0, -127, 127)
-        number = self.add(rows, "VEC4", _BYTE, normalized=True)
+        return self._add_octahedral(rows, "VEC4")
+
+    def _add_octahedral(self, rows: NDArray[Any], shape: str) -> int:
+        """Append directions (n,4) that `meshopt.octahedral` has encoded."""
+        number = self.add(rows, shape, _BYTE, normalized=True)
         self._views[-1]["extensions"][_MESHOPT]["filter"] = "OCTAHEDRAL"
         return number
 

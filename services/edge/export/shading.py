@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from services.edge.arrays import Bools, Floats, Ints, pick
-from services.edge.mesh.normals import split_flips, vertex_normals
+from services.edge.mesh.normals import split_flips, sum_at_vertices, vertex_normals
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 
 
@@ -55,7 +55,7 @@ def with_tangents(surface: Shaded) -> Shaded:
     (du1, dv1), (du2, dv2) = ((surface.uv[faces[:, k]] - surface.uv[faces[:, 0]]).T[:, :, None] for k in (1, 2))
     turned = np.sign(du1 * dv2 - du2 * dv1)
     along_u, up = (
-        _sum_at_corners(faces, each, len(normals))
+        sum_at_vertices(faces, np.repeat(each, 3, axis=0), len(normals))
         for each in (turned * ((b - a) * dv2 - (c - a) * dv1), -turned * ((c - a) * du1 - (b - a) * du2))
     )
     along_u -= np.einsum("nx,nx->n", along_u, normals)[:, None] * normals
@@ -65,13 +65,6 @@ def with_tangents(surface: Shaded) -> Shaded:
     along_u = np.where(length > 0, along_u / np.maximum(length, 1e-300), anywhere)
     sign = np.where(np.einsum("nx,nx->n", np.cross(normals, along_u), up) < 0, -1.0, 1.0)
     return replace(surface, tangents=np.column_stack([along_u, sign]))
-
-
-def _sum_at_corners(faces: Ints, values: Floats, count: int) -> Floats:
-    """Sum values (F,3) of the faces around each of `count` vertices: (count,3)."""
-    corners = faces.ravel()
-    summed: Floats = np.stack([np.bincount(corners, np.repeat(each, 3), count) for each in values.T], axis=1)
-    return summed
 
 
 def _weld(mesh: Mesh) -> Mesh:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, part_of
-from services.edge.mesh.clip import clip
+from services.edge.mesh.clip import clip_to_manifold
 from services.edge.mesh.edges import border_edges, border_with, edges_of
 from services.edge.mesh.holes import fill_holes, zip_tears
 from services.edge.mesh.manifold import to_manifold
@@ -147,9 +147,7 @@ def _trim(mesh: Mesh, border: Ints, support: Support, most: float, tick: Tick) -
     _, middle = connected_regions(mesh.faces, alone > WEB, areas * (alone > DEEP)[mesh.faces].mean(axis=1), rim)
     level = np.where(middle >= WEB_AREA, np.maximum(level, alone - WEB), level)
     tick(0.9)
-    trimmed = clip(mesh, level)
-    # The cut only removes faces, so every vertex between two fans is on the border.
-    return to_manifold(trimmed, _mask(border_edges(trimmed.faces), len(trimmed.vertices)))
+    return clip_to_manifold(mesh, level)
 
 
 def _drop_specks(mesh: Mesh, support: Support, least: float, dropped: list[float]) -> tuple[Mesh, Ints]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from services.edge.arrays import Floats, Ints
+from services.edge.mesh.edges import border_edges
+from services.edge.mesh.manifold import to_manifold
 from services.edge.mesh.nouns import Mesh
 
 SNAP = 0.25  # of an edge: a cut this close to a vertex goes through it, or the border would be lined with slivers
@@ -32,6 +34,14 @@ def clip(mesh: Mesh, level: Floats) -> Mesh:
     ]
     joined = np.concatenate(faces)
     return Mesh(vertices, joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)])
+
+
+def clip_to_manifold(mesh: Mesh, level: Floats) -> Mesh:
+    """Clip a manifold mesh as `clip` does, and cut it where fans of faces then touch."""
+    clipped = clip(mesh, level)
+    at = np.zeros(len(clipped.vertices), bool)
+    at[border_edges(clipped.faces)] = True  # the cut only removes faces: every vertex between two fans is on the border
+    return to_manifold(clipped, at)
 
 
 def _snap(faces: Ints, level: Floats) -> Floats:

@@ -33,7 +33,7 @@ def vertex_normals(mesh: Mesh) -> Floats:
     weighted = _corner_angles(mesh)[:, :, None] * area_normal[:, None, :]
     corner = mesh.faces.ravel()
     flat = weighted.reshape(-1, 3)
-    summed = np.stack([np.bincount(corner, flat[:, axis], len(mesh.vertices)) for axis in range(3)], axis=1)
+    summed = sum_at_vertices(mesh.faces, flat, len(mesh.vertices))
     total = np.bincount(corner, np.linalg.norm(flat, axis=1), len(mesh.vertices))
     length = np.linalg.norm(summed, axis=1)
     cancelled = length <= 1e-6 * total  # rounding of a sum that should be zero
@@ -41,6 +41,13 @@ def vertex_normals(mesh: Mesh) -> Floats:
         summed[cancelled] = _largest_face_normal(mesh.faces, area_normal, cancelled)[cancelled]
     normals: Floats = summed / np.linalg.norm(summed, axis=1, keepdims=True)
     return normals
+
+
+def sum_at_vertices(faces: Ints, values: Floats, count: int) -> Floats:
+    """Sum values (3·F,3), one row for each corner of the faces (F,3), at each of `count` vertices: (count,3)."""
+    corner = faces.ravel()
+    summed: Floats = np.stack([np.bincount(corner, each, count) for each in values.T], axis=1)
+    return summed
 
 
 def split_flips(mesh: Mesh) -> Mesh:

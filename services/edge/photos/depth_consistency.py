@@ -12,7 +12,7 @@ from services.edge.photos.undistorted import UndistortedPhoto
 
 
 @dataclass(frozen=True, slots=True)
-class Tolerance:
+class DepthTolerance:
     """How far two views may differ about one surface.
 
     relative  largest relative difference of their depths
@@ -23,9 +23,9 @@ class Tolerance:
     back_px: float
 
 
-STRICT = Tolerance(0.006, 1.0)
+STRICT = DepthTolerance(0.006, 1.0)
 """The error of one pixel at the angles used for stereo."""
-LOOSE = Tolerance(0.012, 2.0)
+LOOSE = DepthTolerance(0.012, 2.0)
 """Twice as much: dark, smooth or furry surface that is matched less well."""
 
 

@@ -5,8 +5,10 @@ The body is streamed by our own code, so its OpenAPI schema is written here too.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from fastapi import APIRouter, Request
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from services.gateway.photo_boxes import BoxQuery, parse_box
 from services.gateway.schemas import problems
@@ -77,7 +79,7 @@ class OutlineView(BaseModel):
 
     inspected: bool
     kind: str
-    outline: list[list[tuple[float, float]]]
+    outline: list[list[Annotated[list[float], Field(min_length=2, max_length=2)]]]
     warnings: list[str]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 from collections.abc import Iterator
@@ -61,6 +62,11 @@ def _check(operation: schemathesis.APIOperation) -> None:
         )
 
     holds()
+
+
+def test_no_schema_is_a_tuple(api: schemathesis.BaseSchema) -> None:
+    # Many generators of clients, and the one above, do not know `prefixItems`.
+    assert "prefixItems" not in json.dumps(api.raw_schema)
 
 
 def test_every_route_says_what_it_is_for(api: schemathesis.BaseSchema) -> None:
