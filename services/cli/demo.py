@@ -27,8 +27,9 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # exits the `with` below: stops the stack
     out.mkdir(parents=True, exist_ok=True)
     key = key_from(capture) if capture else _KEY
-    source = capture or _simulate_capture(out)
-    with run_stack("127.0.0.1", _port(), out / "data") as stack:
+    with run_stack("127.0.0.1", _port(), out / "data", wait=False) as stack:
+        source = capture or _simulate_capture(out)  # while the services start
+        stack.wait_ready()
         cut = "auto" if capture else "object"
         job = push_capture(source, stack.url, key=key, label=key, options={"preset": _PRESET, "cut": cut})
         manifest = pull_asset(key, out / "asset", stack.url, cache=out / "cache")

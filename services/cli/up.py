@@ -48,15 +48,19 @@ def serve_together(host: str, port: int, data: Path) -> int:
 
 
 @contextmanager
-def run_stack(host: str, port: int, data: Path) -> Iterator[Stack]:
-    """Start both services, yield when they are ready, and stop them on exit. Raises BadInput."""
+def run_stack(host: str, port: int, data: Path, *, wait: bool = True) -> Iterator[Stack]:
+    """Start both services, yield when they are ready, and stop them on exit. Raises BadInput.
+
+    wait  False: yield at once; the caller waits with `Stack.wait_ready`
+    """
     port = port or free_port()
     _check_free(host, port)
     data.mkdir(parents=True, exist_ok=True)
     stack = Stack(host, port, data.resolve())
     try:
         stack.start()
-        stack.wait_ready()
+        if wait:
+            stack.wait_ready()
         yield stack
     finally:
         stack.stop()

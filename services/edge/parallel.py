@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from threading import Lock
 from typing import TypeVar
 
 from services.edge.arrays import Tick, no_tick
@@ -30,6 +33,42 @@ def in_threads(work: Callable[[In], Out], parts: Sequence[In], tick: Tick = no_t
         # After an exception (a cancelled job's tick raises) the parts that still wait must not run.
         pool.shutdown(cancel_futures=True)
     return results
+
+
+def one_ahead(work: Callable[[In], Out], parts: Iterable[In]) -> Iterator[Out]:
+    """Yield `work` of all parts in their order; a thread works on the next part while the caller uses this one."""
+    pool = ThreadPoolExecutor(1)
+    waiting: deque[Future[Out]] = deque()
+    try:
+        for part in parts:
+            waiting.append(pool.submit(work, part))
+            if len(waiting) > 1:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def shared_ticks(tick: Tick, count: int) -> list[Tick]:
+    """Make the ticks of `count` parts of the work that run at the same time: `tick` gets the mean of their fractions.
+
+    It is called by one thread at a time, and once it has raised, all of them raise the same.
+    """
+    fractions, raised, lock = [0.0] * count, list[BaseException](), Lock()
+
+    def report(number: int, fraction: float) -> None:
+        with lock:
+            if raised:
+                raise raised[0]
+            fractions[number] = fraction
+            try:
+                tick(sum(fractions) / count)
+            except BaseException as error:
+                raised.append(error)
+                raise
+
+    return [partial(report, number) for number in range(count)]
 
 
 def slices(count: int, size: int) -> list[slice]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from services.edge.arrays import Floats, Tick, part_of
 from services.edge.asset.manifest import AssetSubject
@@ -14,6 +15,7 @@ from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.export.usdz import to_usdz
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.simplify import lods
+from services.edge.parallel import in_threads, shared_ticks
 from services.edge.render.contact_sheet import render_sheet
 from services.edge.render.thumbnail import thumbnail, turning_preview
 from services.edge.texture.bake_normals import FullShape, bake_normals
@@ -104,8 +106,14 @@ def preview_images(levels: Sequence[Mesh | TexturedMesh], *, last: bool, tick: T
     """Render the preview images, by file name: contact sheet and thumbnail. For the job's last bundle also the turning
     preview and the USDZ file for iOS, which take two seconds. The middle level is fine enough for the small images."""
     middle = levels[len(levels) // 2]
-    files = {"preview.png": render_sheet(levels[0], tick=part_of(tick, 0, 0.6)), "thumbnail.webp": thumbnail(middle)}
+    drawn, turned = shared_ticks(tick, 2)
+    makers: dict[str, Callable[[], bytes]] = {
+        "preview.png": partial(render_sheet, levels[0], tick=drawn),
+        "thumbnail.webp": partial(thumbnail, middle),
+    }
     if last:
-        files["turning.webp"] = turning_preview(middle, tick=part_of(tick, 0.6, 1))
-        files["asset.usdz"] = to_usdz(middle)
-    return files
+        makers |= {
+            "turning.webp": partial(turning_preview, middle, tick=turned),
+            "asset.usdz": partial(to_usdz, middle),
+        }
+    return dict(zip(makers, in_threads(lambda make: make(), list(makers.values())), strict=True))

@@ -1,15 +1,20 @@
-"""Find the device that fields are trained on. Torch is imported only to look for a GPU."""
+"""Find the device that fields are trained on. Torch, which loads for a second, is imported only to look for a GPU."""
 
 from __future__ import annotations
 
 import os
 import re
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from services.edge.errors import EdgeError
 
 _NAME = re.compile(r"auto|cuda(:\d+)?", re.ASCII)
+
+_DRIVER_FILES = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")
+"""Of CUDA, of ROCm, and of either under WSL; containers that were given a GPU have them too."""
 
 _GPU_SHARE = 0.9
 """Share of a GPU's free memory, at the worker's start, for fits: kernels, context and fragments take the rest."""
@@ -33,6 +38,8 @@ def find_device(wanted: str) -> Device:
         return _cpu()
     if not _NAME.fullmatch(wanted):
         raise _absent(wanted, "devices are named cpu, cuda, cuda:N and auto")
+    if wanted == "auto" and not _may_have_gpu():
+        return _cpu()
     try:
         import torch
     except ImportError:
@@ -46,6 +53,11 @@ def find_device(wanted: str) -> Device:
     if number >= count:
         raise _absent(wanted, _why(torch, count))
     return _gpu(torch, number)
+
+
+def _may_have_gpu() -> bool:
+    """Return whether a driver that PyTorch can use may be there; on Linux each leaves a file."""
+    return sys.platform != "linux" or any(Path(file).exists() for file in _DRIVER_FILES)
 
 
 def _cpu() -> Device:

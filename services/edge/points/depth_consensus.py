@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from services.edge.arrays import Floats, Ints, Tick, no_tick
+from services.edge.parallel import in_threads, slices
 from services.edge.points.depth_limits import DepthView
 
 _MIN_GATE, _MAX_GATE = 0.004, 0.03
@@ -72,19 +73,19 @@ def vote_on_points(
     moved = np.zeros((len(xyz), 3), np.float32)
     weight = np.zeros(len(xyz), np.float32)
     agree, contradict = np.zeros(len(xyz), np.int32), np.zeros(len(xyz), np.int32)
-    starts = range(0, len(xyz), _CHUNK)
-    for number, table in enumerate(tables):
-        eye = _eye(table.view, origin)
-        for start in starts:
-            part = slice(start, start + _CHUNK)
-            points = xyz[part]
+
+    def vote(part: slice) -> None:
+        points = xyz[part]
+        for table, eye in zip(tables, eyes, strict=True):
             sighting = _sight(points, table, origin)
             index, shift, w = _select_agreeing(sighting, normal[part], table, gate)
             moved[part][index] += (w * shift)[:, None] * (points[index] - eye)
             weight[part][index] += w
             agree[part][index] += 1
             contradict[part][sighting.index[sighting.free > _FREE_SPACE_GATES * gate]] += 1
-        tick((number + 1) / len(tables))
+
+    eyes = [_eye(table.view, origin) for table in tables]
+    in_threads(vote, slices(len(xyz), _CHUNK), tick)
     return ViewAgreement(xyz + moved / np.maximum(weight, np.float32(1e-12))[:, None], agree, contradict)
 
 

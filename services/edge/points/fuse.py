@@ -15,6 +15,7 @@ import numpy as np
 
 from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick
 from services.edge.capture.nouns import Frame
+from services.edge.parallel import one_ahead
 from services.edge.points.depth_consensus import ViewAgreement, vote_on_points
 from services.edge.points.depth_limits import DepthView
 from services.edge.points.depth_range import MIN_PIXELS, survey_frames, too_few_pixels
@@ -69,7 +70,7 @@ class FusedPoints:
 def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no_tick) -> FusedPoints:
     """Fuse posed depth frames into points, `voxel` metres apart (None: derived from the pixels' size).
 
-    One frame is in memory at a time, besides the grid and at most `_VOTING_VIEWS` depth images. Raises CaptureError:
+    Two frames are in memory at a time, besides the grid and at most `_VOTING_VIEWS` depth images. Raises CaptureError:
     CAPTURE_TOO_FEW_POINTS where hardly any depth is usable, or the first one's error where more than MAX_BAD_SHARE of
     the depth images cannot be decoded.
     """
@@ -84,11 +85,15 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     sharpness: list[float] = []
     faults = FrameFaults()
     read = usable = 0
-    for number, frame in enumerate(frames):
+
+    def read_frame(frame: Frame) -> tuple[DepthView, Bytes | None] | None:
         view = faults.read_view(frame, survey.limits)
-        if view is None:
+        return None if view is None else (view, faults.read_picture(frame))
+
+    for number, (frame, found) in enumerate(zip(frames, one_ahead(read_frame, frames), strict=True)):
+        if found is None:
             continue
-        rgb = faults.read_picture(frame)
+        view, rgb = found
         samples, sharp = _observe(view, rgb, origin)
         used.append(frame if rgb is not None else replace(frame, load_rgb=None))
         sharpness.append(sharp)

@@ -12,6 +12,7 @@ import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.capture.nouns import Frame, Intrinsics, UpSource, certainty
+from services.edge.parallel import in_threads
 
 _PICTURES = 24
 """Most pictures that are searched, 20 ms each."""
@@ -61,17 +62,17 @@ def vertical_lines(frames: Sequence[Frame], held: Floats, within_deg: float) -> 
 def _segments(frames: Sequence[Frame]) -> tuple[Floats, Floats, Ints]:
     """Find line segments: unit normals (S,3) of their planes in the frame of the poses, lengths (S,) in shares of the
     picture's longer side, and the number (S,) of their picture."""
-    normals: list[Floats] = [np.zeros((0, 3))]
-    lengths: list[Floats] = [np.zeros(0)]
-    pictures: list[Ints] = [np.zeros(0, int)]
-    for number in np.unique(np.linspace(0, len(frames) - 1, _PICTURES).astype(int)):
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _PICTURES).astype(int)).tolist()
+
+    def segments_of(number: int) -> tuple[Floats, Floats, Ints]:
         frame = frames[number]
         if frame.load_rgb is None or frame.camera_to_world is None:
-            continue
+            return np.zeros((0, 3)), np.zeros(0), np.zeros(0, int)
         normal, length = _planes(frame.load_rgb(), frame.intrinsics)
-        normals.append(normal @ np.asarray(frame.camera_to_world, np.float64)[:3, :3].T)
-        lengths.append(length)
-        pictures.append(np.full(len(length), number))
+        turned = normal @ np.asarray(frame.camera_to_world, np.float64)[:3, :3].T
+        return turned, length, np.full(len(length), number)
+
+    normals, lengths, pictures = zip(*in_threads(segments_of, chosen), strict=True)
     return np.concatenate(normals), np.concatenate(lengths), np.concatenate(pictures)
 
 

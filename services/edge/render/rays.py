@@ -72,8 +72,9 @@ class Scene:
         return hit
 
     def _run(self, origins: Floats, directions: Floats, **options: object) -> Any:
-        starts = ((np.broadcast_to(origins, directions.shape) - self._centre) * self._scale).astype(np.float32)
-        return self._scene.run(starts, (directions * self._scale).astype(np.float32), **options)
+        centre = self._centre.astype(origins.dtype)
+        starts = ((np.broadcast_to(origins, directions.shape) - centre) * self._scale).astype(np.float32, copy=False)
+        return self._scene.run(starts, (directions * self._scale).astype(np.float32, copy=False), **options)
 
 
 def nearest_along(scene: Scene, places: Floats, normals: Floats, reach: float) -> Hits:

@@ -17,11 +17,12 @@ from scipy.ndimage import distance_transform_edt
 from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
 from services.edge.mesh.normals import face_normals, vertex_normals
 from services.edge.mesh.nouns import Mesh
-from services.edge.parallel import slices
+from services.edge.parallel import in_threads, slices
 from services.edge.render.rays import Scene
 from services.edge.srgb import to_srgb
 
 _BAND = 1 << 18  # texels looked up together: their rays take 50 MB, and a cancellation takes effect within a second
+_AT_ONCE = 1 << 16  # texels interpolated together: their arrays fit into the processor's cache
 _FIND_END, _LIGHT_END = 0.2, 0.9  # fractions of the time: finding texels, then their light; the rest fills the gaps
 
 LightAt = Callable[[Floats, Floats, Tick], Floats]
@@ -40,14 +41,16 @@ class Texels:
 def find_texels(faces: Ints, uv: Floats, side: int, tick: Tick = no_tick) -> Texels:
     """Find the texels of a texture of side × side whose centres lie on a chart; uv (V,2)."""
     scene = Scene(Mesh(np.concatenate([uv, np.zeros((len(uv), 1))], axis=1), faces))
-    ahead, found = np.array([[0.0, 0.0, 1.0]]), []
-    for part in slices(side * side, _BAND):
-        row, column = np.divmod(np.arange(part.start, part.stop), side)
+    ahead = np.array([[0.0, 0.0, 1.0]], np.float32)
+
+    def find(part: slice) -> tuple[Ints, Ints, Floats]:
+        row, column = np.divmod(np.arange(part.start, part.stop, dtype=np.int32), np.int32(side))
         start = np.stack([(column + 0.5) / side, (row + 0.5) / side, np.full(len(row), -1.0)], axis=1)
         hits = scene.cast(start, np.broadcast_to(ahead, start.shape))
         on = np.flatnonzero(hits.face >= 0)
-        found.append((on + part.start, hits.face[on], hits.bary[on]))
-        tick(part.stop / side**2)
+        return on + part.start, hits.face[on], hits.bary[on]
+
+    found = in_threads(find, slices(side * side, _BAND), tick)
     place, face, bary = (np.concatenate(each) for each in zip(*found, strict=True))
     return Texels(place, face, bary)
 
@@ -103,9 +106,17 @@ def interpolate(values: Floats, corners: Ints, weight: Floats) -> Floats:
 
 def positions_and_normals(mesh: Mesh, face: Ints, weight: Floats) -> tuple[Floats, Floats]:
     """Positions (N,3) and unit normals (N,3) of places on faces (N,) with weights (N,3) of their corners."""
-    corners = mesh.faces.take(face, axis=0)
-    place, normal = (interpolate(values, corners, weight) for values in (mesh.vertices, vertex_normals(mesh)))
-    return place, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    place, normal = np.empty((len(face), 3)), np.empty((len(face), 3))
+    normals = vertex_normals(mesh)
+
+    def fill(part: slice) -> None:
+        corners = mesh.faces.take(face[part], axis=0)
+        place[part] = interpolate(mesh.vertices, corners, weight[part])
+        mixed = interpolate(normals, corners, weight[part])
+        normal[part] = mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12)
+
+    in_threads(fill, slices(len(face), _AT_ONCE))
+    return place, normal
 
 
 def fill_unknown(picture: Bytes, known: Bools) -> Bytes:

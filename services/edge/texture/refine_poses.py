@@ -102,7 +102,7 @@ def _with_slopes(grey: Floats, blur: float) -> Floats:
 
     soft = cv2.GaussianBlur(grey, (0, 0), blur)
     slopes = [cv2.Scharr(soft, cv2.CV_32F, *order, scale=1 / 32) for order in ((1, 0), (0, 1))]
-    return np.dstack([soft, *slopes])
+    return np.asarray(cv2.merge([soft, *slopes]))
 
 
 def _sample(picture: PosedPicture, layers: Floats, places: Floats, seen: SeenPlaces) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.sampling import area
 from services.edge.mesh.simplify import simplify
-from services.edge.parallel import slices
+from services.edge.parallel import in_threads, shared_ticks, slices
 from services.edge.srgb import to_linear, to_srgb
 from services.edge.texture.bake import bake, interpolate, jpeg_of, random_places
 from services.edge.texture.nearest_colour import ColouredPoints
@@ -150,23 +151,25 @@ def texture_levels(
     A level with more triangles than can be unwrapped is simplified first: 50,000 triangles with the texture of a dense
     capture show more than 100,000 with vertex colours.
     """
-    assets: list[Mesh | TexturedMesh] = []
-    warnings: list[str] = []
-    for number, level in enumerate(levels):
-        begin, end = number / len(levels), (number + 1) / len(levels)
-        level_tick = part_of(tick, begin, end)
-        coarse = simplify(level, MOST_FACES, tick=part_of(tick, begin, begin))
-        assets.append(level)
-        if needs_texture(coarse, palette):
-            widest = texture_side(coarse, palette, most_px)
-            side = max(widest >> number, min(widest, _SMALLER_FROM))
-            make = partial(unwrap_and_bake, coarse, palette, encode=encode, tick=level_tick)
-            try:
-                assets[-1] = _make_largest(make, side, fits) if number == len(levels) - 1 else make(side=side)
-            except UnwrapError as error:
-                warnings.append(f"LOD {number} has no texture: {error}. It keeps its vertex colours.")
-        level_tick(1)
-    return tuple(assets), tuple(warnings)
+    ticks = shared_ticks(tick, len(levels))
+
+    def texture(number: int) -> tuple[Mesh | TexturedMesh, tuple[str, ...]]:
+        level, level_tick = levels[number], ticks[number]
+        coarse = simplify(level, MOST_FACES, tick=part_of(level_tick, 0, 0))
+        if not needs_texture(coarse, palette):
+            return level, ()
+        widest = texture_side(coarse, palette, most_px)
+        side = max(widest >> number, min(widest, _SMALLER_FROM))
+        make = partial(unwrap_and_bake, coarse, palette, encode=encode, tick=level_tick)
+        try:
+            return (_make_largest(make, side, fits) if number == len(levels) - 1 else make(side=side)), ()
+        except UnwrapError as error:
+            return level, (f"LOD {number} has no texture: {error}. It keeps its vertex colours.",)
+
+    # At the same time: half of a level's seconds, such as xatlas packing its charts, keep one core busy alone.
+    assets, warnings = zip(*in_threads(texture, range(len(levels))), strict=True)
+    tick(1)
+    return assets, tuple(chain.from_iterable(warnings))
 
 
 def _make_largest(make: Callable[..., TexturedMesh], side: int, fits: Callable[[TexturedMesh], bool]) -> TexturedMesh:
