@@ -36,7 +36,9 @@ CASES = (
     "rendered shell, 100 of 1280 x 960",
 )
 _SAMPLES = 200_000
-_SEEN_BY = 3  # photos, as many as have to agree about a point
+SEEN_BY = 3
+"""Photos that must see a part of a reference, as many as have to agree about a point."""
+
 _PIXELS = 160  # of the picture in which it is told what hides what: 200,000 samples leave no holes in it
 _BEHIND = 0.03  # of the thing's size: nearer behind a surface is itself, seen aslant
 
@@ -93,7 +95,10 @@ def _errors(xyz: Floats, frames: tuple[Frame, ...], photo_set: PhotoSet) -> dict
     normals = truth.face_normals[face]
     over = align_to_surface(xyz, surface, normals, laid)
     found = measure_overlay(over, surface, normals)
-    seen = sum(_sees(camera(frame.name), frame.intrinsics, surface) for frame in frames) >= _SEEN_BY
+    # In our cameras' frame, because theirs have another lens.
+    back, _, _ = trimesh.registration.procrustes(over, xyz, reflection=False)
+    shown_to = surface @ back[:3, :3].T + back[:3, 3]
+    seen = sum(is_seen(frame.camera_to_world, frame.intrinsics, shown_to) for frame in frames) >= SEEN_BY
     shown = measure_overlay(over, surface[seen], normals[seen])
     return {
         "median %": round(100 * found.median, 3),
@@ -104,7 +109,7 @@ def _errors(xyz: Floats, frames: tuple[Frame, ...], photo_set: PhotoSet) -> dict
     }
 
 
-def _sees(pose: Floats, camera: Intrinsics, surface: Floats) -> Bools:
+def is_seen(pose: Floats, camera: Intrinsics, surface: Floats) -> Bools:
     """(M,) which samples are nothing's back: no other lies before them in their pixel or beside it."""
     camera = camera.scaled_to(_PIXELS, round(_PIXELS * camera.height / camera.width))
     x, y, z = np.linalg.inv(pose)[:3] @ np.vstack([surface.T, np.ones(len(surface))])

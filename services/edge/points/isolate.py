@@ -9,6 +9,7 @@ import numpy as np
 from services.edge.arrays import Bools, Floats, Ints, Tick, no_tick, pick
 from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
+from services.edge.points.ground import Ground
 from services.edge.points.nouns import CutReport, Points
 from services.edge.points.outliers import label_components
 from services.edge.points.plane import Plane, largest_plane
@@ -37,6 +38,8 @@ _BOTTOM = 0.15
 """Lowest share of the height, in which the turntable's plate is searched."""
 _SLAB_SIGMAS = 4.0
 """Half the thickness removed with a plane, over the standard deviation of its points."""
+_BEND_SLABS = 2.0
+"""Most that the ground may bend away from the plane, over half the thickness removed with it."""
 _FLAT_SLABS = 3.0
 """An object lower than this many slabs is flat: 4 cm on a table that a phone measured with 3 mm of noise."""
 _LINK_SPACINGS = 4.0
@@ -88,7 +91,9 @@ def isolate_object(
         thing = _object_mask(xyz, everything, middle)
         warning = "" if turntable else "No table or floor was found below the thing; only separate parts were removed."
     else:
-        above = everything & (plane.height(xyz) > _half_slab(plane))
+        half = _half_slab(plane)
+        ground = Ground.about(plane, xyz[everything], half, _BEND_SLABS * half)
+        above = everything & (ground.height(xyz) > half)
         thing, warning = _object_mask(xyz, above, middle), ""
         if _is_flat(xyz[thing], plane) or thing.sum() < max(_MIN_POINTS, _MIN_SHARE * len(xyz)):
             thing, removed = _object_mask(xyz, everything, middle), None

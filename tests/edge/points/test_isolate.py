@@ -52,6 +52,17 @@ def test_the_table_goes_and_the_ball_stays(up: Floats | None, turn_deg: float) -
     assert len(points) > 0.9 * 6_000
 
 
+def test_ground_that_bends_goes() -> None:
+    table = trimesh.sample.sample_surface(plane(1.2, 1.2), 20_000, seed=1)[0]
+    table[:, 2] = 0.2 * table[:, 0] ** 2  # 7 cm at the sides: a plane leaves a strip of it, which touches the ball
+    middle = np.array([0.3, 0.0, 0.15 + 0.2 * 0.3**2])
+    ball = trimesh.sample.sample_surface(trimesh.creation.icosphere(4, 0.15), 6_000, seed=2)[0] + middle
+    both = np.concatenate([table, ball])
+    points = isolate(both + np.random.default_rng(0).normal(0, 0.002, both.shape))
+    assert np.abs(np.linalg.norm(points.xyz - middle, axis=1) - 0.15).max() < 0.01
+    assert len(points) > 0.85 * 6_000
+
+
 def test_clutter_goes() -> None:
     points = isolate(ball_on_table())
     assert off_ball(points.xyz).max() < 0.01
