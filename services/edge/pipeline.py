@@ -10,6 +10,7 @@ compare the two; where the trained field is worse, or fails, `PreviewKept` is yi
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -56,6 +57,10 @@ TEXTURED_STARTS = {"TEXTURING": 0.0, "PACKING": 0.8, "PUBLISHING": 0.95}
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.90, "PACKING": 0.97, "PUBLISHING": 0.99}
 PREVIEW_FINEST = 192  # most cells of a preview that a refined bundle follows: it must be there within seconds
 EXTRACT_SHARE = 0.4  # of the EXTRACTING stage's time is extraction, the rest is cleaning
+
+
+RefuseTraining = Callable[[Preset, int], str]
+"""Why a preset's training on that many points must not begin, such as too little memory; "" where it may."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +143,12 @@ def bundles(
     label: str = "",
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
+    refuse: RefuseTraining = lambda preset, points: "",
 ) -> Generator[Progress | Bundle | PreviewKept, None, None]:
     """Fit a field to points and yield its bundles: the second half of `reconstruct`, on the rest of the bar.
 
-    share  fraction of the whole bar at which the preview ends, where a training follows
+    share   fraction of the whole bar at which the preview ends, where a training follows
+    refuse  asked once the preset and the number of points are known, before anything is fitted
     """
     points, clock = prepared.points, Clock()
     clock.seconds.update(prepared.seconds)
@@ -149,7 +156,9 @@ def bundles(
         preset, because = _resolve_preset(preset, points, device)
         held_out = hold_out(len(points), sets=2 if _early_stop_steps(preset) else 1)
         inputs = downsample_points(points.subset(held_out == 0), preset.most_points)
-    share = share if preset.fit else 1.0
+    refusal = refuse(preset, len(inputs)) if preset.fit else ""
+    trains = preset.fit is not None and not refusal
+    share = share if trains else 1.0
     bar.set_range(PREVIEW_STARTS, bar.reached, share)
 
     yield bar.begin("FITTING", f"{len(inputs):,} points" + (f", preset {preset.name}: {because}" if because else ""))
@@ -165,13 +174,12 @@ def bundles(
         prepared.source, preset, because, label, target, fill, inputs, points, unit, xyz_unit, evidence
     )
 
-    finest = min(preset.finest, PREVIEW_FINEST) if preset.fit else preset.finest
+    finest = min(preset.finest, PREVIEW_FINEST) if trains else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
     levels = yield from colour_levels(preview, subject, clock, bar)
     pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode)
     pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
-    trains = preset.fit is not None
     if trains or points.texture_views:
         yield from pack_preview(last=False)
     if points.held_out_views:
@@ -181,7 +189,9 @@ def bundles(
     if not trains:
         bar.set_range(TEXTURED_STARTS, bar.reached, share)
         yield from pack_preview(last=True)
-    if preset.fit:
+    if refusal:
+        yield PreviewKept(_kept_warning(refusal), None, dict(clock.seconds))
+    if preset.fit and trains:
         bar.set_range(REFINED_STARTS, share, 1.0)
         fitted, fitted_noise = (xyz_unit, None) if preset.denoised else (measured, noise)
         watched = unit.to_unit(points.xyz[held_out == 2])
@@ -219,8 +229,10 @@ def _refinement(
         yield from keep_preview(_kept_warning(error.message, error.hints))
         return
     except MemoryError:
-        warning = _kept_warning("there was not enough memory for the refined one", ("choose a coarser preset",))
-        yield PreviewKept(warning, None, dict(clock.seconds))
+        why = _kept_warning("there was not enough memory for the refined one", ("choose a coarser preset",))
+        with suppress(MemoryError):  # textures take less than a training, but may take too much too
+            yield from pack_preview(last=True)
+        yield PreviewKept(why, None, dict(clock.seconds))
         return
     made = _compare_with_photos(made, subject, clock)
     made = replace(made, steps=trained.steps, losses=trained.losses, device=trained.device)

@@ -1,7 +1,8 @@
 """Costs of textures, level by level: seconds and CPU seconds of unwrapping, baking and encoding; held-out likeness.
 
 Preset `draft`, on the CPU. Each row in a process of its own. With `--old COMMIT` the same is measured in a worktree of
-that commit just before it, and the ratio of CPU seconds is shown: other work on the machine changes them little.
+that commit just before it, and the ratio of CPU seconds is shown: other work on the machine changes them little. Levels
+are textured one after another, not at the same time as in the product, so that each one's CPU seconds are known.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ class StageTimes:
             (texture_mesh, "jpeg_of", self._timed("encode")),
             (assemble, "pack_glb", self._pack),
         ]
+        if hasattr(texture_mesh, "in_threads"):  # of commits that texture all levels at the same time
+            wrapped.append((texture_mesh, "in_threads", lambda _: _one_after_another))
         before = [(module, name, getattr(module, name)) for module, name, _ in wrapped]
         try:
             for (module, name, wrap), (*_, function) in zip(wrapped, before, strict=True):
@@ -108,6 +111,11 @@ class StageTimes:
         figures[0] += time.perf_counter() - began
         figures[1] += cpu_seconds() - spent
         return result
+
+
+def _one_after_another(work: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
+    """Stand in for threads: CPU seconds are told of the process, not of a thread."""
+    return [work(part) for part in parts]
 
 
 def one(source: Path, preset: Preset | None = None) -> dict[str, Any]:
@@ -157,8 +165,11 @@ def lines_of(name: str, new: Mapping[str, Any], old: Mapping[str, Any] | None = 
         " → ".join("" if each[key] is None else f"{each[key]:.2f}" for each in ([old, new] if old else [new]))
         for key in ("psnr", "sharp")
     ]
-    spent = [f"{each:.1f}" + (f", × {each / was:.2f}" if old else "")
-             for each, was in zip(new["until"], before["until"], strict=False)]  # fmt: skip
+    # The last bundles are compared; those before them only where both commits publish as many.
+    ratios = [f", × {each / was:.2f}" for each, was in zip(new["until"], before["until"], strict=False)]
+    ratios = ratios if len(ratios) == len(new["until"]) else [f", × {new['until'][-1] / before['until'][-1]:.2f}"]
+    ratios = [""] * (len(new["until"]) - len(ratios)) + ratios if old else [""] * len(new["until"])
+    spent = [f"{each:.1f}{ratio}" for each, ratio in zip(new["until"], ratios, strict=True)]
     return [*lines, f"| {name}, CPU s to each bundle: {'; '.join(spent)} | | | | {' | '.join(likeness)} |"]
 
 

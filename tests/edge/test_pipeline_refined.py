@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from services.edge import pipeline
+from services.edge.asset import assemble
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.certificate import Certificate, QualityVerdict
 from services.edge.errors import EdgeError
@@ -174,7 +175,25 @@ def test_memory_that_does_not_suffice_keeps_the_preview(monkeypatch: pytest.Monk
         yield
 
     monkeypatch.setattr(fit_module, "fit_network", fails)
-    assert "memory" in kept(list(reconstruct(bowl(), TINY_PRESET))).warning
+    said = list(reconstruct(bowl(), TINY_PRESET))
+    assert_finished(bundles(said))
+    assert "memory" in kept(said).warning
+
+
+def test_memory_that_does_not_suffice_for_textures_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any, **__: Any) -> Iterator[Step]:
+        raise MemoryError
+        yield
+
+    monkeypatch.setattr(fit_module, "fit_network", fails)
+    monkeypatch.setattr(assemble, "add_textures", fails_at_once)
+    said = list(reconstruct(bowl(), TINY_PRESET))
+    assert [bundle.last for bundle in bundles(said)] == [False]
+    assert "memory" in kept(said).warning
+
+
+def fails_at_once(*_: Any, **__: Any) -> None:
+    raise MemoryError
 
 
 def test_a_full_gpu_halves_the_batch_then_trains_on_the_cpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -69,6 +69,8 @@ class FieldFitter:
             label=request.label,
             target=target_of(request.target),
             encode=self._encode,
+            # Somebody who named a preset wants to know that it needs more; the automatic one makes the best of it.
+            refuse=self._refusal if request.preset == AUTOMATIC else lambda preset, points: "",
         )
         publishing = 0.0
         warnings: Sequence[str] = ()
@@ -88,12 +90,10 @@ class FieldFitter:
                         # Only the preview tells how much memory the fit takes. A preview may come again after the fit.
                         if step.state == "preview" and not has_room:
                             too_large = self._too_large(step.manifest)
-                            if too_large and request.preset == AUTOMATIC:
-                                warnings = (*warnings, f"the preview was kept: {too_large.message}")
-                                break
-                            if too_large:
+                            if too_large and request.preset != AUTOMATIC:
                                 raise too_large
-                            reserved.enter_context(self._reserve_memory(step.manifest, report))
+                            if not too_large:
+                                reserved.enter_context(self._reserve_memory(step.manifest, report))
                             has_room = True
                     case PreviewKept():
                         warnings, computing = (*warnings, step.warning), step.seconds
@@ -120,18 +120,25 @@ class FieldFitter:
             message = "the result could not be written to the store"
             raise EdgeError("STORE_UNAVAILABLE", message, hints=("try again later",), retryable=True) from error
 
+    def _refusal(self, preset: Preset, points: int) -> str:
+        """Why a preset cannot be trained here on that many points: "" where the whole budget suffices."""
+        needed, total = self._bytes(preset, points), self._memory.total_bytes
+        if needed <= total:
+            return ""
+        return f"preset {preset.name} needs {needed:,} bytes for {points:,} points; this worker has {total:,}"
+
     def _too_large(self, manifest: Mapping[str, Json]) -> EdgeError | None:
         """The error MEMORY_EXCEEDED, where the fit after a preview needs more than the whole budget; else None."""
-        needed, total = self._fit_bytes(manifest), self._memory.total_bytes
-        if needed <= total:
+        points, total = int(manifest["points"]), self._memory.total_bytes
+        refusal = self._refusal(self._presets[manifest["preset"]], points)
+        if not refusal:
             return None
-        points = int(manifest["points"])
         small = [
             name for name, each in self._presets.items() if name != AUTOMATIC and self._bytes(each, points) <= total
         ]
         return EdgeError(
             "MEMORY_EXCEEDED",
-            f"preset {manifest['preset']} needs {needed:,} bytes for {points:,} points; this worker has {total:,}",
+            refusal,
             hints=(f"use one of: {', '.join(small)}", "or a worker with a larger EDGE_MEMORY"),
         )
 

@@ -331,5 +331,7 @@ async def test_what_never_fits_is_named_and_its_preview_stays(
         assert read_entry(store, "dome").state == "preview"
         chosen = (await client.ended(sent, job="job_2", asset_key="dome2", preset="auto"))[-1]
         assert "the preview was kept" in chosen.finished.warnings[-1]
+        files = json.loads(store.get(read_entry(store, "dome2").manifest))["files"]
+        assert "turning.webp" in {each["file"] for each in files}  # a whole last bundle, though nothing was trained
         with pytest.raises(grpc.aio.AioRpcError, match="MEMORY_EXCEEDED: preset cap-udf is not offered"):
             await client.ended(sent, job="job_3", preset="cap-udf")
