@@ -23,8 +23,9 @@ from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.voxel_grid import Samples, VoxelGrid, voxel_keys
 from services.edge.srgb import to_linear, to_srgb
 
-MAX_POINTS = 1_500_000
-"""Most voxels: with more, the voxel size grows. About 100 MB of sums."""
+MAX_POINTS = 3_000_000
+"""Most voxels: with more, the voxel size grows. About 200 MB of sums. Of 100 photos around a thing on the ground the
+surroundings fill 1.5 million, and with the coarser voxels the thing's median error was .088 % instead of .053."""
 _VOTING_VIEWS = 48
 """Views kept in memory for the vote: 48 of 256x192 are 50 MB; more of a walk around an object add little."""
 _VOXEL_PIXELS = 1.2
