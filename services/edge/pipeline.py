@@ -157,8 +157,8 @@ def bundles(
         held_out = hold_out(len(points), sets=2 if _early_stop_steps(preset) else 1)
         inputs = downsample_points(points.subset(held_out == 0), preset.most_points)
     refusal = refuse(preset, len(inputs)) if preset.fit else ""
-    trains = preset.fit is not None and not refusal
-    share = share if trains else 1.0
+    config = None if refusal else preset.fit
+    share = share if config else 1.0
     bar.set_range(PREVIEW_STARTS, bar.reached, share)
 
     yield bar.begin("FITTING", f"{len(inputs):,} points" + (f", preset {preset.name}: {because}" if because else ""))
@@ -174,28 +174,27 @@ def bundles(
         prepared.source, preset, because, label, target, fill, inputs, points, unit, xyz_unit, evidence
     )
 
-    finest = min(preset.finest, PREVIEW_FINEST) if trains else preset.finest
+    finest = min(preset.finest, PREVIEW_FINEST) if config else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
     levels = yield from colour_levels(preview, subject, clock, bar)
     pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode)
     pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
-    if trains or points.texture_views:
+    if config or points.texture_views:
         yield from pack_preview(last=False)
     if points.held_out_views:
         preview = _compare_with_photos(preview, subject, clock)
         quality = preview.quality(preset, clock.seconds)
         pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
-    if not trains:
+    if not config:
         bar.set_range(TEXTURED_STARTS, bar.reached, share)
         yield from pack_preview(last=True)
     if refusal:
         yield PreviewKept(_kept_warning(refusal), None, dict(clock.seconds))
-    if preset.fit and trains:
+    if config:
         bar.set_range(REFINED_STARTS, share, 1.0)
         fitted, fitted_noise = (xyz_unit, None) if preset.denoised else (measured, noise)
         watched = unit.to_unit(points.xyz[held_out == 2])
-        config = preset.fit
         if isinstance(config, NetworkConfig) and not len(watched):  # the cloud is too small to hold any out
             config = replace(config, patience=0)
         training = FieldTraining(fitted, fitted_noise, config, device, distance, xyz_unit, watched, checkpoint)
