@@ -79,7 +79,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
             allow_headers=["Content-Type", "Idempotency-Key", "Last-Event-ID"],
             expose_headers=["ETag", "Location", "X-Request-ID"],
         )
-    app.add_middleware(RequestMiddleware, metrics=metrics, max_upload_bytes=settings.max_upload_bytes)
+    app.add_middleware(RequestMiddleware, metrics=metrics, settings=settings)
     return app
 
 

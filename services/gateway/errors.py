@@ -1,7 +1,7 @@
 """Problem documents (RFC 9457): the JSON format of all errors that this service returns.
 
-Handles our own `Problem`, the framework's HTTP errors, and requests that do not match their schema. An unexpected
-exception tells the client nothing but a request id to quote.
+Handles our own `Problem`, the framework's HTTP errors, requests that do not match their schema, and a database that
+fails. An unexpected exception tells the client nothing but a request id to quote.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 
 MEDIA_TYPE = "application/problem+json"
 
 _SEE_OPENAPI = ("see /openapi.json",)
+RETRY_S = 10
+"""Seconds after which a request that failed for want of space or of the database may succeed."""
 _TRY_AGAIN = ("try again in a moment",)
 
 _log = logging.getLogger(__name__)
@@ -96,6 +99,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(Problem, _on_problem)
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
+    app.add_exception_handler(DBAPIError, _on_database_error)
 
 
 async def _on_problem(_: Request, error: Exception) -> JSONResponse:
@@ -119,6 +123,28 @@ async def _on_invalid_request(request: Request, error: Exception) -> JSONRespons
         return Problem(415, "REQUEST_MEDIA_TYPE", detail, hints=_SEE_OPENAPI).response()
     faults = tuple(f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}" for fault in error.errors())
     return Problem(422, "REQUEST_INVALID", "; ".join(faults), hints=_SEE_OPENAPI).response()
+
+
+async def _on_database_error(request: Request, error: Exception) -> JSONResponse:
+    """Answer for a jobs database that is locked, full or damaged. Nothing was written: a transaction is all or none."""
+    assert isinstance(error, DBAPIError)
+    _log.error("%s %s: the jobs database failed: %s", request.method, request.url.path, error.orig)
+    if "is full" in str(error.orig).lower() or "no space" in str(error.orig).lower():
+        return storage_full().response()
+    return Problem(
+        503,
+        "DATABASE_UNAVAILABLE",
+        "the jobs database is busy or cannot be used",
+        retryable=True,
+        headers={"Retry-After": str(RETRY_S)},
+    ).response()
+
+
+def storage_full() -> Problem:
+    """Return the problem for a server without space."""
+    detail = "the server's disk is full"
+    hints = ("try again later", "an operator must free space")
+    return Problem(507, "STORAGE_FULL", detail, retryable=True, hints=hints, headers={"Retry-After": str(RETRY_S)})
 
 
 def _is_json(request: Request) -> bool:

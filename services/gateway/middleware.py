@@ -1,5 +1,5 @@
-"""Middleware for every request: request id, limit of the body's size, security headers, metrics, log line, and a last
-handler of exceptions.
+"""Middleware for every request: request id, refusal of other sites' requests, limit of the body's size, security
+headers, metrics, log line, and a last handler of exceptions.
 
 Plain ASGI, because the framework's own middleware class buffers streams and hides disconnects.
 """
@@ -18,6 +18,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
+from services.gateway.same_site import SiteRules
+from services.gateway.settings import GatewaySettings
 from services.logs import request_id
 
 _JSON_BYTES = 64 << 10  # limit of a body that is no upload: a job request has a few hundred bytes
@@ -25,6 +27,12 @@ _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and heade
 _UPLOADS = ("/v1/captures", "/v1/outlines")
 _CLIENT_CLOSED = 499  # nginx's status for a client that disconnected before its answer; never sent, only counted
 _STREAM = "text/event-stream"
+# What the pages use, for themselves alone: the camera, tilt and turn of a phone, a headset.
+_PERMISSIONS = (
+    "camera=(self), accelerometer=(self), gyroscope=(self), magnetometer=(self), xr-spatial-tracking=(self), "
+    "microphone=(), geolocation=(), payment=(), usb=(), serial=(), bluetooth=(), display-capture=()"
+)
+_HSTS = "max-age=31536000"  # browsers ask by HTTPS for a year; subdomains are not ours to decide over
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 _log = logging.getLogger("services.gateway.requests")
@@ -45,10 +53,12 @@ class _Exchange:
 class RequestMiddleware:
     """The outermost layer of the app: adds ids and headers, limits bodies, counts and logs, answers all exceptions."""
 
-    def __init__(self, app: ASGIApp, *, metrics: Metrics, max_upload_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, *, metrics: Metrics, settings: GatewaySettings) -> None:
         self._app = app
+        self._sites = SiteRules.of(settings)
+        self._has_tls = settings.public_url.startswith("https://")  # by a proxy, which may not tell
         self._metrics = metrics
-        self._max_upload_bytes = max_upload_bytes
+        self._max_upload_bytes = settings.max_upload_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -81,6 +91,13 @@ class RequestMiddleware:
                 headers_out.setdefault("X-Content-Type-Options", "nosniff")
                 headers_out.setdefault("Referrer-Policy", "no-referrer")
                 headers_out.setdefault("X-Request-ID", identity)
+                headers_out.setdefault("Permissions-Policy", _PERMISSIONS)
+                headers_out.setdefault("Cross-Origin-Opener-Policy", "same-origin")
+                # What any origin's pages may read, they may also show: the other answers stay in this site.
+                shared = headers_out.get("access-control-allow-origin") == "*"
+                headers_out.setdefault("Cross-Origin-Resource-Policy", "cross-origin" if shared else "same-origin")
+                if self._has_tls or scope["scheme"] == "https":
+                    headers_out.setdefault("Strict-Transport-Security", _HSTS)
                 exchange.streamed = headers_out.get("content-type", "").startswith(_STREAM)
             await send(message)
 
@@ -90,6 +107,7 @@ class RequestMiddleware:
                 await send_with_headers(message)
 
         try:
+            self._sites.check(scope["method"], headers)
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
             await self._app(scope, receive_counted, send_unless_too_large)

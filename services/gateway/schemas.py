@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from services.gateway.jobs.job import Job, Order, State
+from services.gateway.one_line import one_line
 from services.gateway.worker_types import WorkerPreset
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
@@ -36,7 +37,11 @@ class JobRequest(BaseModel):
         str, Field(max_length=200, description="Key by which VR clients find the asset: letters, digits and ._-")
     ]
     preset: Annotated[str, Field(max_length=100, description="A name from GET /v1/presets; empty: the default.")] = ""
-    label: Annotated[str, Field(max_length=200, description="A name for people; empty: the asset key.")] = ""
+    label: Annotated[
+        str,
+        Field(max_length=200, description="A name for people; empty: the asset key."),
+        AfterValidator(one_line),
+    ] = ""
     target: Annotated[
         str, Field(max_length=100, description="Device class whose budget the levels of detail must meet; empty: none.")
     ] = ""
@@ -210,18 +215,28 @@ class JobPage(BaseModel):
 
 class PresetView(BaseModel):
     """A preset. `memory_bytes` is the most memory that its job takes on a worker; `trained`: whether a refined version
-    follows the preview.
+    follows the preview; `literature`: whether it is a published method, to compare with, whose own mesh is published
+    whatever the verdict; `takes`: the time that it takes, for people, empty where that is minutes or less.
     """
 
     name: str
     summary: str
     trained: bool
     memory_bytes: int
+    literature: bool
+    takes: str
 
     @classmethod
     def of(cls, preset: WorkerPreset) -> PresetView:
         """Convert a worker's preset."""
-        return cls(name=preset.name, summary=preset.summary, trained=preset.trained, memory_bytes=preset.memory_bytes)
+        return cls(
+            name=preset.name,
+            summary=preset.summary,
+            trained=preset.trained,
+            memory_bytes=preset.memory_bytes,
+            literature=preset.literature,
+            takes=preset.takes,
+        )
 
 
 class Presets(BaseModel):
@@ -230,7 +245,16 @@ class Presets(BaseModel):
     model_config = ConfigDict(
         json_schema_extra={
             "example": {
-                "presets": [{"name": "draft", "summary": "no training", "trained": False, "memory_bytes": 300000000}],
+                "presets": [
+                    {
+                        "name": "draft",
+                        "summary": "no training",
+                        "trained": False,
+                        "memory_bytes": 300000000,
+                        "literature": False,
+                        "takes": "",
+                    }
+                ],
                 "default": "draft",
             }
         }

@@ -24,6 +24,8 @@ class GatewaySettings(StrictSettings):
     edge_token: SecretStr = SecretStr("")  # the workers' EDGE_TOKEN; needs edge_ca
     public_url: str = ""  # URL by which phones and headsets reach this gateway; empty: the one of the request
     database_url: str = ""  # empty: SQLite in data_dir
+    # Host names by which clients may reach this gateway, besides addresses, local names and public_url's; "*" for all.
+    allowed_hosts: CommaList = ()
     cors_origins: CommaList = ()  # origins whose pages may call the API (CORS); "*" for all
     log_level: str = Field(default="INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$")
 

@@ -28,6 +28,7 @@ async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
         assert {name: check["ok"] for name, check in checks.items()} == {
             "store": True,
             "database": True,
+            "disk": True,
             "workers": False,
         }
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
@@ -42,7 +43,14 @@ async def test_presets_are_those_of_the_workers(tmp_path: Path) -> None:
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "other", store, port) as client:
         assert await _presets(client) == (["draft", "fine"], "draft")
         told = (await client.get("/v1/presets")).json()["presets"][0]
-        assert told == {"name": "draft", "summary": "quick", "trained": False, "memory_bytes": 7}
+        assert told == {
+            "name": "draft",
+            "summary": "quick",
+            "trained": False,
+            "memory_bytes": 7,
+            "literature": False,
+            "takes": "",
+        }
 
 
 async def _presets(client: httpx.AsyncClient) -> tuple[list[str], str]:

@@ -26,7 +26,7 @@ from services.gateway.jobs.row_mapping import (
     lease_values,
 )
 from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
-from services.gateway.jobs.tables import events, for_writing, idempotency, jobs, leases
+from services.gateway.jobs.tables import brief_wait, events, for_writing, idempotency, jobs, leases
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
 _RUNS = [state.value for state in RUNNING_STATES]
@@ -92,6 +92,11 @@ class JobStore:
         with self._engine.begin() as db:
             found = {State(state): count for state, count in db.execute(select)}
         return {state: found.get(state, 0) for state in State}
+
+    def check_writable(self) -> None:
+        """Take the lock of a writer, and let it go. Raises sqlalchemy.exc.DBAPIError where that fails."""
+        with self._writer.connect() as db, brief_wait(db), db.begin():
+            pass
 
     def change(self, job: str, transition: Callable[[Job], Change]) -> Job:
         """Apply a transition to a job and store the result; nothing if it raises. Raises Problem JOB_UNKNOWN."""

@@ -6,6 +6,8 @@ BEGIN, because a transaction that reads first and writes later fails at once ins
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import sqlalchemy as sa
@@ -69,6 +71,7 @@ idempotency = sa.Table(
     sa.Column("job", sa.ForeignKey("jobs.id"), nullable=False),
 )
 
+_CHECK_MS = 1_000  # wait of a health check
 _BUSY_MS = 10_000  # wait for the lock: other processes hold it for a synced commit; longer than 10 s is a fault
 
 
@@ -85,6 +88,20 @@ def open_engine(url: str) -> Engine:
 def for_writing(engine: Engine) -> Engine:
     """Return the engine with transactions that take SQLite's write lock at BEGIN."""
     return engine.execution_options(writes=True)
+
+
+@contextmanager
+def brief_wait(db: Connection) -> Iterator[None]:
+    """Wait only a moment for SQLite's lock, on this connection: whoever asks whether the database can be written."""
+    if db.dialect.name != "sqlite":
+        yield
+        return
+    raw: Any = db.connection.dbapi_connection
+    raw.execute(f"PRAGMA busy_timeout={_CHECK_MS}")
+    try:
+        yield
+    finally:
+        raw.execute(f"PRAGMA busy_timeout={_BUSY_MS}")
 
 
 def _prepare(connection: Any, _: Any) -> None:

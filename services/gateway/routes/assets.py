@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import logging
 from collections.abc import Callable
 from typing import Annotated
 from urllib.parse import urljoin
@@ -19,11 +20,14 @@ from services.gateway.routes.http_ranges import etag_matches
 from services.gateway.routes.store_access import ANY_ORIGIN, gateway_url, in_thread, object_url, store_of
 from services.gateway.schemas import problems
 from services.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
+from services.storage.catalogue.faults import CatalogueFault
 from services.storage.catalogue.removal import remove, restore
 from services.storage.catalogue.signing import Keys
 from services.storage.store import NO_CACHE, Store
 
 router = APIRouter(prefix="/v1", tags=["assets"])
+
+_log = logging.getLogger(__name__)
 
 _QR_SCALE, _QR_BORDER = 8, 4  # pixels per module; the quiet zone that ISO/IEC 18004 asks for
 
@@ -50,10 +54,13 @@ class AssetSummary(BaseModel):
 
 
 class AssetPage(BaseModel):
-    """A page of assets, sorted by key. `next` is the value of `after` for the next page; null on the last page."""
+    """A page of assets, sorted by key. `next` is the value of `after` for the next page; null on the last page.
+    `damaged` names the assets that were skipped because their catalogue entries cannot be read.
+    """
 
     assets: list[AssetSummary]
     next: str | None
+    damaged: list[str]
 
 
 class AssetRemovalView(BaseModel):
@@ -76,9 +83,9 @@ async def list_assets(
         hints = ("use the `next` of the previous page",)
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
     store = store_of(request)
-    entries = await in_thread(lambda: _entries(store, after, limit))
+    entries, damaged = await in_thread(lambda: _entries(store, after, limit))
     last = entries[-1].key if len(entries) == limit else None
-    return AssetPage(assets=[_summary(request, each) for each in entries], next=last)
+    return AssetPage(assets=[_summary(request, each) for each in entries], next=last, damaged=damaged)
 
 
 @router.get("/assets/{key}", responses={200: {"content": {"application/json": {}}}, **problems(404, 410, 422, 503)})
@@ -179,13 +186,24 @@ def _unknown(key: str) -> Problem:
     return Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints)
 
 
-def _entries(store: Store, after: str, limit: int) -> list[Entry]:
-    """Read at most `limit` entries with keys behind `after`, skipping removed assets."""
+def _entries(store: Store, after: str, limit: int) -> tuple[list[Entry], list[str]]:
+    """Read at most `limit` entries with keys behind `after`, skipping removed assets; also the keys of damaged ones."""
     found: list[Entry] = []
+    damaged: list[str] = []
     while len(found) < limit and (keys := list_keys(store, after=after, limit=limit - len(found))):
-        found += [each for each in (read_entry(store, key) for key in keys) if not each.removed]
+        for key in keys:
+            try:
+                entry = read_entry(store, key)
+            except FileNotFoundError:
+                continue  # deleted since the keys were listed
+            except CatalogueFault as fault:
+                _log.warning("asset %s is not listed: %s", key, fault)
+                damaged.append(key)
+                continue
+            if not entry.removed:
+                found.append(entry)
         after = keys[-1]
-    return found
+    return found, damaged
 
 
 def _summary(request: Request, found: Entry) -> AssetSummary:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pathlib
+import re
 from collections.abc import AsyncIterator
 
 import anyio
@@ -15,13 +16,14 @@ from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches
 from services.gateway.routes.store_access import ANY_ORIGIN, in_thread, store_of
 from services.gateway.schemas import problems
 from services.storage.local import LocalStore
-from services.storage.store import Head
+from services.storage.store import NO_CACHE, Head
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 
 # As in the bucket's policy: files that are addressed by their hash, and signed collections. Captures are private (they
 # show people's rooms): only workers get them. So are entries under catalog/: /v1/assets returns their public part.
 _PUBLIC = ("assets/", "collections/")
+_HASH = re.compile(r"\.([0-9a-f]{64})(\.[^./]*)?$")
 _READ_BYTES = 256 << 10  # per read from the disk
 
 
@@ -38,6 +40,8 @@ async def get_file(name: str, request: Request) -> Response:
         raise _unknown_file() from None
     if not name.startswith("assets/"):
         return await _small_file(store, head, request)
+    if not _is_intact(head):
+        raise _damaged_file(head.name)
     return await _large_file(store, head, request)
 
 
@@ -81,6 +85,21 @@ async def _blocks(path: pathlib.Path, start: int, end: int) -> AsyncIterator[byt
 
 def _file_headers(head: Head, etag: str) -> dict[str, str]:
     return {"ETag": f'"{etag}"', "Cache-Control": head.cache_control, **ANY_ORIGIN}
+
+
+def _is_intact(head: Head) -> bool:
+    """Whether an asset's file is still that of the hash in its name. A local store's etag is the content's hash, and
+    is computed again for a file that has changed.
+    """
+    named = _HASH.search(head.name)
+    return named is None or named[1] == head.etag
+
+
+def _damaged_file(name: str) -> Problem:
+    hints = ("publish the asset again, or restore the file from a backup",)
+    detail = "the stored file is not the one that was published"
+    headers = {"Cache-Control": NO_CACHE, **ANY_ORIGIN}
+    return Problem(503, "FILE_DAMAGED", detail, file=pathlib.PurePosixPath(name).name, hints=hints, headers=headers)
 
 
 def _unknown_file() -> Problem:

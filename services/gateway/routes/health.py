@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import Awaitable
+from pathlib import Path
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
@@ -11,9 +13,12 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from services.gateway.jobs.store import JobStore
 from services.gateway.schemas import Check, Readiness
 from services.gateway.worker_client import WorkerPool
+from services.storage.local import LocalStore
+from services.storage.store import Store
 
 router = APIRouter(tags=["health"])
 
+_LEAST_FREE = 64 << 20  # bytes: below it the database's log and a small upload may no longer fit
 _CHECK_S = 2.0  # timeout of one check: orchestrators ask every few seconds and wait about as long
 
 
@@ -25,12 +30,16 @@ async def livez() -> Response:
 
 @router.get("/readyz", response_model=Readiness, responses={503: {"model": Readiness}})
 async def readyz(request: Request, response: Response) -> Readiness:
-    """Readiness check: 200 if the store, the database and at least one worker answer (jobs can run), else 503."""
+    """Readiness check: 200 if jobs can run, else 503.
+
+    The store, the database, for writing too, and at least one worker must answer, and the disks have space.
+    """
     state = request.app.state
-    names = ("store", "database", "workers")
+    names = ("store", "database", "disk", "workers")
     found = await asyncio.gather(
         _check(asyncio.to_thread(state.store.list, "catalog/", limit=1)),
-        _check(state.job_store.read(JobStore.count_by_state)),
+        _check(state.job_store.read(JobStore.check_writable)),
+        asyncio.to_thread(_disk, [state.settings.data_dir, *_folders(state.store)]),
         _workers(state.workers),
     )
     checks = dict(zip(names, found, strict=True))
@@ -58,6 +67,15 @@ async def _check(question: Awaitable[object]) -> Check:
     except Exception as error:  # noqa: BLE001 - whatever it is, the gateway is not ready; its type is reported
         return Check(ok=False, detail=type(error).__name__)
     return Check(ok=True, detail="answers")
+
+
+def _folders(store: Store) -> list[Path]:
+    return [store.root] if isinstance(store, LocalStore) else []
+
+
+def _disk(folders: list[Path]) -> Check:
+    free = min(shutil.disk_usage(folder).free for folder in folders)
+    return Check(ok=free >= _LEAST_FREE, detail=f"{free / 1e9:.1f} GB are free")
 
 
 async def _workers(workers: WorkerPool) -> Check:

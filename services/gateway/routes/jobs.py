@@ -108,7 +108,8 @@ async def cancel_job(job: str, request: Request) -> JobView:
     response_class=EventSourceResponse,
     responses={
         200: {
-            "description": "Server-sent events `progress`, `published`, `state` and `heartbeat` with JSON data; the "
+            "description": "Server-sent events `progress`, `anchors` (a few points, before there is a mesh), "
+            "`published`, `state` and `heartbeat` with JSON data; the "
             "stream ends after the job's final `state`",
             "content": {
                 "text/event-stream": {

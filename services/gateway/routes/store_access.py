@@ -30,7 +30,7 @@ async def in_thread(work: Callable[[], _T]) -> _T:
         raise
     except CatalogueFault as fault:
         hints = (fault.hint,) if fault.hint else ()
-        title = "The collection cannot be used"
+        title = "The catalogue cannot be used"
         raise Problem(503, fault.code, f"{fault.name}: {fault.message}", title=title, hints=hints) from fault
     except OSError as error:
         raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error

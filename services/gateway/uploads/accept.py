@@ -21,9 +21,10 @@ import anyio.to_thread
 from anyio import CapacityLimiter
 from starlette.requests import Request
 
-from services.gateway.errors import Problem
+from services.gateway.errors import Problem, storage_full
 from services.gateway.jobs.capture_objects import capture_name, receipt_name
 from services.gateway.jobs.collection_choice import require_collection
+from services.gateway.one_line import one_line
 from services.gateway.settings import GatewaySettings
 from services.gateway.uploads.receive import ReceivedUpload, UploadLimits, receive, too_many_files
 from services.gateway.uploads.validate import FileReport, validate
@@ -108,7 +109,7 @@ class Uploads:
             yield packed, inspection
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise _storage_full() from None
+                raise storage_full() from None
             raise
         finally:
             # In a thread, because deleting thousands of files takes a while; shielded, so that a client's disconnect
@@ -120,7 +121,7 @@ class Uploads:
         length = request.headers.get("content-length", "")
         declared = int(length) if length.isascii() and length.isdigit() else 0
         if declared * _COPIES > shutil.disk_usage(self._staging).free:
-            raise _storage_full()
+            raise storage_full()
 
     async def _store_capture(self, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
         """Store the archive, then its receipt: a receipt on the store means that the capture is complete."""
@@ -164,6 +165,10 @@ def _check_and_pack(received: ReceivedUpload, folder: Path, limits: UploadLimits
         raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose at least one file",))
     if collection := received.fields.get("collection", ""):
         require_collection(collection, "change the field `collection`, or leave it out")
+    try:
+        name = one_line(received.fields.get("name", "")[:200])
+    except ValueError as error:
+        raise Problem(422, "NAME_INVALID", str(error), hints=("change the field `name`",)) from None
     source, names = received.folder, received.files
     if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
         client_name = names[0] if received.has_client_names else ""
@@ -173,7 +178,7 @@ def _check_and_pack(received: ReceivedUpload, folder: Path, limits: UploadLimits
     pack(source, archive)
     with archive.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return _PackedCapture(archive, sha256, received.fields.get("name", "")[:200], collection, verdicts)
+    return _PackedCapture(archive, sha256, name, collection, verdicts)
 
 
 def _unpack(archive: Path, into: Path, limits: UploadLimits, client_name: str) -> list[str]:
@@ -217,11 +222,6 @@ def _receipt(capture: str, packed: _PackedCapture, inspection: Inspection | None
 
 def _json_bytes(receipt: dict[str, Any]) -> bytes:
     return json.dumps(receipt, ensure_ascii=False, separators=(",", ":")).encode()
-
-
-def _storage_full() -> Problem:
-    detail = "the server's disk has no space for the upload"
-    return Problem(507, "STORAGE_FULL", detail, retryable=True, hints=("try again later",))
 
 
 def _remove_abandoned(staging: Path) -> None:

@@ -9,9 +9,22 @@ from dataclasses import dataclass
 from typing import Any
 
 from services.storage.bundle import Json
+from services.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
 from services.storage.store import Head, Store
 
 _KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_FIELDS = {
+    "version": int,
+    "state": str,
+    "updated": str,
+    "label": str | None,
+    "manifest": dict,
+    "preview": dict | None,
+    "lods": list,
+    "files": list,
+    "versions": list,
+}
+"""Fields of an entry, and what they hold."""
 _PREFIX, _SUFFIX = "catalog/", ".json"
 
 DEFAULT_COLLECTION = "default"
@@ -88,12 +101,28 @@ def alias_name(key: str) -> str:
 
 
 def read_entry(store: Store, key: str) -> Entry:
-    """Read the catalogue entry of a key. Raises FileNotFoundError when nothing was published under it."""
+    """Read the catalogue entry of a key.
+
+    Raises FileNotFoundError when nothing was published under it, CatalogueFault for an entry that is damaged.
+    """
     name = entry_name(key)
     # The etag is read before the content: if somebody writes in between, the etag is the older one and a conditional
     # put with it is refused. The other order would overwrite what was never read.
     etag = store.head(name).etag
-    return Entry(key, etag, json.loads(store.get(name)))
+    return Entry(key, etag, _parse(name, store.get(name)))
+
+
+def _parse(name: str, data: bytes) -> dict[str, Json]:
+    try:
+        document = json.loads(data)
+    except ValueError:
+        document = None
+    if isinstance(document, dict) and all(isinstance(document.get(each), kind) for each, kind in _FIELDS.items()):
+        files = [document["manifest"], *document["lods"], *document["files"]]
+        if all(isinstance(file, dict) and isinstance(file.get("name"), str) for file in files):
+            return document
+    hint = "restore this object from a backup; the asset's files are still below assets/"
+    raise CatalogueFault(ENTRY_DAMAGED, name, "the asset's catalogue entry is damaged", hint=hint)
 
 
 def list_keys(store: Store, *, after: str = "", limit: int = 100) -> list[str]:

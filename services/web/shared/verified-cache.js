@@ -33,14 +33,38 @@ async function fetchFile(file) {
   // The browser's own cache may have rotted too: a wrong file is asked for once more, from the server.
   for (const cache of /** @type {const} */ (['default', 'reload'])) {
     const { response, bytes } = await fetchBytes(file.url, { cache });
+    if (isDamaged(response.status, bytes)) throw tampered(file);
     if (!response.ok) {
       const hints = ['Try again later.'];
       throw new Problem({ code: 'ASSET_ABSENT', status: response.status, detail: `${file.file} is not where the catalogue says.`, hints });
     }
     if (await hasHash(bytes, file.sha256)) return bytes;
   }
+  throw tampered(file);
+}
+
+/**
+ * Whether the server answered that its file is no longer the one that was published.
+ * @param {number} status
+ * @param {ArrayBuffer} body
+ * @returns {boolean}
+ */
+function isDamaged(status, body) {
+  if (status !== 503) return false;
+  try {
+    return JSON.parse(new TextDecoder().decode(body)).code === 'FILE_DAMAGED';
+  } catch {
+    return false; // a proxy's page
+  }
+}
+
+/**
+ * @param {CatalogueFile} file
+ * @returns {Problem}
+ */
+function tampered(file) {
   const hints = ['It was changed on its way or at its place. Tell whoever runs this server.'];
-  throw new Problem({ code: 'ASSET_TAMPERED', detail: `${file.file} is not what the catalogue promises, so it is not shown.`, hints });
+  return new Problem({ code: 'ASSET_TAMPERED', detail: `${file.file} is not what the catalogue promises, so it is not shown.`, hints });
 }
 
 /**

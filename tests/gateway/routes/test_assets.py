@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,7 @@ async def test_addresses_are_public_ones_where_there_are_any(tmp_path: Path, loc
 async def test_assets_are_listed_in_pages(tmp_path: Path) -> None:
     store = MemoryStore()
     gateway = client(tmp_path, store)
-    assert (await gateway.get("/v1/assets")).json() == {"assets": [], "next": None}
+    assert (await gateway.get("/v1/assets")).json() == {"assets": [], "next": None, "damaged": []}
     keys = [f"k{n}" for n in range(5)]
     for key in keys:
         publish(bundle(label=""), store, key=key)
@@ -258,3 +259,35 @@ def test_no_header_breaks_the_parsers(header: str) -> None:
     except UnsatisfiableError:
         return
     assert part is None or 0 <= part[0] < part[1] <= 10
+
+
+@pytest.mark.parametrize("damage", [b"{", b"", b"[]", b"null", b'{"version": 1}', b"\xff\xfe"])
+async def test_a_damaged_entry_is_skipped_and_named(damage: bytes, tmp_path: Path) -> None:
+    store = MemoryStore()
+    for key in ("bag", "dress", "shoe"):
+        publish(bundle(), store, key=key, job=f"job_{key}")
+    store.put("catalog/dress.json", damage, content_type="application/json")
+    gateway = client(tmp_path, store)
+    page = (await gateway.get("/v1/assets")).json()
+    assert ([each["key"] for each in page["assets"]], page["damaged"]) == (["bag", "shoe"], ["dress"])
+    first = (await gateway.get("/v1/assets?limit=1")).json()
+    second = (await gateway.get(f"/v1/assets?limit=1&after={first['next']}")).json()
+    assert ([each["key"] for each in second["assets"]], second["damaged"]) == (["shoe"], ["dress"])
+    alone = await gateway.get("/v1/assets/dress")
+    assert (alone.status_code, alone.json()["code"]) == (503, "ENTRY_DAMAGED")
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"X" + data[1:], lambda data: b""])
+async def test_a_file_that_was_altered_or_cut_is_not_served(damage: Callable[[bytes], bytes], tmp_path: Path) -> None:
+    store = LocalStore(tmp_path / "objects")
+    publish(bundle(), store, key="dress", job="job_1")
+    file = read_entry(store, "dress").document["lods"][0]
+    gateway = client(tmp_path, store)
+    intact = await gateway.get(f"/v1/files/{file['name']}")
+    assert (intact.status_code, intact.headers["cache-control"]) == (200, IMMUTABLE)
+    path = store.path(file["name"])
+    path.write_bytes(damage(path.read_bytes()))
+    for headers in ({}, {"Range": "bytes=0-3"}, {"If-None-Match": intact.headers["etag"]}):
+        answer = await gateway.get(f"/v1/files/{file['name']}", headers=headers)
+        assert (answer.status_code, answer.json()["code"]) == (503, "FILE_DAMAGED")
+        assert "immutable" not in answer.headers["cache-control"]

@@ -167,7 +167,7 @@ async def test_pages_of_assets_skip_what_was_removed(gateway: httpx.AsyncClient)
     assert ([each["key"] for each in first["assets"]], first["next"]) == (["shoe"], "shoe")
     await gateway.post("/v1/assets/sofa/remove")
     second = (await gateway.get("/v1/assets", params={"limit": 1, "after": "shoe"})).json()
-    assert second == {"assets": [], "next": None}
+    assert second == {"assets": [], "next": None, "damaged": []}
 
 
 @pytest.mark.parametrize("name", ["-a", ".a", "..%5ca", "a%20b", "%C3%A4", "x" * 150, "%F0%9F%91%9F"])

@@ -174,6 +174,16 @@ def test_a_picture_that_was_changed_is_not_shown(page: Page, shelf: Site) -> Non
         picture.write_bytes(content)
 
 
+def test_a_picture_that_was_changed_on_its_way_is_not_shown(browser: Browser, shelf: Site) -> None:
+    with browser.new_context(service_workers="block") as context:  # a worker's own requests pass the route by
+        page = context.new_page()
+        content = picture_of(BLUE, kind="PNG")
+        page.route("**/preview*.png", lambda route: route.fulfill(body=content, content_type="image/png"))
+        visit(page, shelf)
+        expect(page.locator("[data-key=shoe] .facts")).to_contain_text("not what the catalogue promises")
+        assert page.locator("[data-key=shoe] img").get_attribute("src") is None
+
+
 @pytest.fixture
 def page_with_a_past(browser: Browser) -> Iterator[Page]:
     """A page of a browser that keeps what pages keep."""
