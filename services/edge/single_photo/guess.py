@@ -1,11 +1,12 @@
 """Guess points all around the thing in one photo. The result is marked as a guess.
 
-The thing is cut out and shown to the network, as it is and mirrored. Each of these views gives 1,024 points; together
-they are dense enough for a mesh, and where the views disagree the confidence is low.
+The thing is cut out and shown to the network, as it is and mirrored. Each of these views gives 1,024 points, which are
+densified to about 3,700; together they are dense enough for a mesh, and where the views disagree the confidence is low.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +19,7 @@ from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick
 from services.edge.capture.nouns import Photo
 from services.edge.single_photo.camera import FILL, SIDE, project
 from services.edge.single_photo.cutout import CutOut, crop_square, cut_out
+from services.edge.single_photo.densify import densify
 from services.edge.single_photo.test_time_views import predict_from_views
 from services.edge.single_photo.weights import shipped_pixels
 from services.photo_box import PhotoBox
@@ -35,7 +37,7 @@ class Guess:
     """Points of a thing in a frame of its own: y up, the camera on the side of +z, the bounding box centred at 0, its
     longest side 1, which stands for a metre because the true size is unknown.
 
-    xyz         (N,3) float64, N about 2,000
+    xyz         (N,3) float64, N about 7,500
     rgb         (N,3) uint8 sRGB: of the pixel that shows the point, or of the nearest visible point
     confidence  (N,) float32 in [0, MOST_CONFIDENT]
     warnings    sentences on how the thing was cut out
@@ -58,9 +60,8 @@ def guess(photo: Photo, *, box: PhotoBox | None = None, tick: Tick) -> Guess:
     picture = torch.from_numpy(crop_square(cut, SIDE, FILL)).permute(2, 0, 1)[None]
     prediction = predict_from_views(shipped_pixels(), picture)
     tick(0.9)
-    points = prediction.points[0].numpy().astype(np.float64)
-    apart = disagreement(points)
-    xyz, keep = points.reshape(-1, 3), apart <= max(_STRAY, float(np.median(apart)))
+    views = [densify(each) for each in prediction.points[0].numpy().astype(np.float64)]
+    xyz, apart, keep = combine(views)
     rgb = sample_colours(xyz, prediction.camera, cut)
     low, high = xyz[keep].min(axis=0), xyz[keep].max(axis=0)
     xyz = (xyz[keep] - (low + high) / 2) / (high - low).max()
@@ -69,12 +70,17 @@ def guess(photo: Photo, *, box: PhotoBox | None = None, tick: Tick) -> Guess:
     return Guess(xyz, rgb[keep], confidence, cut.warnings)
 
 
-def disagreement(points: Floats) -> Floats:
-    """(views,n,3) -> (views·n,) distance of each point to the nearest point of every other view, on average."""
-    trees = [cKDTree(each) for each in points]
-    gaps = np.array([[tree.query(each)[0] for tree in trees] for each in points])
-    mean: Floats = gaps.sum(axis=1) / (len(points) - 1)  # its own distance is 0
-    return mean.reshape(-1)
+def combine(views: Sequence[Floats]) -> tuple[Floats, Floats, Bools]:
+    """Put views together: points (N,3), how far each is from those of the other views (N,), and which are no strays."""
+    apart = disagreement(views)
+    return np.concatenate(views), apart, apart <= max(_STRAY, float(np.median(apart)))
+
+
+def disagreement(views: Sequence[Floats]) -> Floats:
+    """Points (n,3) of every view -> (sum of n,) distance of each to the nearest of every other view, on average."""
+    trees = [cKDTree(each) for each in views]
+    summed = [sum(tree.query(each)[0] for tree in trees) for each in views]  # its own distance is 0
+    return np.concatenate(summed) / (len(views) - 1)
 
 
 def sample_colours(xyz: Floats, camera: Tensor, cut: CutOut) -> Bytes:

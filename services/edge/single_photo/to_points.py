@@ -13,8 +13,8 @@ from services.photo_box import PhotoBox
 
 _USUAL_M = 0.4
 """Metres of a thing that fills half of a picture taken at arm's length: an assumption, not a measurement."""
-_NEIGHBOURS = 48, 32
-"""Neighbours that smooth 2,000 points: the views differ by a few percent, and a surface through all would crumple."""
+_NEIGHBOURS = 96, 64
+"""Neighbours that smooth 7,500 points: the views differ by a few percent, and a surface through all would crumple."""
 
 
 def to_points(capture: Capture, *, box: PhotoBox | None = None, tick: Tick = no_tick) -> Points:

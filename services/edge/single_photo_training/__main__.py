@@ -1,26 +1,50 @@
-"""`python -m services.edge.single_photo_training --head pixels --out DIR`: train a head, or resume its training."""
+"""`python -m services.edge.single_photo_training --out DIR`: train all heads from nothing, or resume their training.
+
+The files HEAD.pt are those that are shipped: pixels.pt belongs to `single_photo/weights`, the fields, which only the
+bench compares, to `single_photo_training/weights`.
+"""
 
 from __future__ import annotations
 
 import argparse
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
-from services.edge.single_photo_training.train import HeadTraining, train
+from services.edge.errors import EdgeError
+from services.edge.single_photo_training.real_things import fingerprint, mesh_files, read_things
+from services.edge.single_photo_training.train import SHIPPED, train
 
 
-def main() -> None:
+def main() -> int:
+    """Train the heads; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m services.edge.single_photo_training", description=__doc__)
-    parser.add_argument("--head", choices=["pixels", "anchor-udf", "implicit"], required=True)
-    parser.add_argument("--steps", type=int, required=True)
-    parser.add_argument("--out", type=Path, required=True, help="folder of the checkpoint and the weights")
+    parser.add_argument("--head", choices=[each.head for each in SHIPPED], help="only this one; its backbone is in DIR")
+    parser.add_argument("--steps", type=int, help="the most steps of each head")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the checkpoints and the weights")
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--start", default="", help="folder of trained weights to begin from")
+    parser.add_argument("--meshes", type=Path, help="folder of meshes, y up, which every other picture shows")
     args = parser.parse_args()
-    train(HeadTraining(args.head, args.steps, args.seed, args.start), args.out, torch.device(args.device))
+    try:
+        things = read_things(mesh_files(args.meshes)) if args.meshes else []
+    except EdgeError as error:
+        print(f"{error}; {'; '.join(error.hints)}", file=sys.stderr)
+        return 2
+    meshes = fingerprint(things) if things else ""
+    for training in SHIPPED:
+        if args.head in (None, training.head):
+            print(f"{training.head}:", flush=True)
+            training = replace(training, steps=args.steps or training.steps, seed=args.seed, meshes=meshes)
+            train(training, args.out, torch.device(args.device), things=things, report=_print)
+    return 0
+
+
+def _print(line: str) -> None:
+    print(line, flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

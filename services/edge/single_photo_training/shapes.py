@@ -74,7 +74,7 @@ def _generate_class(name: str, n: int, samples: int, generator: torch.Generator)
     grids = torch.stack(CLASSES[name](dice), dim=1)
     grids = grids * torch.cat([dice(0.8, 1.25) for _ in range(3)], dim=1)[:, None, None, None]
     own, normals, part, place = _sample_surface(grids, samples, generator)
-    own, yaw = _normalise(own), _yaw(n, generator)
+    own, yaw = normalise(own), _yaw(n, generator)
     rgb = _paint(dice, part, place, own, grids.shape[1])
     label = torch.full((n,), list(CLASSES).index(name))
     return about_vertical(own, yaw), about_vertical(normals, yaw), rgb, label, yaw
@@ -92,8 +92,8 @@ def _yaw(n: int, generator: torch.Generator) -> Tensor:
     return 2 * math.pi * torch.rand(n, generator=generator)
 
 
-def _normalise(xyz: Tensor) -> Tensor:
-    """Centre and scale points into the frame of this file."""
+def normalise(xyz: Tensor) -> Tensor:
+    """Centre and scale points (n,m,3) into the frame of this file, before they are rotated."""
     xyz = xyz - (xyz.amin(dim=1, keepdim=True) + xyz.amax(dim=1, keepdim=True)) / 2
     scaled: Tensor = xyz / xyz.norm(dim=2).amax(dim=1)[:, None, None]
     return scaled
