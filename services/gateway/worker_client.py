@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import aclosing
 from dataclasses import dataclass
@@ -18,7 +19,15 @@ import grpc
 from services.edge.api import edge_pb2 as pb
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job
-from services.gateway.jobs.reports import Report, RunFailed, RunFinished, RunHeartbeat, RunProgress, VersionPublished
+from services.gateway.jobs.reports import (
+    AnchorsFound,
+    Report,
+    RunFailed,
+    RunFinished,
+    RunHeartbeat,
+    RunProgress,
+    VersionPublished,
+)
 from services.gateway.jobs.state_machine import problem_of
 from services.gateway.worker_types import (
     RunKnown,
@@ -38,6 +47,7 @@ _log = logging.getLogger(__name__)
 POLL_S = 1.0  # deadline of a status request: a worker that needs longer counts as absent
 INSPECT_S = 120.0  # deadline of an inspection: uploading 1 GB within a data centre and reading its headers
 CANCEL_S = 2.0  # deadline of a cancellation; it is repeated until the run ends
+_MOST_ANCHORS = 1_000  # points: every event is stored, and sent to every page that follows the job
 
 
 Outline = tuple[tuple[float, float], ...]
@@ -158,7 +168,10 @@ class WorkerPool:
             address,
             worker.version,
             worker.device,
-            tuple(WorkerPreset(each.name, each.summary, each.trained, each.memory_bytes) for each in worker.presets),
+            tuple(
+                WorkerPreset(each.name, each.summary, each.trained, each.memory_bytes, each.literature, each.takes)
+                for each in worker.presets
+            ),
             worker.slots,
             worker.free_slots,
             worker.queued,
@@ -227,6 +240,9 @@ def _report(event: pb.Event) -> Report:
             step = event.progress
             stage = _stage(step.stage)
             return RunProgress(event.seq, stage, step.fraction, dict(step.losses), step.eta_s, step.message)
+        case "anchors" if _are_anchors(event.anchors):
+            xyz_m = tuple(round(value, 4) for value in event.anchors.xyz_m)
+            return AnchorsFound(event.seq, xyz_m, tuple(event.anchors.rgb))
         case "published":
             asset = event.published
             return VersionPublished(
@@ -236,8 +252,19 @@ def _report(event: pb.Event) -> Report:
             return _failed(event.seq, event.failure)
         case "finished":
             return RunFinished(event.seq, tuple(event.finished.warnings), dict(event.finished.seconds))
-        case _:  # a heartbeat, or a kind of event that only newer workers send
+        case _:  # a heartbeat, anchors that cannot be shown, or a kind of event that only newer workers send
             return RunHeartbeat(event.seq)
+
+
+def _are_anchors(anchors: pb.AnchorPoints) -> bool:
+    """Whether they can be stored and shown: finite, with three colours a point, and no more than promised."""
+    count = len(anchors.rgb)
+    return (
+        0 < count <= 3 * _MOST_ANCHORS
+        and count % 3 == 0
+        and len(anchors.xyz_m) == count
+        and all(map(math.isfinite, anchors.xyz_m))
+    )
 
 
 def _failed(seq: int, failure: pb.Failure) -> RunFailed:

@@ -31,12 +31,16 @@ class WorkerPreset:
 
     trained       whether a refined version follows the preview
     memory_bytes  the most memory that its training takes
+    literature    whether it is a published method, to compare with
+    takes         time that it takes, for people
     """
 
     name: str
     summary: str = ""
     trained: bool = False
     memory_bytes: int = 0
+    literature: bool = False
+    takes: str = ""
 
 
 @dataclass(frozen=True, slots=True)

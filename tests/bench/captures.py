@@ -19,6 +19,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
@@ -32,18 +33,29 @@ from services.edge.capture.nouns import Capture, Frame
 from services.edge.mesh.align_to_reference import align_to_surface
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.sampling import sample
+from services.edge.photos.depth_maps import at_texture_resolution
 from services.edge.photos.to_depth import to_depth
 from services.edge.pipeline import reconstruct
 from services.edge.points.texture_views import hold_out_frames, texture_view
 from services.edge.preset import load_preset
-from services.edge.render.photo_comparison import check_surface, mean_figures
+from services.edge.render.photo_comparison import LIKENESS_PX, check_surface, mean_figures, relative_sharpness
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.render.rays import Scene, pinhole
+from services.edge.render.sample_image import bilinear, shrink_to
 from services.edge.render.silhouette import LONGEST_PX
 from services.storage.bundle import Bundle
 from tests.bench.borne_out import likeness_of_patches
 from tests.bench.cell import ROOT
-from tests.bench.photo_sets import PhotoSet, exposure_steps, film, fruit, shell, statue, statue_points
+from tests.bench.photo_sets import (
+    PhotoSet,
+    exposure_steps,
+    film,
+    fruit,
+    shell,
+    statue,
+    statue_points,
+    write_transforms,
+)
 from tests.bench.photos import SEEN_BY, is_seen
 from tests.conftest import data_folder
 from tests.support import scenes
@@ -59,6 +71,7 @@ _WITHIN = (0.005, 0.01, 0.02)  # of the thing's size
 _REFERENCE = 200_000  # samples of the fruit's reference
 _BORNE_OUT = 0.01  # of the thing's size: from this distance on it is asked which of two surfaces the photos bear out
 _BESIDE = 0.03  # the same: farther from each other they are not two forms of one surface
+_MOVES = 16  # by random parts of a pixel: how much of its sharpness a photo keeps differs with them
 _CLEARER = 0.05  # how much more alike the photos must be on one of them
 
 SHARES = {
@@ -100,6 +113,18 @@ def _fruit(folder: Path | None = None) -> Row:
     return replace(_of(known, np.asarray(points)), normals=known.truth.face_normals[face])
 
 
+def _posed_shell(folder: Path, views: int) -> Row:
+    known = shell(folder / "photos", views, **_PHONE)
+    assert known.intrinsics is not None
+    lens = known.intrinsics
+    given = folder / "given"
+    given.mkdir()
+    # nerfstudio's principal point has the first pixel's centre at 0.5.
+    named = {"w": lens.width, "h": lens.height, "fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx + 0.5}
+    write_transforms(given, known.source, {**named, "cy": lens.cy + 0.5}, known.cameras)
+    return _of(replace(known, source=given))
+
+
 def _garment(folder: Path, *, depth: bool) -> Row:
     simulate_capture(garment_scene(), folder / "walk")
     return Row(read_capture(folder / "walk" if depth else folder / "walk" / "images"))
@@ -129,6 +154,7 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "statue, 32 photos": lambda folder: _of(statue(), statue_points()),
     "statue, cameras given": lambda folder: _of(statue(folder), statue_points()),
     "shell, 25 photos": lambda folder: _of(shell(folder, 25, **_PHONE)),
+    "shell, 50 photos, cameras given": lambda folder: _posed_shell(folder, 50),
     "shell, exposure steps": lambda folder: _of(shell(folder, 25, gains=exposure_steps(25), **_PHONE)),
     "shell, glossy": lambda folder: _of(shell(folder, 25, gloss=_GLOSS, **_PHONE)),
     "shell, film": lambda folder: _of(film(folder, **_PHONE)),
@@ -147,6 +173,7 @@ def one(name: str, out: Path | None = None) -> dict[str, Any]:
         began = time.perf_counter()
         capture = to_depth(row.capture) if row.capture.kind == "photos" else row.capture
         spared = row.hold_out or -(-len(capture.frames) // _ONE_IN)
+        held_out = hold_out_frames(capture.frames, spared)[1]
         made = [
             step for step in reconstruct(capture, load_preset("draft"), hold_out=spared) if isinstance(step, Bundle)
         ]
@@ -161,7 +188,8 @@ def one(name: str, out: Path | None = None) -> dict[str, Any]:
             "triangles": bundle.manifest["quality"]["triangles"],
             "pieces": bundle.manifest["quality"]["components"],
             **_photo_figures(bundle.manifest["quality"].get("photos") or {}),
-            **_figures_of_truth(row, bundle, hold_out_frames(capture.frames, spared)[1]),
+            "moved": _sharpness_when_moved(held_out),
+            **_figures_of_truth(row, bundle, held_out),
             **_shares_of_points(row, bundle, capture.frames),
         }
 
@@ -170,6 +198,24 @@ def _photo_figures(photos: Mapping[str, Any]) -> dict[str, Any]:
     shares = {title: _percent(photos.get(key)) for key, title in SHARES.items()}
     likeness = {title: None if photos.get(key) is None else round(photos[key], 3) for key, title in LIKENESS.items()}
     return {"held out": photos.get("photos"), **shares, **likeness}
+
+
+def _sharpness_when_moved(frames: Sequence[Frame]) -> float:
+    """Sharpness that photos keep of their own when they are moved twice by a part of a pixel: the mean over moves."""
+    rng = np.random.default_rng(0)
+    kept = []
+    for frame in frames:
+        assert frame.load_rgb is not None
+        photo = shrink_to(at_texture_resolution(frame.load_rgb)(), LIKENESS_PX)
+        height, width = photo.shape[:2]
+        grey = cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2) + 0.5
+        for offsets in rng.uniform(0, 1, (_MOVES, 2, 2)):
+            moved = grey
+            for offset in offsets:
+                moved = bilinear(moved[..., None], (pixels + offset) / (width, height)).reshape(grey.shape)
+            kept.append(relative_sharpness(moved, grey, np.ones(grey.shape, bool)))
+    return round(float(np.mean(kept)), 3)
 
 
 def _percent(share: float | None) -> float | None:

@@ -9,10 +9,12 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import httpx
 from PIL import Image
+from pillow_heif import register_heif_opener
 from playwright.sync_api import Page, sync_playwright
 
 from services.cli.progress import StageBar
@@ -40,11 +42,14 @@ def _rendered(folder: Path) -> Path:
     return folder
 
 
-def _enlarged(folder: Path) -> Path:
+def _enlarged(folder: Path, suffix: str = ".jpg", quality: int = 92) -> Path:
+    register_heif_opener()
     for photo in render_walkaround(folder, views=_VIEWS, size=_SIZE).photos:
         with Image.open(photo) as picture:
             exif = picture.getexif().tobytes()
-            picture.resize(_PHONE, Image.Resampling.BICUBIC).save(photo, quality=92, exif=exif)
+            large = picture.resize(_PHONE, Image.Resampling.BICUBIC)
+        photo.unlink()
+        large.save(photo.with_suffix(suffix), quality=quality, exif=exif)
     return folder
 
 
@@ -53,6 +58,7 @@ CASES: dict[str, Callable[[Path], Path]] = {
     f"fruit, 20 photos, {_BY_PAGE}": _fruit,
     f"rendered shell, {_VIEWS} of {_SIZE[0]} x {_SIZE[1]}": _rendered,
     f"rendered shell, {_VIEWS} of {_PHONE[0]} x {_PHONE[1]}": _enlarged,
+    f"rendered shell, {_VIEWS} of {_PHONE[0]} x {_PHONE[1]}, HEIC": partial(_enlarged, suffix=".heic", quality=70),
 }
 
 

@@ -10,11 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from services.edge.api import edge_pb2 as pb
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job, Lease, Order
-from services.gateway.jobs.reports import RunFinished, VersionPublished
-from services.gateway.worker_client import WorkerPool, _header
+from services.gateway.jobs.reports import AnchorsFound, Report, RunFinished, RunHeartbeat, VersionPublished
+from services.gateway.worker_client import WorkerPool, _header, _report
 from services.gateway.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerUnreachable
 from tests.support.in_process_gateway import Making, memory, worker
 from tests.support.patience import CANCEL_S
@@ -98,6 +101,33 @@ async def test_a_run_is_reported_to_its_end_and_can_be_heard_again(tmp_path: Pat
         with pytest.raises(RunKnown):
             _ = [report async for report in workers.reconstruct(address, job(), chunks(archive), len(archive))]
         assert await workers.cancel(address, "job_1") is False
+
+
+def anchors_of(xyz_m: list[float], rgb: bytes) -> Report:
+    return _report(pb.Event(job="job_1", seq=3, anchors=pb.AnchorPoints(xyz_m=xyz_m, rgb=rgb)))
+
+
+@given(st.lists(st.tuples(*[st.floats(-50, 50, width=32)] * 3, *[st.integers(0, 255)] * 3), min_size=1, max_size=30))
+def test_anchor_points_arrive_to_a_tenth_of_a_millimetre(points: list[tuple[float, ...]]) -> None:
+    told = anchors_of([value for each in points for value in each[:3]], bytes(c for each in points for c in each[3:]))  # type: ignore[misc]
+    assert isinstance(told, AnchorsFound)
+    assert told.rgb == tuple(c for each in points for c in each[3:])
+    assert told.xyz_m == pytest.approx([value for each in points for value in each[:3]], abs=6e-5)
+
+
+@pytest.mark.parametrize(
+    ("xyz_m", "rgb"),
+    [
+        ([], b""),
+        ([1.0, 2.0], b"\0\0"),
+        ([1.0, 2.0, 3.0], b"\0"),
+        ([1.0, float("nan"), 3.0], b"\0\0\0"),
+        ([1.0, float("inf"), 3.0], b"\0\0\0"),
+        ([0.0] * 3_003, b"\0" * 3_003),
+    ],
+)
+def test_anchor_points_that_cannot_be_shown_are_left_out(xyz_m: list[float], rgb: bytes) -> None:
+    assert anchors_of(xyz_m, rgb) == RunHeartbeat(3)
 
 
 def test_the_header_has_what_was_ordered() -> None:

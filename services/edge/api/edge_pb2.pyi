@@ -95,7 +95,7 @@ class Trailer(_message.Message):
     def __init__(self, sha256: _Optional[bytes] = ...) -> None: ...
 
 class Event(_message.Message):
-    __slots__ = ("job", "seq", "elapsed_s", "progress", "heartbeat", "published", "failure", "finished")
+    __slots__ = ("job", "seq", "elapsed_s", "progress", "heartbeat", "published", "failure", "finished", "anchors")
     JOB_FIELD_NUMBER: _ClassVar[int]
     SEQ_FIELD_NUMBER: _ClassVar[int]
     ELAPSED_S_FIELD_NUMBER: _ClassVar[int]
@@ -104,6 +104,7 @@ class Event(_message.Message):
     PUBLISHED_FIELD_NUMBER: _ClassVar[int]
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     FINISHED_FIELD_NUMBER: _ClassVar[int]
+    ANCHORS_FIELD_NUMBER: _ClassVar[int]
     job: str
     seq: int
     elapsed_s: float
@@ -112,7 +113,8 @@ class Event(_message.Message):
     published: Published
     failure: Failure
     finished: Finished
-    def __init__(self, job: _Optional[str] = ..., seq: _Optional[int] = ..., elapsed_s: _Optional[float] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., heartbeat: _Optional[_Union[Heartbeat, _Mapping]] = ..., published: _Optional[_Union[Published, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., finished: _Optional[_Union[Finished, _Mapping]] = ...) -> None: ...
+    anchors: AnchorPoints
+    def __init__(self, job: _Optional[str] = ..., seq: _Optional[int] = ..., elapsed_s: _Optional[float] = ..., progress: _Optional[_Union[Progress, _Mapping]] = ..., heartbeat: _Optional[_Union[Heartbeat, _Mapping]] = ..., published: _Optional[_Union[Published, _Mapping]] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., finished: _Optional[_Union[Finished, _Mapping]] = ..., anchors: _Optional[_Union[AnchorPoints, _Mapping]] = ...) -> None: ...
 
 class Progress(_message.Message):
     __slots__ = ("stage", "fraction", "losses", "eta_s", "message")
@@ -138,6 +140,14 @@ class Progress(_message.Message):
 class Heartbeat(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
+
+class AnchorPoints(_message.Message):
+    __slots__ = ("xyz_m", "rgb")
+    XYZ_M_FIELD_NUMBER: _ClassVar[int]
+    RGB_FIELD_NUMBER: _ClassVar[int]
+    xyz_m: _containers.RepeatedScalarFieldContainer[float]
+    rgb: bytes
+    def __init__(self, xyz_m: _Optional[_Iterable[float]] = ..., rgb: _Optional[bytes] = ...) -> None: ...
 
 class Published(_message.Message):
     __slots__ = ("asset_key", "version", "state", "manifest", "collection")
@@ -259,13 +269,17 @@ class Worker(_message.Message):
     def __init__(self, version: _Optional[str] = ..., device: _Optional[str] = ..., presets: _Optional[_Iterable[_Union[Preset, _Mapping]]] = ..., slots: _Optional[int] = ..., free_slots: _Optional[int] = ..., queued: _Optional[int] = ..., draining: _Optional[bool] = ..., jobs: _Optional[_Iterable[str]] = ..., memory_bytes: _Optional[int] = ..., points_version: _Optional[int] = ..., central: _Optional[str] = ...) -> None: ...
 
 class Preset(_message.Message):
-    __slots__ = ("name", "summary", "trained", "memory_bytes")
+    __slots__ = ("name", "summary", "trained", "memory_bytes", "literature", "takes")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SUMMARY_FIELD_NUMBER: _ClassVar[int]
     TRAINED_FIELD_NUMBER: _ClassVar[int]
     MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    LITERATURE_FIELD_NUMBER: _ClassVar[int]
+    TAKES_FIELD_NUMBER: _ClassVar[int]
     name: str
     summary: str
     trained: bool
     memory_bytes: int
-    def __init__(self, name: _Optional[str] = ..., summary: _Optional[str] = ..., trained: _Optional[bool] = ..., memory_bytes: _Optional[int] = ...) -> None: ...
+    literature: bool
+    takes: str
+    def __init__(self, name: _Optional[str] = ..., summary: _Optional[str] = ..., trained: _Optional[bool] = ..., memory_bytes: _Optional[int] = ..., literature: _Optional[bool] = ..., takes: _Optional[str] = ...) -> None: ...

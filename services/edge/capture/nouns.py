@@ -94,7 +94,7 @@ class LoadPhoto(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Photo:
-    """A photo with what is known of its camera. Pixels load lazily: 300 photos cost no memory.
+    """A photo with what is known of its camera. Pixels load lazily (`photo_copy`).
 
     name             file inside the capture
     size             (width, height) in pixels as stored

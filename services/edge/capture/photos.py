@@ -12,6 +12,7 @@ from services.edge.capture.files import Folder
 from services.edge.capture.gravity_tags import elevation_deg, up_in_camera
 from services.edge.capture.images import read_bytes
 from services.edge.capture.nouns import MIN_PHOTOS, WALK_AROUND_ADVICE, Capture, Photo, PhotoVerdict
+from services.edge.capture.photo_copy import keep_copy
 from services.edge.capture.picture import PhotoPixels, alpha_channel, camera_key, first_bytes, focal_px, read_header
 from services.edge.errors import CaptureError
 
@@ -78,7 +79,7 @@ def read_photo(folder: Folder, name: str) -> Photo:
         name,
         header.size,
         camera,
-        pixels,
+        keep_copy(pixels),
         focal,
         header.turns,
         load_alpha=alpha,

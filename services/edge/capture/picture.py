@@ -269,7 +269,7 @@ def _decode_opencv(data: bytes, file: str, by: int) -> Bytes:
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None:
         raise broken_image(file, "cannot be decoded: its image data are damaged")
-    return np.asarray(pixels[..., ::-1])
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def _check_jpeg_end(data: bytes, file: str) -> None:

@@ -62,4 +62,6 @@ def _to_message(preset: Preset, known: Mapping[str, Preset], device: Device) -> 
         summary=preset.summary,
         trained=any(each.fit is not None for each in choices),
         memory_bytes=max(memory_bytes(each, each.most_points, device.name) for each in choices),
+        literature=preset.literature,
+        takes=preset.takes,
     )

@@ -4,8 +4,10 @@ points.json     format version, and everything that is not an array
 xyz.npy         (N,3) float64 capture frame
 rgb.npy         (N,3) uint8 sRGB, absent where the capture has no colours
 confidence.npy  (N,) float32
+view-N.picture  JPEG, for the textures, or to compare with, at most `COPY_PX` pixels on its longer side
+view-N.depth    .npy, (H,W) uint16, its depth in steps that points.json has; 0 where unknown
 
-Nothing is compressed: coordinates hardly deflate, and the link between two workers is fast.
+Nothing else is compressed: coordinates hardly deflate, and the link between two workers is fast.
 """
 
 from __future__ import annotations
@@ -22,12 +24,21 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from services.atomic_write import atomic_write
 from services.edge.capture.nouns import ScaleConfidence, UpSource
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
-from services.edge.errors import EdgeError
+from services.edge.jobs.archived_arrays import invalid, read_array, write_array
+from services.edge.jobs.archived_views import (
+    MOST_VIEWS,
+    VIEW_BYTES,
+    ArchivedView,
+    encode_views,
+    read_views,
+    view_files,
+    write_views,
+)
 from services.edge.points.clean_cloud import MIN_POINTS
 from services.edge.points.nouns import CutReport, Points, UnseenSide
 from services.storage.archives import ArchiveError, ArchiveLimits, unpack
 
-VERSION = 2
+VERSION = 3
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -36,10 +47,12 @@ MOST_POINTS = 4_000_000
 _HEAD, _XYZ, _RGB, _CONFIDENCE = "points.json", "xyz.npy", "rgb.npy", "confidence.npy"
 _HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB
 _POINT_BYTES = 24 + 3 + 4  # xyz, rgb, confidence
-_LIMITS = ArchiveLimits(entries=4, total_bytes=_HEAD_BYTES + MOST_POINTS * _POINT_BYTES + 3 * 1024)
+_LIMITS = ArchiveLimits(
+    entries=4 + 2 * MOST_VIEWS,
+    total_bytes=_HEAD_BYTES + MOST_POINTS * _POINT_BYTES + 3 * 1024 + MOST_VIEWS * VIEW_BYTES,
+)
 _FARTHEST = 1e12  # capture units from the origin: a squared distance stays far from overflowing
 _UNIT = 0.01  # tolerance of a length or a share of 1: some are rounded to three digits
-_NPY_HEADER_BYTES = 1024
 
 Stage = Literal["ALIGNING", "POINT_CLOUD"]
 _Vector = tuple[float, float, float]
@@ -59,6 +72,7 @@ class _Head:
     warnings: tuple[str, ...]
     unseen: tuple[UnseenSide, ...]
     cut: CutReport | None
+    views: Annotated[tuple[ArchivedView, ...], Field(max_length=MOST_VIEWS)]
     source: CaptureSummary
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
 
@@ -69,35 +83,39 @@ _HEADS = TypeAdapter(_Head)
 
 
 def write_prepared(prepared: PreparedPoints, archive: Path) -> None:
-    """Write the zip atomically. Raises OSError where it cannot be written."""
+    """Write the zip atomically. Raises OSError where it cannot be written, CaptureError for a broken picture."""
     archive.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     points = prepared.points
     arrays = {_XYZ: points.xyz, _CONFIDENCE: points.confidence} | ({} if points.rgb is None else {_RGB: points.rgb})
+    views = encode_views(points)
     with atomic_write(archive) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as packed:
-        packed.writestr(_HEAD, _HEADS.dump_json(_head_of(prepared)))
+        packed.writestr(_HEAD, _HEADS.dump_json(_head_of(prepared, tuple(view.head for view in views))))
         for name, array in arrays.items():
-            with packed.open(name, "w") as file:
-                contiguous = np.ascontiguousarray(array, _array_type(name, len(points))[0])
-                np.lib.format.write_array(file, contiguous, version=(1, 0), allow_pickle=False)
+            write_array(packed, name, np.ascontiguousarray(array, _array_type(name, len(points))[0]))
+        write_views(packed, views)
 
 
 def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
-    """Read the points of a zip, which is unpacked into the folder `scratch`.
+    """Read the points of a zip, which is unpacked into the folder `scratch`; its pictures are read from there later.
 
     Raises EdgeError POINTS_INVALID, naming the file at fault, for anything that `write_prepared` would not write.
     """
     try:
         unpack(archive, scratch, _LIMITS)
     except ArchiveError as error:
-        raise _invalid(error.message, error.file) from None
+        raise invalid(error.message, error.file) from None
     head = _read_head(scratch / _HEAD)
-    _require_files(scratch, {_HEAD, _XYZ, _CONFIDENCE} | ({_RGB} if head.coloured else set()))
+    pictures = view_files(len(head.views))
+    _require_files(scratch, {_HEAD, _XYZ, _CONFIDENCE} | pictures | ({_RGB} if head.coloured else set()))
     xyz, confidence = (_read_array(scratch / name, head.points) for name in (_XYZ, _CONFIDENCE))
     rgb = _read_array(scratch / _RGB, head.points) if head.coloured else None
     _require_cloud(xyz)
     if not ((confidence >= 0) & (confidence <= 1)).all():  # false for NaN
-        raise _invalid("has confidences outside [0, 1]", _CONFIDENCE)
+        raise invalid("has confidences outside [0, 1]", _CONFIDENCE)
+    views = read_views(scratch, head.views, _HEAD)
     points = Points(
+        texture_views=tuple(view for view, each in zip(views, head.views, strict=True) if not each.held_out),
+        held_out_views=tuple(view for view, each in zip(views, head.views, strict=True) if each.held_out),
         xyz=xyz,
         rgb=rgb,
         confidence=confidence,
@@ -112,7 +130,7 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
     return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
 
 
-def _head_of(prepared: PreparedPoints) -> _Head:
+def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...]) -> _Head:
     points = prepared.points
     seconds: Any = dict(prepared.seconds)
     return _Head(
@@ -126,6 +144,7 @@ def _head_of(prepared: PreparedPoints) -> _Head:
         warnings=points.warnings,
         unseen=points.unseen,
         cut=points.cut,
+        views=views,
         source=prepared.source,
         seconds=seconds,
     )
@@ -139,21 +158,21 @@ def _vector(direction: Any) -> _Vector:
 def _read_head(path: Path) -> _Head:
     """Read and check points.json. Raises EdgeError POINTS_INVALID."""
     if not path.is_file():
-        raise _invalid("is missing", _HEAD)
+        raise invalid("is missing", _HEAD)
     if path.stat().st_size > _HEAD_BYTES:
-        raise _invalid(f"has more than {_HEAD_BYTES:,} bytes", _HEAD)
+        raise invalid(f"has more than {_HEAD_BYTES:,} bytes", _HEAD)
     text = path.read_bytes()
     _require_version(text)
     try:
         head = _HEADS.validate_json(text, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        raise _invalid(f"{'.'.join(map(str, first['loc']))}: {first['msg']}", _HEAD) from None
+        raise invalid(f"{'.'.join(map(str, first['loc']))}: {first['msg']}", _HEAD) from None
     for direction in ([] if head.up is None else [head.up]) + [each.toward for each in head.unseen]:
         if not abs(np.linalg.norm(direction) - 1) < _UNIT:
-            raise _invalid(f"the direction {direction} is not of length 1", _HEAD)
+            raise invalid(f"the direction {direction} is not of length 1", _HEAD)
     if not all(0 < each.share <= 1 + _UNIT for each in head.unseen):
-        raise _invalid("the share of an unseen side is not in (0, 1]", _HEAD)
+        raise invalid("the share of an unseen side is not in (0, 1]", _HEAD)
     return head
 
 
@@ -162,16 +181,16 @@ def _require_version(text: bytes) -> None:
     try:
         head = json.loads(text)
     except (ValueError, RecursionError):
-        raise _invalid("is not JSON", _HEAD) from None
+        raise invalid("is not JSON", _HEAD) from None
     version = head.get("version") if isinstance(head, dict) else None
     if version != VERSION:
-        raise _invalid(f"is of version {version!r}; this worker reads {VERSION}", _HEAD)
+        raise invalid(f"is of version {version!r}; this worker reads {VERSION}", _HEAD)
 
 
 def _require_files(folder: Path, wanted: set[str]) -> None:
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
     if found != wanted:
-        raise _invalid(f"the archive holds {', '.join(sorted(found))} instead of {', '.join(sorted(wanted))}")
+        raise invalid(f"the archive holds {', '.join(sorted(found))} instead of {', '.join(sorted(wanted))}")
 
 
 def _array_type(name: str, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
@@ -182,27 +201,11 @@ def _array_type(name: str, count: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
 
 
 def _read_array(path: Path, count: int) -> Any:
-    """Read a .npy file of the expected dtype and shape: the header is checked before memory is allocated for it."""
-    kind, shape = _array_type(path.name, count)
-    with path.open("rb") as file:
-        try:
-            version = np.lib.format.read_magic(file)
-            found = np.lib.format.read_array_header_1_0(file, max_header_size=_NPY_HEADER_BYTES)
-        except Exception:  # noqa: BLE001 - NumPy does not document what a broken header makes its parser raise
-            raise _invalid("is not a .npy array", path.name) from None
-        data_bytes = path.stat().st_size - file.tell()
-        if version != (1, 0) or found != (shape, False, kind) or data_bytes != int(np.prod(shape)) * kind.itemsize:
-            raise _invalid(f"is not an array of {kind} of the shape {shape}", path.name)
-        return np.fromfile(file, kind).reshape(shape)
+    return read_array(path, *_array_type(path.name, count))
 
 
 def _require_cloud(xyz: Any) -> None:
     if not (np.abs(xyz) <= _FARTHEST).all():  # false for NaN
-        raise _invalid(f"has coordinates that are not finite, or beyond {_FARTHEST:g}", _XYZ)
+        raise invalid(f"has coordinates that are not finite, or beyond {_FARTHEST:g}", _XYZ)
     if not np.ptp(xyz, axis=0).any():
-        raise _invalid("has all its points in one place", _XYZ)
-
-
-def _invalid(message: str, file: str | None = None) -> EdgeError:
-    hints = ("install the same version of capture2vr on both workers",)
-    return EdgeError("POINTS_INVALID", f"prepared points: {message}", file=file, hints=hints)
+        raise invalid("has all its points in one place", _XYZ)

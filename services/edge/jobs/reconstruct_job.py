@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.arrays import Tick, no_tick
+from services.edge.asset.manifest import anchors_m, asset_frame
 from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import PreparedPoints, prepare, require_single_photo
@@ -25,6 +26,7 @@ from services.edge.jobs.fit_job import FieldFitter, to_wire
 from services.edge.jobs.forward_job import forward, resume
 from services.edge.jobs.points_archive import read_prepared
 from services.edge.jobs.points_cache import load_points, save_points
+from services.edge.points.nouns import Points
 from services.edge.preset import Preset
 from services.edge.progress import Bar, Progress
 from services.edge.single_photo.cutout import cut_out
@@ -154,7 +156,15 @@ class Reconstructor:
             longest_m=request.longest_m,
             box=request.box,
         )
-        return _run_to_end(steps, report), seconds
+        prepared = _run_to_end(steps, report)
+        report(_anchor_points(prepared.points))
+        return prepared, seconds
+
+
+def _anchor_points(points: Points) -> pb.AnchorPoints:
+    """The points that are shown before there is a mesh, in the asset frame of the points alone."""
+    xyz, rgb = anchors_m(points, asset_frame(points.xyz, points))
+    return pb.AnchorPoints(xyz_m=xyz.ravel(), rgb=rgb.tobytes())
 
 
 def _run_to_end(steps: Generator[Progress, None, T], report: Report) -> T:

@@ -16,9 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick
+from services.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
 from services.edge.capture.nouns import Frame, Intrinsics
+from services.edge.capture.photo_copy import COPY_PX
 from services.edge.errors import Cancelled, CaptureError
+from services.edge.parallel import in_threads
 from services.edge.photos.depth_consistency import confirmations
 from services.edge.photos.depth_rim import remove_rim
 from services.edge.photos.nouns import Alignment, PhotoView
@@ -29,7 +31,7 @@ from services.edge.photos.zncc import WINDOW
 
 LONGEST_PX = 640
 """Longer side of the pictures for stereo: 960 takes three times as long, without gain for an object that fills them."""
-TEXTURE_PX = 1920
+TEXTURE_PX = COPY_PX
 """Longer side of photos for texturing: if the object fills the photo, about as many pixels as the texture has."""
 _WITNESSES = 8
 """Views in which a view's depth is checked."""
@@ -63,7 +65,7 @@ def depth_frames(
     """
     witnesses = choose_sources(alignment, _WITNESSES)
     sources = [others[:SOURCES] for others in witnesses]  # the best come first
-    pictures = [load_undistorted_grey(view, longest) for view in alignment.views]
+    pictures = in_threads(lambda view: load_undistorted_grey(view, longest), alignment.views)
     swept = [view for view, others in enumerate(sources) if others]
     if not swept:
         raise CaptureError(
@@ -72,15 +74,15 @@ def depth_frames(
             hints=("walk around the thing in steps of about 10 degrees, and take a photo at each step",),
         )
     backend_of = backend_on(device)
-    maps = _sweep_views(alignment, pictures, sources, swept, backend_of, lambda fraction: tick(0.9 * fraction))
+    maps = _sweep_views(alignment, pictures, sources, swept, backend_of, part_of(tick, 0.0, 0.9))
     depths = [np.zeros(each.grey.shape, np.float32) for each in pictures]
     for view, found in maps.items():
         mask = pictures[view].mask
         valid = found.score > _LEAST_SCORE if mask is None else (found.score > _LEAST_SCORE) & mask
         depths[view] = np.where(valid, found.depth, np.float32(0))
     wanted = 1 if len(swept) < _FEW else 2 if len(swept) < _MANY else 3
-    frames = []
-    for number, view in enumerate(swept):
+
+    def frame_of(view: int) -> Frame:
         needed = min(wanted, max(1, len(witnesses[view]) // 2))  # a view at the end of the path has few neighbours
         strict, loose = confirmations(view, witnesses[view], pictures, depths)
         sure, agreed = strict >= needed, loose >= max(_LOOSE, needed - 1)
@@ -88,9 +90,9 @@ def depth_frames(
             agreed |= (loose >= 1) & (maps[view].score > _GOOD_SCORE)
         rgb, _ = load_undistorted_rgb(alignment.views[view], longest)
         depth = remove_rim(np.where(sure | agreed, depths[view], np.float32(0)), rgb)
-        frames.append(_frame(pictures[view], depth, np.where(sure, maps[view].score, np.float32(0)), longest))
-        tick(0.9 + 0.1 * (number + 1) / len(swept))
-    return tuple(frames)
+        return _frame(pictures[view], depth, np.where(sure, maps[view].score, np.float32(0)), longest)
+
+    return tuple(in_threads(frame_of, swept, part_of(tick, 0.9, 1.0)))
 
 
 def _sweep_views(

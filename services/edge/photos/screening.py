@@ -14,6 +14,7 @@ import numpy as np
 from services.edge.arrays import Bools, Floats, Tick
 from services.edge.capture.nouns import Photo, PhotoVerdict
 from services.edge.errors import CaptureError
+from services.edge.parallel import in_threads
 
 LONGEST_PX = 480  # longer side of the downscaled pictures
 # A photo is dark if its 50th and 95th percentile of 8-bit luma are below these. Both, since an object photographed on
@@ -52,12 +53,9 @@ def screen(photos: Sequence[Photo], *, tick: Tick) -> tuple[tuple[Photo, ...], t
     """Return the photos worth aligning, in their order, and a verdict on each of the others."""
     verdicts: list[PhotoVerdict] = []
     accepted: list[_PhotoTraits] = []
-    for number, photo in enumerate(photos):
-        tick(number / len(photos))
-        try:
-            traits = _photo_traits(photo)
-        except CaptureError as error:
-            advice = f"It {error.message}; send it again as a JPEG or HEIC."
+    for photo, traits in zip(photos, in_threads(_traits_or_error, photos, tick), strict=True):
+        if isinstance(traits, CaptureError):
+            advice = f"It {traits.message}; send it again as a JPEG or HEIC."
             verdicts.append(PhotoVerdict(photo.name, "unreadable", advice))
             continue
         verdict = _dark_verdict(traits) or _duplicate_verdict(traits, accepted)
@@ -68,6 +66,14 @@ def screen(photos: Sequence[Photo], *, tick: Tick) -> tuple[tuple[Photo, ...], t
     blurred = _blurred_names(accepted)
     photos_left = tuple(traits.photo for traits in accepted if traits.photo.name not in blurred)
     return photos_left, (*verdicts, *(_blur_verdict(name) for name in blurred))
+
+
+def _traits_or_error(photo: Photo) -> _PhotoTraits | CaptureError:
+    """Load a photo and measure it; or return why it cannot be read."""
+    try:
+        return _photo_traits(photo)
+    except CaptureError as error:
+        return error
 
 
 def _photo_traits(photo: Photo) -> _PhotoTraits:

@@ -16,6 +16,7 @@ import numpy as np
 from services.edge.arrays import Bools, Floats, Tick, no_tick
 from services.edge.capture.nouns import Frame, Photo
 from services.edge.errors import CaptureError
+from services.edge.parallel import in_threads
 from services.edge.photos.crop import CropBox, crop_photo
 
 _LONGEST = 320  # longer side in pixels of the compared pictures: shake of two pixels of a photo disappears in them
@@ -61,9 +62,13 @@ def mask_background(photos: Sequence[Photo], tick: Tick = no_tick) -> tuple[Phot
 
     Photos that cannot be read get no mask: screening reports them later.
     """
-    if not _one_camera(photos) or not _has_still_background(_small_photos(photos, _ASKED)):
+
+    def watch(_: float) -> None:
+        tick(0.0)  # most captures end before the masks: their bar must not jump back
+
+    if not _one_camera(photos) or not _has_still_background(_small_photos(photos, _ASKED, watch)):
         return ()
-    background = _Background.of(_small_photos(photos, _COMPARED))
+    background = _Background.of(_small_photos(photos, _COMPARED, watch))
     masked = []
     for number, photo in enumerate(photos):
         masked.append(_mask_photo(photo, background))
@@ -117,16 +122,17 @@ def _one_camera(photos: Sequence[Photo]) -> bool:
     return alike and all(photo.camera_to_world is None for photo in photos)
 
 
-def _small_photos(photos: Sequence[Photo], most: int) -> list[_SmallPhoto]:
+def _small_photos(photos: Sequence[Photo], most: int, tick: Tick) -> list[_SmallPhoto]:
     """Load at most `most` evenly spaced photos, downscaled, without the unreadable ones."""
     chosen = np.linspace(0, len(photos) - 1, min(most, len(photos))).round().astype(int)
-    pictures = []
-    for number in chosen.tolist():
+
+    def load(number: int) -> _SmallPhoto | None:
         try:
-            pictures.append(_SmallPhoto.of(photos[number]))
+            return _SmallPhoto.of(photos[number])
         except CaptureError:
-            continue
-    return pictures
+            return None
+
+    return [picture for picture in in_threads(load, chosen.tolist(), tick) if picture is not None]
 
 
 def _has_still_background(pictures: Sequence[_SmallPhoto]) -> bool:

@@ -87,16 +87,18 @@ def fuse(frames: Sequence[Frame], *, voxel: float | None = None, tick: Tick = no
     faults = FrameFaults()
     read = usable = 0
 
-    def read_frame(frame: Frame) -> tuple[DepthView, Bytes | None] | None:
+    def read_frame(frame: Frame) -> tuple[DepthView, Frame, Samples, float] | None:
         view = faults.read_view(frame, survey.limits)
-        return None if view is None else (view, faults.read_picture(frame))
+        if view is None:
+            return None
+        rgb = faults.read_picture(frame)
+        return view, frame if rgb is not None else replace(frame, load_rgb=None), *_observe(view, rgb, origin)
 
-    for number, (frame, found) in enumerate(zip(frames, one_ahead(read_frame, frames), strict=True)):
+    for number, found in enumerate(one_ahead(read_frame, frames)):
         if found is None:
             continue
-        view, rgb = found
-        samples, sharp = _observe(view, rgb, origin)
-        used.append(frame if rgb is not None else replace(frame, load_rgb=None))
+        view, frame, samples, sharp = found
+        used.append(frame)
         sharpness.append(sharp)
         grid.add(samples)
         aims += _aim_point(view)

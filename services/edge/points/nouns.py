@@ -73,8 +73,8 @@ class Points:
     xyz (N,3) float64; rgb (N,3) uint8 sRGB or None; confidence (N,) float32 in [0,1];
     metres_per_unit, scale_confidence, up, up_source as in `Capture`; warnings: sentences for the report;
     unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing;
-    held_out_views: pictures that neither points nor textures are made from, to compare the result with. Both are empty
-    where the capture's files are not on this machine. cut: what was kept, None where there was no choice;
+    held_out_views: pictures that neither points nor textures are made from, to compare the result with;
+    cut: what was kept, None where there was no choice;
     uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine.
     """
 

@@ -245,17 +245,25 @@ def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callab
     gain = (rendering[both] * true[both]).sum(axis=0) / np.maximum(np.square(rendering[both]).sum(axis=0), 1e-9)
     rendering = np.clip(rendering * gain, 0, 255)
     error = float(np.square(rendering[both] - true[both]).mean())
-    grey_true, grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (true, rendering.astype(np.float32)))
+    both_rgb = (true, rendering.astype(np.float32))
+    grey_true, grey = (np.asarray(cv2.cvtColor(each, cv2.COLOR_RGB2GRAY), np.float32) for each in both_rgb)
     ssim: Any = structural_similarity  # the library has no types
     _, similar = ssim(grey_true, grey, data_range=255, full=True)
-    edges = [cv2.Laplacian(each, cv2.CV_32F)[both].var() for each in (grey, grey_true)]
     return LikenessCheck(
         photo,
         rendering.astype(np.uint8),
         psnr=10 * float(np.log10(255**2 / max(error, 1e-6))),
         ssim=float(similar[both].mean()),
-        sharp=float(edges[0] / max(edges[1], 1e-6)),
+        sharp=relative_sharpness(grey, grey_true, both),
     )
+
+
+def relative_sharpness(grey: Floats, reference: Floats, within: Bools) -> float:
+    """Return the variance of the Laplacian of `grey` (H,W) over that of `reference` (H,W), in the pixels `within`."""
+    import cv2
+
+    one, other = (float(cv2.Laplacian(each, cv2.CV_32F)[within].var()) for each in (grey, reference))
+    return one / max(other, 1e-6)
 
 
 def _colours_of(subject: Mesh | TexturedMesh) -> Callable[[Hits], Floats]:

@@ -13,6 +13,19 @@ def bilinear(image: Bytes | Floats, at: Floats) -> Floats:
     """Sample an image (h,w,C) at positions (N,2), bilinearly: (N,C) float32. Outside of it the nearest edge counts."""
     import cv2
 
+    return _sample(image, at, cv2.INTER_LINEAR)
+
+
+def bicubic(image: Floats, at: Floats) -> Floats:
+    """Sample as `bilinear`, but sharper; beside edges the result exceeds the image's range by up to a tenth."""
+    import cv2
+
+    return _sample(image, at, cv2.INTER_CUBIC)
+
+
+def _sample(image: Bytes | Floats, at: Floats, method: int) -> Floats:
+    import cv2
+
     height, width = image.shape[:2]
     rows = -(-len(at) // _COLUMNS)
     if not rows:
@@ -20,7 +33,7 @@ def bilinear(image: Bytes | Floats, at: Floats) -> Floats:
     grid = np.zeros((2, rows * _COLUMNS), np.float32)
     grid[:, : len(at)] = (at * [width, height] - 0.5).T
     column, row = grid.reshape(2, rows, _COLUMNS)
-    sampled = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    sampled = cv2.remap(image, column, row, method, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(sampled.reshape(-1, image.shape[2])[: len(at)], np.float32)
 
 

@@ -5,7 +5,8 @@
            anew
 3. see     find the places that a photo sees, and how well (`photo_visibility`)
 4. choose  of many photos the best few, for cells of some texels
-5. blend   with a high power of how well each photo sees the place: next to the best view the others count little,
+5. sample  bicubically: prints are a fifth to a half sharper than bilinearly (docs/points.md)
+6. blend   with a high power of how well each photo sees the place: next to the best view the others count little,
            which keeps a print sharp, and no view ends at a line, which would be a seam
 
 The weight of a photo is q^p; q in [0,1] tells how well it sees the place.
@@ -22,7 +23,7 @@ from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part
 from services.edge.mesh.nouns import Mesh
 from services.edge.parallel import in_threads, slices
 from services.edge.render.posed_picture import PosedPicture
-from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
+from services.edge.render.sample_image import bicubic, bilinear, pixels_at, shrink_to
 from services.edge.srgb import to_linear
 from services.edge.texture.bake import positions_and_normals, random_places
 from services.edge.texture.match_exposures import match_exposures
@@ -87,7 +88,7 @@ class PhotoProjection:
         self._pictures = pictures
         self._depths = [picture.depth() for picture in pictures]
         places, normals = positions_and_normals(mesh, *random_places(mesh, _PROBES))
-        self._visibility = PhotoVisibility(mesh, usual_distance(places, pictures))
+        self._visibility = PhotoVisibility(mesh, usual_distance(places, pictures, self._depths))
         known = points.light_at(places)
         looks = in_threads(
             lambda number: self._look_at(places, normals, number),
@@ -178,7 +179,7 @@ class PhotoProjection:
                 shrink = max(1, int(texel / pixel)) if pixel > 0 else 1
                 if shrink not in by_size:
                     by_size[shrink] = to_linear(_shrink(rgb, shrink))
-                light = gain * bilinear(by_size[shrink], visible.at)
+                light = gain * np.maximum(bicubic(by_size[shrink], visible.at), 0)
                 blend.add(own[visible.index], light, visible.quality)
 
         return add

@@ -92,11 +92,26 @@ class PhotoVisibility:
         return self._scene.blocked(start, eye - start, 1.0)
 
 
-def usual_distance(places: Floats, pictures: Sequence[PosedPicture]) -> float:
-    """Median distance from the cameras to the places' median, in units of the mesh."""
+def usual_distance(places: Floats, pictures: Sequence[PosedPicture], depths: Sequence[Floats]) -> float:
+    """Usual distance from which places (N,3) on a mesh were photographed, in units of the mesh.
+
+    Around a thing it is the cameras' median distance from its middle. The middle of a room is nearer to them than its
+    walls: then it is the median distance at which they see places; depths: the photos' depth images (H,W).
+    """
+    if not pictures:
+        return 1.0
     middle = np.median(places, axis=0)
-    away = [np.linalg.norm(picture.eye - middle) for picture in pictures]
-    return float(np.median(away)) if away else 1.0
+    from_middle = [float(np.linalg.norm(picture.eye - middle)) for picture in pictures]
+    seen = [_seen_distance(places, picture, depth) for picture, depth in zip(pictures, depths, strict=True)]
+    return float(max(np.median(from_middle), np.nanmedian(seen) if np.isfinite(seen).any() else 0.0))
+
+
+def _seen_distance(places: Floats, picture: PosedPicture, depth: Floats) -> float:
+    """Median distance of the places (N,3) in a photo that its depth does not contradict; NaN where there are none."""
+    at, z = picture.project(places)
+    within = np.flatnonzero((z > 0) & ((at > 0) & (at < 1)).all(axis=1))
+    shown = z[within][_depth_difference(depth, at[within], z[within]) < _CONTRADICTS]
+    return float(np.median(shown)) * _scale(picture) if len(shown) else np.nan
 
 
 def _scale(picture: PosedPicture) -> float:

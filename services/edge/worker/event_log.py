@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 
 from services.edge.api import edge_pb2 as pb
 
-Update = pb.Progress | pb.Published
+Update = pb.Progress | pb.Published | pb.AnchorPoints
 Ending = pb.Failure | pb.Finished
 
 HEARTBEAT_S = 4.0
@@ -55,6 +55,8 @@ class EventLog:
                 self._append(progress=self._completed(update))
             case pb.Published():
                 self._append(published=update)
+            case pb.AnchorPoints():
+                self._append(anchors=update)
 
     def end(self, ending: Ending) -> None:
         """Append the terminal event; a failure without a stage gets the stage of the last progress."""
@@ -119,6 +121,7 @@ class EventLog:
         *,
         progress: pb.Progress | None = None,
         published: pb.Published | None = None,
+        anchors: pb.AnchorPoints | None = None,
         heartbeat: pb.Heartbeat | None = None,
         failure: pb.Failure | None = None,
         finished: pb.Finished | None = None,
@@ -130,6 +133,7 @@ class EventLog:
                 elapsed_s=time.monotonic() - self._began,
                 progress=progress,
                 published=published,
+                anchors=anchors,
                 heartbeat=heartbeat,
                 failure=failure,
                 finished=finished,

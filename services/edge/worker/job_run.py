@@ -20,8 +20,8 @@ from services.edge.worker.job_request import ReconstructionRequest
 from services.photo_box import PhotoBox
 
 Report = Callable[[Update], None]
-"""Callback with which the work reports progress and published bundles, several times a second. Raises `Cancelled` once
-the job is cancelled, `JobReturned` when this worker shuts down."""
+"""Callback with which the work reports progress, anchor points and published bundles, several times a second. Raises
+`Cancelled` once the job is cancelled, `JobReturned` when this worker shuts down."""
 
 PROGRESS_APART_S = 0.25
 """Least seconds between two progress events of one stage: the work reports more often than people can read."""
@@ -42,7 +42,7 @@ class Work(Protocol):
     def reconstruct(
         self, archive: Path, request: ReconstructionRequest, scratch: Path, checkpoint: Path, report: Report
     ) -> pb.Finished:
-        """Reconstruct and publish; report `Progress` often, and `Published` for every bundle.
+        """Reconstruct and publish; report `Progress` often, `AnchorPoints` once, `Published` for every bundle.
 
         scratch     folder for temporary files, emptied afterwards
         checkpoint  file that survives a killed worker: it exists where an earlier run of the job wrote it

@@ -109,9 +109,23 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
 
 async def _admitting(chunks: AsyncIterator[pb.Chunk], context: Context) -> AsyncIterator[pb.Chunk]:
     """Yield the chunks of an upload; before the first, admit it by sending the call's initial metadata."""
-    await context.send_initial_metadata(())
+    await _send_initial_metadata(context)
     async for chunk in chunks:
         yield chunk
+
+
+async def _send_initial_metadata(context: Context) -> None:
+    """Send the call's initial metadata, to the end even when cancelled.
+
+    gRPC takes metadata that a cancelled coroutine was sending for unsent and sends it again with the refusal's status:
+    that fails, and the caller would wait for ever.
+    """
+    sending = asyncio.ensure_future(context.send_initial_metadata(()))
+    try:
+        await asyncio.shield(sending)
+    except asyncio.CancelledError:
+        await sending
+        raise
 
 
 async def _refuse(context: Context, refused: RefusedError, chunks: AsyncIterator[pb.Chunk]) -> NoReturn:

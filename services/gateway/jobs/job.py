@@ -102,7 +102,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event of a job. seq: 1, 2, 3, ...; kind: progress, published or state; at: seconds since the epoch"""
+    """An event of a job. seq: 1, 2, 3, ...; kind: progress, anchors, published or state; at: seconds since the epoch"""
 
     job: str
     seq: int

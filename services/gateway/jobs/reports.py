@@ -32,6 +32,15 @@ class RunHeartbeat:
 
 
 @dataclass(frozen=True, slots=True)
+class AnchorsFound:
+    """The points are there; a few of them, to show until there is a mesh. xyz_m: flat, metres; rgb: flat, 0 to 255"""
+
+    seq: int
+    xyz_m: tuple[float, ...]
+    rgb: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class VersionPublished:
     """A version of the asset was published. state: preview or refined; collection: the one that lists it"""
 
@@ -65,7 +74,7 @@ class RunFinished:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
 
-Report = RunProgress | RunHeartbeat | VersionPublished | RunFailed | RunFinished
+Report = RunProgress | RunHeartbeat | AnchorsFound | VersionPublished | RunFailed | RunFinished
 
 
 def coalesce(reports: Iterable[Report]) -> list[Report]:

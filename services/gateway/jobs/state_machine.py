@@ -20,6 +20,7 @@ from services.gateway.jobs.job import Event, Job, Lease, Order, State
 from services.gateway.jobs.reports import (
     CANCELLED,
     DRAINING,
+    AnchorsFound,
     Report,
     RunFailed,
     RunFinished,
@@ -142,6 +143,9 @@ def _apply_report(job: Job, report: Report, now: float, retry: Retry) -> Change:
             eta_s = round(max(0.0, report.eta_s), 1)
             job = replace(job, stage=report.stage or job.stage, fraction=fraction, eta_s=eta_s)
             return _add_event(job, "progress", now, losses=dict(report.losses), message=report.message)
+        case AnchorsFound():
+            anchors = {"xyz_m": list(report.xyz_m), "rgb": list(report.rgb)}
+            return _add_event(job, "anchors", now, anchors=anchors)
         case VersionPublished():
             asset = {
                 "key": report.key,

@@ -28,10 +28,22 @@ let receipt = null; // of the upload: trying again does not send it twice
 async function offerPresets() {
   /** @type {Presets} */
   const { presets, default: automatic } = await getJson('/v1/presets').catch(() => ({ presets: [], default: '' }));
-  const others = presets.filter(({ name, summary }) => name !== automatic && !summary.startsWith('baseline'));
+  const others = presets.filter(({ name }) => name !== automatic);
   const first = presets.find(({ name }) => name === automatic);
   if (first) page.preset.options[0].textContent = `Automatic: ${first.summary || first.name}`;
-  page.preset.append(...others.map(({ name, summary }) => new Option(summary ? `${name}: ${summary}` : name, name)));
+  page.preset.append(...others.filter((each) => !each.literature).map(presetOption));
+  const literature = others.filter((each) => each.literature);
+  if (!literature.length) return;
+  const group = document.createElement('optgroup');
+  group.label = 'Methods from the literature';
+  group.append(...literature.map(presetOption));
+  page.preset.append(group);
+}
+
+/** The choice of a preset, with what it does and the time that it takes. @param {Presets['presets'][number]} preset */
+function presetOption({ name, summary, takes }) {
+  const words = [summary, takes && `takes ${takes}`].filter(Boolean).join('; ');
+  return new Option(words ? `${name}: ${words}` : name, name);
 }
 
 /** Uploads the chosen files, starts a job with them, and watches it. */

@@ -1,7 +1,7 @@
 // Watches a job until it has ended, and shows its progress, its result, or why it failed.
 import { showJobProgress, showProgressNote, startJobProgress } from './job-progress.js';
 import { showState, showTrouble } from './page-state.js';
-import { showResult } from './result.js';
+import { hideAnchors, showAnchors, showResult } from './result.js';
 import { followJob, getJson, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { Problem, toProblem } from '../shared/problems.js';
@@ -39,6 +39,7 @@ export function watchJob(job) {
       page.lost.hidden = true;
       showJobProgress(progress);
     },
+    onAnchors: showAnchors,
     onChange() {
       page.lost.hidden = true;
       queue = queue.then(reload);
@@ -68,6 +69,7 @@ function showJob(job) {
   page.coming.hidden = final || Boolean(job.asset);
   const published = job.asset ?? job.preview;
   if (published) showResult(job, published);
+  else if (final) hideAnchors();
   if (job.state === 'FAILED') showTrouble(new Problem(job.error ?? {}));
   if (job.state === 'CANCELLED') showTrouble(cancelled(job));
   if (job.state === 'SUCCEEDED') showSuccess(job);

@@ -6,7 +6,7 @@ import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
 import { PREVIEW_MODULES_MS, withTimeLimit } from '../shared/time-limits.js';
 
-/** @import { AssetEntry, Job, Manifest, PublishedVersion, QualityFigures } from '../shared/types.d.ts' */
+/** @import { AnchorPoints, AssetEntry, Job, Manifest, PublishedVersion, QualityFigures } from '../shared/types.d.ts' */
 /** @typedef {(value: number) => string} Format */
 
 /** @type {Format} */
@@ -31,6 +31,9 @@ const FIGURES = [
 
 const page = {
   result: element('result', HTMLElement),
+  pointed: element('pointed', HTMLElement),
+  ready: element('ready', HTMLElement),
+  made: element('made', HTMLElement),
   view: element('view', HTMLAnchorElement),
   link: element('link', HTMLElement),
   qr: element('qr', HTMLImageElement),
@@ -56,6 +59,41 @@ export function showResult(job, published) {
 }
 
 /**
+ * Shows a few points of the thing until there is a mesh. Where they cannot be drawn, nothing is shown.
+ * @param {AnchorPoints} anchors
+ */
+export function showAnchors(anchors) {
+  queue = queue.then(() => drawAnchors(anchors)).catch(hideAnchors);
+}
+
+/** Takes the points away: the job has ended, and no mesh follows. */
+export function hideAnchors() {
+  queue = queue.then(() => {
+    if (page.made.hidden) page.result.hidden = true;
+  });
+}
+
+/** @param {AnchorPoints} anchors */
+async function drawAnchors(anchors) {
+  if (shownVersion) return; // a reloaded page gets all events again
+  const { showPoints } = await withTimeLimit(import('./preview.js'), PREVIEW_MODULES_MS);
+  showStage(false);
+  showPoints(page.preview, anchors);
+  document.body.dataset.points = String(anchors.xyz_m.length / 3);
+}
+
+/**
+ * Shows the canvas, with all that is told of a version, or with its heading alone while there is none.
+ * @param {boolean} made whether there is a version
+ */
+function showStage(made) {
+  page.result.hidden = false;
+  page.pointed.hidden = made;
+  page.ready.hidden = !made;
+  page.made.hidden = !made;
+}
+
+/**
  * @param {Job} job
  * @param {PublishedVersion} published
  */
@@ -63,7 +101,7 @@ async function showVersion(job, published) {
   const key = job.asset_key;
   if (published.version <= shownVersion) return;
   const view = new URL(`/view/${encodeURIComponent(key)}`, location.href).href;
-  page.result.hidden = false;
+  showStage(true);
   page.view.href = view;
   page.link.textContent = view;
   page.qr.src = `/v1/assets/${encodeURIComponent(key)}/qr.svg`;

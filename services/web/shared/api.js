@@ -4,7 +4,7 @@ import { fetchBytes } from './network.js';
 import { Problem, isConnectionProblem, noAnswer, offline } from './problems.js';
 import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
-/** @import { CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
+/** @import { AnchorPoints, AnchorsEvent, CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
 const GATEWAY_ERRORS = [502, 503, 504]; // a proxy's word that the server behind it cannot be reached
@@ -155,6 +155,7 @@ const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds
 /**
  * @typedef {object} JobCallbacks
  * @property {(progress: JobProgress) => void} onProgress
+ * @property {(anchors: AnchorPoints) => void} onAnchors is called when the points are there, before there is a mesh
  * @property {() => void} onChange is called when the job may have changed, and whenever the stream opens
  * @property {() => void} onLost is called when the stream was silent for too long or was closed; it is then opened again
  */
@@ -165,7 +166,7 @@ const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds
  * @param {JobCallbacks} callbacks
  * @returns {() => void} stops following
  */
-export function followJob(id, { onProgress, onChange, onLost }) {
+export function followJob(id, { onProgress, onAnchors, onChange, onLost }) {
   /** @type {EventSource | undefined} */
   let source;
   let reconnect = 0;
@@ -202,6 +203,12 @@ export function followJob(id, { onProgress, onChange, onLost }) {
     stream.addEventListener('progress', (event) => {
       received(event);
       onProgress(JSON.parse(event.data));
+    });
+    stream.addEventListener('anchors', (event) => {
+      received(event);
+      /** @type {AnchorsEvent} */
+      const { anchors } = JSON.parse(event.data);
+      onAnchors(anchors);
     });
     for (const type of ['published', 'state']) {
       stream.addEventListener(type, (event) => {

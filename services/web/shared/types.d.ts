@@ -185,7 +185,7 @@ export interface PhotoOutline {
 }
 
 export interface Presets {
-  presets: { name: string; summary: string }[];
+  presets: { name: string; summary: string; literature: boolean; takes: string }[];
   default: string;
 }
 
@@ -198,6 +198,11 @@ export interface JobProgress {
   eta_s?: number;
   message?: string;
   losses?: { total?: number };
+}
+
+/** The event of a job whose points are there, and whose mesh is not. */
+export interface AnchorsEvent {
+  anchors: AnchorPoints;
 }
 
 /** A version that a job has published. */

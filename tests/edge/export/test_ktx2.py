@@ -108,7 +108,7 @@ def test_cancelling_kills_node(ktx2: Ktx2Encoder) -> None:  # noqa: F811
 
 def test_it_ends_when_it_takes_too_long(ktx2: Ktx2Encoder) -> None:  # noqa: F811
     with pytest.raises(Ktx2Error, match="took more than 0 s") as caught:
-        ktx2(photo_like(64), most_seconds=0.05)
+        ktx2(photo_like(64), most_seconds=0.0)
     assert caught.value.code == "KTX2_FAILED"
 
 

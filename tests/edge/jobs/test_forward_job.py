@@ -19,7 +19,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import cv2
 import grpc
+import numpy as np
 import pytest
 
 from services.edge.api import edge_pb2 as pb
@@ -41,6 +43,7 @@ from services.storage.memory import MemoryStore
 from services.storage.store import Store
 from tests.edge.jobs.test_points_archive import prepared_points
 from tests.edge.jobs.test_reconstruct_job import BRIEF, ENDLESS, archive, hemisphere_ply
+from tests.support.captures import write_open3d
 from tests.support.edge_client import Client, Scripted, leftovers, until, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
 from tests.support.repository import ROOT
@@ -162,12 +165,46 @@ async def test_the_bundle_is_that_of_a_lone_worker(
     assert [event.published for event in events if event.HasField("published")] == [
         event.published for event in theirs if event.HasField("published")
     ]
+    assert kinds(events).count("anchors") == 1
+    assert kinds(theirs).count("anchors") == 0, "whoever makes the points tells them, before it sends them on"
     fractions = [event.progress.fraction for event in events if event.HasField("progress")]
     assert fractions == sorted(fractions)
     stages = [event.progress.stage for event in events if event.HasField("progress")]
     assert stages == sorted(stages)
     assert {pb.VALIDATING, pb.POINT_CLOUD, pb.FITTING, pb.PUBLISHING} <= set(stages)
     assert list(tmp_path.glob("*/checkpoints/*")) == []
+
+
+def finest_texture(store: MemoryStore, key: str) -> np.ndarray:
+    """The base colour of the finest level, (S,S,3) sRGB."""
+    manifest = json.loads(store.get(read_entry(store, key).manifest))
+    glb = store.get(next(file["name"] for file in manifest["files"] if file["file"] == "lod0.glb"))
+    length = int.from_bytes(glb[12:16], "little")
+    document, chunk = json.loads(glb[20 : 20 + length]), glb[28 + length :]
+    view = document["bufferViews"][document["images"][0]["bufferView"]]
+    start = view.get("byteOffset", 0)
+    pixels = cv2.imdecode(np.frombuffer(chunk[start : start + view["byteLength"]], np.uint8), cv2.IMREAD_COLOR)
+    return np.asarray(pixels, int)
+
+
+async def test_central_textures_the_mesh_from_the_captures_pictures(
+    store: MemoryStore, tmp_path: Path, quick: Path
+) -> None:
+    folder = write_open3d(tmp_path / "frames")
+    scan = {path.relative_to(folder).as_posix().replace("/", "__"): path.read_bytes() for path in folder.rglob("*.*")}
+    capture = archive(tmp_path, **scan)
+    alone = MemoryStore()
+    async with worker(real_work(alone, quick), tmp_path / "alone") as client:
+        assert (await client.ended(capture, asset_key="ball", preset="quick"))[-1].HasField("finished")
+    async with pair(store, tmp_path, quick, quick) as (edge, _):
+        events = await edge.ended(capture, asset_key="ball", preset="quick")
+    assert events[-1].HasField("finished"), events[-1]
+    # The first mesh is there before its textures, as with a lone worker.
+    assert [event.published.state for event in events if event.HasField("published")] == ["preview", "preview"]
+    expected, made = (finest_texture(each, "ball") for each in (alone, store))
+    assert expected.shape == made.shape
+    assert expected.std() > 10, "it shows a picture"
+    assert np.abs(expected - made).mean() <= 2
 
 
 async def test_a_preset_that_only_central_has_trains_there(
@@ -416,7 +453,7 @@ async def test_the_job_goes_up_as_it_was_asked_for(
 
 async def test_points_need_the_workers_flag(store: MemoryStore, tmp_path: Path, quick: Path) -> None:
     """A phone's archive is a capture whatever it holds: it cannot claim to be metric."""
-    write_prepared(prepared_points(120), tmp_path / "points.zip")
+    write_prepared(prepared_points(120, pictured=False), tmp_path / "points.zip")
     sent = (tmp_path / "points.zip").read_bytes()
     async with worker(real_work(store, quick), tmp_path / "central", slots=1) as client:
         await client.ended(sent, "job_1", asset_key="claimed", preset="quick")

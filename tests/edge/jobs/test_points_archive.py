@@ -18,12 +18,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import PhotoVerdict, UpSource
+from services.edge.capture.nouns import Intrinsics, PhotoVerdict, UpSource
+from services.edge.capture.photo_copy import encode_copy
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
+from services.edge.jobs.archived_views import MOST_VIEWS
 from services.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
 from services.edge.jobs.points_cache import load_points, save_points
-from services.edge.points.nouns import CutReport, Points, UnseenSide
+from services.edge.points.nouns import CutReport, Points, TextureView, UnseenSide
 from services.storage.archives import unpack
 
 VERDICTS = (PhotoVerdict("a.jpg", "ok"), PhotoVerdict("b.jpg", "blur", "hold still"))
@@ -31,8 +33,22 @@ COORDINATES = st.floats(-1e9, 1e9)
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
-def prepared_points(count: int = 120) -> PreparedPoints:
-    """A photographed thing with everything that there may be."""
+def view(number: int) -> TextureView:
+    """A smooth picture with its depth, where a third is unknown."""
+    place = np.linspace(0, 1, 60)
+    rgb = np.asarray(255 * np.stack([np.outer(place, place), *np.meshgrid(place, place)], axis=-1), np.uint8)
+    depth = np.float32(1 + number + np.outer(place[:40], place[:40]))
+    depth[:, :13] = 0
+    angle = 0.3 * number
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    pose[:3, 3] = number, -1.0, 1e5
+    lens = Intrinsics(50.0, 51.0, 29.5, 30.5, 60, 60)
+    return TextureView(lens, pose, lambda: rgb, lambda: depth, f"IMG_{number}.jpg", tracked=number == 1)
+
+
+def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoints:
+    """A photographed thing with everything that there may be, with or without its pictures."""
     rng = np.random.default_rng(0)
     points = Points(
         xyz=rng.normal(size=(count, 3)),
@@ -45,6 +61,8 @@ def prepared_points(count: int = 120) -> PreparedPoints:
         unseen=(UnseenSide("shoot from the left", (-1.0, 0.0, 0.0), 0.25),),
         cut=CutReport("object", "it stands in the middle", "a box was removed", 0.5),
         up_source=UpSource("lines", 0.9),
+        texture_views=(view(0), view(1)) if pictured else (),
+        held_out_views=(view(2),) if pictured else (),
     )
     return PreparedPoints(points, CaptureSummary("photos", "jpeg", 2, VERDICTS), {"ALIGNING": 1.5, "POINT_CLOUD": 0.25})
 
@@ -129,7 +147,7 @@ def refusal(tmp_path: Path, files: Files) -> EdgeError:
         for name, content in files.items():
             packed.writestr(name, content)
     with pytest.raises(EdgeError) as refused:
-        read_prepared(tmp_path / "bad.zip", tmp_path / "scratch")
+        read_prepared(tmp_path / "bad.zip", tmp_path / f"scratch-{len(list(tmp_path.iterdir()))}")
     assert refused.value.code == "POINTS_INVALID"
     assert refused.value.hints
     assert not refused.value.retryable
@@ -191,7 +209,56 @@ HEADS: dict[str, Any] = {
     "an unknown stage": {"seconds": {"DREAMING": 1}},
     "seconds back": {"seconds": {"ALIGNING": -1}},
     "an unknown field": {"owner": "root"},
+    "views that are none": {"views": [7]},
+    "more views than any capture has": {"views": [{}] * (MOST_VIEWS + 1)},
 }
+
+
+def test_pictures_come_along_with_their_cameras_and_depths(tmp_path: Path) -> None:
+    prepared = prepared_points()
+    write_prepared(prepared, tmp_path / "points.zip")
+    found = read_prepared(tmp_path / "points.zip", tmp_path / "scratch").points
+    assert [len(found.texture_views), len(found.held_out_views)] == [2, 1]
+    for ours, theirs in zip(
+        (*prepared.points.texture_views, *prepared.points.held_out_views),
+        (*found.texture_views, *found.held_out_views),
+        strict=True,
+    ):
+        assert (ours.name, ours.tracked, ours.intrinsics) == (theirs.name, theirs.tracked, theirs.intrinsics)
+        np.testing.assert_array_equal(ours.camera_to_world, theirs.camera_to_world)
+        assert np.abs(ours.load_rgb().astype(int) - theirs.load_rgb()).mean() < 2
+        depth, read = ours.load_depth_m(), theirs.load_depth_m()
+        np.testing.assert_array_equal(depth == 0, read == 0)
+        np.testing.assert_allclose(read, depth, rtol=1e-4)
+
+
+VIEWS: dict[str, dict[str, Any]] = {
+    "a pose that mirrors": {"camera_to_world": [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]},
+    "a pose that stretches": {"camera_to_world": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]},
+    "no focal length": {"camera": [0, 50, 1, 1]},
+    "a depth image beyond any": {"depth_shape": [40, 1 << 20]},
+    "a depth without a step": {"depth_step": 0},
+    "an image without a width": {"size": [0, 60]},
+}
+
+
+@pytest.mark.parametrize("what", VIEWS)
+def test_a_view_that_is_none_is_refused(tmp_path: Path, files: Files, what: str) -> None:
+    head = json.loads(files["points.json"])
+    head["views"][1].update(VIEWS[what])
+    assert refusal(tmp_path, {**files, "points.json": json.dumps(head).encode()}).file == "points.json"
+
+
+@pytest.mark.parametrize("what", ["no picture", "a huge picture", "a torn depth", "a depth of another size"])
+def test_a_picture_that_is_none_is_named(tmp_path: Path, files: Files, what: str) -> None:
+    huge = np.zeros((16, 2_000, 3), np.uint8)
+    name, content = {
+        "no picture": ("view-1.picture", b"\xff\xd8 no picture"),
+        "a huge picture": ("view-1.picture", encode_copy(huge)),
+        "a torn depth": ("view-2.depth", files["view-2.depth"][:-3]),
+        "a depth of another size": ("view-0.depth", npy(np.zeros((4, 4), np.uint16))),
+    }[what]
+    assert refusal(tmp_path, {**files, name: content}).file == name
 
 
 @pytest.mark.parametrize("what", ARRAYS)
@@ -214,14 +281,18 @@ def test_a_head_that_is_no_document_is_named(tmp_path: Path, files: Files, text:
     assert refusal(tmp_path, {**files, "points.json": text}).file == "points.json"
 
 
-@pytest.mark.parametrize("name", ["points.json", "xyz.npy", "rgb.npy", "confidence.npy"])
+@pytest.mark.parametrize(
+    "name", ["points.json", "xyz.npy", "rgb.npy", "confidence.npy", "view-0.picture", "view-2.depth"]
+)
 def test_a_missing_file_is_named(tmp_path: Path, files: Files, name: str) -> None:
     refused = refusal(tmp_path, {each: content for each, content in files.items() if each != name})
     assert name in f"{refused.message} {refused.file}"
 
 
 def test_a_file_too_many_and_a_way_out_are_refused(tmp_path: Path, files: Files) -> None:
-    assert "5 entries" in refusal(tmp_path, {**files, "more.npy": b"x"}).message
+    assert "more.npy" in refusal(tmp_path, {**files, "more.npy": b"x"}).message
+    many = {f"more-{number}.npy": b"x" for number in range(100)}
+    assert f"{len(files) + 100} entries" in refusal(tmp_path, {**files, **many}).message
     named = {("other.npy" if name == "rgb.npy" else name): content for name, content in files.items()}
     assert "other.npy" in refusal(tmp_path, named).message
     refusal(tmp_path, {**files, "../escaped": b"x"})
@@ -237,7 +308,7 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
 
 def test_read_as_a_capture_they_claim_no_scale(tmp_path: Path) -> None:
     """Without the workers' flag they are a phone's upload like any other."""
-    write_prepared(prepared_points(), tmp_path / "points.zip")
+    write_prepared(prepared_points(pictured=False), tmp_path / "points.zip")
     unpack(tmp_path / "points.zip", tmp_path / "capture")
     capture = read_capture(tmp_path / "capture")
     assert (capture.kind, capture.format, capture.scale_confidence) == ("points", "npy", "unknown")

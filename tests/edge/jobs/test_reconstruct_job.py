@@ -13,6 +13,7 @@ import cv2
 import grpc
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.asset.target import measure_cost
@@ -93,6 +94,21 @@ async def test_points_become_an_asset(client: Client, store: MemoryStore, scratc
     assert json.loads(store.get(asset.manifest))["preset"] == "draft"
     assert store.get(asset.document["lods"][0]["name"]).startswith(b"glTF")
     assert leftovers(scratch) == []
+
+
+async def test_a_few_points_are_told_before_there_is_a_mesh(client: Client, store: MemoryStore, tmp_path: Path) -> None:
+    events = await client.ended(archive(tmp_path, dome_ply=hemisphere_ply(20_000)), asset_key="dome", preset="draft")
+    (place,) = (place for place, event in enumerate(events) if event.HasField("anchors"))
+    stages = [event.progress.stage for event in events[:place] if event.HasField("progress")]
+    assert stages[-1] == pb.POINT_CLOUD
+    assert not any(event.HasField("published") for event in events[:place])
+    told = np.array(events[place].anchors.xyz_m).reshape(-1, 3)
+    assert 100 <= len(told) <= 1000
+    assert len(events[place].anchors.rgb) == 3 * len(told)
+    manifest = json.loads(store.get(read_entry(store, "dome").manifest))
+    later = np.array(manifest["anchors"]["xyz_m"]).reshape(-1, 3)
+    apart, _ = cKDTree(later).query(told)  # the mesh's floor is not quite that of the points
+    assert np.median(apart) < 0.05
 
 
 async def test_an_asset_enters_the_collection_of_its_job_or_of_its_worker(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.render.sample_image import bilinear, pixels_at, shrink_to
+from services.edge.render.sample_image import bicubic, bilinear, pixels_at, shrink_to
 
 
 @pytest.mark.parametrize("rows", [0, 1, 1_024, 40_000])
@@ -30,6 +32,24 @@ def test_a_slope_is_interpolated_exactly_but_for_the_edges(x: float, y: float) -
     assert bilinear(image, np.array([[x, y]]))[0] == pytest.approx(wanted, abs=2e-3)  # OpenCV rounds to 1/32 pixel
     nearest = pixels_at(image, np.array([[x, y]]))[0]
     assert np.abs(nearest - [x, y]).max() <= edge + 1e-6
+
+
+@given(st.integers(0, 15), st.integers(0, 15), st.sampled_from([bilinear, bicubic]))
+def test_a_pixel_s_middle_shows_its_colour(row: int, column: int, sample: Callable[..., np.ndarray]) -> None:
+    image = np.random.default_rng(0).random((16, 16, 3)).astype(np.float32)
+    assert sample(image, (np.array([[column, row]]) + 0.5) / 16)[0] == pytest.approx(image[row, column], abs=1e-6)
+
+
+def test_between_pixels_bicubic_loses_less_of_a_wave_than_bilinear() -> None:
+    at = np.linspace(0.1, 0.9, 4_000)
+    wave = np.sin(2 * np.pi * 60 * (np.arange(240) + 0.5) / 240)  # four pixels long
+    image = np.tile(wave, (4, 1))[..., None].astype(np.float32)
+    truth = np.sin(2 * np.pi * 60 * at)
+    lost = [
+        np.abs(sample(image, np.column_stack([at, np.full(len(at), 0.5)]))[:, 0] - truth).mean()
+        for sample in (bilinear, bicubic)
+    ]
+    assert lost[1] < 0.5 * lost[0]
 
 
 def test_outside_of_the_image_the_nearest_edge_counts() -> None:

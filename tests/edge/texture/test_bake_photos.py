@@ -97,6 +97,17 @@ def test_what_stood_before_the_camera_is_left_to_the_points() -> None:
     assert (light_of(pictures, places())[1] == 0).all()
 
 
+@pytest.mark.parametrize("depth", [None, 2.0])
+def test_a_room_photographed_from_its_middle_shows_its_photos(depth: float | None) -> None:
+    """The middle of the walls lies beside the cameras, which is not how far away the walls are."""
+    walls = [GROUND.vertices + offset for offset in ([0.0, 0, 0], [3.0, 0, 2], [0.0, 0, 4])]
+    room = Mesh(np.concatenate(walls), np.concatenate([GROUND.faces + k * len(GROUND.vertices) for k in range(3)]))
+    pictures = PhotoProjection(room, [photo((x, 0, 2.0), depth=depth) for x in (-0.05, 0.05)], known())
+    shown, sure = light_of(pictures, places())
+    assert (sure == 1).all()
+    assert np.abs(shown - waves(places())).max() <= 4
+
+
 def test_neither_the_back_of_a_camera_nor_the_side_of_a_surface_shows_anything() -> None:
     pictures = PhotoProjection(GROUND, [photo((0, 0, -1.5))], known())  # looks down, from below
     assert (light_of(pictures, places())[1] == 0).all()

@@ -16,6 +16,7 @@ from services.edge.api import edge_pb2 as pb
 from services.edge.errors import CaptureError, EdgeError
 from services.edge.worker import event_log
 from services.edge.worker import job_queue as runs_module
+from services.edge.worker.job_request import RefusedError
 from services.edge.worker.server import SERVICE
 from tests.support.edge_client import Client, Scripted, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S, PATIENCE_S
@@ -225,6 +226,22 @@ async def test_cancel_frees_the_slot_of_a_thread_that_does_not_listen(
     work.release.set()
     await until(lambda: leftovers(scratch) == [])
     assert (await client.attached("deaf"))[-1] == ended[-1]  # what it published after its end was not heard
+
+
+async def test_a_refusal_while_the_upload_is_being_admitted_reaches_the_caller(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    received = runs_module._PendingUpload.received
+
+    async def cancelled_meanwhile(upload: runs_module._PendingUpload) -> None:
+        for _ in range(2):  # turns of the event loop: after them the initial metadata is on its way
+            await asyncio.sleep(0)
+        upload.refuse(RefusedError(grpc.StatusCode.ABORTED, "FENCE_STALE", "a newer lease uploads the job"))
+        await received(upload)
+
+    monkeypatch.setattr(runs_module._PendingUpload, "received", cancelled_meanwhile)
+    async with asyncio.timeout(PATIENCE_S):
+        assert await status_of(client.reconstruct(b"ticks 1")) == grpc.StatusCode.ABORTED
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Job, Order, State
 from services.gateway.jobs.reports import (
+    AnchorsFound,
     Report,
     RunFailed,
     RunFinished,
@@ -46,6 +47,7 @@ seqs = st.integers(1, 40)
 reports = st.one_of(
     st.builds(RunProgress, seqs, stages, fractions, eta_s=st.floats(-1.0, 1e6)),
     st.builds(RunHeartbeat, seqs),
+    st.builds(AnchorsFound, seqs, st.just((0.0, 0.5, 0.0)), st.just((255, 0, 0))),
     st.builds(
         VersionPublished,
         seqs,
@@ -182,9 +184,15 @@ def test_terminal_states_are_those_that_lead_nowhere() -> None:
 
 
 def test_reports_heard_twice_count_once() -> None:
-    told = (RunProgress(1, "FITTING", 0.5), VersionPublished(2, "dress", 1, "refined", "m"), RunFinished(3))
+    told = (
+        RunProgress(1, "POINT_CLOUD", 0.5),
+        AnchorsFound(2, (0.0, 0.5, 0.0), (255, 0, 0)),
+        VersionPublished(3, "dress", 1, "refined", "m"),
+        RunFinished(4),
+    )
     change = apply_reports(running(), 1, told + told, now=1, retry=RETRY)
-    assert [event.kind for event in change.events] == ["progress", "published", "state"]
+    assert [event.kind for event in change.events] == ["progress", "anchors", "published", "state"]
+    assert change.events[1].data["anchors"] == {"xyz_m": [0.0, 0.5, 0.0], "rgb": [255, 0, 0]}
 
 
 def test_a_run_that_begins_anew_is_heard_from_its_first_word() -> None:

@@ -159,7 +159,9 @@ def test_a_training_is_seen_and_its_certificate_read(page: Page, stack: Stack, b
     choose(page, bowl)
     options = page.locator("#preset option")
     expect(options.first).to_contain_text("Automatic")
-    assert not any("baseline" in text for text in options.all_text_contents())
+    published = page.locator("#preset optgroup[label='Methods from the literature'] option")
+    expect(published.filter(has_text="CAP-UDF")).to_contain_text("takes 7 hours to a day on two cores")
+    assert "brief" not in " ".join(published.all_text_contents())
     page.locator("#preset").select_option("brief")
     page.locator("#name").fill("trained bowl")
     page.evaluate(SAYINGS)
@@ -182,6 +184,48 @@ def test_a_training_is_seen_and_its_certificate_read(page: Page, stack: Stack, b
         expect(page.locator("#figures tr").first).to_have_text("PreviewRefined")
     else:
         expect(page.locator("#warnings")).to_contain_text("the preview was kept")
+
+
+@pytest.mark.parametrize("ending", ["SUCCEEDED", "FAILED"])
+def test_the_points_are_shown_until_there_is_a_mesh(page: Page, stack: Stack, bowl: Path, ending: str) -> None:
+    """The time between them is short here, and stretched: the page hears of a mesh only when the test lets it."""
+    held = True
+    unmade = {"state": "RUNNING", "preview": None, "asset": None}
+
+    def before_the_mesh(route: Route) -> None:
+        answer = route.fetch()
+        changed = unmade if held else {**unmade, "state": "FAILED"} if ending == "FAILED" else {}
+        return route.fulfill(response=answer, json={**answer.json(), **changed})
+
+    def only_to_the_anchors(route: Route) -> None:
+        if not held:
+            return route.continue_()
+        told = route.fetch().text().replace("\r\n", "\n").split("\n\n")  # ends with the job
+        events = [each for each in told if "event: progress" in each or "event: anchors" in each]
+        return route.fulfill(body="\n\n".join([*events, ""]), content_type="text/event-stream")
+
+    page.route(re.compile(r"/v1/jobs/job_[0-9a-f]+$"), before_the_mesh)
+    page.route("**/events*", only_to_the_anchors)
+    page.goto(stack.url)
+    choose(page, bowl)
+    page.locator("#name").fill("pointed bowl")
+    page.get_by_role("button", name="Send").click()
+    await_data(page, points="512")
+    expect(page.locator("#pointed")).to_be_visible()
+    expect(page.locator("#ready")).to_be_hidden()
+    expect(page.locator("#view")).to_be_hidden()
+    page.locator("#preview").scroll_into_view_if_needed()
+    await_frames(page)
+    assert drawn(page.locator("#preview").screenshot()) > 0.05
+    held = False
+    if ending == "FAILED":
+        await_data(page, state="trouble")
+        expect(page.locator("#result")).to_be_hidden()
+        return
+    await_data(page, state="done")
+    expect(page.locator("body")).to_have_attribute("data-preview", re.compile(r"\d+"))
+    expect(page.locator("#pointed")).to_be_hidden()
+    expect(page.locator("#view")).to_be_visible()
 
 
 def test_a_failure_behind_the_preview_leaves_it_on_show(page: Page, stack: Stack, bowl: Path) -> None:
