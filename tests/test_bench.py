@@ -92,7 +92,7 @@ def test_a_shortened_schedule_keeps_its_proportions() -> None:
 
 
 def test_no_steps_leave_the_published_ones_and_changes_come_through() -> None:
-    short = methods.shortened(NetworkConfig(), Settings("ours-paper", changes={"projection": 0.0}))
+    short = methods.shortened(NetworkConfig(), Settings("paper", changes={"projection": 0.0}))
     assert (short.steps, short.batch, short.projection) == (40_000, 5_000, 0.0)
 
 
@@ -117,7 +117,7 @@ def test_a_cell_names_what_failed() -> None:
 @pytest.mark.slow
 def test_a_baseline_is_fitted_to_the_points_as_measured_and_changed_as_asked() -> None:
     points = surfaces.sampled(surfaces.hemisphere(), 300)
-    settings = Settings("ours-paper", steps=4, batch=50, changes={"width": 8, "pool": 3_000})
+    settings = Settings("paper", steps=4, batch=50, changes={"widths": (8,) * 6, "pool": 3_000})
     seen, distance = methods.fitted(points, settings)
     np.testing.assert_array_equal(seen, points)
     f, gradient = distance(points)

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.table import Table
 
 from services.cli.progress import console
-from services.edge.preset import AUTOMATIC, load_preset, memory_bytes, preset_names
+from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, preset_names
 
 _LIKE_A_THING = 10_000  # points of a garment: a typical size, for the memory column
 
 
 def list_presets() -> None:
-    """Print each preset's training steps, memory and summary; the first row is the automatic choice."""
+    """Print the presets, the automatic choice first, and behind them the methods from the literature."""
+    presets = [load_preset(name) for name in preset_names()]
+    console.print(_table([load_preset(AUTOMATIC), *(preset for preset in presets if not preset.literature)]))
+    console.print("\nMethods from the literature, to compare with: each publishes its own mesh")
+    console.print(_table([preset for preset in presets if preset.literature]))
+
+
+def _table(presets: Sequence[Preset]) -> Table:
+    """Each preset's training steps, memory and summary."""
     table = Table()
     for column in ("preset", "trains", "memory, 10,000 points", "at most"):
         is_name = column == "preset"
         table.add_column(column, justify="left" if is_name else "right", no_wrap=is_name)
     table.add_column("", overflow="fold")
-    table.add_row(AUTOMATIC, "", "", "", load_preset(AUTOMATIC).summary)
-    for preset in map(load_preset, preset_names()):
+    for preset in presets:
+        if preset.name == AUTOMATIC:
+            table.add_row(AUTOMATIC, "", "", "", preset.summary)
+            continue
         takes = (memory_bytes(preset, points) for points in (_LIKE_A_THING, preset.most_points))
         steps = f"{preset.fit.total_steps:,} steps" if preset.fit else "no"
-        table.add_row(preset.name, steps, *(f"{each / 1e9:.2f} GB" for each in takes), preset.summary)
-    console.print(table)
+        words = preset.summary + (f"; takes {preset.takes}" if preset.takes else "")
+        table.add_row(preset.name, steps, *(f"{each / 1e9:.2f} GB" for each in takes), words)
+    return table

@@ -68,7 +68,7 @@ def report_page(
     """
     title = escape(report["label"] or report["key"])
     certificates = {state: each for state, each in report["certificates"].items() if each}
-    refused = ", not published" if report["verdict"] == "worse" else ""
+    refused = ", not published" if _is_refused(report) else ""
     return "\n".join(
         [
             f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>',
@@ -151,7 +151,14 @@ def _summary(report: Mapping[str, Any]) -> Iterator[str]:
     if up := report["capture"].get("up"):
         yield f"<p>Up is told by {_UP_SOURCES[up['source']]} (confidence {up['confidence']:.2f}).</p>"
     if report["verdict"]:
-        yield f"<p>The refined surface is <b>{_VERDICTS[report['verdict']]}</b>: {escape(report['because'])}</p>"
+        so = ", so the preview is the result" if _is_refused(report) else ""
+        yield f"<p>The refined surface is <b>{_VERDICTS[report['verdict']]}{so}</b>: {escape(report['because'])}</p>"
+
+
+def _is_refused(report: Mapping[str, Any]) -> bool:
+    """Whether the refined surface was not published; of a method of the literature it is, whatever the verdict."""
+    refused: bool = report["verdict"] == "worse" and report["state"] != "refined"
+    return refused
 
 
 _UP_SOURCES = {
@@ -167,7 +174,7 @@ _UP_SOURCES = {
 _VERDICTS = {
     "better": "better than the preview",
     "even": "as good as the preview",
-    "worse": "worse than the preview, so the preview is the result",
+    "worse": "worse than the preview",
 }
 
 

@@ -36,13 +36,15 @@ from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
 from services.edge.mesh.clean import clean
 from services.edge.mesh.extract import extract
-from services.edge.mesh.fill_gaps import Fill
+from services.edge.mesh.extract_published import extract_published
+from services.edge.mesh.fill_gaps import Fill, FilledMesh
+from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.spacing import auto_resolution
 from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.points.downsample import downsample_points
 from services.edge.points.nouns import Cut, Points
 from services.edge.points.unit import unit_frame
-from services.edge.preset import AUTOMATIC, Preset, load_preset
+from services.edge.preset import AUTOMATIC, Extraction, Preset, load_preset
 from services.edge.preset_choice import choose, traits_of
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
 from services.edge.training import FieldTraining, train
@@ -197,7 +199,8 @@ def bundles(
         watched = unit.to_unit(points.xyz[held_out == 2])
         if isinstance(config, NetworkConfig) and not len(watched):  # the cloud is too small to hold any out
             config = replace(config, patience=0)
-        training = FieldTraining(fitted, fitted_noise, config, device, distance, xyz_unit, watched, checkpoint)
+        metres = None if points.scale_confidence == "unknown" else unit.size * points.metres_per_unit
+        training = FieldTraining(fitted, fitted_noise, config, device, distance, xyz_unit, watched, checkpoint, metres)
         yield from _refinement(training, subject, preview, quality, pack_preview, pack, clock, bar)
 
 
@@ -223,7 +226,9 @@ def _refinement(
 
     try:
         trained = yield from train(training, clock, bar)
-        made = yield from _surface(trained.distance, trained.near, subject, subject.preset.finest, clock, bar)
+        made = yield from _surface(
+            trained.distance, trained.near, subject, subject.preset.finest, clock, bar, subject.preset.extraction
+        )
     except EdgeError as error:
         yield from keep_preview(_kept_warning(error.message, error.hints))
         return
@@ -242,10 +247,12 @@ def _refinement(
         "because": verdict.because,
         "preview": before,
     }
-    if verdict.outcome == "worse":
+    if verdict.outcome == "worse" and not subject.preset.literature:
         yield from keep_preview(_kept_warning(verdict.because, trained.warnings), quality)
         return
     warnings = trained.warnings
+    if verdict.outcome == "worse":
+        warnings += (f"this method's mesh is worse than the preview was: {verdict.because}",)
     if verdict.outcome == "even":
         warnings += (f"training did not improve on the preview: {verdict.because}",)
     levels = yield from colour_levels(made, subject, clock, bar)
@@ -253,30 +260,48 @@ def _refinement(
 
 
 def _surface(
-    distance: DistanceFn, near: Floats, subject: AssetSubject, finest: int, clock: Clock, bar: Bar
+    distance: DistanceFn,
+    near: Floats,
+    subject: AssetSubject,
+    finest: int,
+    clock: Clock,
+    bar: Bar,
+    extraction: Extraction = "dual",
 ) -> Generator[Progress, None, MeasuredSurface]:
-    """Extract the mesh of a field whose surface lies near the points (N,3), clean it and measure its quality."""
+    """Extract the mesh of a field whose surface lies near the points (N,3), clean it and measure its quality.
+
+    A mesh of the published extraction stays as it comes.
+    """
     resolution = subject.preset.resolution or auto_resolution(
         near, high=finest, cells_per_spacing=subject.preset.cells_per_spacing
     )
     yield bar.begin("EXTRACTING", f"{resolution} cells along the longest side")
     with clock("EXTRACTING"):
         tick = bar.tick("EXTRACTING")
+        if extraction == "published":
+            mesh_unit = extract_published(distance, near, resolution=resolution, tick=tick)
+            _refuse_empty(mesh_unit, near, resolution)
+            certificate = certify(distance, mesh_unit, subject.evidence)
+            return MeasuredSurface(FilledMesh.unfilled(mesh_unit), resolution, certificate)
         raw = extract(distance, near, resolution=resolution, tick=part_of(tick, 0, EXTRACT_SHARE))
         specks: list[float] = []
         mesh_unit = clean(raw, near, specks=specks, tick=part_of(tick, EXTRACT_SHARE, 1))
         del raw
-        if len(mesh_unit.faces) == 0:
-            raise EdgeError(
-                "EXTRACTION_EMPTY",
-                f"no surface was found among {len(near):,} points at {resolution} cells",
-                hints=("capture the object from closer and from more sides",),
-            )
+        _refuse_empty(mesh_unit, near, resolution)
         mesh_unit, pieces = drop_false_pieces(mesh_unit, subject.colours, subject.unit, specks)
         mesh_unit = trim_rims_with_photos(mesh_unit, subject.colours, subject.unit)
         filled = fill_gaps_with_photos(mesh_unit, subject.colours, subject.unit, subject.fill)
         certificate = certify(distance, filled.mesh, subject.evidence, pieces)
         return MeasuredSurface(filled, resolution, certificate)
+
+
+def _refuse_empty(mesh: Mesh, near: Floats, resolution: int) -> None:
+    if len(mesh.faces) == 0:
+        raise EdgeError(
+            "EXTRACTION_EMPTY",
+            f"no surface was found among {len(near):,} points at {resolution} cells",
+            hints=("capture the object from closer and from more sides",),
+        )
 
 
 def _compare_with_photos(surface: MeasuredSurface, subject: AssetSubject, clock: Clock) -> MeasuredSurface:

@@ -21,10 +21,14 @@ AUTOMATIC = "auto"
 """Name of the automatic choice: the pipeline then chooses a preset from the points (`preset_choice.py`). An empty name
 means the same."""
 
-_ORDER = ("draft", "standard", "fine", "scene")  # in lists, from quick to thorough; the baselines come after them
+_ORDER = ("draft", "standard", "fine", "scene")
+"""Order of the product's presets in lists, from quick to thorough; the literature's come after them."""
 _POINT_BYTES = 400  # of a capture: 1,000,000 points take 400 MB on their way to the 200,000 that are kept
 _CELL_BYTES = 1_500  # per cell of the surface, some resolution² of them: 384 cells take 220 MB while extracting
 _CELLS = (48, 4 / 3)  # least cells along a side; and cells per √points at one cell per spacing: cloth fills half a box
+
+Extraction = Literal["dual", "published"]
+"""How a field becomes a mesh: by the product's dual surfaces, cleaned, or by CAP-UDF's published code."""
 
 T = TypeVar("T")
 
@@ -39,7 +43,12 @@ class Preset:
                  400,000 triangles, four times the finest LOD, in about 30 s on two cores
     lod_faces    triangle budgets of the LODs, finest first: what a standalone headset draws at 90 Hz beside a scene
     fit          configuration of the training whose refined bundle follows the preview; None: the preview is the result
-    denoised     whether the training gets the denoised points, as the preview does; the baselines get them as measured
+    denoised     whether the training gets the denoised points, as the preview does; the methods of the literature get
+                 them as measured
+    literature   whether it is a published method, to compare with: its own mesh is published even where the verdict
+                 prefers the preview, which is then a warning
+    extraction   how the trained field becomes a mesh
+    takes        time that the training takes, for people; "" where it is minutes or less
     """
 
     name: str
@@ -51,22 +60,25 @@ class Preset:
     lod_faces: tuple[int, ...] = (100_000, 25_000, 5_000)
     fit: AnchorConfig | NetworkConfig | None = None
     denoised: bool = True
+    literature: bool = False
+    extraction: Extraction = "dual"
+    takes: str = ""
 
 
 _AUTOMATIC_PRESET = Preset(AUTOMATIC, "chosen from the points, their spacing and noise, and the device")
 
 
 def preset_names() -> tuple[str, ...]:
-    """List the presets that a client may name: the product's from quick to thorough, then the baselines."""
+    """List the presets that a client may name: the product's from quick to thorough, then those of the literature."""
     product = [*_ORDER, *(name for name in _names(_folder()) if name not in _ORDER)]
-    return (*product, *_names(_folder() / "baselines"))
+    return (*product, *_names(_folder() / "literature"))
 
 
 def load_preset(name: str) -> Preset:
     """Load a preset by name; "" and "auto": the automatic choice. Raises EdgeError PRESET_UNKNOWN, which names all."""
     if name in ("", AUTOMATIC):
         return _AUTOMATIC_PRESET
-    for folder in (_folder(), _folder() / "baselines"):
+    for folder in (_folder(), _folder() / "literature"):
         if name in _names(folder):
             return parse_preset(name, (folder / f"{name}.toml").read_text())
     known = ", ".join(preset_names())
@@ -107,13 +119,18 @@ def _names(folder: Traversable) -> list[str]:
 
 
 def _build(kind: type[T], values: Mapping[str, Any], preset: str, table: str) -> T:
-    """Build a dataclass from a TOML table. Raises EdgeError PRESET_INVALID naming every unknown key."""
+    """Build a dataclass from a TOML table. Raises EdgeError PRESET_INVALID naming every unknown key, or what does not
+    fit."""
     unknown = values.keys() - {each.name for each in fields(kind)}  # type: ignore[arg-type]
     if unknown:
         named = ", ".join(sorted(f"{table}{key}" for key in unknown))
         raise EdgeError("PRESET_INVALID", f"preset '{preset}' has unknown keys: {named}")
     hints = get_type_hints(kind)
-    return kind(**{key: _value(hints[key], value, preset, f"{table}{key}") for key, value in values.items()})
+    checked = {key: _value(hints[key], value, preset, f"{table}{key}") for key, value in values.items()}
+    try:
+        return kind(**checked)
+    except ValueError as error:  # values that do not fit together
+        raise EdgeError("PRESET_INVALID", f"preset '{preset}': {table}{error}") from None
 
 
 def _value(hint: Any, value: Any, preset: str, key: str) -> Any:

@@ -32,6 +32,7 @@ class FieldTraining:
     base        the local field of the denoised points, smooth (N,3)
     watched     (W,3) held-out points for early stopping
     checkpoint  file that the training writes and resumes from, or None
+    metres      length of the unit frame's longest side, None where the unit of the points is unknown
     halved      whether the batch was halved to save memory
     """
 
@@ -43,6 +44,7 @@ class FieldTraining:
     smooth: Floats
     watched: Floats
     checkpoint: Path | None = None
+    metres: float | None = None
     halved: bool = False
 
     def with_less_memory(self) -> tuple[FieldTraining, str] | None:
@@ -127,6 +129,7 @@ def _fit(training: FieldTraining) -> Generator[Step, None, None]:
         base=training.base,
         held_out=training.watched,
         checkpoint=training.checkpoint,
+        metres=training.metres,
     )
 
 

@@ -31,6 +31,15 @@ LOSSES = {
     "self_consistency": "L_sc",
     "far_share": "far queries",
 }
+READINGS: dict[str, dict[str, Any]] = {
+    "printed sign of λ": {"sign": "printed"},
+    "log(1/ω) an input": {"certainty": "input"},
+    "pairs agree in their distance alone": {"pairs": "distance"},
+    "mean of both directions in (1)": {"chamfer": 0.5},
+    "kernel 3 over 6 neighbours": {"neighbours": 6},
+    "169 throughout": {"widths": (169,) * 6},
+}
+"""Other readings of the paper's equations and network."""
 ANCHOR_LOSSES = {"DISTANCE": "L_d", "GRADIENT": "L_g", "FLATNESS": "L_c"}
 """Weights of the anchors' losses, constants of `anchor_losses.py`."""
 SURFACE = 0.1  # τ_f where the preset has none: LevelSetUDF's
@@ -54,7 +63,7 @@ def main(arguments: list[str]) -> None:
             print(f"| {row.label} | {name} | {' | '.join(_cells(record.figures))} |", flush=True)
 
 
-def variants(config: AnchorConfig | NetworkConfig) -> Iterator[tuple[str, dict[str, float]]]:
+def variants(config: AnchorConfig | NetworkConfig) -> Iterator[tuple[str, dict[str, Any]]]:
     """The preset, then each of its losses off (or the one it has not, on), then other weights of self-consistency."""
     yield "as it is", {}
     if isinstance(config, AnchorConfig):
@@ -69,9 +78,11 @@ def variants(config: AnchorConfig | NetworkConfig) -> Iterator[tuple[str, dict[s
     for weight in CONSISTENCY:
         if weight != config.self_consistency:
             yield f"τ_s = {weight:g}", {"self_consistency": weight}
+    if config.model == "separable":
+        yield from READINGS.items()
 
 
-def _measured(row: Row, name: str, changes: dict[str, float], options: argparse.Namespace, records: Records) -> Record:
+def _measured(row: Row, name: str, changes: dict[str, Any], options: argparse.Namespace, records: Records) -> Record:
     settings = Settings(
         options.preset,
         resolution=row.resolution,
@@ -120,7 +131,7 @@ def _cells(figures: dict[str, Any]) -> list[str]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.bench ablation", description=__doc__)
-    parser.add_argument("--preset", default="ours-paper", help="whose losses; any preset that trains")
+    parser.add_argument("--preset", default="paper", help="whose losses; any preset that trains")
     parser.add_argument("--rows", default="", help=f"only rows whose label contains this, of: {'; '.join(SHAPES)}")
     parser.add_argument("--steps", type=int, default=1_500, help="0: as the preset says")
     parser.add_argument("--batch", type=int, default=500, help="0: as the preset says")

@@ -11,7 +11,8 @@ import statistics
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, product
+from typing import Any
 
 from services.edge.field.step import Step
 from services.edge.paper_field.network_config import NetworkConfig
@@ -20,7 +21,15 @@ from services.edge.paper_field.networks import network_of
 from services.edge.preset import load_preset
 from tests.support import surfaces
 
-MODELS = {"separable": "ours", "mlp": "ancestors' MLP"}
+NETWORKS: dict[str, dict[str, Any]] = {
+    "128 and 256, as printed": {},
+    "169 throughout": {"widths": (169,) * 6},
+    "128 throughout": {"widths": (128,) * 6},
+    "kernel 3 over 6 neighbours, 168 throughout": {"widths": (168,) * 6, "neighbours": 6},
+    "log(1/ω) an input": {"certainty": "input"},
+    "ancestors' MLP": {"model": "mlp"},
+}
+"""Readings of the paper's network, and its ancestors', by what differs from the preset `paper`."""
 TERMS = {"all terms": {}, "pull": {"projection": 0.0, "orthogonality": 0.0, "self_consistency": 0.0, "surface": 0.0}}
 WARM = 3  # steps before the clock: allocators, and the capture of a CUDA graph
 TURNS, STEPS = 5, {"cpu": 2, "cuda": 100}  # steps of one model before the other's turn; a GPU yields every 25 of them
@@ -29,40 +38,55 @@ TURNS, STEPS = 5, {"cpu": 2, "cuda": 100}  # steps of one model before the other
 def main(arguments: list[str]) -> None:
     """Print the sizes, then the seconds."""
     options = _parser().parse_args(arguments)
-    paper = load_preset("ours-paper").fit
-    assert paper is not None
-    paper = replace(paper, width=options.width, pool=200_000)
-    print("| network | parameters | MB |")
+    paper = load_preset("paper").fit
+    assert isinstance(paper, NetworkConfig)
+    paper = replace(paper, pool=200_000)
+    print(
+        "The paper prints 147.2 thousand parameters and 0.57 MB for its network, 463.1 thousand and 1.78 for the MLP.\n"
+    )
+    print("| network | parameters | MB (2²⁰ bytes) |")
     print("|---|---|---|")
-    for model, name in MODELS.items():
-        count = sum(each.numel() for each in network_of(replace(paper, model=model)).parameters())
-        print(f"| {name}{f', {paper.width} wide' if model == 'separable' else ''} | {count:,} | {4e-6 * count:.2f} |")
-    print(f"\n{options.points:,} points, {options.device}\n")
-    print("| terms | batch | ours, ms a step | MLP, ms a step | ours / MLP | 40,000 steps of ours, min |")
-    print("|---|---|---|---|---|---|")
-    for terms, off in TERMS.items():
-        for batch in options.batch:
-            config = replace(paper, batch=batch, **off)
-            ours, mlp = step_seconds(options, config, "separable"), step_seconds(options, config, "mlp")
-            own, theirs = _median_in_turns(ours, mlp)
-            print(
-                f"| {terms} | {batch:,} | {own * 1e3:.1f} | {theirs * 1e3:.1f} | {own / theirs:.2f} "
-                f"| {own * 40_000 / 60:.0f} |",
-                flush=True,
-            )
+    for name, changes in NETWORKS.items():
+        count = sum(each.numel() for each in network_of(replace(paper, **changes)).parameters())
+        print(f"| {name} | {count:,} | {4 * count / 2**20:.2f} |")
+    print(f"\n{options.device}\n")
+    print("| network | terms | points | batch | ms a step | the MLP's | ratio | its 40,000 steps, min | GPU MB |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    chosen = [(name, terms) for name in options.networks or list(NETWORKS)[:-1] for terms in TERMS]
+    for (name, terms), points, batch in product(chosen, options.points, options.batch):
+        config = replace(paper, batch=batch, **TERMS[terms])
+        ours = step_seconds(points, replace(config, **NETWORKS[name]), options.device)
+        theirs = step_seconds(points, replace(config, model="mlp"), options.device)
+        own, other = _median_in_turns(ours, theirs)
+        print(
+            f"| {name} | {terms} | {points:,} | {batch:,} | {own * 1e3:.1f} | {other * 1e3:.1f} | {own / other:.2f} "
+            f"| {own * 40_000 / 60:.0f} | {_gpu_mb(options.device)} |",
+            flush=True,
+        )
 
 
-def step_seconds(options: argparse.Namespace, config: NetworkConfig, model: str) -> Iterator[float]:
-    """The seconds of a step, each time it is asked."""
-    points = surfaces.sampled(surfaces.pleated_skirt(), options.points)
-    device = "cuda" if options.device.startswith("cuda") else "cpu"
-    running = fit_network(points, replace(config, model=model), device=options.device)
+def step_seconds(count: int, config: NetworkConfig, on: str) -> Iterator[float]:
+    """The seconds of a step on so many points, each time it is asked."""
+    points = surfaces.sampled(surfaces.pleated_skirt(), count)
+    device = "cuda" if on.startswith("cuda") else "cpu"
+    running = fit_network(points, config, device=on)
     steps = (step for step in running if step.losses)
     first = next(islice(steps, WARM, None))
     while True:
         began, last = time.perf_counter(), _advanced(steps, first.number + STEPS[device])
         yield (time.perf_counter() - began) / (last.number - first.number)
         first = last
+
+
+def _gpu_mb(device: str) -> str:
+    """Most memory that was allocated on a GPU since the last call."""
+    import torch
+
+    if not device.startswith("cuda"):
+        return "–"
+    taken = torch.cuda.max_memory_allocated(device)
+    torch.cuda.reset_peak_memory_stats(device)
+    return f"{taken / 2**20:,.0f}"
 
 
 def _advanced(steps: Iterator[Step], number: int) -> Step:
@@ -77,7 +101,7 @@ def _median_in_turns(ours: Iterator[float], theirs: Iterator[float]) -> tuple[fl
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.bench complexity", description=__doc__)
     parser.add_argument("--batch", type=int, nargs="*", default=[1_000, 5_000, 20_000], help="queries a step")
-    parser.add_argument("--points", type=int, default=10_000)
-    parser.add_argument("--width", type=int, default=128, help="of our network, 128 or 256")
+    parser.add_argument("--points", type=int, nargs="*", default=[10_000])
+    parser.add_argument("--networks", nargs="*", choices=list(NETWORKS)[:-1], help="all if none is named")
     parser.add_argument("--device", default="cpu")
     return parser

@@ -1,4 +1,4 @@
-"""Points to mesh, by every method of the yardstick: the product's presets, its ancestors, and Open3D's peers."""
+"""Points to mesh, by every method of the yardstick: the presets of the product and the literature, Open3D's peers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -22,10 +23,10 @@ from services.edge.mesh.nouns import Mesh
 from services.edge.paper_field.network_config import NetworkConfig
 
 PRODUCT = {"draft": "local field", "standard": "standard", "fine": "fine"}
-ANCESTORS = {"cap-udf": "CAP-UDF", "levelset-udf": "LevelSetUDF"}
+LITERATURE = {"cap-udf": "CAP-UDF", "levelset-udf": "LevelSetUDF", "paper": "paper"}
 PEERS = {"ball-pivoting": "ball pivoting", "poisson": "screened Poisson"}
-NAMES = {**PRODUCT, **ANCESTORS, **PEERS}
-"""Methods, and what tables call them. Any other preset, as ours-paper, is fitted as the ancestors are."""
+NAMES = {**PRODUCT, **LITERATURE, **PEERS}
+"""Methods, and what tables call them. Any other preset is fitted as those of the literature are."""
 
 MEASURED = ("POINT_CLOUD", "FITTING", "EXTRACTING")  # stages from points to mesh; colours and packing come after it
 NEAR = 0.5  # of the points' mean spacing: the offset of the queries for the consistency
@@ -51,7 +52,7 @@ class Settings:
     seed: int = 0
     device: str = "cpu"
     bare: bool = False
-    changes: Mapping[str, float] = field(default_factory=dict)
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +106,9 @@ def product(points: Floats, settings: Settings) -> Made:
 
 
 def trained(points: Floats, settings: Settings) -> Made:
-    """A preset's fit, meshed by the product's own extraction and cleaning; the baselines see the points as measured.
+    """A preset's fit, meshed by the product's own extraction and cleaning; the literature sees the points as measured.
 
-    The ancestors' own extraction takes 7 to 51 s and leaves unwelded soup; with ours only the fields differ.
+    The extraction that CAP-UDF publishes takes 7 to 51 s and leaves unwelded soup; with ours only the fields differ.
     """
     from services.edge.certificate import consistency
     from services.edge.mesh.clean import clean

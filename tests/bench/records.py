@@ -16,11 +16,11 @@ from typing import Any
 import services
 
 _EDGE = Path(__file__).parents[2] / "services" / "edge"
-# What decides over a mesh of the product; a baseline never sees anchors, patches or the noise estimate, so cells of
+# What decides over a mesh of the product; the literature never sees anchors, patches or the noise estimate, so cells of
 # hours stay valid when those change.
 _PRODUCT = ("field", "mesh", "points", "presets", "pipeline.py", "preset.py")
 _SHARED = tuple(f"field/{name}.py" for name in ("compute", "config", "schedule", "step"))
-_BASELINE = ("paper_field", *_SHARED, "mesh", "points/unit.py", "presets/baselines")
+_LITERATURE = ("paper_field", *_SHARED, "mesh", "points/unit.py", "presets/literature")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +58,8 @@ def fingerprint(settings: dict[str, Any]) -> str:
 
 def code_version(method: str) -> str:
     """The product's version and a digest of the sources that decide over that method's mesh."""
-    baseline = (_EDGE / "presets" / "baselines" / f"{method}.toml").exists()
-    return f"{services.__version__}+{_digest(_BASELINE if baseline else _PRODUCT)}"
+    published = (_EDGE / "presets" / "literature" / f"{method}.toml").exists()
+    return f"{services.__version__}+{_digest(_LITERATURE if published else _PRODUCT)}"
 
 
 @cache

@@ -18,7 +18,7 @@ from typing import Any
 from tests.bench import datasets
 from tests.bench.cell import run_cell
 from tests.bench.datasets import Subject
-from tests.bench.methods import ANCESTORS, PEERS, PRODUCT, Settings, Unavailable
+from tests.bench.methods import LITERATURE, PEERS, PRODUCT, Settings, Unavailable
 from tests.bench.report import head, words
 
 SOURCES = {
@@ -63,12 +63,12 @@ def table(subjects: list[Subject], options: argparse.Namespace) -> Iterator[str]
 
 
 def _results(subjects: list[Subject], method: str, options: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    ancestor = method not in PRODUCT and method not in PEERS
+    of_literature = method not in PRODUCT and method not in PEERS
     settings = Settings(
         method,
         resolution=options.resolution,
-        steps=options.steps if ancestor else 0,
-        batch=options.batch if ancestor else 0,
+        steps=options.steps if of_literature else 0,
+        batch=options.batch if of_literature else 0,
         device=options.device,
     )
     for subject in subjects:
@@ -102,12 +102,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.bench tables", description=__doc__)
     for name, (title, _) in SOURCES.items():
         parser.add_argument(f"--{name}", type=Path, metavar="DIR", help=title)
-    known = ",".join([*PRODUCT, *PEERS, *ANCESTORS, "ours-paper"])
+    known = ",".join([*PRODUCT, *PEERS, *LITERATURE])
     parser.add_argument("--methods", default=known, help=f"lines, among them any preset; all: {known}")
     parser.add_argument("--limit", type=int, help="only the first so many of each")
     parser.add_argument("--resolution", type=int, default=256, help="cells along the longest side; the papers' is 256")
-    parser.add_argument("--steps", type=int, default=0, help="of the ancestors; 0: as published")
-    parser.add_argument("--batch", type=int, default=0, help="of the ancestors; 0: as published")
+    parser.add_argument("--steps", type=int, default=0, help="of the literature; 0: as published")
+    parser.add_argument("--batch", type=int, default=0, help="of the literature; 0: as published")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--timeout", type=float, default=24 * 3_600, help="seconds per mesh")
     return parser

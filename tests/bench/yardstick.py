@@ -17,14 +17,14 @@ from typing import Any
 
 from tests.bench import plots, report
 from tests.bench.cell import run_cell
-from tests.bench.methods import ANCESTORS, NAMES, PEERS, PRODUCT, Settings, Unavailable
+from tests.bench.methods import LITERATURE, NAMES, PEERS, PRODUCT, Settings, Unavailable
 from tests.bench.records import Record, Records, code_version, fingerprint, record_of
 from tests.bench.shapes import ROWS, Row
 
 FOLDER = Path(__file__).parent
 STORED = FOLDER / "yardstick.json"
 PLOT = FOLDER / "yardstick.png"
-# Of the ancestors, stated in the table: 40,000 steps of 5,000 take 8 hours on two cores. A query of LevelSetUDF costs
+# Of the literature, stated in the table: 40,000 steps of 5,000 take 8 hours on two cores. A query of LevelSetUDF costs
 # two of CAP-UDF.
 STEPS, BATCH = 1_000, {"levelset-udf": 500}
 USUAL_BATCH = 1_000
@@ -130,12 +130,12 @@ def _key(row: Row, chosen: Settings) -> dict[str, Any]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.bench yardstick", description=__doc__)
-    known = ",".join([*PRODUCT, *PEERS, *ANCESTORS])
+    known = ",".join([*PRODUCT, *PEERS, *LITERATURE])
     parser.add_argument("--methods", default=known, help=f"columns, among them any preset; all: {known}")
     parser.add_argument("--rows", default="", help="only rows whose label contains this")
     parser.add_argument("--points", type=int, nargs="*", help="only rows of these numbers of points")
-    parser.add_argument("--steps", type=int, default=STEPS, help="of the ancestors; 0: as published")
-    parser.add_argument("--batch", type=int, help="queries a step of the ancestors; 0: as published")
+    parser.add_argument("--steps", type=int, default=STEPS, help="of the literature; 0: as published")
+    parser.add_argument("--batch", type=int, help="queries a step of the literature; 0: as published")
     parser.add_argument("--seed", type=int, default=0, help="of the points and of the training")
     parser.add_argument("--device", default="cpu", help="where fields are trained, as cuda:0")
     parser.add_argument("--fresh", action="store_true", help="measure again what is already stored")

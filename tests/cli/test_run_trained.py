@@ -157,6 +157,15 @@ def test_a_kept_preview_stays_on_top_with_the_figures_of_what_was_refused(result
     assert "0.00400" in page
 
 
+def test_a_worse_mesh_that_is_published_all_the_same_is_the_result(results: Results) -> None:
+    preview = bundle("preview", 0.003).manifest["quality"]
+    results.write(bundle("refined", 0.004, verdict="worse", because="it is farther", preview=preview))
+    assert (results.out / "mesh.ply").read_text() == "refined"
+    page = (results.out / "report.html").read_text()
+    assert "<b>worse than the preview</b>: it is farther" in page
+    assert "not published" not in page
+
+
 def test_a_failed_training_leaves_one_certificate_and_a_warning(results: Results) -> None:
     results.keep_preview("the preview was kept: the fit diverged", None, {"FITTING": 7.0})
     report = report_of(results)

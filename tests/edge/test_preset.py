@@ -11,17 +11,19 @@ from services.edge.errors import EdgeError
 from services.edge.paper_field.network_config import Densify, NetworkConfig
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
 
-BASELINES = ("cap-udf", "levelset-udf", "ours-no-self", "ours-paper", "ours-paper-scene")
+LITERATURE = ("cap-udf", "levelset-udf", "paper", "paper-no-self", "paper-scene", "paper-variant")
 FOLDER = Path(presets.__file__).parent / "presets"
 
 
-def test_every_preset_loads_and_the_baselines_come_last() -> None:
-    assert preset_names() == ("draft", "standard", "fine", "scene", *BASELINES)
+def test_every_preset_loads_and_the_literature_comes_last() -> None:
+    assert preset_names() == ("draft", "standard", "fine", "scene", *LITERATURE)
     for name in preset_names():
         preset = load_preset(name)
         assert preset.name == name
         assert preset.summary
         assert (preset.fit is None) == (name == "draft")
+        assert preset.literature == (name in LITERATURE)
+        assert bool(preset.takes) == preset.literature
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.rglob("*.toml")), ids=lambda path: path.stem)
@@ -36,7 +38,7 @@ def test_no_name_leaves_the_choice_to_the_points() -> None:
     assert AUTOMATIC not in preset_names()
 
 
-@pytest.mark.parametrize("name", ["magic", "../draft", "DRAFT", "draft.toml", "baselines/cap-udf"])
+@pytest.mark.parametrize("name", ["magic", "../draft", "DRAFT", "draft.toml", "literature/cap-udf"])
 def test_an_unknown_name_is_told_with_the_known_ones(name: str) -> None:
     with pytest.raises(EdgeError, match="draft") as told:
         load_preset(name)
@@ -71,6 +73,8 @@ def test_an_unknown_key_is_an_error_that_names_it(text: str, named: str) -> None
         ("[fit]\nsteps = true", "fit.steps = True is not a whole number"),
         ('[fit]\nmodel = "larger"', "fit.model = 'larger' is not 'anchors' or 'separable' or 'mlp'"),
         ("[fit]\ndensify = 3", "fit.densify = 3 is not a table"),
+        ("[fit]\nwidths = [128, 256]", "'mine': fit.widths = .128, 256.: the network has 6 layers"),
+        ('[fit]\nsign = "up"', "fit.sign = 'up' is not 'printed' or 'decaying'"),
     ],
 )
 def test_a_value_of_another_kind_is_an_error_that_says_which(text: str, said: str) -> None:
@@ -84,7 +88,7 @@ def test_a_value_of_another_kind_is_an_error_that_says_which(text: str, said: st
     [
         ('model = "anchors"\nbatch = 5\npool = 3', "'anchors' does not use: fit.batch, fit.pool"),
         ('model = "anchors"\n[fit.densify]\nsteps = 5', "'anchors' does not use: fit.densify"),
-        ('model = "mlp"\nwidth = 128', "'mlp' does not use: fit.width"),
+        ('model = "mlp"\nwidths = [128]', "'mlp' does not use: fit.widths"),
     ],
 )
 def test_a_key_that_the_model_does_not_use_is_an_error_that_names_it(text: str, named: str) -> None:
@@ -100,17 +104,22 @@ def test_a_preset_holds_only_differences() -> None:
     assert trained == NetworkConfig(learning_rate=1.0, densify=Densify(steps=5))
 
 
-def test_the_baselines_are_the_papers() -> None:
-    fits = {name: load_preset(name).fit for name in BASELINES}
-    assert fits["ours-paper"] == NetworkConfig()
-    assert fits["ours-no-self"] == NetworkConfig(self_consistency=0.0)
+def test_the_literature_is_as_published() -> None:
+    fits = {name: load_preset(name).fit for name in LITERATURE}
+    paper = NetworkConfig()
+    assert fits["paper"] == paper
+    assert (paper.projection, paper.surface, paper.orthogonality, paper.self_consistency) == (1e-3, 1e-3, 1e-4, 1e-2)
+    assert (paper.steps, paper.warm_up, paper.learning_rate, paper.warm_start) == (40_000, 1_000, 1e-3, 0)
+    assert (paper.strong_per_m2, paper.weak_per_m2, paper.far_share, paper.pairs) == (1_000, 500, 0, "pull")
+    assert fits["paper-no-self"] == NetworkConfig(self_consistency=0.0)
+    assert fits["paper-variant"] != paper
     pull, levels = fits["cap-udf"], fits["levelset-udf"]
     assert pull is not None
     assert levels is not None
     assert (pull.model, pull.projection, pull.orthogonality, pull.surface, pull.self_consistency) == ("mlp", 0, 0, 0, 0)
     assert (pull.total_steps, levels.total_steps) == (60_000, 40_000)
     assert (levels.projection, levels.surface, levels.orthogonality) == (0.002, 0.1, 0.01)
-    assert not any(load_preset(name).denoised for name in BASELINES), "they see the points as measured"
+    assert not any(load_preset(name).denoised for name in LITERATURE), "they see the points as measured"
 
 
 def test_the_product_trains_anchors_and_scenes_take_fewer_steps() -> None:
@@ -124,9 +133,10 @@ def test_the_product_trains_anchors_and_scenes_take_fewer_steps() -> None:
 
 
 def test_the_papers_scene_weighs_as_the_paper_says() -> None:
-    scene = load_preset("ours-paper-scene").fit
-    assert scene is not None
+    scene = load_preset("paper-scene").fit
+    assert isinstance(scene, NetworkConfig)
     assert (scene.projection, scene.orthogonality, scene.self_consistency) == (2e-3, 1e-2, 1e-1)
+    assert (scene.surface, scene.weak_per_m2) == (2e-3, 100)
     assert scene.steps == 100_000
 
 

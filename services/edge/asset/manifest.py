@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import services
-from services.edge.arrays import Floats
+from services.edge.arrays import Bytes, Floats
 from services.edge.asset.photo_check import PhotoCheck
 from services.edge.asset.target import Cost, Target
 from services.edge.capture_to_points import CaptureSummary
@@ -136,6 +136,7 @@ def build_manifest(
     """
     source, points, unit = subject.source, subject.points, subject.unit
     low, high = finest.vertices.min(axis=0), finest.vertices.max(axis=0)
+    anchors, anchor_colours = anchors_m(points, to_asset)
     all_warnings = [*points.warnings, *warnings]
     if points.up is None:
         all_warnings.append("The capture does not say which way is up: its Y axis was taken as up.")
@@ -156,7 +157,7 @@ def build_manifest(
         "origin": "guess" if source.kind == "image" else "measured",
         "confidence": round(float(points.confidence.mean()), 3),
         "points": len(points) + quality["held_out"],
-        "anchors": _anchors(points, to_asset),
+        "anchors": {"xyz_m": anchors.ravel().tolist(), "rgb": anchor_colours.ravel().tolist()},
         "scale_confidence": points.scale_confidence,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],
         "unit_frame": {"centre": [float(value) for value in unit.centre], "size": float(unit.size)},
@@ -185,8 +186,7 @@ def _unseen_sides(points: Points, to_asset: Floats) -> list[dict[str, Any]]:
     ]
 
 
-def _anchors(points: Points, to_asset: Floats) -> dict[str, list[float] | list[int]]:
-    """A few points that a viewer shows until the mesh is loaded: flat lists of metres (asset frame) and sRGB bytes."""
+def anchors_m(points: Points, to_asset: Floats) -> tuple[Floats, Bytes]:
+    """A few points that a viewer shows until the mesh is there: (K,3) metres in the asset frame, (K,3) sRGB bytes."""
     xyz, rgb = cluster_anchors(points.xyz, points.rgb)
-    xyz_m = xyz @ to_asset[:3, :3].T + to_asset[:3, 3]
-    return {"xyz_m": xyz_m.round(4).ravel().tolist(), "rgb": rgb.ravel().tolist()}
+    return (xyz @ to_asset[:3, :3].T + to_asset[:3, 3]).round(4), rgb

@@ -27,7 +27,7 @@ In = TypeVar("In")
 Out = TypeVar("Out")
 
 Nearest = Callable[[Tensor], Tensor]
-"""(M,3) -> index (M,) of the nearest point to each."""
+"""(M,3) -> index (M,) of the nearest point to each, or (M,K) of the K nearest."""
 
 
 def open_device(name: str) -> torch.device:
@@ -56,6 +56,21 @@ def nearest_in(points: Tensor) -> Nearest:
 def nearest(queries: Tensor, points: Tensor) -> Tensor:
     """Index (M,) of the nearest point to each query, for points that change every step."""
     return nearest_in(points)(queries)
+
+
+def several_nearest_in(points: Tensor, count: int) -> Nearest:
+    """As `nearest_in`, but the `count` nearest points, nearest first: index (M,count)."""
+    if points.device.type == "cpu":
+        tree = cKDTree(_finite(points))
+        ranks = np.arange(1, count + 1)
+        return lambda queries: torch.from_numpy(np.asarray(tree.query(_finite(queries), k=ranks)[1], np.int64))
+    size = max(1, BLOCK_BYTES // (points.element_size() * len(points)))
+
+    def by_blocks(queries: Tensor) -> Tensor:
+        parts = torch.split(queries.detach(), size)
+        return torch.cat([torch.cdist(part, points).topk(count, largest=False).indices for part in parts])
+
+    return by_blocks
 
 
 class _KdTree:

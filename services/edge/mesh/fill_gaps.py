@@ -120,13 +120,13 @@ class _EdgeIndex:
     """Finds undirected edges among `ends` (E,2) of a mesh with `count` vertices."""
 
     def __init__(self, ends: Ints, count: int) -> None:
-        keys = np.sort(ends, axis=1) @ np.array([count, 1])
+        keys = _keys(ends, count)
         self._order, self._count = np.argsort(keys), count
         self._keys = keys[self._order]
 
     def find(self, one: Ints, other: Ints) -> Ints:
         """Indices (N,) of the edges between vertices `one` (N,) and `other` (N,), all of which there are."""
-        wanted = np.minimum(one, other) * self._count + np.maximum(one, other)
+        wanted = _keys(np.column_stack([one, other]), self._count)
         found: Ints = self._order[np.searchsorted(self._keys, wanted)]
         return found
 
@@ -189,7 +189,8 @@ def _flip_edges(vertices: Floats, patch: Ints, chords: Ints) -> Ints:
 
     chords (C,2): edges that the mesh has elsewhere between vertices of the border; none is made again.
     """
-    others = set(map(tuple, np.sort(chords, axis=1).tolist()))
+    count = len(vertices)
+    others = _keys(chords, count)
     for _ in range(_FLIP_ROUNDS):
         edges = edges_of(patch)
         half = edges.halves(2)
@@ -197,25 +198,44 @@ def _flip_edges(vertices: Floats, patch: Ints, chords: Ints) -> Ints:
         apex = patch[face, (corner + 2) % 3]
         start, end = patch[face[:, 0], corner[:, 0]], patch[face[:, 0], (corner[:, 0] + 1) % 3]
         angles = _angle(vertices, apex[:, 0], start, end) + _angle(vertices, apex[:, 1], start, end)
-        taken: set[int] = set()
-        linked = others | set(map(tuple, edges.ends.tolist()))
-        flipped = patch.copy()
-        for number in np.argsort(-angles, kind="stable"):
-            if angles[number] <= np.pi + _ANGLE_TOLERANCE:
-                break
-            one, other = face[number].tolist()
-            left, right = apex[number].tolist()
-            # Faces beside a flipped one have changed; an edge that exists already would get a third face.
-            if one in taken or other in taken or (min(left, right), max(left, right)) in linked or left == right:
-                continue
-            taken |= {one, other}
-            linked.add((min(left, right), max(left, right)))
-            flipped[one] = left, start[number], right
-            flipped[other] = right, end[number], left
-        if not taken:
+        sharpest = np.argsort(-angles, kind="stable")
+        new = _keys(apex, count)
+        # An edge that exists already would get a third face.
+        allowed = (angles > np.pi + _ANGLE_TOLERANCE) & (apex[:, 0] != apex[:, 1])
+        allowed &= ~np.isin(new, others) & ~np.isin(new, _keys(edges.ends, count))
+        chosen = _without_neighbours(sharpest[allowed[sharpest]], face, new)
+        if not len(chosen):
             break
-        patch = flipped
+        (one, other), (left, right) = face[chosen].T, apex[chosen].T
+        patch = patch.copy()
+        patch[one] = np.stack([left, start[chosen], right], axis=1)
+        patch[other] = np.stack([right, end[chosen], left], axis=1)
     return patch
+
+
+def _keys(ends: Ints, count: int) -> Ints:
+    """One number (E,) for each undirected edge (E,2) of a mesh with `count` vertices."""
+    keys: Ints = ends.min(axis=1) * count + ends.max(axis=1)
+    return keys
+
+
+def _without_neighbours(wanted: Ints, face: Ints, new: Ints) -> Ints:
+    """Choose edges of `wanted` (K,), the first ones first, of which no two share a face or would become the same edge.
+
+    face (E,2): the faces beside each edge; new (E,): key of the edge that each would become.
+    """
+    _, same = np.unique(new[wanted], return_inverse=True)
+    claims = np.column_stack([face[wanted], same + face.max(initial=0) + 1])
+    waiting, chosen = np.arange(len(wanted)), []
+    while len(waiting):
+        first = np.full(claims.max() + 1, len(wanted))
+        np.minimum.at(first, claims[waiting], waiting[:, None])
+        wins = (first[claims[waiting]] == waiting[:, None]).all(axis=1)
+        chosen.append(waiting[wins])
+        taken = np.zeros(len(first), bool)
+        taken[claims[chosen[-1]]] = True
+        waiting = waiting[~taken[claims[waiting]].any(axis=1)]
+    return wanted[np.sort(np.concatenate(chosen))] if chosen else wanted[:0]
 
 
 def _angle(vertices: Floats, apex: Ints, one: Ints, other: Ints) -> Floats:

@@ -26,11 +26,11 @@ class LearnedField:
     """The `DistanceFn` of a network and the points it was fitted to.
 
     Distances (M,) and gradients (M,3) are float32, gradients of length 1, also where their own length is not: the
-    extraction asks on which side a query lies. A call uses the network's weights of that moment.
+    extraction asks on which side a query lies. A call uses the weights of `network` of that moment.
     """
 
     def __init__(self, network: FieldNetwork, points: Floats) -> None:
-        self._network = network
+        self.network = network
         self._points = np.ascontiguousarray(points, np.float32)
         self._tree = cKDTree(self._points)
         distance, _ = self._tree.query(self._points, k=min(SPACING_RANK + 1, len(self._points)))
@@ -51,9 +51,9 @@ class LearnedField:
     @torch.no_grad()
     def _evaluate_network(self, q: Floats) -> tuple[Floats, Floats]:
         f, gradient = np.empty(len(q), np.float32), np.empty((len(q), 3), np.float32)
-        device = next(self._network.parameters()).device
+        device = next(self.network.parameters()).device
         for part in slices(len(q), CHUNK[device.type]):
-            distance, slope = self._network.value_and_gradient(torch.from_numpy(q[part]).to(device))
+            distance, slope = self.network.value_and_gradient(torch.from_numpy(q[part]).to(device))
             slope = slope / (slope.norm(dim=1, keepdim=True) + _TINY)
             f[part], gradient[part] = distance.cpu().numpy(), slope.cpu().numpy()
         return f, gradient

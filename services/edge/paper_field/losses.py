@@ -5,16 +5,17 @@ f, g       the field and its gradient;  ĝ = g/|g|
 q̂          the pulled query q − f(q)·ĝ(q)
 ω          a moving average of a pair's weak distance
 
-(1)  L_CD   = ½ ( mean |q̂ − p(q̂)| + mean |p − q̂(p)| )
-(2)  L_proj = mean exp(−λ f(q)) · (1 − |cos(g(q), g(q̂))|)
+(1)  L_CD   = mean |q̂ − p(q̂)| + mean |p − q̂(p)|
+(2)  L_proj = mean exp(±λ f(q)) · (1 − |cos(g(q), g(q̂))|)  +  L_surf
 (3)  L_orth = mean ( 1 − |cos(g(q), q − p(q))| )
 (4)  L_surf = mean f(p)
 (5)  ω      ← β ω + (1−β) f(q_w)
-(6)  L_sc   = mean | log(1/ω)·(f(q_s) − f(q_w)) + ξ |
-(7)  L      = L_CD + τ_p L_proj + τ_o L_orth + τ_s L_sc + τ_f L_surf
+(6)  L_sc   = mean ‖ log(1/ω)·(f(q_s) ĝ(q_s) − f(q_w) ĝ(q_w)) + ξ ‖₂
+(7)  L      = L_CD + τ_p L_proj + τ_o L_orth + τ_s L_sc
 
-λ enters with a minus sign: the paper prints a growing weight, but its source of the term (LevelSetUDF) decays with the
-distance, and a growing weight would favour the far field.
+The paper prints sums where means stand here: every one of them over the M queries of a batch, or over as many points.
+So all terms are divided by the same number, which leaves their ratios as they are printed, and to which Adam is blind.
+What else is read into the equations is told in docs/method.md, equation by equation.
 """
 
 from __future__ import annotations
@@ -30,22 +31,28 @@ XI = 1e-8  # ξ of (6): the paper's, which keeps the derivative of |·| defined 
 MOST_CERTAIN = math.log(1e4)  # bound of log(1/ω): ω is a ten-thousandth of the unit frame, a tenth of any spacing
 
 
+def pull_vector(distance: Tensor, gradient: Tensor) -> Tensor:
+    """Vectors (M,3) from the surface to the queries, f(q)·ĝ(q). They pass through 0 where the gradient turns round."""
+    return distance[:, None] * gradient / _length(gradient)[:, None]
+
+
 def pull(q: Tensor, distance: Tensor, gradient: Tensor) -> Tensor:
     """Move the queries to where the field says the surface is: q̂ (M,3)."""
-    return q - distance[:, None] * gradient / _length(gradient)[:, None]
+    return q - pull_vector(distance, gradient)
 
 
 def chamfer_loss(pulled: Tensor, nearest_point: Tensor, point: Tensor, nearest_pulled: Tensor) -> Tensor:  # eq. 1
-    """Chamfer distance, symmetric, not squared: q̂ (M,3), the nearest point to each; points (K,3), the nearest q̂."""
-    return 0.5 * (_length(pulled - nearest_point).mean() + _length(point - nearest_pulled).mean())
+    """Chamfer distance, both directions added, not squared: q̂ (M,3), the nearest point to each; points (K,3), the
+    nearest q̂."""
+    return _length(pulled - nearest_point).mean() + _length(point - nearest_pulled).mean()
 
 
-def projection_loss(distance: Tensor, gradient: Tensor, gradient_at_pull: Tensor, *, decay: float) -> Tensor:  # eq. 2
-    """Penalise level sets that are not parallel to the surface: gradients that turn along the pull. In [0,1].
+def projection_loss(distance: Tensor, gradient: Tensor, gradient_at_pull: Tensor, *, growth: float) -> Tensor:  # eq. 2
+    """Penalise level sets that are not parallel to the surface: gradients that turn along the pull.
 
-    The surface term that the paper adds in this equation is (4), with a weight of its own.
+    growth: λ with its sign; below 0, queries near the surface weigh most. The second sum in (2) is `surface_loss`.
     """
-    return (torch.exp(-decay * distance) * (1 - _abs_cos(gradient, gradient_at_pull))).mean()
+    return (torch.exp(growth * distance) * (1 - _abs_cos(gradient, gradient_at_pull))).mean()
 
 
 def orthogonality_loss(gradient: Tensor, q: Tensor, nearest_point: Tensor) -> Tensor:  # eq. 3
@@ -64,10 +71,22 @@ def update_memory(memory: Tensor, weak_distance: Tensor, *, keep: float) -> Tens
     return torch.where(memory.isnan(), weak, keep * memory + (1 - keep) * weak)
 
 
-def self_consistency_loss(strong_distance: Tensor, weak_distance: Tensor, memory: Tensor) -> Tensor:  # eq. 6
-    """Penalise a pair whose two distances differ; pairs near the surface weigh most, up to `MOST_CERTAIN`."""
-    certainty = -torch.log(memory.clamp(min=math.exp(-MOST_CERTAIN), max=1))
-    return (certainty * (strong_distance - weak_distance) + XI).abs().mean()
+def certainty(memory: Tensor) -> Tensor:
+    """log(1/ω) of (6), (M,) from 0 to `MOST_CERTAIN`; 0 where ω is NaN: nothing has been predicted."""
+    bounded = -torch.log(memory.detach().clamp(min=math.exp(-MOST_CERTAIN), max=1))
+    return torch.where(memory.isnan(), torch.zeros_like(bounded), bounded)
+
+
+def self_consistency_loss(strong: Tensor, weak: Tensor, weight: Tensor | None) -> Tensor:  # eq. 6
+    """Penalise pairs whose two predictions (M,C) differ, times `weight` (M,) or 1.
+
+    C = 3 for `pull_vector`s, whose norm is that of a vector; C = 1 for distances.
+    """
+    difference = strong - weak
+    if weight is not None:
+        difference = weight[:, None] * difference
+    norm: Tensor = torch.linalg.vector_norm(difference + XI, dim=1)
+    return norm.mean()
 
 
 def far_loss(distance: Tensor, nearest_distance: Tensor) -> Tensor:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from services.edge.field.config import BLOCK_BYTES, AnchorConfig
-from services.edge.paper_field.network_config import WARM_QUERIES, NetworkConfig, far_batch, pool_size
+from services.edge.paper_field.network_config import WARM_QUERIES, NetworkConfig, far_batch, parameter_count, pool_size
 
 FLOAT, INDEX = 4, 8  # bytes
-WEIGHTS = {"separable": 147_200, "mlp": 463_100}  # most parameters of each network
 WEIGHT_COPIES = 6  # weights, gradients, two moments of Adam, the best weights, those of the checkpoint
-LAYERS = {"separable": 6, "mlp": 8}  # hidden layers
+MLP_CHANNELS = 8 * 256  # of all its hidden layers
 # Floats per query, layer and channel that autograd keeps for the backward pass: the slope and a(z); with the gradient
 # also δ before and after the slope. A ReLU's slope has no gradient of its own, so its factors need not be kept.
 KEPT_BY_VALUE = 2
 KEPT_BY_GRADIENT = {"separable": 4, "mlp": 3}
+KEPT_BY_AUTOGRAD = 9  # the same where autograd computes the gradient, as it does for a kernel of 3
 BACKWARD = 1.5  # times what is kept, for the gradients of the backward pass; measured at 1,000 and 20,000 queries
 TREE_BYTES = 64  # per point and tree: coordinates, index and its share of the nodes
 # Bytes of torch's workspaces, and of what it imports for a first step; on a GPU also the context and the graph's pool.
@@ -41,7 +41,7 @@ def fit_memory_bytes(points: int, config: AnchorConfig | NetworkConfig, device: 
     search = 3 * TREE_BYTES * most_points if kind == "cpu" else 2 * BLOCK_BYTES
     return (
         RUNTIME[kind]
-        + WEIGHT_COPIES * FLOAT * WEIGHTS[config.model]
+        + WEIGHT_COPIES * FLOAT * parameter_count(config)
         + _pool_bytes(pool, most_points, config)
         + _step_bytes(min(batch, pool), config)
         + search
@@ -59,9 +59,18 @@ def _pool_bytes(pool: int, points: int, config: NetworkConfig) -> int:
 
 
 def _step_bytes(batch: int, config: NetworkConfig) -> int:
-    """Bytes of the activations of one step: with gradients at q and q̂, without at weak and far queries and points."""
-    width = config.width if config.model == "separable" else 256
-    with_gradient = batch * (1 + (config.projection > 0))
-    by_value = batch * ((config.self_consistency > 0) + (config.surface > 0)) + far_batch(config, batch)
-    kept = KEPT_BY_GRADIENT[config.model] * with_gradient + KEPT_BY_VALUE * by_value
-    return round(BACKWARD * kept * LAYERS[config.model] * width * FLOAT)
+    """Bytes of the activations of one step: with gradients at q, q̂ and the weak queries of pairs that compare them."""
+    pairs, pulled = config.self_consistency > 0, config.pairs == "pull"
+    with_gradient = batch * (1 + (config.projection > 0) + (pairs and pulled))
+    by_value = batch * ((pairs and not pulled) + (config.surface > 0)) + far_batch(config, batch)
+    by_gradient = KEPT_BY_AUTOGRAD if config.neighbours else KEPT_BY_GRADIENT[config.model]
+    kept = by_gradient * with_gradient + KEPT_BY_VALUE * by_value
+    return round(BACKWARD * kept * _channels(config) * FLOAT)
+
+
+def _channels(config: NetworkConfig) -> int:
+    """Channels of all layers, times the places that each is computed at: with a kernel of 3, several."""
+    if config.model == "mlp":
+        return MLP_CHANNELS
+    places = range(len(config.widths), 0, -1) if config.neighbours else [1] * len(config.widths)
+    return sum(width * min(count, config.neighbours + 1) for width, count in zip(config.widths, places, strict=True))

@@ -34,12 +34,14 @@ def fit_network(
     base: DistanceFn | None = None,
     held_out: Floats | None = None,
     checkpoint: Path | None = None,
+    metres: float | None = None,
 ) -> Generator[Step, None, None]:
     """Train a network on points (N,3) in the unit frame. Stop iterating to end the fit.
 
     base        the local field of the denoised points, which the warm start learns
     held_out    (H,3) points that the fit must not see, for early stopping by `config.patience`: the best weights win
     checkpoint  file of the fit's state: written every few seconds, and read when a killed fit is started again
+    metres      length of the unit frame's longest side, where it is known: the anchors' densities are per square metre
 
     The same points, config and device give the same field. While the pool is drawn, steps repeat a number and have no
     losses. The last step's number is below `of` where patience ended the fit.
@@ -52,8 +54,8 @@ def fit_network(
     if config.patience and held_out is None:
         raise ValueError(f"a patience of {config.patience} steps needs held-out points")
     with translate_memory_errors(f"the fit of {len(xyz):,} points in batches of {config.batch:,}"):
-        run = NetworkRun(xyz, config, open_device(device), held_out, checkpoint)
-        pool = yield from run.yield_steps(draw_pool(xyz, config, run.device))
+        run = NetworkRun(xyz, config, open_device(device), held_out, checkpoint, metres)
+        pool = yield from run.yield_steps(draw_pool(xyz, config, run.device, metres))
         if run.done < config.warm_start and base is not None:
             target = yield from run.yield_steps(base_values(pool, base))
             batches = Batches(len(target), config.batch, config.seed, run.device)
@@ -68,7 +70,7 @@ def fit_network(
             if run.added is None:
                 work = densify_points(run.network, pool, config.densify, config.seed)
                 run.add_points((yield from run.yield_steps(work)))
-            pool = yield from run.yield_steps(draw_pool(np.concatenate([xyz, run.added]), config, run.device))
+            pool = yield from run.yield_steps(draw_pool(np.concatenate([xyz, run.added]), config, run.device, metres))
             batches = Batches(len(pool), config.densify.batch, config.seed, run.device)
             paper = paper_objective(run.network, pool, run.memory_of(pool), config, batches.size)
             yield from run.descend(paper, paper_weights(config), batches, config.total_steps)

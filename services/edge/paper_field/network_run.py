@@ -21,7 +21,7 @@ from services.edge.field.step import PER_YIELD, STEPS_BEFORE_CAPTURE, Step, refu
 from services.edge.paper_field.learned import learned_field
 from services.edge.paper_field.losses import total_loss
 from services.edge.paper_field.network_config import NetworkConfig
-from services.edge.paper_field.networks import network_of
+from services.edge.paper_field.networks import NeighbourNetwork, network_of
 from services.edge.paper_field.objectives import Objective
 from services.edge.paper_field.queries import Batches, Pool
 
@@ -51,10 +51,18 @@ class NetworkRun:
     """
 
     def __init__(
-        self, xyz: Floats, config: NetworkConfig, device: torch.device, held_out: Floats | None, checkpoint: Path | None
+        self,
+        xyz: Floats,
+        config: NetworkConfig,
+        device: torch.device,
+        held_out: Floats | None,
+        checkpoint: Path | None,
+        metres: float | None,
     ) -> None:
         self.config, self.device, self.done, self.ended = config, device, 0, False
         self.network = network_of(config).to(device)
+        if isinstance(self.network, NeighbourNetwork):
+            self.network.use_points(torch.from_numpy(xyz).to(device))
         self.added: Floats | None = None
         self.memory: Tensor | None = None
         self._best: Best | None = None
@@ -64,7 +72,7 @@ class NetworkRun:
         self._held_out = None if held_out is None else torch.as_tensor(held_out, dtype=torch.float32, device=device)
         self._field = learned_field(self.network, xyz)
         self._checkpoint = checkpoint
-        self._mark = checkpoints.fingerprint(config, device, xyz, held_out)
+        self._mark = checkpoints.fingerprint((config, metres), device, xyz, held_out)
         self._written = time.monotonic()
         if checkpoint and (state := checkpoints.load(checkpoint, self._mark, device)):
             self._restore(state)

@@ -1,4 +1,4 @@
-"""The two networks: they map a query to its unsigned distance, and by a second pass to the distance's gradient.
+"""The networks: they map a query to its unsigned distance, and by a second pass to the distance's gradient.
 
 q (M,3)   queries;  h_l (M,C_l) activations, h_0 = q;  W_l, b_l the effective weights of layer l
 z_l = h_{l−1} W_l + q V_l + b_l        V_l only where the input is concatenated: [h, q] [W; V] = h W + q V
@@ -23,7 +23,10 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.field.compute import Nearest, several_nearest_in
+from services.edge.paper_field.losses import MOST_CERTAIN
+from services.edge.paper_field.losses import certainty as certainty_of
+from services.edge.paper_field.network_config import INPUT_AT, NetworkConfig
 
 OUTPUT_BIAS = -0.5  # geometric initialisation (SAL, Atzmon & Lipman 2020): the field of a sphere of this radius
 ROUNDING = 0.02  # r: half-width of the rounded ReLU's bend; like the softplus with β = 100 which SDF networks use
@@ -86,7 +89,7 @@ class _RoundedReLU(torch.autograd.Function):
 
 
 class FieldNetwork(nn.Module):
-    """Base class of both networks: the two passes at the head of this file."""
+    """Base class of the networks: the two passes at the head of this file."""
 
     activation: Activation = staticmethod(relu)
 
@@ -94,68 +97,65 @@ class FieldNetwork(nn.Module):
         """Compute the effective weights of all layers from the current parameters."""
         raise NotImplementedError
 
-    def forward(self, q: Tensor) -> Tensor:
-        """q (M,3) in the unit frame -> f (M,) ≥ 0."""
-        h = q
+    def read(self, q: Tensor, certainty: Tensor | None) -> Tensor:
+        """Return what the layers read of queries (M,3): (M,C), their places first."""
+        return q
+
+    def forward(self, q: Tensor, certainty: Tensor | None = None) -> Tensor:
+        """q (M,3) in the unit frame -> f (M,) ≥ 0; certainty (M,): log(1/ω) for a network that reads it."""
+        h = x = self.read(q, certainty)
         for layer in self.layers():
-            z = _affine(h, q, layer)
+            z = _affine(h, x, layer)
             h = self.activation(z)[0] if layer.has_activation else z
         return h[:, 0].abs()
 
-    def value_and_gradient(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """q (M,3) -> f (M,) and g = ∇f (M,3), both differentiable in the parameters and in q."""
+    def value_and_gradient(self, q: Tensor, certainty: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """As `forward` -> f (M,) and g = ∇f (M,3), both differentiable in the parameters and in q."""
         layers, slopes = self.layers(), []
-        h = q
+        h = x = self.read(q, certainty)
         for layer in layers:
-            h = _affine(h, q, layer)
+            h = _affine(h, x, layer)
             slope = None
             if layer.has_activation:
                 h, slope = self.activation(h)
             slopes.append(slope)
         y = h
-        back, g = y.sign(), torch.zeros_like(q)
+        back, g = y.sign(), torch.zeros_like(x)
         for layer, slope in zip(reversed(layers), reversed(slopes), strict=True):
             if slope is not None:
                 back = back * slope
             if layer.of_query is not None:
                 g = g + back @ layer.of_query.T
             back = back @ layer.weight.T
-        return y[:, 0].abs(), g + back
+        return y[:, 0].abs(), (g + back)[:, :3]
 
 
-def _affine(h: Tensor, q: Tensor, layer: Layer) -> Tensor:
+def _affine(h: Tensor, x: Tensor, layer: Layer) -> Tensor:
     z = torch.addmm(layer.bias, h, layer.weight)
-    return z if layer.of_query is None else torch.addmm(z, q, layer.of_query)
+    return z if layer.of_query is None else torch.addmm(z, x, layer.of_query)
 
 
 class SeparableNetwork(FieldNetwork):
     """The paper's network: six 1-D depthwise-separable convolutions, the input concatenated at the 2nd and the 5th.
 
-    As read here, a block is a depthwise convolution (a filter per channel), then a pointwise one (a matrix over the
+    As read here, a layer is a depthwise convolution (a filter per channel), then a pointwise one (a matrix over the
     channels), then the activation, and nothing between the two (F. Chollet, "Xception", CVPR 2017, found it harmful).
-    The "time" axis of the convolution is the batch, whose queries are no neighbours, so the kernel size is 1: a query's
-    value must not depend on the other queries of its batch. The depthwise convolution is then a scale and a shift of
-    every channel, which are folded into the matrix beforehand, so that six blocks cost six matrix products. A linear
-    layer computes the distance from the last block.
+    Over a batch of queries, which are no neighbours, the kernel size must be 1: a query's value must not depend on the
+    other queries of its batch. The depthwise convolution is then a scale and a shift of every channel, which are folded
+    into the matrix beforehand. So this is a multilayer perceptron, with 12 numbers in a thousand that change nothing
+    that it can represent. `NeighbourNetwork` has a kernel of 3. A linear layer computes the distance from the last one.
 
-    128 channels take 85,000 parameters. With 256 the matrices alone would take 330,000, above the paper's 147,200; they
-    then pass through a linear bottleneck (M. Sandler et al., "MobileNetV2", CVPR 2018), as its own block does.
+    Where log(1/ω) is an input and none is given, that of the network's own distance is read, found by a pass with 0.
     """
 
-    BLOCKS = 6
-    CONCATENATED = (2, 5)  # counted from 1
-    BOTTLENECK = 48  # channels, for the matrices of 256: the most that keeps 147,200 is 51
-    WIDEST_FULL = 128  # channels up to which a block has one full matrix
-
-    def __init__(self, width: int, generator: torch.Generator) -> None:
+    def __init__(self, config: NetworkConfig, generator: torch.Generator) -> None:
         super().__init__()
         self.activation = rounded_relu
-        rank = self.BOTTLENECK if width > self.WIDEST_FULL else None
-        self.blocks = nn.ModuleList(
-            _Separable(3 if number == 1 else width, width, number in self.CONCATENATED, rank, generator)
-            for number in range(1, self.BLOCKS + 1)
-        )
-        self.out_weight = nn.Parameter(_output_weight(width, 1, generator))
+        self.inputs = config.inputs
+        self.blocks = _separable_layers(config, 1, generator)
+        with torch.no_grad():
+            self._blocks()[0].weight[3:] = 0  # the first field is a sphere whatever log(1/ω) is
+        self.out_weight = nn.Parameter(_output_weight(config.widths[-1], 1, generator))
         self.out_bias = nn.Parameter(torch.zeros(1))
         self._start_as_sphere(generator)
 
@@ -163,50 +163,120 @@ class SeparableNetwork(FieldNetwork):
     def _start_as_sphere(self, generator: torch.Generator) -> None:
         """Scale the output layer so that the first field is that of a sphere.
 
-        Alone, the geometric initialisation is right on average over many channels; a bottleneck of 48 is off by half.
+        Alone, the geometric initialisation is right on average over many channels; layers of 128 are a tenth off.
         """
         q = torch.nn.functional.normalize(torch.randn(512, 3, generator=generator)) * -OUTPUT_BIAS
-        self.out_weight.mul_(-OUTPUT_BIAS / self.forward(q).mean())
+        self.out_weight.mul_(-OUTPUT_BIAS / self.forward(q, torch.zeros(len(q))).mean())
         self.out_bias.fill_(OUTPUT_BIAS)
 
+    def _blocks(self) -> list[_Separable]:
+        return [block for block in self.blocks if isinstance(block, _Separable)]
+
+    def read(self, q: Tensor, certainty: Tensor | None) -> Tensor:
+        if self.inputs == 3:
+            return q
+        if certainty is None:
+            with torch.no_grad():
+                certainty = certainty_of(self.forward(q, torch.zeros_like(q[:, 0])))
+        return torch.cat([q, certainty[:, None] / MOST_CERTAIN], dim=1)
+
     def layers(self) -> Sequence[Layer]:
-        folded = [layer for block in self.blocks if isinstance(block, _Separable) for layer in block.layers()]
-        return [*folded, Layer(self.out_weight, self.out_bias, None, has_activation=False)]
+        return [
+            *(block.folded() for block in self._blocks()),
+            Layer(self.out_weight, self.out_bias, None, has_activation=False),
+        ]
+
+
+def _separable_layers(config: NetworkConfig, kernel: int, generator: torch.Generator) -> nn.ModuleList:
+    return nn.ModuleList(
+        _Separable(channels, width, config.inputs * (number in INPUT_AT), kernel, generator)
+        for number, (channels, width) in enumerate(pairwise((config.inputs, *config.widths)), 1)
+    )
 
 
 class _Separable(nn.Module):
-    """One block: depthwise scale and shift (C_in,), pointwise matrix (C_in,C_out), or two through a bottleneck."""
+    """One layer: a depthwise filter (K,C_in) and its bias (C_in,), then a pointwise matrix (C_in,C_out) and its bias.
 
-    def __init__(
-        self, channels: int, width: int, concatenated: bool, rank: int | None, generator: torch.Generator
-    ) -> None:
+    read: channels of the query, concatenated behind the `channels` of the layer before; 0 where it reads none.
+    """
+
+    def __init__(self, channels: int, width: int, read: int, kernel: int, generator: torch.Generator) -> None:
         super().__init__()
-        self.channels = channels
-        self.concatenated = concatenated
-        inputs = channels + 3 * concatenated
-        self.scale = nn.Parameter(torch.ones(inputs))
+        self.channels, self.read = channels, read
+        inputs = channels + read
+        taps = torch.zeros(kernel, inputs)
+        taps[kernel // 2] = 1  # a wider kernel starts as one of size 1
+        self.taps = nn.Parameter(taps)
         self.shift = nn.Parameter(torch.zeros(inputs))
         pointwise = _hidden_weight(inputs, width, generator)
-        if concatenated:
+        if read:
             pointwise[channels:] = 0  # geometric initialisation: the concatenated input has no effect at first
-        self.narrow: nn.Parameter | None = None
-        if rank is not None and channels > rank:
-            # A random projection and its transpose keep the activations' variance and so the geometric start.
-            self.narrow = nn.Parameter(_orthogonal(inputs, rank, generator) * math.sqrt(inputs / rank))
-            pointwise = _hidden_weight(rank, width, generator)
         self.weight = nn.Parameter(pointwise)
         self.bias = nn.Parameter(torch.zeros(width))
 
-    def layers(self) -> list[Layer]:
-        first = self.weight if self.narrow is None else self.narrow
-        folded, shifted = self.scale[:, None] * first, self.shift @ first
-        of_query = folded[self.channels :] if self.concatenated else None
-        if self.narrow is None:
-            return [Layer(folded[: self.channels], self.bias + shifted, of_query, has_activation=True)]
-        return [
-            Layer(folded[: self.channels], shifted, of_query, has_activation=False),
-            Layer(self.weight, self.bias, None, has_activation=True),
-        ]
+    def folded(self) -> Layer:
+        """The effective weights of a kernel of size 1."""
+        weight = self.taps[0][:, None] * self.weight
+        of_query = weight[self.channels :] if self.read else None
+        return Layer(weight[: self.channels], self.bias + self.shift @ self.weight, of_query, has_activation=True)
+
+    def along(self, h: Tensor, count: int) -> Tensor:
+        """Apply a kernel of size 3 to sequences (M,L,C_in), with 0 beyond both ends -> the first `count` places
+        (M,count,C_out)."""
+        padded = torch.nn.functional.pad(h[:, : count + 1], (0, 0, 1, max(0, count + 1 - h.shape[1])))
+        before, here, after = (padded[:, start : start + count] for start in range(3))
+        return (
+            self.taps[0] * before + self.taps[1] * here + self.taps[2] * after + self.shift
+        ) @ self.weight + self.bias
+
+
+class NeighbourNetwork(FieldNetwork):
+    """The paper's network with a kernel of size 3, over a query and its nearest points in the order of their distance.
+
+    The sequence is q, p_1(q), …, p_K(q), places in the unit frame; the distance is computed from the query's own place
+    after the sixth layer, which is reached from six places away: K ≤ 6. A query's value is independent of its batch,
+    but jumps where another point becomes its k-th nearest. The gradient is that of q with its neighbours held.
+    """
+
+    def __init__(self, config: NetworkConfig, generator: torch.Generator) -> None:
+        super().__init__()
+        self.neighbours = config.neighbours
+        self.blocks = _separable_layers(config, 3, generator)
+        self.out_weight = nn.Parameter(_output_weight(config.widths[-1], 1, generator))
+        self.out_bias = nn.Parameter(torch.full((1,), OUTPUT_BIAS))
+        self._points = torch.zeros(0, 3)
+        self._nearest: Nearest | None = None
+
+    def use_points(self, points: Tensor) -> None:
+        """Set the points (N,3) whose nearest are read, N ≥ K."""
+        self._points, self._nearest = points, several_nearest_in(points, self.neighbours)
+
+    def forward(self, q: Tensor, certainty: Tensor | None = None) -> Tensor:
+        if self._nearest is None:
+            raise ValueError("use_points was not called: the network has no points to find neighbours among")
+        beside = self._points[self._nearest(q)].to(q)
+        read = h = torch.cat([q[:, None], beside], dim=1)
+        for number, block in enumerate(self.blocks, 1):
+            assert isinstance(block, _Separable)
+            if block.read:
+                h = torch.cat([h, read[:, : h.shape[1]]], dim=2)
+            count = min(len(self.blocks) - number + 1, read.shape[1])
+            h = _rounded_relu_by_parts(block.along(h, count))
+        return torch.addmm(self.out_bias, h[:, 0], self.out_weight)[:, 0].abs()
+
+    def value_and_gradient(self, q: Tensor, certainty: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        wanted = torch.is_grad_enabled()
+        with torch.enable_grad():
+            at = q if q.requires_grad else q.detach().requires_grad_()
+            f = self.forward(at)
+            (g,) = torch.autograd.grad(f.sum(), at, create_graph=wanted)
+        return (f, g) if wanted else (f.detach(), g)
+
+
+def _rounded_relu_by_parts(z: Tensor) -> Tensor:
+    """The rounded ReLU out of operations that autograd differentiates twice."""
+    slope = (z * (0.5 / ROUNDING) + 0.5).clamp(0, 1)
+    return torch.relu(z - ROUNDING) + ROUNDING * slope.square()
 
 
 class NeuralPullNetwork(FieldNetwork):
@@ -250,7 +320,7 @@ def network_of(config: NetworkConfig) -> FieldNetwork:
     generator = torch.Generator().manual_seed(config.seed)
     if config.model == "mlp":
         return NeuralPullNetwork(generator)
-    return SeparableNetwork(config.width, generator)
+    return (NeighbourNetwork if config.neighbours else SeparableNetwork)(config, generator)
 
 
 def _hidden_weight(inputs: int, outputs: int, generator: torch.Generator) -> Tensor:
@@ -261,9 +331,3 @@ def _hidden_weight(inputs: int, outputs: int, generator: torch.Generator) -> Ten
 def _output_weight(inputs: int, outputs: int, generator: torch.Generator) -> Tensor:
     """Geometric initialisation of the last layer: the mean of the channels, so that y ≈ |q| + the output bias."""
     return math.sqrt(math.pi / inputs) + 1e-4 * torch.randn(inputs, outputs, generator=generator)
-
-
-def _orthogonal(inputs: int, outputs: int, generator: torch.Generator) -> Tensor:
-    """Orthonormal columns (C_in,C_out)."""
-    columns: Tensor = torch.linalg.qr(torch.randn(inputs, outputs, generator=generator))[0]
-    return columns

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-import torch
 from torch import Tensor
 
 from services.edge.field.compute import nearest, nearest_in, rows
@@ -50,10 +49,12 @@ def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: N
     wanted = paper_weights(config)
     nearest_point = nearest_in(pool.points)
     far_count = min(far_batch(config, batch), len(pool.far))
+    growth = config.decay if config.sign == "printed" else -config.decay
 
     def terms(j: Tensor) -> Mapping[str, Tensor]:
         q, near_q = pool.strong_queries(j), pool.points[pool.nearest[j]]
-        f, g = network.value_and_gradient(q)
+        known = losses.certainty(memory[j])
+        f, g = network.value_and_gradient(q, known)
         moved = losses.pull(q, f, g)
         found = {}
         if "chamfer" in wanted:
@@ -61,35 +62,30 @@ def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: N
             found["chamfer"] = losses.chamfer_loss(moved, to_point, near_q, rows(moved, nearest(near_q, moved)))
         if "projection" in wanted:
             _, g_moved = network.value_and_gradient(moved)
-            found["projection"] = losses.projection_loss(f, g, g_moved, decay=config.decay)
+            found["projection"] = losses.projection_loss(f, g, g_moved, growth=growth)
         if "orthogonality" in wanted:
             found["orthogonality"] = losses.orthogonality_loss(g, q, near_q)
-        found.update(values_only(j, f, near_q))
-        return {name: found[name] for name in wanted}
-
-    def values_only(j: Tensor, f: Tensor, near_q: Tensor) -> Mapping[str, Tensor]:
-        """The terms that need no gradient g; all their queries go through the network in one batch."""
-        far = j[:far_count] % len(pool.far)  # j is random, so this is a random choice among the far queries too
-        queries: Mapping[str, Callable[[], Tensor]] = {
-            "surface": lambda: near_q,
-            "self_consistency": lambda: pool.weak_queries(j),
-            "far": lambda: pool.far[far],
-        }
-        parts = {name: make() for name, make in queries.items() if name in wanted}
-        if not parts:
-            return {}
-        sizes = [len(part) for part in parts.values()]
-        split = torch.split(network(torch.cat(list(parts.values()))), sizes)
-        of = dict(zip(parts, split, strict=True))
-        found = {}
-        if "surface" in of:
-            found["surface"] = losses.surface_loss(of["surface"])
-        if "self_consistency" in of:
-            omega = losses.update_memory(memory[j], of["self_consistency"], keep=config.memory)
-            memory[j] = omega
-            found["self_consistency"] = losses.self_consistency_loss(f, of["self_consistency"], omega)
-        if "far" in of:
-            found["far"] = losses.far_loss(of["far"], pool.far_distance[far])
+        if "surface" in wanted:
+            found["surface"] = losses.surface_loss(network(near_q))
+        if "self_consistency" in wanted:
+            found["self_consistency"] = of_pairs(j, f, g, known)
+        if "far" in wanted:
+            far = j[:far_count] % len(pool.far)  # j is random, so this is a random choice among the far queries too
+            found["far"] = losses.far_loss(network(pool.far[far]), pool.far_distance[far])
         return found
+
+    def of_pairs(j: Tensor, f: Tensor, g: Tensor, known: Tensor) -> Tensor:
+        """L_sc, which updates ω on the way."""
+        q = pool.weak_queries(j)
+        if config.pairs == "pull":
+            weak, slope = network.value_and_gradient(q, known)
+            both = losses.pull_vector(f, g), losses.pull_vector(weak, slope)
+        else:
+            weak = network(q, known)
+            both = f[:, None], weak[:, None]
+        omega = losses.update_memory(memory[j], weak, keep=config.memory)
+        memory[j] = omega
+        weight = losses.certainty(omega) if config.certainty == "weight" else None
+        return losses.self_consistency_loss(*both, weight)
 
     return terms

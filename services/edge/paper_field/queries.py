@@ -2,7 +2,7 @@
 
 P (N,3)   points;  σ_p = s · (distance from p to its 50th neighbour),  s = max(¼, ¼√(N/20000))
 ε_j       the offset of pair j, N(0, σ_p²)
-p_s, p_w  the strong anchor, any point, and the weak one, the nearest to it of a fixed random subset of P
+p_s, p_w  the strong anchor, of a random subset of P, and the weak one, the nearest to it of a part of that subset
 q_s = p_s + ε,  q_w = p_w + ε
 
 On a locally flat surface both queries of a pair have the same distance. Far queries are uniform in the padded box.
@@ -25,6 +25,7 @@ from services.edge.parallel import in_threads, slices
 
 RANK = 50  # the neighbour whose distance gives σ_p (NeuralPull)
 SPREAD, SPREAD_POINTS = 0.25, 20_000  # s: dense clouds spread their queries over more neighbours (CAP-UDF)
+AREA_RANK = 8  # the disk to this neighbour is the area of as many points: small, so that it holds one layer only
 PADDING = 0.1  # of the box on every side, unit frame: the extraction's grid ends nearer than that
 PART = 1 << 16  # queries of a KD-tree between two yields, at which the caller may stop
 
@@ -57,8 +58,13 @@ class Pool:
         return self.points[self.weak[self.anchor[j]]] + self.offset[j]
 
 
-def draw_pool(xyz: Floats, config: NetworkConfig, device: torch.device) -> Iterator[Pool | None]:
-    """Draw the pool; the same points and seed give the same. Yields None between parts of the work, the pool last."""
+def draw_pool(
+    xyz: Floats, config: NetworkConfig, device: torch.device, metres: float | None = None
+) -> Iterator[Pool | None]:
+    """Draw the pool; the same points and seed give the same. Yields None between parts of the work, the pool last.
+
+    metres: length of the unit frame's longest side, which the anchors' densities refer to; None: every point is strong.
+    """
     rng = np.random.default_rng(config.seed)
     xyz = np.ascontiguousarray(xyz, np.float32)
     tree = cKDTree(xyz)
@@ -67,8 +73,10 @@ def draw_pool(xyz: Floats, config: NetworkConfig, device: torch.device) -> Itera
     for part in slices(len(xyz), PART // 8):
         sigma[part] = _sigmas(xyz[part], tree)
         yield None
-    # Every point anchors equally many queries, to within one.
-    anchor = rng.permutation(np.arange(count) % len(xyz))
+    strong = rng.permutation(len(xyz))[: strong_count(xyz, tree, config, metres)]
+    yield None
+    # Every strong anchor has equally many queries, to within one.
+    anchor = strong[rng.permutation(np.arange(count) % len(strong))]
     offset = rng.standard_normal((count, 3), np.float32) * sigma[anchor, None]
     nearest: Ints = np.empty(count, np.int64)
     for part in slices(count, PART):
@@ -79,7 +87,8 @@ def draw_pool(xyz: Floats, config: NetworkConfig, device: torch.device) -> Itera
     for part in slices(len(far), PART):
         far_distance[part] = _nearest(tree, far[part])[0]
         yield None
-    parts = (xyz, _weak_anchors(xyz, config.weak_share, rng), offset, anchor, nearest, far, far_distance)
+    weak = np.sort(strong[: max(1, round(config.weak_share * len(strong)))])
+    parts = (xyz, _weak_anchors(xyz, weak), offset, anchor, nearest, far, far_distance)
     yield Pool(*(torch.from_numpy(part).to(device) for part in parts))
 
 
@@ -118,14 +127,27 @@ class Batches:
 def _sigmas(xyz: Floats, tree: cKDTree) -> Floats:
     """σ_p (M,) of points (M,3) that are among the tree's."""
     scale = max(SPREAD, SPREAD * math.sqrt(tree.n / SPREAD_POINTS))
-    rank = min(RANK, tree.n - 1)
+    return np.asarray(scale * _rank_distance(xyz, tree, min(RANK, tree.n - 1)), np.float32)
+
+
+def strong_count(xyz: Floats, tree: cKDTree, config: NetworkConfig, metres: float | None) -> int:
+    """Number of strong anchors among points (N,3), whose tree it is."""
+    if metres is None:
+        return len(xyz)
+    rank = min(AREA_RANK, tree.n - 1)
+    area_m2 = math.pi / rank * float(np.square(_rank_distance(xyz, tree, rank)).sum()) * metres**2
+    most = config.strong_per_m2 * area_m2
+    return len(xyz) if most >= len(xyz) else max(round(most), 1)
+
+
+def _rank_distance(xyz: Floats, tree: cKDTree, rank: int) -> Floats:
+    """Distance (M,) from points (M,3) that are among the tree's to their neighbour of that rank."""
     found = in_threads(lambda part: tree.query(xyz[part], k=[rank + 1])[0][:, 0], slices(len(xyz), PART // RANK))
-    return np.asarray(scale * np.concatenate(found), np.float32)
+    return np.concatenate(found)
 
 
-def _weak_anchors(xyz: Floats, share: float, rng: np.random.Generator) -> Ints:
-    """Index (N,) of the point of a random subset that is nearest to each point; its members are their own."""
-    subset = np.sort(rng.permutation(len(xyz))[: max(1, round(share * len(xyz)))])
+def _weak_anchors(xyz: Floats, subset: Ints) -> Ints:
+    """Index (N,) of the point of the subset that is nearest to each point; its members are their own."""
     return np.asarray(subset[_nearest(cKDTree(xyz[subset]), xyz)[1]], np.int64)
 
 

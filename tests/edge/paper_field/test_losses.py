@@ -31,16 +31,16 @@ def test_a_perfect_field_pulls_onto_the_surface_and_costs_nothing(field: object)
     moved = losses.pull(QUERIES, f, g)
     assert field(moved)[0].max() < 1e-6  # type: ignore[operator]
     assert losses.chamfer_loss(moved, moved, moved, moved) < 1e-7
-    assert losses.projection_loss(f, g, -g, decay=10) < 1e-6
+    assert losses.projection_loss(f, g, -g, growth=-10) < 1e-6
     assert losses.orthogonality_loss(g, QUERIES, moved) < 1e-3  # float32: a query on the surface has no direction
     assert losses.surface_loss(field(moved)[0]) < 1e-6  # type: ignore[operator]
-    assert losses.self_consistency_loss(f, f, f) < 1e-7
+    assert losses.self_consistency_loss(f[:, None], f[:, None], f) < 1e-7
 
 
-def test_chamfer_is_the_mean_of_both_directions() -> None:
+def test_chamfer_adds_both_directions() -> None:
     here, there = torch.zeros(4, 3), torch.tensor([[3.0, 4.0, 0.0]]).repeat(4, 1)
-    assert losses.chamfer_loss(here, there, there, there) == pytest.approx(2.5)
-    assert losses.chamfer_loss(here, there, here, there) == pytest.approx(5.0)
+    assert losses.chamfer_loss(here, there, there, there) == pytest.approx(5.0)
+    assert losses.chamfer_loss(here, there, here, there) == pytest.approx(10.0)
 
 
 def test_the_pull_ignores_how_long_the_gradient_is() -> None:
@@ -48,13 +48,14 @@ def test_the_pull_ignores_how_long_the_gradient_is() -> None:
     torch.testing.assert_close(losses.pull(QUERIES, f, 7 * g), losses.pull(QUERIES, f, g))
 
 
-def test_directions_count_as_lines_and_fade_with_the_distance() -> None:
+def test_directions_count_as_lines_and_fade_or_grow_with_the_distance() -> None:
     f, g = sphere(QUERIES)
     across = torch.linalg.cross(g, g.roll(1, dims=1))
-    assert losses.projection_loss(f, g, g, decay=10) == pytest.approx(0, abs=1e-6)
-    assert losses.projection_loss(0 * f, g, across, decay=10) == pytest.approx(1, abs=1e-5)
-    near, far = (losses.projection_loss(0 * f + d, g, across, decay=10) for d in (0.0, 0.1))
-    assert far / near == pytest.approx(math.exp(-1), rel=1e-4)
+    assert losses.projection_loss(f, g, g, growth=-10) == pytest.approx(0, abs=1e-6)
+    assert losses.projection_loss(0 * f, g, across, growth=-10) == pytest.approx(1, abs=1e-5)
+    for growth in (-10, 10):  # λ as it trains, and as it is printed
+        near, far = (losses.projection_loss(0 * f + d, g, across, growth=growth) for d in (0.0, 0.1))
+        assert far / near == pytest.approx(math.exp(growth / 10), rel=1e-4)
 
 
 def test_orthogonality_is_one_where_the_gradient_runs_along_the_surface() -> None:
@@ -71,11 +72,24 @@ def test_the_memory_starts_at_the_first_prediction_and_forgets() -> None:
 
 
 def test_pairs_near_the_surface_weigh_most_within_bounds() -> None:
-    strong, weak = torch.full((1,), 0.2), torch.full((1,), 0.1)
-    at = [float(losses.self_consistency_loss(strong, weak, torch.tensor([m]))) for m in (0.0, 1e-9, 1e-4, 0.01, 1, 50)]
+    strong, weak = torch.full((1, 1), 0.2), torch.full((1, 1), 0.1)
+    weights = [losses.certainty(torch.tensor([memory])) for memory in (0.0, 1e-9, 1e-4, 0.01, 1, 50)]
+    at = [float(losses.self_consistency_loss(strong, weak, weight)) for weight in weights]
+    assert losses.self_consistency_loss(strong, weak, None) == pytest.approx(0.1)
+    assert losses.certainty(torch.tensor([math.nan])) == 0
     assert at[:3] == pytest.approx([0.1 * math.log(1e4)] * 3, rel=1e-4)
     assert at[3] == pytest.approx(0.1 * math.log(100), rel=1e-4)
     assert at[4:] == pytest.approx([1e-8, 1e-8])
+
+
+def test_the_way_to_the_surface_is_continuous_where_the_gradient_turns_round() -> None:
+    f, g = plane(QUERIES)
+    across, gradient = plane(QUERIES * torch.tensor([1.0, 1.0, -1.0]))
+    there, back = losses.pull_vector(f, g), losses.pull_vector(across, 5 * gradient)
+    torch.testing.assert_close(there, QUERIES * torch.tensor([0.0, 0.0, 1.0]))
+    torch.testing.assert_close(back, -there)
+    both = losses.self_consistency_loss(there, back, None)
+    assert both == pytest.approx(float(2 * f.mean()), rel=1e-3)  # the distances alone would agree
 
 
 def test_gradients_are_finite_where_everything_is_zero() -> None:
@@ -84,9 +98,10 @@ def test_gradients_are_finite_where_everything_is_zero() -> None:
     moved = losses.pull(zero, f, zero)
     total = (
         losses.chamfer_loss(moved, moved.detach(), moved.detach(), moved)
-        + losses.projection_loss(f, zero, zero, decay=10)
+        + losses.projection_loss(f, zero, zero, growth=-10)
         + losses.orthogonality_loss(zero, zero, zero.detach())
-        + losses.self_consistency_loss(f, f, torch.zeros(3))
+        + losses.self_consistency_loss(f[:, None], f[:, None], torch.ones(3))
+        + losses.self_consistency_loss(losses.pull_vector(f, zero), losses.pull_vector(f, zero), torch.ones(3))
         + losses.far_loss(f, f.detach())
     )
     for grad in torch.autograd.grad(total, [zero, f]):

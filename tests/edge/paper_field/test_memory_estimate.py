@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from textwrap import dedent
 
 import pytest
@@ -17,7 +18,9 @@ NETWORK = NetworkConfig(steps=2, warm_up=1, batch=5_000, pool=200_000)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("config", "points"), [(ANCHORS, 20_000), (NETWORK, 5_000)])
+@pytest.mark.parametrize(
+    ("config", "points"), [(ANCHORS, 20_000), (NETWORK, 5_000), (replace(NETWORK, batch=2_000, neighbours=6), 5_000)]
+)
 def test_a_fit_takes_about_what_is_said(config: AnchorConfig | NetworkConfig, points: int) -> None:
     fit = "fit_anchors" if isinstance(config, AnchorConfig) else "fit_network"
     script = f"""

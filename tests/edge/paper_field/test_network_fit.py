@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from itertools import islice, pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +18,7 @@ import torch
 
 from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
+from services.edge.field import checkpoint
 from services.edge.field.compute import capture_step, open_device, translate_memory_errors
 from services.edge.field.local import local_field
 from services.edge.field.step import Step
@@ -41,7 +43,8 @@ def distances(step: Step, queries: Floats = POINTS) -> Floats:
 @pytest.mark.slow
 def test_a_short_fit_learns_the_surface_and_which_way_is_away() -> None:
     base = local_field(POINTS)
-    step = last(fit_network(POINTS, replace(QUICK, steps=60, warm_start=60, pool=8_000, learning_rate=3e-3), base=base))
+    config = replace(QUICK, steps=60, warm_start=60, batch=256, pool=8_000, learning_rate=3e-3)
+    step = last(fit_network(POINTS, config, base=base))
     assert step.number == step.of == 120
     assert distances(step).mean() < 0.03  # the points lie 0.044 apart
     above = POINTS[np.linalg.norm(POINTS, axis=1) < 0.4] + [0, 0, 0.05]
@@ -55,12 +58,41 @@ def test_every_step_says_where_it_stands_and_the_pool_comes_first() -> None:
     assert [step.number for step in steps if step.losses] == list(range(1, 13))
     assert steps[0].number == 0
     assert not steps[0].losses
-    assert set(steps[-1].losses) == {"total", "chamfer", "projection", "orthogonality", "self_consistency", "far"}
+    named = {"total", "chamfer", "projection", "orthogonality", "surface", "self_consistency"}
+    assert set(steps[-1].losses) == named
+    assert set(last(fit_network(POINTS, replace(QUICK, steps=1, far_share=0.05))).losses) == named | {"far"}
 
 
 def test_a_loss_without_weight_is_not_computed() -> None:
     config = replace(QUICK, projection=0, orthogonality=0, self_consistency=0, far_share=0, surface=0.1, steps=1)
     assert set(last(fit_network(POINTS, config)).losses) == {"total", "chamfer", "surface"}
+
+
+READINGS: dict[str, NetworkConfig] = {
+    "distances of a pair": replace(QUICK, pairs="distance"),
+    "the printed sign": replace(QUICK, sign="printed"),
+    "log(1/ω) an input": replace(QUICK, certainty="input"),
+    "a kernel of 3": replace(QUICK, neighbours=6),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", READINGS.values(), ids=READINGS)
+def test_every_reading_of_the_equations_trains_and_goes_on_where_it_was_killed(
+    config: NetworkConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checkpoint, "SECONDS", 0.0)
+    whole = last(fit_network(POINTS, config))
+    assert whole.losses["total"] < next(s for s in fit_network(POINTS, config) if s.losses).losses["total"]
+    killed = fit_network(POINTS, config, checkpoint=tmp_path / "fit.pt")
+    next(step for step in killed if step.number == 7)
+    killed.close()
+    steps = list(fit_network(POINTS, config, checkpoint=tmp_path / "fit.pt"))
+    assert min(step.number for step in steps if step.losses) == 8
+    np.testing.assert_allclose(distances(steps[-1]), distances(whole), atol=1e-6)
+    # Another unit of the points draws other anchors: that fit starts anew.
+    other = fit_network(POINTS, config, checkpoint=tmp_path / "fit.pt", metres=0.01)
+    assert min(step.number for step in islice(other, 40) if step.losses) == 1
 
 
 @pytest.mark.slow

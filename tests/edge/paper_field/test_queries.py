@@ -14,11 +14,11 @@ from tests.support import surfaces
 
 CPU = torch.device("cpu")
 POINTS = np.asarray(surfaces.sampled(surfaces.hemisphere(), 2_000), np.float32)
-CONFIG = NetworkConfig(pool=20_000)
+CONFIG = NetworkConfig(pool=20_000, weak_per_m2=250.0, far_share=0.05)
 
 
-def drawn(config: NetworkConfig = CONFIG, points: np.ndarray = POINTS) -> Pool:
-    *_, pool = draw_pool(points, config, CPU)
+def drawn(config: NetworkConfig = CONFIG, points: np.ndarray = POINTS, metres: float | None = None) -> Pool:
+    *_, pool = draw_pool(points, config, CPU, metres)
     assert pool is not None
     return pool
 
@@ -41,6 +41,21 @@ def test_every_point_anchors_as_many_queries_as_far_away_as_its_neighbours() -> 
     assert counts.min() == counts.max() == 10
     sigma = 0.25 * cKDTree(POINTS).query(POINTS, k=51)[0][:, -1]  # ¼ below 20,000 points
     assert (pool.offset / torch.from_numpy(sigma)[pool.anchor, None]).std() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("per_m2", [100.0, 400.0])
+def test_strong_anchors_are_as_dense_as_asked_for_and_weak_ones_a_part_of_them(per_m2: float) -> None:
+    # A hemisphere of 2 m: 2π m².
+    config = NetworkConfig(pool=20_000, strong_per_m2=per_m2, weak_per_m2=per_m2 / 4)
+    pool = drawn(config, metres=2.0)
+    strong, weak = pool.anchor.unique(), pool.weak.unique()
+    if 2 * np.pi * per_m2 > len(POINTS):
+        assert len(strong) == len(POINTS)
+    else:
+        assert len(strong) == pytest.approx(2 * np.pi * per_m2, rel=0.15)
+    assert len(weak) == round(len(strong) / 4)
+    assert set(weak.tolist()) <= set(strong.tolist())
+    assert len(drawn(config).anchor.unique()) == len(POINTS), "of no known unit"
 
 
 def test_dense_clouds_spread_their_queries_wider() -> None:

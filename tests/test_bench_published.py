@@ -1,0 +1,148 @@
+"""The bench of published methods: cells resume, keep what they reached, and tables tell how far each came."""
+
+from __future__ import annotations
+
+import errno
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.edge.field import checkpoint
+from services.edge.paper_field.network_config import Densify, NetworkConfig
+from tests.bench import paper_tables, published
+from tests.bench.published import Cell, cells, run_cell
+from tests.bench.records import Records, record_of
+from tests.bench.shapes import Row
+from tests.support import surfaces
+
+QUICK = NetworkConfig(steps=12, warm_up=2, batch=100, pool=3_000, densify=Densify(steps=4, batch=50, field_below=1.0))
+CELL = Cell(Row("disk", partial(surfaces.disk), points=300, resolution=24), "paper", QUICK)
+
+
+@pytest.fixture
+def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(published, "STORED", tmp_path / "published.json")
+    monkeypatch.setattr(published, "MEASURED_AT", (5, 10))
+    monkeypatch.setattr(checkpoint, "SECONDS", 0.0)
+    return tmp_path
+
+
+def curve(stored: Path) -> list[dict[str, Any]]:
+    return published.curve_of(CELL, Records(stored / "published.json").all())
+
+
+@pytest.mark.slow
+def test_a_cell_measures_on_its_way_and_goes_on_where_the_hours_ended(stored: Path) -> None:
+    run_cell(CELL, stored / "state", until=0.0, device="cpu")
+    assert [each["step"] for each in curve(stored)] == [1], "the time was over with the first step"
+    run_cell(CELL, stored / "state", until=time.time() + 600, device="cpu")
+    reached = curve(stored)
+    assert [each["step"] for each in reached] == [1, 5, 10, 16]
+    # 12 steps of 100 queries, then 4 of 50.
+    assert [each["queries"] for each in reached] == [100, 500, 1_000, 1_400]
+    seconds = [each["seconds"] for each in reached]
+    assert seconds == sorted(seconds)
+    kept = sorted(path.name for path in (stored / "state" / "disk-300-paper-100-queries").glob("step-*.pt"))
+    assert kept == ["step-1.pt", "step-10.pt", "step-16.pt", "step-5.pt"]
+    run_cell(CELL, stored / "state", until=time.time() + 600, device="cpu")
+    assert curve(stored) == reached, "a cell that has ended measures nothing again"
+
+
+def test_a_full_disk_is_one_sentence_and_what_was_measured_stays(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(published, "cells", lambda: iter([CELL]))
+    arguments = ["--cell", "0", "--state", str(stored / "state"), "--until"]
+    published.main([*arguments, "0"])
+    before = curve(stored)
+
+    def full(path: Path, *_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(checkpoint, "save", full)
+    with pytest.raises(SystemExit, match=r"^disk, 300: paper, 100 queries: No space left on device: .*fit.pt; what"):
+        published.main([*arguments, str(time.time() + 600)])
+    assert curve(stored) == before
+    assert [each["step"] for each in before] == [1]
+
+
+def test_a_cell_that_fails_is_named_and_the_others_go_on(
+    stored: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The processes of their own know the real cells alone: a folder that is a file makes each of them fail."""
+    labels = [f"{cell.row.label}: {cell.label}" for cell in cells() if "pleated" in cell.row.label]
+    for label in labels:
+        (stored / label.replace(": ", " ").replace(" ", "-").replace(",", "")).write_text("")
+    with pytest.raises(SystemExit) as ended:
+        published.main(["--rows", "pleated", "--state", str(stored), "--hours", "0.1"])
+    assert all(label in str(ended.value) for label in labels)
+    assert capfd.readouterr().err.count("File exists") == len(labels)
+
+
+def test_what_a_gpu_reached_stands_beside_what_a_cpu_did(stored: Path) -> None:
+    cell = next(iter(cells()))
+    records = Records(stored / "published.json")
+    for device, step in (("cuda", 40_000), ("cpu", 500)):
+        records.add(record_of(cell.row.label, cell.label, cell.settings(device), {"curve": [{"step": step}]}))
+    assert published.curve_of(cell, records.all()) == [{"step": 40_000}]
+    assert published.curve_on("cpu", cell, records.all()) == [{"step": 500}]
+
+
+def test_every_row_has_every_method_at_its_published_steps() -> None:
+    steps = {(cell.row.name, cell.row.noise, cell.label): cell.config.loss_steps for cell in cells()}
+    assert steps["dress", 0, "paper"] == steps["dress", 0, "paper, 5,000 queries"] == 40_000
+    assert steps["truck", 0.006, "cap-udf"] == 60_000
+    assert steps["pleated skirt", 0, "levelset-udf"] == 40_000
+    assert steps["lounge", 0, "paper"] == steps["lounge", 0, "paper-no-self"] == 100_000
+    scene = next(cell for cell in cells() if (cell.row.name, cell.method) == ("lounge", "levelset-udf")).config
+    assert (scene.projection, scene.surface, scene.orthogonality) == (0.001, 0.01, 0.0001)
+    named = {(cell.row.label, cell.label) for cell in cells()}
+    assert len(named) == len(list(cells()))
+
+
+def test_the_lounge_has_a_thousand_points_per_square_metre() -> None:
+    room = published.lounge()
+    points = surfaces.sampled(room, 5_000)
+    assert np.abs(points).max() == pytest.approx(0.5, abs=1e-6)
+    # 92.8 m² of walls, floor and ceiling, and the furniture.
+    assert published.SCENE.points == pytest.approx(1_000 * 108, rel=0.01)
+
+
+@pytest.mark.parametrize("table", paper_tables.TABLES)
+def test_a_table_tells_how_far_a_method_came_and_why_one_is_missing(
+    table: str, stored: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = next(each for each in cells() if each.row == paper_tables.DRESS and each.label == "paper")
+    half = {"step": 20_000, "queries": 2e7, "seconds": 60.0, "chamfer_l1": 0.0042, "floor": 0.0025, "floor_f_005": 0.95}
+    whole = {**half, "step": 100_000, "chamfer_l1": 0.0043, "chamfer_l2": 3e-6}
+    records = Records(stored / "published.json")
+    records.add(record_of(cell.row.label, cell.label, cell.settings("cpu"), {"curve": [half]}))
+    scene = next(each for each in cells() if each.row == published.SCENE and each.label == "paper")
+    records.add(record_of(scene.row.label, scene.label, scene.settings("cpu"), {"curve": [whole]}))
+    paper_tables.main([], table)
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line.count("|") == lines[3].count("|") for line in lines if line.startswith("|") and table != "table4")
+    text = "\n".join(lines)
+    if table in ("table2", "table4"):
+        assert "20,000 of 40,000" in text
+        assert "0.00420" in text
+    if table in ("table3", "table4"):
+        assert "| 100,000 |" in text
+        assert "0.00430" in text
+    if table != "table4":
+        assert "no public code" in text
+
+
+def test_what_is_not_finished_is_shown_with_its_steps(stored: Path) -> None:
+    cell = replace(next(iter(cells())))
+    entry = {"step": 500, "queries": 5e5, "seconds": 90.0, "chamfer_l1": 0.005, "f_005": 0.5, "components": 3.0}
+    entry |= {"normal_consistency": 0.9, "floor": 0.0025}
+    records = Records(stored / "published.json")
+    records.add(record_of(cell.row.label, cell.label, cell.settings("cpu"), {"curve": [entry]}))
+    lines = list(published.table(records.all()))
+    assert "| 500 | 40,000 | 0.5 M | 2 |" in lines[2]
+    assert lines[3].count("|") == lines[2].count("|")
+    assert "| 0 | 40,000 |" in lines[3]
