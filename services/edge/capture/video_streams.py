@@ -92,14 +92,17 @@ def open_video(path: Path, file: str, skip: Skip = "DEFAULT") -> VideoStream:
 
 
 def decode_packet(packet: Any) -> list[Any] | None:
-    """Decode a packet; return the frames that it completes, or None if it is damaged."""
+    """Decode a packet; return the frames that it completes, or None if it or one of them is damaged.
+
+    Several threads decode, so a damaged packet's frame may come with a later packet; the codec guesses what it lacks.
+    """
     import av
 
     try:
         frames: list[Any] = packet.decode()
     except (av.FFmpegError, MemoryError):
         return None
-    return None if packet.is_corrupt else frames
+    return None if packet.is_corrupt or any(frame.is_corrupt for frame in frames) else frames
 
 
 @dataclass(frozen=True, slots=True)

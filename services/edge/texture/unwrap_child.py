@@ -6,6 +6,7 @@ xatlas runs in a child process, because its native code cannot be interrupted, a
 from __future__ import annotations
 
 import ctypes
+import os
 import resource
 import signal
 import sys
@@ -54,6 +55,8 @@ def main(folder: Path) -> None:
         size=np.array([atlas.width, atlas.height]),
         charts=np.array(atlas.chart_count),
     )
+    # The destructor of xatlas joins its threads, and a wake-up that one of them misses would keep it waiting for ever.
+    os._exit(0)
 
 
 if __name__ == "__main__":
