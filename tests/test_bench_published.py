@@ -49,6 +49,10 @@ def test_a_cell_measures_on_its_way_and_goes_on_where_the_hours_ended(stored: Pa
     assert seconds == sorted(seconds)
     kept = sorted(path.name for path in (stored / "state" / "disk-300-paper-100-queries").glob("step-*.pt"))
     assert kept == ["step-1.pt", "step-10.pt", "step-16.pt", "step-5.pt"]
+    step, mesh = published.mesh_reached(CELL, stored / "state") or (0, None)
+    assert step == 16
+    assert mesh is not None
+    assert len(mesh.faces) > 0
     run_cell(CELL, stored / "state", until=time.time() + 600, device="cpu")
     assert curve(stored) == reached, "a cell that has ended measures nothing again"
 
@@ -80,6 +84,28 @@ def test_a_cell_that_fails_is_named_and_the_others_go_on(
         published.main(["--rows", "pleated", "--state", str(stored), "--hours", "0.1"])
     assert all(label in str(ended.value) for label in labels)
     assert capfd.readouterr().err.count("File exists") == len(labels)
+
+
+def test_no_cell_keeps_the_others_waiting_longer_than_told(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: list[float] = []
+
+    class Ended:
+        """A process that has ended."""
+
+        returncode = 0
+
+        def __init__(self, command: list[str], **_: object) -> None:
+            ends.append(float(command[command.index("--until") + 1]))
+
+        def poll(self) -> int:
+            return 0
+
+    monkeypatch.setattr(published.subprocess, "Popen", Ended)
+    monkeypatch.setattr(published, "draw", lambda records: None)
+    began = time.time()
+    published.main(["--rows", "lounge", "--state", str(stored), "--hours", "2", "--cell-minutes", "3"])
+    assert len(ends) == 4
+    assert all(began + 175 < each < time.time() + 185 for each in ends)
 
 
 def test_what_a_gpu_reached_stands_beside_what_a_cpu_did(stored: Path) -> None:

@@ -10,7 +10,7 @@ import json
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,20 +18,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
 from services.edge.export.glb import to_glb
 from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.sampling import area, sample
+from services.edge.mesh.sampling import sample
 from services.edge.mesh.simplify import lods
 from tests.bench.shapes import load
+from tests.support.mesh_metrics import distances_to
 from tests.support.npm_packages import installed
 
 _LINKS = (20, 100, 1000)  # Mbit/s
 _SAMPLES = 50_000  # whose distances are told
-_LOADERS = Path(__file__).with_name("loaders")
+LOADERS = Path(__file__).with_name("loaders")
 
 
 def scan(side: int = 448) -> Mesh:
@@ -59,7 +58,7 @@ MESHES: dict[str, Callable[[], Mesh]] = {
 }
 
 
-def _read(file: Path) -> Mesh:
+def read_mesh(file: Path) -> Mesh:
     """What `capture2vr run` leaves as `mesh.ply`, with its colours."""
     read = trimesh.load_mesh(file, process=False)
     rgb = read.visual.vertex_colors[:, :3] if read.visual.kind == "vertex" else None
@@ -76,10 +75,9 @@ class _Variant:
 def main(arguments: list[str]) -> None:
     """Print one table of what is sent and one of the levels; a file among the arguments is a mesh to be measured alone,
     a word chooses among those that are."""
-    files = {Path(each).parent.name: partial(_read, Path(each)) for each in arguments if Path(each).is_file()}
+    files = {Path(each).parent.name: partial(read_mesh, Path(each)) for each in arguments if Path(each).is_file()}
     known = files or MESHES
     chosen = [name for name in known if files or all(word in name for word in arguments)]
-    folder = installed("loaders", _LOADERS, what="three.js's loaders")
     rows, levels = [], []
     for name in chosen:
         mesh = known[name]()
@@ -90,7 +88,7 @@ def main(arguments: list[str]) -> None:
         seconds = time.perf_counter() - began
         with tempfile.TemporaryDirectory() as scratch:
             variants = _written(Path(scratch), mesh, made, packed)
-            rows += [f"| {name} {row}" for row in _sent(variants, folder)]
+            rows += [f"| {name} {row}" for row in _sent(variants)]
         levels += [f"| {name} | {len(mesh.faces):,} | {seconds:.2f} | {_errors(mesh, made)} |"]
     links = " | ".join(f"s at {link} Mbit/s" for link in _LINKS)
     print(f"| mesh | file | vertices | edges | faces | MB | of raw GLB | {links} | import ms | MB in memory |")
@@ -103,7 +101,7 @@ def main(arguments: list[str]) -> None:
 
 def _written(folder: Path, mesh: Mesh, levels: tuple[Mesh, ...], packed: list[bytes]) -> list[_Variant]:
     obj = folder / "raw.obj"
-    trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.rgb, process=False).export(obj)
+    write_obj(obj, mesh)
     raw = folder / "raw.glb"
     raw.write_bytes(to_glb(mesh))
     variants = [_Variant("raw OBJ", obj, mesh), _Variant("raw GLB", raw, mesh)]
@@ -114,13 +112,28 @@ def _written(folder: Path, mesh: Mesh, levels: tuple[Mesh, ...], packed: list[by
     return variants
 
 
-def _sent(variants: list[_Variant], folder: Path) -> list[str]:
-    files = [str(each.file) for each in variants]
-    command = ["node", "--max-old-space-size=8192", str(_LOADERS / "import.mjs"), *files]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+def loaders() -> Path:
+    """The folder that three.js lies in, for node and for a page. Skips where it cannot be had."""
+    return installed("loaders", LOADERS, what="three.js's loaders")
+
+
+def import_costs(files: Sequence[Path]) -> list[dict[str, float]]:
+    """What three.js's loaders take for each file in node: seconds (the median of five), bytes of the geometry."""
+    command = ["node", "--max-old-space-size=8192", str(LOADERS / "import.mjs"), *map(str, files)]
+    done = subprocess.run(command, cwd=loaders(), capture_output=True, text=True, check=True)
+    costs: list[dict[str, float]] = json.loads(done.stdout)
+    return costs
+
+
+def write_obj(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as any program exports it: text, with colours at its vertices where it has them."""
+    trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.rgb, process=False).export(path)
+
+
+def _sent(variants: list[_Variant]) -> list[str]:
     raw = next(each.file.stat().st_size for each in variants if each.name == "raw GLB")
     rows = []
-    for each, cost in zip(variants, json.loads(done.stdout), strict=True):
+    for each, cost in zip(variants, import_costs([each.file for each in variants]), strict=True):
         size = each.file.stat().st_size
         wire = " | ".join(f"{8 * size / (link * 1e6):.3f}" for link in _LINKS)
         counts = f"{len(each.mesh.vertices):,} | {len(edges_of(each.mesh.faces).ends):,} | {len(each.mesh.faces):,}"
@@ -134,17 +147,6 @@ def _errors(mesh: Mesh, levels: tuple[Mesh, ...]) -> str:
     truth = sample(mesh, _SAMPLES, rng).xyz
     told = []
     for level in levels:
-        both = 1000 * np.concatenate([_distances(level, truth), _distances(mesh, sample(level, _SAMPLES, rng).xyz)])
+        both = 1000 * np.concatenate([distances_to(level, truth), distances_to(mesh, sample(level, _SAMPLES, rng).xyz)])
         told.append(f"{len(level.faces):,}: {both.mean():.2f} / {both.max():.1f}")
     return "; ".join(told)
-
-
-def _distances(mesh: Mesh, points: Floats) -> Floats:
-    """(n,) of points (n,3) from the surface: from the face that the nearest of many samples lies on, or, beyond a
-    border, from that sample."""
-    dense = sample(mesh, 16 * _SAMPLES, np.random.default_rng(1))
-    gap, nearest = cKDTree(dense.xyz).query(points)
-    off = np.abs(np.einsum("ni,ni->n", points - dense.xyz[nearest], dense.normals[nearest]))
-    aside = np.sqrt(np.maximum(gap**2 - off**2, 0))
-    distances: Floats = np.where(aside < 3 * np.sqrt(area(mesh) / len(dense.xyz)), off, gap)
-    return distances

@@ -2,14 +2,15 @@
 
 A cell is one method on one row, a process of its own, resumed from its checkpoint however often it is killed. What it
 reached is measured at steps that double, and when the hours are over; published.json keeps the figures, and the folder
-of --state the checkpoints and the weights of every measured step. `--table` only prints. Nothing is extrapolated: a
-cell that has not ended shows the steps that it reached.
+of --state the checkpoints, and the weights and the mesh of every measured step. `--table` only prints. Nothing is
+extrapolated: a cell that has not ended shows the steps that it reached.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
@@ -17,7 +18,6 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from services.edge.preset import load_preset
 from tests.bench.cell import ROOT, figures_of
 from tests.bench.methods import near, peak_mb
 from tests.bench.records import Record, Records, record_of
-from tests.bench.shapes import KNOWN, Row
+from tests.bench.shapes import DEFORMED, KNOWN, Row
 from tests.support import scenes
 from tests.support.mesh_metrics import welded
 
@@ -95,6 +95,8 @@ def cells() -> Iterator[Cell]:
         ("levelset-udf", level),
     ):
         yield Cell(SCENE, method, config, _ROOM_M)
+    for row in DEFORMED:
+        yield from (Cell(row, method, _fit(method)) for method in ("paper", "levelset-udf"))
 
 
 def _fit(preset: str, batch: int = BATCH) -> NetworkConfig:
@@ -133,14 +135,16 @@ def measure(options: argparse.Namespace) -> list[str]:
     waiting = [
         number
         for number, cell in enumerate(cells())
-        if options.rows in cell.row.label and not _has_ended(cell, records, device)
+        if options.rows in _name(cell) and not _has_ended(cell, records, device)
     ]
     failed: list[str] = []
     running: dict[int, subprocess.Popen[bytes]] = {}
+    each_s = 60 * options.cell_minutes
     while (waiting and time.time() < until) or running:
         while waiting and len(running) < options.jobs and time.time() < until:
             number = waiting.pop(0)
-            command = [sys.executable, "-m", "tests.bench", "published", "--cell", str(number), "--until", str(until)]
+            ends = min(until, time.time() + each_s)
+            command = [sys.executable, "-m", "tests.bench", "published", "--cell", str(number), "--until", str(ends)]
             command += ["--state", str(options.state), "--device", options.device]
             threads = max(1, (os.cpu_count() or 1) // options.jobs)
             running[number] = subprocess.Popen(command, cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": str(threads)})
@@ -181,16 +185,17 @@ def run_cell(cell: Cell, state: Path, until: float, device: str) -> None:
     """Train a cell from its checkpoint on, until the time is over, and record what it reached."""
     import torch
 
+    from services.edge.mesh.clean import clean
+    from services.edge.mesh.extract import extract
     from services.edge.paper_field.learned import LearnedField
     from services.edge.paper_field.network_fit import fit_network
 
-    name = f"{cell.row.label} {cell.label}".replace(" ", "-").replace(",", "")
     kind = _kind(device)
-    folder = state / (name if kind == "cpu" else f"{name}-{kind}")
+    folder = state / _folder_name(cell, kind)
     folder.mkdir(parents=True, exist_ok=True)
     truth = cell.row.truth()
     points = cell.row.sampled(truth, 0)
-    measure_field = partial(_figures, points=points, truth=welded(truth), resolution=cell.row.resolution)
+    whole = welded(truth)
     clock = _CellClock(folder / "clock.json")
     records = Records(STORED)
     curve = curve_on(kind, cell, records.all())
@@ -204,30 +209,30 @@ def run_cell(cell: Cell, state: Path, until: float, device: str) -> None:
                 continue
             clock.advance(step.number)
             over = time.time() > until
-            if (step.number in MEASURED_AT or over or step.number == step.of) and all(
-                each["step"] < step.number for each in curve
-            ):
-                torch.save(step.field.network.state_dict(), folder / f"step-{step.number}.pt")
+            kept = folder / f"step-{step.number}.npz"
+            new = all(each["step"] < step.number for each in curve)
+            if (step.number in MEASURED_AT or over or step.number == step.of) and (new or not kept.exists()):
+                seconds = round(clock.seconds, 1)
                 with clock.paused():
-                    seconds = round(clock.seconds, 1)
+                    torch.save(step.field.network.state_dict(), kept.with_suffix(".pt"))
+                    mesh = clean(extract(step.field, points, resolution=cell.row.resolution), points)
+                    keep_mesh(kept, mesh)
                     entry = {"step": step.number, "queries": _queries(step.number, cell.config), "seconds": seconds}
-                    entry |= measure_field(step.field)
+                    entry |= _figures(mesh, step.field, points, whole) if new else {}
                 entry["peak_mb"] = round(peak_mb())
                 if device != "cpu":
                     entry["gpu_mb"] = round(torch.cuda.max_memory_allocated() / 2**20)
-                curve.append(entry)
-                records.add(record_of(cell.row.label, cell.label, cell.settings(kind), {"curve": curve}))
-                print(f"{_name(cell)}: {json.dumps(entry)}", file=sys.stderr, flush=True)
+                if new:
+                    curve.append(entry)
+                    records.add(record_of(cell.row.label, cell.label, cell.settings(kind), {"curve": curve}))
+                    print(f"{_name(cell)}: {json.dumps(entry)}", file=sys.stderr, flush=True)
             if over:
                 return
 
 
-def _figures(field: Any, *, points: Floats, truth: Mesh, resolution: int) -> dict[str, Any]:
+def _figures(mesh: Mesh, field: Any, points: Floats, truth: Mesh) -> dict[str, Any]:
     from services.edge.certificate import consistency
-    from services.edge.mesh.clean import clean
-    from services.edge.mesh.extract import extract
 
-    mesh = clean(extract(field, points, resolution=resolution), points)
     if not len(mesh.faces):
         return {"failed": "no surface was found"}
     quality = figures_of(mesh, truth)
@@ -250,6 +255,35 @@ def _queries(step: int, config: NetworkConfig) -> int:
     """Queries seen up to a step."""
     late = max(0, step - config.steps)
     return (step - late) * config.batch + late * (config.densify.batch if config.densify else 0)
+
+
+def keep_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a mesh, in half the bytes of its arrays: 32 bits a number."""
+    np.savez_compressed(path, vertices=mesh.vertices.astype(np.float32), faces=mesh.faces.astype(np.int32))
+
+
+def kept_mesh(path: Path) -> Mesh:
+    """Read what `keep_mesh` wrote."""
+    with np.load(path) as kept:
+        return Mesh(kept["vertices"].astype(np.float64), kept["faces"].astype(np.int64))
+
+
+def mesh_reached(cell: Cell, state: Path) -> tuple[int, Mesh] | None:
+    """The mesh of the last measured step whose weights are in the folder of --state, and that step; None without."""
+    kept = [
+        (int(path.stem.removeprefix("step-")), path)
+        for kind in ("cpu", "cuda")
+        for path in (state / _folder_name(cell, kind)).glob("step-*.npz")
+    ]
+    if not kept:
+        return None
+    step, path = max(kept)
+    return step, kept_mesh(path)
+
+
+def _folder_name(cell: Cell, kind: str) -> str:
+    name = f"{cell.row.label} {cell.label}".replace(" ", "-").replace(",", "")
+    return name if kind == "cpu" else f"{name}-{kind}"
 
 
 class _CellClock:
@@ -310,7 +344,7 @@ def draw(records: dict[tuple[str, str, str], Record]) -> None:
     from matplotlib import pyplot as plt
 
     begun = {cell.row.label for cell in cells() if curve_of(cell, records)}
-    rows = [row for row in (*OBJECTS, SCENE) if row.label in begun]
+    rows = [row for row in (*OBJECTS, SCENE, *DEFORMED) if row.label in begun]
     if not rows:
         return
     figure, grid = plt.subplots(
@@ -333,8 +367,9 @@ def draw(records: dict[tuple[str, str, str], Record]) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.bench published", description=__doc__)
     parser.add_argument("--hours", type=float, default=1.0, help="how long to go on")
+    parser.add_argument("--cell-minutes", type=float, default=math.inf, help="how long to stay with a cell at most")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="cells at once")
-    parser.add_argument("--rows", default="", help="only rows whose label contains this")
+    parser.add_argument("--rows", default="", help="only cells whose row and method contain this")
     parser.add_argument("--device", default="cpu", help="where fields are trained, as cuda:0")
     parser.add_argument("--state", type=Path, default=ROOT / "build" / "published", help="folder of the checkpoints")
     parser.add_argument("--table", action="store_true", help="measure nothing")

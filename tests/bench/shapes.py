@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
+import numpy as np
+
 from services.edge.arrays import Floats
 from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
@@ -23,6 +25,7 @@ class Row:
     noise       standard deviation per axis, unit frame
     outliers    share of the points that lie anywhere in the box
     uneven      how many times denser one end is than the other
+    occluders   balls of a tenth of the longest side in which no point was scanned
     resolution  cells along the longest side, for every method that has a grid of its own choice
     """
 
@@ -32,6 +35,7 @@ class Row:
     noise: float = 0.0
     outliers: float = 0.0
     uneven: float = 1.0
+    occluders: int = 0
     resolution: int = 128
 
     @property
@@ -41,6 +45,7 @@ class Row:
         parts += [f"σ {self.noise:g}"] if self.noise else []
         parts += [f"{self.outliers:.0%} outliers"] if self.outliers else []
         parts += [f"{self.uneven:g} times denser"] if self.uneven != 1 else []
+        parts += [f"{self.occluders} occluders"] if self.occluders else []
         return ", ".join(parts)
 
     @property
@@ -51,13 +56,19 @@ class Row:
     @property
     def scan(self) -> dict[str, Any]:
         """How the points were drawn, for the cache."""
-        return {"points": self.points, "noise": self.noise, "outliers": self.outliers, "uneven": self.uneven}
+        scan = {"points": self.points, "noise": self.noise, "outliers": self.outliers, "uneven": self.uneven}
+        return {**scan, "occluders": self.occluders} if self.occluders else scan
 
     def sampled(self, truth: Mesh, seed: int) -> Floats:
-        """(points,3) the row's points of its truth."""
-        return surfaces.sampled(
+        """(points,3) the row's points of its truth, less those that occluders hide."""
+        xyz = surfaces.sampled(
             truth, self.points, noise=self.noise, outliers=self.outliers, uneven=self.uneven, seed=seed
         )
+        if not self.occluders:
+            return xyz
+        hidden = xyz[np.random.default_rng(seed).permutation(len(xyz))[: self.occluders]]
+        seen: Floats = xyz[(np.linalg.norm(xyz[:, None] - hidden[None], axis=2) > _OCCLUDER).all(axis=1)]
+        return seen
 
 
 def load(file: str, part: str = "") -> Mesh:
@@ -72,10 +83,23 @@ def topology(truth: Callable[[], Mesh]) -> tuple[int, int, int]:
     return component_count(edges.ends), component_count(edges.border_ends), edges.crowded_count
 
 
+def deformed(truth: Callable[[], Mesh]) -> Mesh:
+    """A garment that somebody moves in: twisted about its height by a sixth of a turn, and bent sideways."""
+    mesh = truth()
+    x, y, z = mesh.vertices.T
+    turn = np.pi / 3 * y
+    turned = np.stack(
+        [x * np.cos(turn) + z * np.sin(turn) + 0.4 * y**2, y, z * np.cos(turn) - x * np.sin(turn)], axis=1
+    )
+    return surfaces.unit(turned, mesh.faces)
+
+
 def half_of(truth: Callable[[], Mesh]) -> Mesh:
     """Half of a shape: the other half was never scanned, and nothing may be made up for it."""
     return surfaces.half(truth())
 
+
+_OCCLUDER = 0.1  # radius of an occluder, unit frame
 
 _HEMISPHERE = partial(load, "open_surfaces/hemisphere.obj")
 _MOEBIUS = partial(load, "moebius/moebius-160-10.ply")
@@ -143,5 +167,11 @@ UNSEEN = (
 )
 """Rows that nothing was chosen by: few points, close layers that bend, half a shape, uneven density, outliers,
 leaves, closed boxes with creases, rolls."""
+
+DEFORMED = (
+    Row("deformed dress", partial(deformed, _DRESS), noise=0.002, occluders=3),
+    Row("deformed T-shirt", partial(deformed, _SHIRT), noise=0.002, occluders=3),
+)
+"""Rows of the paper's Figure 9: garments that are worn, behind things that stand before them."""
 
 ROWS = KNOWN + UNSEEN

@@ -116,6 +116,17 @@ def chamfer_l1(mesh: Mesh, truth: Mesh, samples: int = SAMPLES, seed: int = 0) -
     return gaps_between(sample(mesh, samples, rng), sample(truth, samples, rng)).chamfer_l1
 
 
+def distances_to(mesh: Mesh, points: Floats, samples: int = 800_000) -> Floats:
+    """(n,) of points (n,3) from the surface: from the face that the nearest of many samples lies on, or, beyond a
+    border, from that sample."""
+    dense = sample(mesh, samples, np.random.default_rng(1))
+    gap, nearest = cKDTree(dense.xyz).query(points, workers=-1)
+    off = np.abs(np.einsum("ni,ni->n", points - dense.xyz[nearest], dense.normals[nearest]))
+    aside = np.sqrt(np.maximum(gap**2 - off**2, 0))
+    distances: Floats = np.where(aside < 3 * np.sqrt(area(mesh) / len(dense.xyz)), off, gap)
+    return distances
+
+
 def boundary_error(mesh: Mesh, truth: Mesh, samples: int = BORDER_SAMPLES, seed: int = 0) -> float:
     """Symmetric Chamfer distance of the two borders: ½(mean distance mesh→truth + mean distance truth→mesh).
 
