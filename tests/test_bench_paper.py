@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from PIL import Image
 
 from services.edge.mesh.nouns import Mesh
 from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.networks import network_of
 from tests.bench import __main__ as benches
-from tests.bench import frame_times, heat_maps, paper_delivery, paper_figures, published
+from tests.bench import frame_times, heat_maps, paper_delivery, paper_figures, peer_extraction, published
 from tests.bench.heat_maps import Column, View
 from tests.bench.paper_delivery import Way
 from tests.bench.published import BATCH, Cell, keep_mesh
@@ -157,6 +159,57 @@ def test_a_deformed_garment_keeps_its_faces_and_its_frame(row: Row) -> None:
     assert np.ptp(mesh.vertices, axis=0).max() == pytest.approx(1, abs=1e-6)
     areas = np.linalg.norm(np.cross(*(np.diff(mesh.vertices[mesh.faces], axis=1).transpose(1, 0, 2))), axis=1)
     assert np.isfinite(areas).all()
+
+
+# Extraction
+
+
+class Sphere(torch.nn.Module):
+    """The distance to a sphere."""
+
+    def forward(self, q: torch.Tensor) -> torch.Tensor:
+        return (q.norm(dim=1) - 0.4).abs()
+
+
+def test_the_same_field_is_meshed_from_its_network_and_peers_that_are_missing_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = tmp_path / "sphere.pt"
+    torch.save(Sphere(), network)
+    points = peer_extraction.points_of(peer_extraction.NetworkField(Sphere()))
+    assert np.abs(np.linalg.norm(points, axis=1) - 0.4).max() < 1e-3
+    subject = peer_extraction.Subject("sphere", network, points, None)
+    for variable in ("DCUDF2_FOLDER", "MIND_FOLDER"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(peer_extraction, "subjects", lambda scratch, options: iter([subject]))
+    peer_extraction.main(["--cells", "32"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len({line.count("|") for line in lines}) == 1
+    ours = next(line for line in lines if "the product's" in line).split("|")
+    assert float(ours[7]) < 2e-3, "on the zero set"
+    assert int(ours[9]) == 1
+    assert any("DCUDF2 | 32 | no DCUDF2_FOLDER" in line for line in lines)
+    assert any("GeoUDF" in line for line in lines)
+
+
+def test_a_peer_that_dies_is_one_sentence(tmp_path: Path) -> None:
+    failed = peer_extraction._child("dcudf2", str(tmp_path), tmp_path / "no.json", tmp_path / "no.pt", tmp_path / "m")
+    assert failed
+    assert "\n" not in failed
+
+
+def test_the_network_of_a_cell_comes_back_with_its_weights(tmp_path: Path) -> None:
+    network = network_of(CELL.config)
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight.mul_(1.1)
+    torch.save(network.state_dict(), tmp_path / "step-500.pt")
+    step = peer_extraction.write_network(CELL, (500, tmp_path / "step-500.pt"), tmp_path / "network.pt")
+    queries = np.random.default_rng(0).random((50, 3)) - 0.5
+    values, gradients = peer_extraction.NetworkField.read(tmp_path / "network.pt")(queries)
+    assert step == 500
+    assert np.allclose(values, network(torch.from_numpy(queries).float()).detach().numpy(), atol=1e-6)
+    assert np.allclose(np.linalg.norm(gradients, axis=1), 1, atol=1e-4)
 
 
 # Tables

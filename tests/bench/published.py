@@ -269,16 +269,23 @@ def kept_mesh(path: Path) -> Mesh:
 
 
 def mesh_reached(cell: Cell, state: Path) -> tuple[int, Mesh] | None:
-    """The mesh of the last measured step whose weights are in the folder of --state, and that step; None without."""
+    """The mesh of the last measured step that the folder of --state keeps, and that step; None without."""
+    last = _last_kept(cell, state, "npz")
+    return (last[0], kept_mesh(last[1])) if last else None
+
+
+def weights_reached(cell: Cell, state: Path) -> tuple[int, Path] | None:
+    """The last measured step whose weights the folder of --state keeps, and their file; None without."""
+    return _last_kept(cell, state, "pt")
+
+
+def _last_kept(cell: Cell, state: Path, suffix: str) -> tuple[int, Path] | None:
     kept = [
         (int(path.stem.removeprefix("step-")), path)
         for kind in ("cpu", "cuda")
-        for path in (state / _folder_name(cell, kind)).glob("step-*.npz")
+        for path in (state / _folder_name(cell, kind)).glob(f"step-*.{suffix}")
     ]
-    if not kept:
-        return None
-    step, path = max(kept)
-    return step, kept_mesh(path)
+    return max(kept) if kept else None
 
 
 def _folder_name(cell: Cell, kind: str) -> str:
