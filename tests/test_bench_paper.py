@@ -100,7 +100,7 @@ def test_a_figure_draws_what_is_kept_and_names_what_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(paper_figures, "cells", lambda: iter([CELL, replace(CELL, method="cap-udf")]))
-    figure = paper_figures.Figure("a disk", (DISK,), ("cap-udf", "paper"), points=True)
+    figure = paper_figures.Figure((DISK,), ("cap-udf", "paper"), points=True)
     monkeypatch.setitem(paper_figures.FIGURES, "figure5", figure)
     state = tmp_path / "state"
     (state / "disk-300-paper").mkdir(parents=True)
@@ -125,7 +125,7 @@ def test_a_mesh_without_faces_is_told_with_its_steps(
     (tmp_path / "disk-300-paper").mkdir()
     keep_mesh(tmp_path / "disk-300-paper" / "step-500.npz", Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64)))
     keep_mesh(tmp_path / "disk-300-standard.npz", surfaces.disk())
-    made = paper_figures.columns(DISK, paper_figures.Figure("a disk", (DISK,), ("paper",)), tmp_path)
+    made = paper_figures.columns(DISK, paper_figures.Figure((DISK,), ("paper",)), tmp_path)
     assert made[0].mesh is None
     assert "no surface after 500 of 40,000 steps" in capsys.readouterr().out
 

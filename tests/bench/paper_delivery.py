@@ -23,11 +23,10 @@ from services.edge.mesh.simplify import lods
 from services.edge.pipeline import reconstruct
 from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
-from tests.bench.cell import ROOT
 from tests.bench.delivery import import_costs, read_mesh, write_obj
 from tests.bench.paper_figures import NAMES, product_mesh
 from tests.bench.paper_tables import DRESS
-from tests.bench.published import SCENE, cells, mesh_reached
+from tests.bench.published import SCENE, add_state, cells, mesh_reached
 
 LINKS = (20, 150, 200, 1000)  # Mbit/s; the paper asks for 150 to 200
 PRINTED_7 = {
@@ -56,7 +55,7 @@ class Way:
 def main(arguments: list[str], table: str) -> None:
     """Print one table."""
     parser = argparse.ArgumentParser(prog=f"python -m tests.bench {table}", description=__doc__)
-    parser.add_argument("--state", type=Path, default=ROOT / "build" / "published", help="folder of published's meshes")
+    add_state(parser)
     options = parser.parse_args(arguments)
     for line in table6(ways()) if table == "table6" else table7(options.state):
         print(line, flush=True)

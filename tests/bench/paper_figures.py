@@ -14,10 +14,9 @@ from pathlib import Path
 
 from services.edge.mesh.nouns import Mesh
 from tests.bench import heat_maps
-from tests.bench.cell import ROOT
 from tests.bench.heat_maps import Column, View
 from tests.bench.methods import Settings, make
-from tests.bench.published import OBJECTS, SCENE, Cell, cells, keep_mesh, kept_mesh, mesh_reached
+from tests.bench.published import OBJECTS, SCENE, Cell, add_state, cells, keep_mesh, kept_mesh, mesh_reached
 from tests.bench.shapes import DEFORMED, Row
 from tests.support.mesh_metrics import compare, welded
 
@@ -38,7 +37,6 @@ def opened(mesh: Mesh) -> Mesh:
 class Figure:
     """A figure of the paper: a line of meshes for each row, from where they are seen, and what of them is shown."""
 
-    what: str
     rows: tuple[Row, ...]
     methods: tuple[str, ...] = ("cap-udf", "levelset-udf", "paper")
     view: View = _FROM_THE_RIGHT
@@ -47,10 +45,10 @@ class Figure:
 
 
 FIGURES = {
-    "figure5": Figure("the dress", tuple(row for row in OBJECTS if row.label == "dress, 10,000")),
-    "figure6": Figure("the truck", tuple(row for row in OBJECTS if row.name == "truck"), view=View(45, 20)),
-    "figure7": Figure("the lounge", (SCENE,), view=View(35, 35), shown=opened),
-    "figure9": Figure("garments that are worn and hidden", DEFORMED, ("levelset-udf", "paper"), points=True),
+    "figure5": Figure(tuple(row for row in OBJECTS if row.label == "dress, 10,000")),
+    "figure6": Figure(tuple(row for row in OBJECTS if row.name == "truck"), view=View(45, 20)),
+    "figure7": Figure((SCENE,), view=View(35, 35), shown=opened),
+    "figure9": Figure(DEFORMED, ("levelset-udf", "paper"), points=True),
 }
 
 
@@ -70,10 +68,9 @@ def main(arguments: list[str], name: str) -> None:
 
 def columns(row: Row, figure: Figure, state: Path) -> list[Column]:
     """The columns of a row: the points where they are shown, each method, the product, the truth."""
-    truth = welded(row.truth())
-    seen = (
-        [Column(f"the {row.name}'s points", "", heat_maps.dots(row.sampled(row.truth(), 0)))] if figure.points else []
-    )
+    known = row.truth()
+    truth = welded(known)
+    seen = [Column(f"the {row.name}'s points", "", heat_maps.dots(row.sampled(known, 0)))] if figure.points else []
     for method in figure.methods:
         cell = next(each for each in cells() if (each.row, each.label) == (row, method))
         seen.append(_of_literature(cell, truth, figure, state))
@@ -113,7 +110,7 @@ def product_mesh(row: Row, state: Path) -> Mesh:
 
 def _parser(name: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=f"python -m tests.bench {name}", description=__doc__)
-    parser.add_argument("--state", type=Path, default=ROOT / "build" / "published", help="folder of published's meshes")
+    add_state(parser)
     parser.add_argument("--picture", type=Path, help="where the picture goes instead of beside the tables")
     parser.add_argument("--glb", type=Path, help="also write the meshes, with a bar that tells the scale")
     return parser

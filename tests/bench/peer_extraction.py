@@ -32,7 +32,7 @@ from services.edge.mesh.topology import component_count
 from services.edge.paper_field.networks import network_of
 from tests.bench.cell import ROOT
 from tests.bench.methods import peak_mb
-from tests.bench.published import Cell, cells, weights_reached
+from tests.bench.published import Cell, add_state, cells, weights_reached
 from tests.support.mesh_metrics import chamfer_l1, welded
 
 PEERS = {"dcudf2": ("DCUDF2", "DCUDF2_FOLDER"), "mind": ("MIND", "MIND_FOLDER")}
@@ -195,7 +195,5 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--fields", default="dress, 10,000: ", help="only fields whose name contains this")
     parser.add_argument("--peers", nargs="*", default=list(PEERS), choices=list(PEERS))
     parser.add_argument("--timeout", type=float, default=7_200, help="seconds for one extraction")
-    parser.add_argument(
-        "--state", type=Path, default=ROOT / "build" / "published", help="folder of published's weights"
-    )
+    add_state(parser)
     return parser

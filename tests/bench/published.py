@@ -371,6 +371,13 @@ def draw(records: dict[tuple[str, str, str], Record]) -> None:
     plt.close(figure)
 
 
+def add_state(parser: argparse.ArgumentParser) -> None:
+    """Add the option --state: the folder that keeps checkpoints, weights and meshes of all cells."""
+    parser.add_argument(
+        "--state", type=Path, default=ROOT / "build" / "published", help="folder of checkpoints, weights and meshes"
+    )
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.bench published", description=__doc__)
     parser.add_argument("--hours", type=float, default=1.0, help="how long to go on")
@@ -378,7 +385,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="cells at once")
     parser.add_argument("--rows", default="", help="only cells whose row and method contain this")
     parser.add_argument("--device", default="cpu", help="where fields are trained, as cuda:0")
-    parser.add_argument("--state", type=Path, default=ROOT / "build" / "published", help="folder of the checkpoints")
+    add_state(parser)
     parser.add_argument("--table", action="store_true", help="measure nothing")
     parser.add_argument("--cell", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--until", type=float, default=0.0, help=argparse.SUPPRESS)
