@@ -13,6 +13,7 @@ import grpc
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
+from services.edge.arrays import Tick
 from services.edge.errors import EdgeError
 from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.job_request import ReconstructionRequest
@@ -83,9 +84,11 @@ class Scripted:
         report(pb.Published(asset_key=request.asset_key, version=1, state="preview", manifest="m"))
         return pb.Finished(warnings=["one"], seconds={"FITTING": 1.5})
 
-    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
         if (text := archive.read_bytes().decode(errors="replace")) in self._acts:
             self._acts[text]()
+        while text == "linger" and not self.release.wait(TICK_S):
+            tick(0.0)
         return pb.Inspection(kind="points", format="ply", points=len(text))
 
 

@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.arrays import Tick
 from services.edge.errors import EdgeError
 from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.job_request import ReconstructionRequest
@@ -69,7 +70,7 @@ class Making:
                 raise EdgeError(script["fail_refining"], "as it was told", hints=("use a coarser preset",))
         return pb.Finished(warnings=["looks odd"], seconds={"FITTING": 0.5})
 
-    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
         script = json.loads(archive.read_bytes())
         if "fail" in script:
             raise EdgeError(script["fail"], "as it was told", file="a.ply", hints=("hold still",))

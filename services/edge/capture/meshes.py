@@ -26,6 +26,12 @@ _GLB_HEADER = 12
 _UNREAD_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
+def too_many_faces(count: int, file: str) -> CaptureError:
+    """Return a CAPTURE_TOO_LARGE error for a file of `count` triangles."""
+    what = f"has {count:,} triangles; at most {MAX_FACES:,} are read"
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("simplify the mesh",))
+
+
 class _SiblingFiles(Mapping[str, bytes]):
     """trimesh resolver: reads the files that a mesh refers to; a file outside the capture is never opened."""
 
@@ -76,8 +82,7 @@ def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
         nodes = list(loaded.graph.nodes_geometry)
         faces = sum(len(getattr(loaded.geometry[loaded.graph[node][1]], "faces", ())) for node in nodes)
         if faces > MAX_FACES:
-            what = f"has {faces:,} triangles; at most {MAX_FACES:,} are read"
-            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("simplify the mesh",))
+            raise too_many_faces(faces, file)
         pictures: _Pictures = {}
         return [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
 

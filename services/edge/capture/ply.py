@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from services.edge.arrays import Ints
 from services.edge.capture.files import translate_errors, unreadable
+from services.edge.capture.meshes import MAX_FACES, too_many_faces
 from services.edge.capture.nouns import Cloud
 from services.edge.capture.tables import MAX_POINTS, named_columns, too_many_points, truncated
 
@@ -193,9 +194,13 @@ def _corners(element: _PlyElement, file: str) -> str:
 
 def _triangle_fans(polygons: list[Ints], cloud: Cloud | None, file: str) -> Ints:
     """Triangulate polygons as fans (F,3): (a, b, c, d, ...) becomes (a, b, c), (a, c, d), ..."""
+    if (count := sum(len(group) * max(0, group.shape[1] - 2) for group in polygons)) > MAX_FACES:
+        raise too_many_faces(count, file)
     triangles: list[Ints] = [np.zeros((0, 3), np.int64)]
     for group in polygons:
-        triangles += [group[:, [0, corner, corner + 1]] for corner in range(1, group.shape[1] - 1)]
+        second, third = group[:, 1:-1], group[:, 2:]
+        first = np.broadcast_to(group[:, :1], second.shape)
+        triangles.append(np.stack([first, second, third], axis=-1).reshape(-1, 3))
     faces = np.concatenate(triangles)
     if cloud is None or (len(faces) and (faces.min() < 0 or faces.max() >= len(cloud.xyz))):
         raise unreadable(file, "has faces with indices of vertices that do not exist")

@@ -16,6 +16,7 @@ from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
 
 MAX_POINTS = 20_000_000  # 20 million points of 24 bytes are 480 MB; a phone's scan has one to five million
+_MAX_LINE = 10_000  # characters: NumPy takes 2.5 µs for each number, and a scan has tens of columns at most
 _XYZ = ("x", "y", "z")
 _RGB = (("red", "green", "blue"), ("r", "g", "b"))
 _NORMAL = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
@@ -106,6 +107,8 @@ def read_table(path: Path, file: str) -> Cloud:
     lines = _rows(path.read_bytes())
     if len(lines) > MAX_POINTS:
         raise too_many_points(len(lines), file)
+    if (longest := max(map(len, lines), default=0)) > _MAX_LINE:
+        raise unreadable(file, f"has a line of {longest:,} characters; rows of numbers have at most {_MAX_LINE:,}")
     names = _column_names(lines, file)
     with translate_errors(file, "table of numbers"):
         table = np.loadtxt(lines, np.float64, comments=None, ndmin=2)

@@ -7,35 +7,32 @@ import time
 from collections.abc import Generator, Mapping
 from contextlib import closing
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import TypeVar
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick, no_tick
+from services.edge.arrays import Tick
 from services.edge.asset.manifest import anchors_m, asset_frame
 from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture
-from services.edge.capture_to_points import PreparedPoints, prepare, require_single_photo
-from services.edge.errors import CaptureError, EdgeError
+from services.edge.capture_to_points import PreparedPoints, prepare
+from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.field.device import Device
 from services.edge.jobs.available_presets import capabilities_of
 from services.edge.jobs.central_client import Central, CentralUnavailable
 from services.edge.jobs.fit_job import FieldFitter, to_wire
 from services.edge.jobs.forward_job import forward, resume
+from services.edge.jobs.inspect_capture import inspect_in_child, unpack_capture
 from services.edge.jobs.points_archive import read_prepared
 from services.edge.jobs.points_cache import load_points, save_points
 from services.edge.points.nouns import Points
 from services.edge.preset import Preset
 from services.edge.progress import Bar, Progress
-from services.edge.single_photo.cutout import cut_out
 from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.job_request import ReconstructionRequest
 from services.edge.worker.job_run import Report
 from services.edge.worker.memory_budget import MemoryBudget
 from services.photo_box import PhotoBox
-from services.storage.archives import ArchiveError, unpack
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.storage.catalogue.publish import Publish, publish
 from services.storage.store import Store
@@ -89,22 +86,12 @@ class Reconstructor:
         prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
         return _with_validating(self._fitter.fit(prepared, bar, request, checkpoint, report), seconds)
 
-    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
         """Read a capture and return its kind, format and size, and the outline of the thing in a single photo.
 
-        Raises EdgeError when it cannot be used.
+        Raises EdgeError when reading it costs too much or crashes; other faults are the answer's `failure`.
         """
-        capture = _unpack_capture(archive, scratch)
-        require_single_photo(capture, box)
-        cut = cut_out(capture.photos[0], box) if capture.kind == "image" else None
-        return pb.Inspection(
-            kind=capture.kind,
-            format=capture.format,
-            frames=len(capture.frames) or len(capture.photos),
-            points=len(capture.cloud.xyz) if capture.cloud else 0,
-            warnings=(*capture.warnings, *(cut.warnings if cut else ())),
-            outline=[pb.Polygon(xy=chain.from_iterable(line)) for line in (cut.outline() if cut else ())],
-        )
+        return inspect_in_child(archive, scratch, box, tick)
 
     def _reconstruct_with(
         self,
@@ -144,7 +131,7 @@ class Reconstructor:
         began = time.perf_counter()
         if request.prepared:
             return read_prepared(archive, scratch / "prepared"), time.perf_counter() - began
-        capture = _unpack_capture(archive, scratch, lambda fraction: report(reading))
+        capture = read_capture(unpack_capture(archive, scratch), tick=lambda fraction: report(reading))
         seconds = time.perf_counter() - began
         refines = self.offer.trains(request.preset)
         steps = prepare(
@@ -176,16 +163,6 @@ def _run_to_end(steps: Generator[Progress, None, T], report: Report) -> T:
             except StopIteration as ended:
                 result: T = ended.value
                 return result
-
-
-def _unpack_capture(archive: Path, scratch: Path, tick: Tick = no_tick) -> Capture:
-    """Unpack an archive into `scratch` and read the capture. Raises CaptureError."""
-    folder = scratch / "capture"
-    try:
-        unpack(archive, folder)
-    except ArchiveError as error:
-        raise CaptureError(error.code, error.message, file=error.file, hints=error.hints) from None
-    return read_capture(folder, tick=tick)
 
 
 def _with_warning(prepared: PreparedPoints, warning: str) -> PreparedPoints:

@@ -11,7 +11,9 @@ from pathlib import Path
 import grpc
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.worker.failures import failure_of
+from services.edge.arrays import Tick
+from services.edge.errors import Cancelled
+from services.edge.worker.failures import CANCELLED, failure_of
 from services.edge.worker.job_request import RefusedError
 from services.edge.worker.job_run import Work
 from services.edge.worker.scratch import Scratch
@@ -19,7 +21,7 @@ from services.edge.worker.upload import receive
 from services.photo_box import PhotoBox
 
 AT_ONCE = 4
-"""Most inspections at once, each a thread that mostly decodes headers: more would slow down the jobs, and a phone can
+"""Most inspections at once, each a process that mostly decodes headers: more would slow down the jobs, and a phone can
 try again."""
 
 WITHIN_S = 120.0
@@ -52,13 +54,18 @@ class Inspections:
         return await self._read(folder, box)
 
     async def _read(self, folder: Path, box: PhotoBox | None) -> pb.Inspection:
-        """Read the capture in a thread. The thread's end, not the caller's, releases the folder: a caller may hang up
-        while a file is still being read."""
+        """Read the capture in a thread. Its end, not the caller's, releases the folder: when the caller hangs up, the
+        thread is told, but may take a moment."""
         loop = asyncio.get_running_loop()
         verdict: asyncio.Future[pb.Inspection] = loop.create_future()
+        abandoned = threading.Event()
+
+        def tick(_: float) -> None:
+            if abandoned.is_set():
+                raise Cancelled
 
         def read() -> None:
-            inspection = self._verdict(folder, box)
+            inspection = self._verdict(folder, box, tick)
             with suppress(RuntimeError):  # the loop is closed: the worker has shut down
                 loop.call_soon_threadsafe(self._deliver, folder, verdict, inspection)
 
@@ -69,12 +76,16 @@ class Inspections:
         except TimeoutError:
             status = grpc.StatusCode.DEADLINE_EXCEEDED
             raise RefusedError(status, "INSPECTION_SLOW", f"the capture was not read within {WITHIN_S:.0f} s") from None
+        finally:
+            abandoned.set()
 
-    def _verdict(self, folder: Path, box: PhotoBox | None) -> pb.Inspection:
+    def _verdict(self, folder: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
         scratch = folder / "work"
         try:
             scratch.mkdir()
-            return self._work.inspect(folder / "capture.zip", scratch, box)
+            return self._work.inspect(folder / "capture.zip", scratch, box, tick)
+        except Cancelled:
+            return pb.Inspection(failure=CANCELLED)
         except BaseException as error:  # noqa: BLE001 - the caller must get an answer whatever happens here
             failure = failure_of(error, job="of an inspection", scratch=scratch)
             failure.stage = pb.VALIDATING

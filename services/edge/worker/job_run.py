@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.arrays import Tick
 from services.edge.errors import Cancelled
 from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.checkpoint_files import CheckpointFiles
@@ -50,10 +51,11 @@ class Work(Protocol):
         """
         ...
 
-    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None) -> pb.Inspection:
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
         """Read the capture without reconstructing it. Raises EdgeError when it cannot be used.
 
-        box  rectangle of a single photo that the thing lies in; None: it is looked for
+        box   rectangle of a single photo that the thing lies in; None: it is looked for
+        tick  called often; raises Cancelled, which is passed on, when nobody waits for the answer any more
         """
         ...
 

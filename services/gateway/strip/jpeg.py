@@ -58,6 +58,11 @@ def is_progressive(data: Buffer) -> bool:
     return any(marker in _PROGRESSIVE for marker, _, _ in _segments(data))
 
 
+def count_scans(data: Buffer) -> int:
+    """Return the number of scans: a progressive JPEG may have many, and its decoder visits all pixels in each."""
+    return sum(marker == _SCAN for marker, _, _ in _segments(data))
+
+
 def _segments(data: Buffer) -> Iterator[tuple[int, int, int]]:
     """Yield (marker, first and end byte of payload) of each segment, the end marker last. Raises UnreadableError."""
     at = 2

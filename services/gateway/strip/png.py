@@ -46,7 +46,7 @@ def clean(data: Buffer) -> CleanResult:
 def check_pixels(data: Buffer) -> None:
     """Inflate the image block by block and count its bytes. Raises UnreadableError if some are missing or damaged."""
     inflater, size = zlib.decompressobj(), 0
-    expected = _raw_bytes(data)
+    expected = raw_bytes(data)
     try:
         for packed in _pixel_blocks(data):
             while packed and not inflater.eof:
@@ -67,7 +67,7 @@ def _pixel_blocks(data: Buffer) -> Iterator[bytes]:
                 yield bytes(data[at : min(at + _INFLATE_BYTES, stop)])
 
 
-def _raw_bytes(data: Buffer) -> int:
+def raw_bytes(data: Buffer) -> int:
     """Return the least number of bytes of the unfiltered rows; an interlaced image has a few more."""
     width, height, depth, colour = struct.unpack_from(">IIBB", data, 16)
     return int(height * ((width * depth * _CHANNELS.get(colour, 1) + 7) // 8))

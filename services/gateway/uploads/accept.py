@@ -9,8 +9,9 @@ import json
 import secrets
 import shutil
 import tempfile
+import threading
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,7 +20,7 @@ from typing import Any, TypeVar
 
 import anyio.to_thread
 from anyio import CapacityLimiter
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 
 from services.gateway.errors import Problem, storage_full
 from services.gateway.jobs.capture_objects import capture_name, receipt_name
@@ -102,8 +103,10 @@ class Uploads:
         folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._staging))
         try:
             received = await receive(request, folder / "in", self._limits, self._write)
-            packed = await self._run_checker(lambda: _check_and_pack(received, folder, self._limits))
-            inspection = await self._workers.inspect(packed.archive, box)
+            left = threading.Event()
+            checking = self._run_checker(lambda: _check_and_pack(received, folder, self._limits, left))
+            packed = await _unless_client_leaves(request, checking, left)
+            inspection = await _unless_client_leaves(request, self._workers.inspect(packed.archive, box))
             if inspection is not None and inspection.failure is not None:
                 raise inspection.failure
             yield packed, inspection
@@ -159,8 +162,46 @@ class Uploads:
         return await anyio.to_thread.run_sync(work, limiter=self._checkers)
 
 
-def _check_and_pack(received: ReceivedUpload, folder: Path, limits: UploadLimits) -> _PackedCapture:
-    """Unpack an archive, validate every file, strip its metadata, and pack all as one zip. Raises Problem."""
+async def _unless_client_leaves(
+    request: Request, work: Coroutine[Any, Any, _T], left: threading.Event | None = None
+) -> _T:
+    """Await the work, and end it as soon as the client has disconnected: nobody would get the answer.
+
+    left  is set then, for work in a thread, which cannot be cancelled; other work is cancelled
+
+    Raises ClientDisconnect, and what the work raises.
+    """
+    working, leaving = asyncio.create_task(work), asyncio.create_task(_disconnected(request))
+    try:
+        await asyncio.wait((working, leaving), return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise ClientDisconnect
+        return working.result()
+    finally:
+        leaving.cancel()
+        if not working.done():
+            if left is None:
+                working.cancel()
+            else:
+                left.set()
+        await asyncio.gather(working, leaving, return_exceptions=True)
+
+
+async def _disconnected(request: Request) -> None:
+    """Return when the client of a request, whose body has been read, has disconnected."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+def _check_and_pack(
+    received: ReceivedUpload, folder: Path, limits: UploadLimits, left: threading.Event
+) -> _PackedCapture:
+    """Unpack an archive, validate every file, strip its metadata, and pack all as one zip.
+
+    left  is set when the client has disconnected
+
+    Raises Problem, ClientDisconnect.
+    """
     if not received.files:
         raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose at least one file",))
     if collection := received.fields.get("collection", ""):
@@ -173,7 +214,7 @@ def _check_and_pack(received: ReceivedUpload, folder: Path, limits: UploadLimits
     if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
         client_name = names[0] if received.has_client_names else ""
         source, names = folder / "files", _unpack(source / names[0], folder / "files", limits, client_name)
-    verdicts = validate(source, names)
+    verdicts = validate(source, names, left)
     archive = folder / "capture.zip"
     pack(source, archive)
     with archive.open("rb") as file:

@@ -16,6 +16,8 @@ from services.gateway.uploads.sniff import Kind
 
 MAX_PIXELS = 100_000_000  # 300 MB decoded; phones' largest sensors have 200 megapixels, binned to 12 or 50
 _MAX_DECODED_PIXELS = 24_000_000  # larger images are not decoded fully: 72 MB each, on two threads
+_MAX_DECODED_BYTES = 400_000_000  # of a PNG: 100 megapixels with alpha, or 50 of 16 bits
+_MAX_SCANS = 100  # of a JPEG; encoders write about ten, and each costs 15 ms for 24 megapixels
 _MAX_SIDE = 65_535  # pixels: JPEG's limit
 # Pillow's formats that are decoded here. A JPEG file of several pictures, "MPO", is opened as a JPEG, because Pillow
 # knows the name MPO only in a process that has opened a JPEG before.
@@ -38,6 +40,9 @@ def check_image(kind: Kind, path: Path, data: Buffer) -> None:
         limit = f"{MAX_PIXELS // 1_000_000} megapixels"
         raise TooLargeError(f"the image has {width:,} × {height:,} pixels; at most {limit} are allowed")
     if kind is Kind.PNG:
+        if (decoded := png.raw_bytes(data)) > _MAX_DECODED_BYTES:
+            limit = f"{_MAX_DECODED_BYTES // 1_000_000} MB"
+            raise TooLargeError(f"the image's pixels take {decoded // 1_000_000:,} MB; at most {limit} are allowed")
         png.check_pixels(data)
     elif kind is Kind.JPEG:
         _check_jpeg(path, data, width * height)
@@ -75,6 +80,8 @@ def _check_jpeg(path: Path, data: Buffer, pixels: int) -> None:
 
     A progressive JPEG needs more memory, so a large one is not decoded.
     """
+    if (scans := jpeg.count_scans(data)) > _MAX_SCANS:
+        raise UnreadableError(f"the JPEG has {scans:,} scans; at most {_MAX_SCANS} are read")
     if pixels <= _MAX_DECODED_PIXELS or not jpeg.is_progressive(data):
         _decode(path, draft=True)
 

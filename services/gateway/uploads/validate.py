@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from starlette.requests import ClientDisconnect
 
 from services.gateway.errors import Problem
 from services.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
@@ -43,11 +46,13 @@ class FileReport:
         return {**asdict(self), "stripped": list(self.stripped)}
 
 
-def validate(folder: Path, names: Iterable[str]) -> list[FileReport]:
+def validate(folder: Path, names: Iterable[str], left: threading.Event) -> list[FileReport]:
     """Check the files and strip their metadata in place; delete those of unknown format.
 
+    left  is set when the client has disconnected; no other file is checked then
+
     Raises Problem 422, naming the file: IMAGE_TOO_LARGE, IMAGE_UNREADABLE, CAPTURE_UNREADABLE, ARCHIVE_NESTED;
-    CAPTURE_EMPTY or CAPTURE_UNKNOWN_FORMAT where no usable file is left.
+    CAPTURE_EMPTY or CAPTURE_UNKNOWN_FORMAT where no usable file is left. Raises ClientDisconnect when `left` is set.
     """
     names = sorted(names)
     only = names[0] if len(names) == 1 else ""
@@ -55,7 +60,7 @@ def validate(folder: Path, names: Iterable[str]) -> list[FileReport]:
         hints = ("send a .zip, or the files themselves",)
         detail = "this kind of archive is not supported"
         raise Problem(422, "CAPTURE_UNKNOWN_FORMAT", detail, file=only, hints=hints)
-    verdicts = [_check_file(folder, name) for name in names]
+    verdicts = [_check_file(folder, name, left) for name in names]
     if not any(verdict.bytes for verdict in verdicts):
         detail = "the file is empty" if only else "all files of the upload are empty"
         raise Problem(422, "CAPTURE_EMPTY", detail, file=only, hints=("choose other files",))
@@ -70,7 +75,9 @@ def validate(folder: Path, names: Iterable[str]) -> list[FileReport]:
     return verdicts
 
 
-def _check_file(folder: Path, name: str) -> FileReport:
+def _check_file(folder: Path, name: str, left: threading.Event) -> FileReport:
+    if left.is_set():
+        raise ClientDisconnect
     path = folder / name
     kind = _kind(path)
     if kind is Kind.ARCHIVE:

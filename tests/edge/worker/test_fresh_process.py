@@ -17,21 +17,15 @@ from tests.support.fresh_process import run_fresh
 pytestmark = pytest.mark.slow
 
 # A worker's inspection of each archive, and then every pixel, which readers decode only when asked. One interpreter
-# loads what a worker loads at its start, and forks for each: none knows what the others have loaded.
+# loads what an inspection loads at its start, and forks for each: none knows what the others have loaded.
 INSPECT = """
 import os, sys, traceback
 from pathlib import Path
 from services.edge.capture.detect import read_capture
-from services.edge.field.device import find_device
-from services.edge.worker.memory_budget import MemoryBudget
-from services.edge.jobs.available_presets import known_presets
-from services.edge.jobs.reconstruct_job import Reconstructor
-from services.storage.memory import MemoryStore
-
-work = Reconstructor(MemoryStore(), known_presets(None), find_device("cpu"), MemoryBudget(1 << 40))
+from services.edge.jobs.inspect_capture import inspect, unpack_capture
 
 def answer(archive, scratch):
-    found = work.inspect(archive, scratch, None)
+    found = inspect(unpack_capture(archive, scratch), None)
     capture = read_capture(scratch / "capture")
     for frame in capture.frames:
         frame.load_depth_m()

@@ -381,3 +381,13 @@ async def test_the_time_left_follows_the_recent_rate(monkeypatch: pytest.MonkeyP
         said.append(event.progress.eta_s)
     assert said[0] == 0.0 or said[0] < 1.0, "the jump promises the end"
     assert said[-2] == pytest.approx(20.0, abs=0.5)
+
+
+async def test_an_inspection_ends_when_its_caller_leaves(client: Client, scratch: Path) -> None:
+    call = client.stub.Inspect(upload(b"linger"))
+    async with asyncio.timeout(PATIENCE_S):
+        while not any(scratch.rglob("work")):
+            await asyncio.sleep(0.02)
+        call.cancel()
+        while any(scratch.rglob("capture.zip")):
+            await asyncio.sleep(0.02)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
+import struct
+import threading
 import zipfile
+import zlib
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -14,16 +18,19 @@ import httpx
 import pytest
 from fastapi import FastAPI
 from PIL import Image
+from starlette.requests import ClientDisconnect
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
+from services.gateway.uploads.validate import validate
 from services.storage.archives import unpack
 from services.storage.bundle import sha256_hex
 from services.storage.memory import MemoryStore
 from services.storage.store import Head
 from tests.support import private_pictures
+from tests.support.patience import HANG_S
 
 BOUNDARY = "boundary"
 CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
@@ -469,3 +476,59 @@ async def test_real_captures_are_taken(gateway: Gateway, data_dir: Path, name: s
     answer = await gateway.send(*files)
     assert answer.status_code == 201, answer.text
     assert {file["verdict"] for file in answer.json()["files"]} == {"ok"}
+
+
+async def test_a_client_that_leaves_ends_the_inspection_of_its_capture(gateway: Gateway) -> None:
+    started, ended = asyncio.Event(), asyncio.Event()
+
+    async def inspect(*_: Any) -> None:
+        started.set()
+        try:
+            await asyncio.sleep(HANG_S)
+        finally:
+            ended.set()
+
+    messages = iter([{"type": "http.request", "body": zipped(**{"a.ply": CLOUD}), "more_body": False}])
+
+    async def receive() -> dict[str, Any]:
+        if (message := next(messages, None)) is not None:
+            return message
+        await started.wait()
+        return {"type": "http.disconnect"}
+
+    async def send(_: Any) -> None:
+        raise AssertionError("nobody is there to be answered")
+
+    gateway.app.state.workers.inspect = inspect
+    headers = [(b"host", b"gateway"), (b"content-type", b"application/zip")]
+    path = {"path": "/v1/captures", "raw_path": b"/v1/captures", "query_string": b"", "root_path": ""}
+    ends = {"client": ("127.0.0.1", 1), "server": ("gateway", 80), "scheme": "http", "http_version": "1.1"}
+    await gateway.app({"type": "http", "method": "POST", "headers": headers, **path, **ends}, receive, send)
+    assert ended.is_set()
+    gateway.assert_empty()
+
+
+def test_no_file_is_checked_for_a_client_that_has_left(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(CLOUD)
+    left = threading.Event()
+    left.set()
+    with pytest.raises(ClientDisconnect):
+        validate(tmp_path, ["a.ply"], left)
+
+
+async def test_a_jpeg_of_hundreds_of_scans_is_refused_before_it_is_decoded(gateway: Gateway) -> None:
+    buffer = io.BytesIO()
+    Image.effect_noise((64, 64), 40).save(buffer, "JPEG", progressive=True)
+    whole = buffer.getvalue()
+    last = whole.rindex(b"\xff\xda")
+    assert (await gateway.send(("good.jpg", whole))).status_code == 201
+    answer = await gateway.send(("slow.jpg", whole[:last] + whole[last:-2] * 300 + whole[-2:]))
+    assert "scans" in assert_problem(answer, 422, "IMAGE_UNREADABLE", "slow.jpg")["detail"]
+
+
+async def test_a_png_of_many_bits_is_refused_before_it_is_inflated(gateway: Gateway) -> None:
+    whole = bytearray(private_pictures.png())
+    whole[16:26] = struct.pack(">IIBB", 10_000, 9_990, 16, 6)
+    whole[29:33] = struct.pack(">I", zlib.crc32(whole[12:29]))
+    answer = await gateway.send(("deep.png", bytes(whole)))
+    assert "799 MB" in assert_problem(answer, 422, "IMAGE_TOO_LARGE", "deep.png")["detail"]

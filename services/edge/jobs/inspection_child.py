@@ -1,0 +1,60 @@
+"""Child process that inspects one capture: `python -m services.edge.jobs.inspection_child ARCHIVE SCRATCH BOX`.
+
+BOX is JSON: left, top, right and bottom of the thing in a single photo, or an empty list. The answer is written to
+SCRATCH.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+from pathlib import Path
+
+from services.edge.api import edge_pb2 as pb
+from services.edge.child_process import set_up_child
+from services.edge.errors import EdgeError
+from services.edge.jobs.inspect_capture import ANSWER, inspect, too_costly, unpack_capture
+from services.edge.worker.failures import failure_of
+from services.photo_box import PhotoBox
+
+# Beside the interpreter and its libraries, which have 350 MB: rows of text take 15 times their bytes when they are
+# parsed, and are parsed at 20 MB a second.
+_LEAST_BYTES, _BYTES_PER_BYTE, _MOST_BYTES = 1 << 30, 16, 6 << 30
+_LEAST_SECONDS, _SECONDS_PER_GB = 20, 100
+
+
+def main(archive: Path, scratch: Path, box: PhotoBox | None) -> None:
+    """Inspect the archive within limits that follow from its unpacked size, and write the answer to `scratch`."""
+    try:
+        folder = unpack_capture(archive, scratch)
+        _limit(sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()))
+        answer = inspect(folder, box)
+    except EdgeError as error:
+        answer = _failed(error, scratch)
+    except MemoryError:
+        answer = _failed(too_costly("more memory"), scratch)
+    (scratch / ANSWER).write_bytes(answer.SerializeToString())
+
+
+def _limit(capture_bytes: int) -> None:
+    """Limit this process, and each child of it, to the processor time and memory that a capture of this size may take.
+
+    Only the soft limits: a child with an own budget, for native decoders, sets its own.
+    """
+    for kind, most in (
+        (resource.RLIMIT_DATA, min(_LEAST_BYTES + _BYTES_PER_BYTE * capture_bytes, _MOST_BYTES)),
+        (resource.RLIMIT_CPU, _LEAST_SECONDS + _SECONDS_PER_GB * capture_bytes // 10**9),
+    ):
+        hard = resource.getrlimit(kind)[1]
+        resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+def _failed(error: EdgeError, scratch: Path) -> pb.Inspection:
+    return pb.Inspection(failure=failure_of(error, job="of an inspection", scratch=scratch))
+
+
+if __name__ == "__main__":
+    set_up_child()
+    corners = json.loads(sys.argv[3])
+    main(Path(sys.argv[1]), Path(sys.argv[2]), PhotoBox.of(corners) if corners else None)

@@ -1,0 +1,135 @@
+"""Inspections run in a child process: one that costs too much, crashes or is not wanted any more harms nobody else."""
+
+from __future__ import annotations
+
+import resource
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from services.edge.arrays import no_tick
+from services.edge.errors import Cancelled, CaptureError
+from services.edge.jobs import inspect_capture, inspection_child
+from services.edge.jobs.inspect_capture import inspect_in_child
+from tests.support import captures
+
+
+def packed(folder: Path, **files: bytes) -> Path:
+    archive = folder / "capture.zip"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as entries:
+        for name, content in files.items():
+            entries.writestr(name.replace("__", "."), content)
+    return archive
+
+
+def ply_of_one_face(corners: int) -> bytes:
+    """A square of vertices, and one polygon of so many corners on it."""
+    xyz = np.random.default_rng(0).random((4000, 3), np.float32)
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 1\nproperty list uint int vertex_indices\nend_header\n"
+    )
+    indices = (np.arange(corners, dtype="<u4") % len(xyz)).astype("<i4")
+    return head.encode() + xyz.tobytes() + np.uint32(corners).tobytes() + indices.tobytes()
+
+
+def scratch_in(folder: Path) -> Path:
+    scratch = folder / "work"
+    scratch.mkdir()
+    return scratch
+
+
+def test_a_capture_is_described_by_the_child(tmp_path: Path) -> None:
+    xyz, rgb, normals = captures.sphere()
+    archive = packed(tmp_path, a__ply=captures.ply_bytes(xyz, rgb, normals))
+    found = inspect_in_child(archive, scratch_in(tmp_path), None, no_tick)
+    assert (found.kind, found.format, found.points) == ("points", "ply", len(xyz))
+
+
+def test_a_face_of_two_million_corners_costs_no_more_than_its_triangles(tmp_path: Path) -> None:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    archive = packed(tmp_path, a__ply=ply_of_one_face(2_000_000))
+    found = inspect_in_child(archive, scratch_in(tmp_path), None, no_tick)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert not found.HasField("failure"), found.failure
+    assert used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime < 10
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "code"),
+    [
+        ("a__ply", lambda: ply_of_one_face(5_100_000), "CAPTURE_TOO_LARGE"),
+        ("a__xyz", lambda: b"1 2 3\n" + b"0.1 " * 400_000, "CAPTURE_UNREADABLE"),
+    ],
+)
+def test_what_would_cost_much_is_refused_before(
+    tmp_path: Path, name: str, content: Callable[[], bytes], code: str
+) -> None:
+    failure = inspect_in_child(packed(tmp_path, **{name: content()}), scratch_in(tmp_path), None, no_tick).failure
+    assert (failure.code, failure.file) == (code, name.replace("__", "."))
+    assert failure.hints
+
+
+CHILD = """
+import resource, sys
+from services.edge.jobs import inspect_capture, inspection_child
+def inspect(folder, box):
+    {costly}
+inspection_child.inspect = inspect
+inspection_child._LEAST_BYTES, inspection_child._LEAST_SECONDS = 1 << 29, 2
+from pathlib import Path
+inspection_child.main(Path(sys.argv[1]), Path(sys.argv[2]), None)
+"""
+
+
+@pytest.mark.parametrize(
+    ("costly", "code", "says"),
+    [
+        ("bytearray(1 << 32)", "CAPTURE_TOO_LARGE", "more memory"),
+        ("while True: pass", "CAPTURE_TOO_LARGE", "more time"),
+        ("import os; os.abort()", "CAPTURE_UNREADABLE", "SIGABRT"),
+    ],
+)
+def test_what_costs_too_much_or_crashes_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, costly: str, code: str, says: str
+) -> None:
+    run = inspect_capture.run_child
+
+    def run_costly(command: list[object], *rest: object, **most: object) -> None:
+        run([command[0], "-c", CHILD.format(costly=costly), *map(str, command[3:])], *rest, **most)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(inspect_capture, "run_child", run_costly)
+    archive = packed(tmp_path, a__ply=b"ply")
+    try:
+        failure = inspect_in_child(archive, scratch_in(tmp_path), None, no_tick).failure
+        told = (failure.code, failure.message)
+    except CaptureError as error:
+        told = (error.code, error.message)
+    assert told[0] == code
+    assert says in told[1]
+
+
+def test_an_inspection_that_nobody_waits_for_is_killed(tmp_path: Path) -> None:
+    def leave(_: float) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        inspect_in_child(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, leave)
+    left = [each for each in psutil.Process().children(recursive=True) if "inspection_child" in str(each.cmdline())]
+    assert left == []
+
+
+def test_limits_grow_with_the_capture(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits: dict[int, int] = {}
+    monkeypatch.setattr(resource, "setrlimit", lambda kind, pair: limits.update({kind: pair[0]}))
+    seen = []
+    for size in (0, 10**8, 10**9):
+        inspection_child._limit(size)
+        seen.append((limits[resource.RLIMIT_DATA], limits[resource.RLIMIT_CPU]))
+    assert seen == sorted(seen)
+    assert seen[0] == (1 << 30, 20)
+    assert seen[-1] == (6 << 30, 120)
