@@ -75,7 +75,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.cors_origins,
-            allow_methods=["GET", "POST"],
+            allow_methods=["GET", "POST", "DELETE"],
             allow_headers=["Content-Type", "Idempotency-Key", "Last-Event-ID"],
             expose_headers=["ETag", "Location", "X-Request-ID"],
         )

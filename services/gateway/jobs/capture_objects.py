@@ -1,23 +1,111 @@
-"""Object names of stored captures, and reading one as a stream with only a few megabytes in memory."""
+"""Stored captures: their object names, lists of them, deletion, and reading one with a few megabytes in memory."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+import json
+import logging
+from collections.abc import AsyncGenerator, Callable
+from pathlib import PurePosixPath
+from typing import Any, TypeVar
 
+from services.gateway.errors import Problem
 from services.storage.store import Store
 
+_log = logging.getLogger(__name__)
+
+_T = TypeVar("_T")
+
+_FOLDER = "captures/"
+_LISTED = 200  # objects per request to the store
 _READ_BYTES = 4 << 20  # one request to an S3 server; its latency is then small beside the transfer
 
 
 def capture_name(capture: str) -> str:
     """Return the object name of a capture's archive."""
-    return f"captures/{capture}.zip"
+    return f"{_FOLDER}{capture}.zip"
 
 
 def receipt_name(capture: str) -> str:
     """Return the object name of a capture's receipt: the JSON answer to its upload."""
-    return f"captures/{capture}.json"
+    return f"{_FOLDER}{capture}.json"
+
+
+def unknown_capture(capture: str) -> Problem:
+    """Return the problem for a capture that is not stored."""
+    hints = ("upload it first, with POST /v1/captures",)
+    return Problem(404, "CAPTURE_UNKNOWN", f"there is no capture '{capture}'", hints=hints)
+
+
+def list_captures(
+    store: Store, parse: Callable[[dict[str, Any]], _T], *, after: str, limit: int
+) -> tuple[list[_T], list[str]]:
+    """Read at most `limit` receipts of captures whose ids sort behind `after`; also the ids of damaged receipts.
+
+    parse  converts a receipt; raises ValueError for one that is none
+
+    Ids begin with the time of the upload, so the oldest comes first. Raises OSError, ValueError (`after` is no id).
+    """
+    found: list[_T] = []
+    damaged: list[str] = []
+    name = capture_name(after) if after else ""
+    while len(found) < limit and (heads := store.list(_FOLDER, after=name, limit=_LISTED)):
+        for head in heads:
+            name = head.name
+            if not name.endswith(".json"):
+                continue
+            if len(found) == limit:
+                break
+            try:
+                found.append(parse(_read_receipt(store, PurePosixPath(name).stem)))
+            except FileNotFoundError:
+                continue  # deleted since it was listed
+            except ValueError as fault:
+                _log.warning("%s is not listed: %s", name, fault)
+                damaged.append(PurePosixPath(name).stem)
+    return found, damaged
+
+
+def read_receipt(store: Store, parse: Callable[[dict[str, Any]], _T], capture: str) -> _T:
+    """Read a capture's receipt, converted as in `list_captures`.
+
+    Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED; OSError.
+    """
+    try:
+        store.head(receipt_name(capture))
+    except (FileNotFoundError, ValueError):
+        raise unknown_capture(capture) from None
+    try:
+        return parse(_read_receipt(store, capture))
+    except ValueError:
+        hints = ("delete the capture, and upload it again",)
+        raise Problem(503, "CAPTURE_DAMAGED", f"the receipt of '{capture}' is damaged", hints=hints) from None
+
+
+def _read_receipt(store: Store, capture: str) -> dict[str, Any]:
+    """Raises ValueError for a receipt that is not the JSON object of this capture."""
+    receipt = json.loads(store.get(receipt_name(capture)))
+    if not isinstance(receipt, dict) or receipt.get("capture") != capture:
+        raise ValueError("it is not the receipt of this capture")
+    return receipt
+
+
+def delete_capture(store: Store, capture: str) -> int:
+    """Delete a capture's archive and its receipt for good; return their bytes.
+
+    The archive goes first: after a crash in between, the capture is still listed and can be deleted again.
+    Raises Problem CAPTURE_UNKNOWN, OSError.
+    """
+    freed = 0
+    for name in (capture_name(capture), receipt_name(capture)):
+        try:
+            freed += store.head(name).size
+        except (FileNotFoundError, ValueError):
+            continue
+        store.delete(name)
+    if not freed:
+        raise unknown_capture(capture)
+    return freed
 
 
 async def capture_bytes(store: Store, capture: str) -> int:

@@ -16,7 +16,7 @@ from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import IntegrityError
 
 from services.gateway.errors import Problem
-from services.gateway.jobs.job import Event, Job, Order, State
+from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
 from services.gateway.jobs.row_mapping import (
     WHOLE_JOB,
     event_from_row,
@@ -97,6 +97,13 @@ class JobStore:
         """Take the lock of a writer, and let it go. Raises sqlalchemy.exc.DBAPIError where that fails."""
         with self._writer.connect() as db, brief_wait(db), db.begin():
             pass
+
+    def using(self, capture: str) -> list[str]:
+        """Return the ids of the jobs that have not ended and need this capture."""
+        active = jobs.c.state.not_in([state.value for state in TERMINAL])
+        select = sa.select(jobs.c.id).where(active, jobs.c.order["capture"].as_string() == capture)
+        with self._engine.begin() as db:
+            return [job for (job,) in db.execute(select.order_by(jobs.c.id))]
 
     def change(self, job: str, transition: Callable[[Job], Change]) -> Job:
         """Apply a transition to a job and store the result; nothing if it raises. Raises Problem JOB_UNKNOWN."""

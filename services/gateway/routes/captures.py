@@ -1,20 +1,38 @@
-"""/v1/captures and /v1/outlines: upload of captures, and a look at one photo.
+"""/v1/captures and /v1/outlines: upload, list, download and delete captures, and a look at one photo.
 
-The body is streamed by our own code, so its OpenAPI schema is written here too.
+An upload's body is streamed by our own code, so its OpenAPI schema is written here too.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.gateway.errors import Problem
+from services.gateway.jobs.async_store import AsyncJobStore
+from services.gateway.jobs.capture_objects import (
+    capture_bytes,
+    capture_chunks,
+    delete_capture,
+    list_captures,
+    read_receipt,
+    unknown_capture,
+)
+from services.gateway.jobs.store import JobStore
 from services.gateway.photo_boxes import BoxQuery, parse_box
+from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import problems
 from services.gateway.uploads.accept import Uploads
 
 router = APIRouter(prefix="/v1", tags=["captures"])
+
+_CHUNK_BYTES = 256 << 10
+_PRIVATE = {"Cache-Control": "private, no-store"}
+
+CaptureId = Annotated[str, Path(max_length=100, pattern=r"^[A-Za-z0-9_-]+$", description="Id from POST /v1/captures.")]
 
 
 class FileVerdict(BaseModel):
@@ -69,6 +87,40 @@ class CaptureView(BaseModel):
     points: int
     warnings: list[str]
     files: list[FileVerdict]
+
+
+class CaptureSummary(BaseModel):
+    """One capture in a list; `self` is the URL of its receipt, `archive` the one of its files as a zip."""
+
+    capture: str
+    name: str
+    collection: str
+    created: str
+    bytes: int
+    inspected: bool
+    kind: str
+    format: str
+    frames: int
+    points: int
+    self: str
+    archive: str
+
+
+class CapturePage(BaseModel):
+    """A page of captures, the oldest first. `next` is the value of `after` for the next page; null on the last page.
+    `damaged` names the captures that were skipped because their receipts cannot be read.
+    """
+
+    captures: list[CaptureSummary]
+    next: str | None
+    damaged: list[str]
+
+
+class CaptureDeletionView(BaseModel):
+    """A capture that has been deleted for good, and the bytes that this freed."""
+
+    capture: str
+    bytes: int
 
 
 class OutlineView(BaseModel):
@@ -132,6 +184,70 @@ async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
     outline.
     """
     return OutlineView.model_validate(await _uploads(request).outline(request, parse_box(box)))
+
+
+@router.get("/captures", response_model=CapturePage, responses=problems(422, 503))
+async def get_captures(
+    request: Request,
+    limit: Annotated[int, Query(ge=1, le=100)] = 20,
+    after: Annotated[
+        str,
+        Query(
+            max_length=100,
+            pattern=r"^[A-Za-z0-9_-]*$",
+            description="`next` of the previous page; empty: first page.",
+        ),
+    ] = "",
+) -> CapturePage:
+    """List the stored captures, the oldest first."""
+    store = store_of(request)
+    found, damaged = await in_thread(lambda: list_captures(store, _summary, after=after, limit=limit))
+    last = found[-1].capture if len(found) == limit else None
+    return CapturePage(captures=found, next=last, damaged=damaged)
+
+
+@router.get("/captures/{capture}", response_model=CaptureView, responses=problems(404, 422, 503))
+async def get_capture(capture: CaptureId, request: Request) -> CaptureView:
+    """Get a capture's receipt: the answer to its upload."""
+    store = store_of(request)
+    return await in_thread(lambda: read_receipt(store, CaptureView.model_validate, capture))
+
+
+@router.get(
+    "/captures/{capture}/archive",
+    response_class=Response,
+    responses={200: {"content": {"application/zip": {}}}, **problems(404, 422, 503)},
+)
+async def download_capture(capture: CaptureId, request: Request) -> StreamingResponse:
+    """Download a capture's files as they are stored, in one zip."""
+    store = store_of(request)
+    try:
+        size = await capture_bytes(store, capture)
+    except (FileNotFoundError, ValueError):
+        raise unknown_capture(capture) from None
+    except OSError as error:
+        raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
+    headers = {"Content-Length": str(size), "Content-Disposition": f'attachment; filename="{capture}.zip"', **_PRIVATE}
+    chunks = capture_chunks(store, capture, size, _CHUNK_BYTES)
+    return StreamingResponse(chunks, headers=headers, media_type="application/zip")
+
+
+@router.delete("/captures/{capture}", response_model=CaptureDeletionView, responses=problems(404, 409, 422, 503))
+async def remove_capture(capture: CaptureId, request: Request) -> CaptureDeletionView:
+    """Delete a capture for good. Assets that were made from it stay; no job can use it again."""
+    job_store: AsyncJobStore = request.app.state.job_store
+    if using := await job_store.read(JobStore.using, capture):
+        detail = f"{len(using)} jobs that have not ended need the capture: {', '.join(using[:3])}"
+        raise Problem(409, "CAPTURE_IN_USE", detail, hints=("cancel these jobs, or wait for their end",))
+    store = store_of(request)
+    return CaptureDeletionView(capture=capture, bytes=await in_thread(lambda: delete_capture(store, capture)))
+
+
+def _summary(receipt: dict[str, Any]) -> CaptureSummary:
+    url = f"/v1/captures/{receipt['capture']}"
+    # An older receipt may lack what was added since.
+    known = {"collection": "", "inspected": False, "kind": "", "format": "", "frames": 0, "points": 0, **receipt}
+    return CaptureSummary.model_validate({**known, "self": url, "archive": f"{url}/archive"})
 
 
 def _uploads(request: Request) -> Uploads:

@@ -16,7 +16,7 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.capture_objects import capture_bytes
+from services.gateway.jobs.capture_objects import capture_bytes, unknown_capture
 from services.gateway.jobs.collection_choice import choose_collection
 from services.gateway.jobs.job import Event, Job, Order
 from services.gateway.jobs.state_machine import request_cancel
@@ -231,12 +231,7 @@ async def _require_capture(capture: str, request: Request) -> None:
     try:
         await capture_bytes(store_of(request), capture)
     except (FileNotFoundError, ValueError):
-        raise Problem(
-            404,
-            "CAPTURE_UNKNOWN",
-            f"there is no capture '{capture}'",
-            hints=("upload it first, with POST /v1/captures",),
-        ) from None
+        raise unknown_capture(capture) from None
     except OSError as error:
         raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
 
