@@ -2,6 +2,10 @@
 # make test         everything that can be checked on this machine; FAST=1 leaves out browser, S3, Docker and what is slow
 # make lint         ruff, mypy and the import contracts alone; eslint and the TypeScript compiler for the pages' JavaScript
 # make bench        all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
+# make audit        ask OSV and npm whether a pinned version has a known vulnerability; says "not audited" where it cannot ask
+# make sbom         dist/*.cdx.json: all that an installation consists of, with licences (CycloneDX)
+# make dist         wheel, source distribution, SBOM and their hashes in dist/, to look at
+# make release      checked, with notes, and signed: KEY=path of an Ed25519 key of OpenSSH; docs/releasing.md tells the steps
 # make proto        services/edge/api from proto/
 # make drawing      docs/rooms.svg from the imports
 # make setup        .venv with the product; make test-setup adds what tests need
@@ -15,9 +19,10 @@ CAPTURE ?=
 DEMO_FLAGS ?=
 TEST_PROCESSES ?= 2
 FAST ?=
+KEY ?=
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: help demo test lint setup test-setup bench proto drawing clean
+.PHONY: help demo test lint setup test-setup bench audit sbom dist release proto drawing clean
 .DEFAULT_GOAL := help
 
 help:
@@ -57,6 +62,13 @@ test: lint
 
 bench: .venv/.test-ready
 	.venv/bin/python -m tests.bench all
+
+audit sbom dist: .venv/.test-ready
+	.venv/bin/python -m release $@
+
+release: .venv/.test-ready
+	@[[ -n "$(KEY)" ]] || { echo "make: name the key that signs: make release KEY=path (docs/releasing.md)" >&2; exit 1; }
+	.venv/bin/python -m release publish --key "$(KEY)"
 
 proto: .venv/.test-ready
 	.venv/bin/python proto/generate.py

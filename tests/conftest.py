@@ -13,17 +13,21 @@ from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadFileScheduling
 
 from tests.referees.s3.server import S3Server, available, running
+from tests.support.repository import ROOT
 from tests.support.small_pictures import draw_small
 
 _IN_CI = os.environ.get("CI") == "true"
-# What costs seconds to start is started once: Chromium and the whole product, and the RADOS Gateway. The pages that
-# show things have a Chromium of their own, because they take as long as all other pages.
+# What costs seconds to start is started once: Chromium and the whole product, the RADOS Gateway, the SBOM. The pages
+# that show things have a Chromium of their own, because they take as long as all other pages.
 _TOGETHER = {
     "web/shared": "pages that show",
     "web/viewer": "pages that show",
     "web": "pages",
     "storage": "s3",
     "deploy/test_cdn.py": "s3",
+    "release/test_release.py": "sbom",
+    "release/test_sbom.py": "sbom",
+    "test_dependencies.py": "sbom",
 }
 
 _LONG = 50  # how much longer a test with one of these marks takes than one without, on average
@@ -105,3 +109,12 @@ def s3_server() -> Iterator[S3Server]:
         missing("a RADOS Gateway (radosgw, ceph-mon, ceph-osd)")
     with running() as server:
         yield server
+
+
+@pytest.fixture(scope="session")
+def sbom() -> str:
+    """The SBOM of this checkout."""
+    from release.project import project_version
+    from release.sbom import make_sbom
+
+    return make_sbom(ROOT, project_version(ROOT))

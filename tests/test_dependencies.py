@@ -1,21 +1,24 @@
 """What the product depends on: all that a service imports is declared for it, all that is declared is imported, and the
-licences are permissive."""
+licences of all that the SBOM lists are permissive."""
 
 from __future__ import annotations
 
 import ast
+import json
 import sys
 import tomllib
 from collections.abc import Iterable
 from functools import cache
-from importlib.metadata import PackageNotFoundError, distribution, packages_distributions
+from importlib.metadata import packages_distributions
 from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
 
-from tests.support.fresh_process import normalised, required_distributions
-from tests.support.licences import gpl_code_in, licence_of, permits
+from release.distributions import normalised, product_extras
+from release.licences import GPL, GPL_BUNDLED, gpl_code_in, permits
+from release.sbom import python_components
 from tests.support.repository import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -54,16 +57,6 @@ OTHER_LICENCES = {
 }
 # NVIDIA's own libraries, which only PyTorch's CUDA build brings: free of charge, closed, under NVIDIA's terms.
 CLOSED = ("nvidia-", "cuda-")
-
-# Wheels that say BSD of their own code and bundle code under the GPL. It binds who hands on an image with them in it.
-GPL_BUNDLED = {
-    # FFmpeg is linked to these two encoders, which the product never calls. Its decoders are under the LGPL.
-    "av": {"x264", "x265"},
-    # The same encoder beside libheif. The variants without it decode with a libheif that has known memory errors.
-    "pillow-heif": {"x265"},
-    # Ceres solves bundle adjustment with it; linked into the one module that the wheel has.
-    "pycolmap": {"CHOLMOD/Supernodal"},
-}
 
 
 def _declared(*extras: str) -> set[str]:
@@ -140,29 +133,46 @@ def test_what_is_declared_for_all_is_imported() -> None:
     assert imported & LOADED_BY_OTHERS == set()
 
 
-def _installed() -> list[str]:
-    """All that the product needs, theirs too, as far as it is here: some are of other platforms, `fast` needs C++."""
-    found = []
-    for name in required_distributions("capture2vr", RUNTIME) - {"capture2vr"}:
-        try:
-            distribution(name)
-        except PackageNotFoundError:
-            continue
-        if not name.startswith(CLOSED):
-            found.append(name)
-    return found
+def _licence(component: dict[str, Any]) -> str:
+    (choice,) = component["licenses"]
+    return str(choice["expression"] if "expression" in choice else choice["license"]["name"])
 
 
-def test_every_licence_is_permissive_but_those_of_a_few_that_are_named() -> None:
-    licences = {name: licence_of(name) for name in _installed()}
-    assert len(licences) > 50
-    others = {name: licence for name, licence in licences.items() if not permits(licence, PERMISSIVE)}
-    assert others == {name: licence for name, licence in OTHER_LICENCES.items() if name in licences}
+def test_the_extras_that_users_install_are_those_of_a_service() -> None:
+    assert set(product_extras(ROOT)) == set(RUNTIME)
 
 
 @pytest.mark.slow
-def test_no_wheel_bundles_gpl_code_but_those_that_are_named() -> None:
-    assert {name: found for name in _installed() if (found := gpl_code_in(name))} == GPL_BUNDLED
+def test_every_licence_is_permissive_but_those_of_a_few_that_are_named(sbom: str) -> None:
+    """Of Python and JavaScript libraries and of weights alike."""
+    components = [each for each in json.loads(sbom)["components"] if not each["name"].startswith(CLOSED)]
+    assert len(components) > 50
+    assert {"three.js", "Basis Universal", "numpy", "pixels.pt"} <= {each["name"] for each in components}
+    licences = [(normalised(each["name"]), _licence(each)) for each in components]
+    others = {name: licence for name, licence in licences if not permits(licence, PERMISSIVE)}
+    assert others == {name: licence for name, licence in OTHER_LICENCES.items() if name in dict(licences)}
+
+
+@pytest.mark.slow
+def test_what_a_wheel_bundles_is_permissive_but_the_gpl_code_that_is_named(sbom: str) -> None:
+    inside = {
+        name: {each["name"]: _licence(each) for each in component["components"] if each["type"] != "file"}
+        for name, component in python_components(sbom).items()
+        if "components" in component
+    }
+    others = {
+        name: {part: licence for part, licence in parts.items() if not permits(licence, PERMISSIVE)}
+        for name, parts in inside.items()
+    }
+    assert {name: found for name, found in others.items() if found} == {
+        name: dict.fromkeys(bundled, GPL) for name, bundled in GPL_BUNDLED.items()
+    }
+
+
+@pytest.mark.slow
+def test_no_wheel_bundles_gpl_code_but_those_that_are_named(sbom: str) -> None:
+    names = [name for name in python_components(sbom) if not name.startswith(CLOSED)]
+    assert {name: found for name in names if (found := gpl_code_in(name))} == GPL_BUNDLED
 
 
 @pytest.mark.parametrize(

@@ -116,10 +116,10 @@ def typed(command: Command, home: Path, *more: str) -> subprocess.CompletedProce
     )
 
 
-@pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md"])
+@pytest.mark.parametrize("page", [*PAGES, "CONTRIBUTING.md", "SECURITY.md"])
 def test_a_source_file_that_a_page_names_exists(page: str) -> None:
     """By its name, or by the end of its path; `NAME` stands for what the reader will write."""
-    folders = ("clients", "deploy", "docs", "proto", "services", "tests")
+    folders = ("clients", "deploy", "docs", "proto", "release", "services", "tests")
     sources = [path.as_posix() for folder in folders for path in (ROOT / folder).rglob("*.*")]
     named = re.findall(r"`([\w./-]+\.(?:py|js|sh|svg))`", (ROOT / page).read_text())
     written = [name for name in named if "NAME" not in name]

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import importlib.metadata
-import re
 import subprocess
 import sys
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
-from packaging.requirements import Requirement
-
+from release.distributions import PRODUCT, normalised, required_distributions
 from tests.support.patience import HANG_S
 
 BARE_ENVIRONMENT = {"PATH": "/usr/local/bin:/usr/bin:/bin"}
@@ -43,31 +41,6 @@ def run_fresh(code: str, *arguments: str | Path, extras: Iterable[str], cwd: Pat
 @cache
 def _modules_beyond(extras: frozenset[str]) -> set[str]:
     """Top-level modules that are installed here, and would not be with `pip install capture2vr[extras]`."""
-    wanted = required_distributions("capture2vr", extras)
+    wanted = required_distributions(PRODUCT, extras)
     providers = importlib.metadata.packages_distributions().items()
     return {module for module, names in providers if not {normalised(name) for name in names} & wanted}
-
-
-def required_distributions(name: str, extras: Iterable[str]) -> set[str]:
-    """A distribution and all that it needs, theirs too, by normalised name."""
-    found: dict[str, set[str]] = {}
-    todo = [(normalised(name), set(extras))]
-    while todo:
-        name, wanted = todo.pop()
-        if name in found and wanted <= found[name]:
-            continue
-        found.setdefault(name, set()).update(wanted)
-        try:
-            requirements = importlib.metadata.requires(name) or ()
-        except importlib.metadata.PackageNotFoundError:
-            continue  # of another platform
-        for requirement in map(Requirement, requirements):
-            marker = requirement.marker
-            if marker is None or any(marker.evaluate({"extra": extra}) for extra in (*found[name], "")):
-                todo.append((normalised(requirement.name), set(requirement.extras)))
-    return set(found)
-
-
-def normalised(name: str) -> str:
-    """The name of a distribution as PEP 503 has it."""
-    return re.sub(r"[-_.]+", "-", name).lower()

@@ -9,6 +9,18 @@ from pathlib import Path
 
 UNKNOWN = "unknown"
 
+GPL = "GPL-2.0-or-later"
+GPL_BUNDLED = {
+    # FFmpeg is linked to these two encoders, which the product never calls. Its decoders are under the LGPL.
+    "av": {"x264", "x265"},
+    # The same encoder beside libheif. The variants without it decode with a libheif that has known memory errors.
+    "pillow-heif": {"x265"},
+    # Ceres solves bundle adjustment with it; linked into the one module that the wheel has.
+    "pycolmap": {"CHOLMOD/Supernodal"},
+}
+"""Wheels that say BSD of their own code, and the code under `GPL` that they bundle. It binds who hands on an image with
+them in it. A test looks for such code in all wheels."""
+
 # Before metadata had a field for SPDX expressions, licences were told by classifiers, by any words, or by the text.
 _CLASSIFIERS = {
     "Apache Software License": "Apache-2.0",
@@ -32,8 +44,8 @@ _GPL_MARKS = ("CHOLMOD/Supernodal", "--enable-gpl")
 def licence_of(name: str) -> str:
     """SPDX expression of an installed distribution's licence, or `UNKNOWN`. Raises PackageNotFoundError."""
     found = distribution(name)
-    words = found.metadata.get("License", "").strip()
-    expression = found.metadata.get("License-Expression") or _several(words)
+    words = _field(found, "License").strip()
+    expression = _field(found, "License-Expression") or _several(words)
     told = expression or _classified(found) or _by_text(words) or _short(words)
     return told or _by_text(_licence_files(found)) or UNKNOWN
 
@@ -50,6 +62,10 @@ def gpl_code_in(name: str) -> set[str]:
     files = [file for file in distribution(name).files or () if _SHARED_OBJECT.search(file.name)]
     libraries = {match[1] for file in files if (match := _GPL_LIBRARY.match(file.name))}
     return libraries.union(*(_marks(Path(str(file.locate()))) for file in files))
+
+
+def _field(found: Distribution, name: str) -> str:
+    return str((found.metadata.get_all(name) or [""])[0])
 
 
 def _classified(found: Distribution) -> str:
