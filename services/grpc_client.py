@@ -106,9 +106,9 @@ class GrpcClient:
         answer: pb.Worker = await self._stub.GetWorker(request, timeout=timeout_s, wait_for_ready=wait_for_ready)
         return answer
 
-    async def cancel(self, job: str, timeout_s: float, *, wait_for_ready: bool = False) -> bool:
-        """Stop a run. Return whether it was running."""
-        request = pb.CancelRequest(job=job)
+    async def cancel(self, job: str, token: str, timeout_s: float, *, wait_for_ready: bool = False) -> bool:
+        """Stop a run. Return whether it was running. token: the job's, from its header"""
+        request = pb.CancelRequest(job=job, token=token)
         reply = await self._stub.Cancel(request, timeout=timeout_s, wait_for_ready=wait_for_ready)
         return bool(reply.was_running)
 
@@ -151,9 +151,13 @@ class GrpcClient:
             call.cancel()
             await asyncio.wait([sending])
 
-    async def attach(self, job: str, after_seq: int) -> AsyncGenerator[pb.Event, None]:
-        """Yield the events of a run after `after_seq`, up to a `Failure` or `Finished`. Raises StreamEnded."""
-        call = self._stub.Attach(pb.AttachRequest(job=job, after_seq=after_seq), timeout=self._run_s)
+    async def attach(self, job: str, token: str, after_seq: int) -> AsyncGenerator[pb.Event, None]:
+        """Yield the events of a run after `after_seq`, up to a `Failure` or `Finished`. Raises StreamEnded.
+
+        token  the job's, from its header
+        """
+        request = pb.AttachRequest(job=job, token=token, after_seq=after_seq)
+        call = self._stub.Attach(request, timeout=self._run_s)
         try:
             async with aclosing(_events(call, _SilenceLimit(self._silence_s))) as events:
                 async for event in events:
@@ -162,7 +166,7 @@ class GrpcClient:
             call.cancel()
 
     async def follow(
-        self, job: str, after_seq: int, *, give_up_s: float, lost: Callable[[], None] = lambda: None
+        self, job: str, token: str, after_seq: int, *, give_up_s: float, lost: Callable[[], None] = lambda: None
     ) -> AsyncGenerator[pb.Event, None]:
         """Yield a run's events as `attach` does, and reconnect after the last event whenever the stream breaks.
 
@@ -173,7 +177,7 @@ class GrpcClient:
         pause_s, since = _FIRST_PAUSE_S, time.monotonic()
         while True:
             try:
-                async with aclosing(self.attach(job, after_seq)) as events:
+                async with aclosing(self.attach(job, token, after_seq)) as events:
                     async for event in events:
                         after_seq, pause_s, since = event.seq, _FIRST_PAUSE_S, time.monotonic()
                         yield event

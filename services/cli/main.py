@@ -11,6 +11,7 @@ import typer
 import services
 from services.cli.catalogue import app as catalogue
 from services.cli.errors import BadInput, printable
+from services.cli.keys import app as keys
 from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Trusted, parse_box
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.strict_settings import SettingsError
@@ -22,7 +23,12 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(catalogue, name="catalogue")
+app.add_typer(keys, name="keys")
 
+Open = Annotated[
+    bool,
+    typer.Option("--open", help="Let everybody who reaches the port in, without an access key, from anywhere."),
+]
 FillChoice = Literal["none", "unseen", "all"]
 CutChoice = Literal["auto", "object", "scene"]
 
@@ -98,11 +104,16 @@ def up(
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port of the gateway; 0: any free port.")] = 8080,
     data: Annotated[Path, typer.Option(help="Folder for captures, jobs and assets.")] = Path("capture2vr-data"),
+    everybody: Open = False,
 ) -> None:
-    """Run a gateway, a worker and a local store together, until interrupted."""
+    """Run a gateway, a worker and a local store together, until interrupted.
+
+    Only this machine reaches it, and everybody on it is let in until `capture2vr keys create` has created a key. With
+    --host others reach it too, which needs a key, or --open.
+    """
     from services.cli.up import serve_together
 
-    raise typer.Exit(serve_together(host, port, data))
+    raise typer.Exit(serve_together(host, port, data, everybody=everybody))
 
 
 @app.command()
@@ -203,11 +214,11 @@ def edge() -> None:
 
 
 @app.command()
-def gateway() -> None:
+def gateway(everybody: Open = False) -> None:
     """Run a gateway alone, configured by the environment variables GATEWAY_* and STORAGE_*."""
     from services.gateway.__main__ import start
 
-    raise typer.Exit(start())
+    raise typer.Exit(start(everybody=everybody))
 
 
 @app.command()

@@ -27,28 +27,31 @@ _RESTART_PAUSE_S = 1.0
 _RESTARTS = 20  # of dead services in all: after so many, another restart will not help
 
 
-def serve_together(host: str, port: int, data: Path) -> int:
+def serve_together(host: str, port: int, data: Path, *, everybody: bool = False) -> int:
     """Run all services until SIGINT or SIGTERM, and return the exit code.
 
-    Raises BadInput where the port is in use or a service cannot start.
+    everybody  let everybody in without an access key, from other machines too
+    Raises BadInput where the port is in use or a service cannot start, SettingsError where others could reach the
+    gateway and there are no keys.
     """
+    _refuse_without_keys(host, port, data, everybody)
     stop = threading.Event()
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, lambda *_: stop.set())
-    with run_stack(host, port, data) as stack:
+    with run_stack(host, port, data, everybody=everybody) as stack:
         console.print(f"capture page   {stack.url}/")
         console.print(f"viewer         {stack.url}/view/KEY")
         console.print(f"API            {stack.url}/openapi.json")
         console.print(f"data           {data.resolve()}")
-        if host not in LOOPBACK:
-            warn("open to the network without authentication: everybody who reaches this port can use it")
+        if everybody and host not in LOOPBACK:
+            warn("open to the network without access keys: everybody who reaches this port owns all that is in it")
         while not stop.wait(0.5):
             stack.restart_dead()
     return 0
 
 
 @contextmanager
-def run_stack(host: str, port: int, data: Path, *, wait: bool = True) -> Iterator[Stack]:
+def run_stack(host: str, port: int, data: Path, *, wait: bool = True, everybody: bool = False) -> Iterator[Stack]:
     """Start both services, yield when they are ready, and stop them on exit. Raises BadInput.
 
     wait  False: yield at once; the caller waits with `Stack.wait_ready`
@@ -56,7 +59,7 @@ def run_stack(host: str, port: int, data: Path, *, wait: bool = True) -> Iterato
     port = port or free_port()
     _check_free(host, port)
     data.mkdir(parents=True, exist_ok=True)
-    stack = Stack(host, port, data.resolve())
+    stack = Stack(host, port, data.resolve(), everybody=everybody)
     try:
         stack.start()
         if wait:
@@ -69,9 +72,9 @@ def run_stack(host: str, port: int, data: Path, *, wait: bool = True) -> Iterato
 class Stack:
     """The child processes, gateway and worker. A dead one is restarted; its jobs are leased again automatically."""
 
-    def __init__(self, host: str, port: int, data: Path) -> None:
+    def __init__(self, host: str, port: int, data: Path, *, everybody: bool = False) -> None:
         self.url = f"http://{'127.0.0.1' if host in {'0.0.0.0', '::'} else host}:{port}"  # noqa: S104
-        self._environment = _environment(host, port, data, edge_port=free_port())
+        self._environment = _environment(host, port, data, edge_port=free_port(), everybody=everybody)
         self.store_root = data / "store"
         self._logs = data / "logs"
         self._children: dict[str, subprocess.Popen[bytes]] = {}
@@ -160,7 +163,21 @@ def _check_free(host: str, port: int) -> None:
             ) from error
 
 
-def _environment(host: str, port: int, data: Path, *, edge_port: int) -> Mapping[str, str]:
+def _refuse_without_keys(host: str, port: int, data: Path, everybody: bool) -> None:
+    """Refuse what the gateway would refuse, before anything is started."""
+    if host in LOOPBACK or everybody or os.environ.get("GATEWAY_OPEN"):
+        return
+    from services.gateway.app import refuse_without_keys
+    from services.gateway.settings import GatewaySettings
+
+    environment = _environment(host, port, data.resolve(), edge_port=0)
+    os.environ["GATEWAY_DATA_DIR"] = environment["GATEWAY_DATA_DIR"]
+    settings = GatewaySettings(host=host)
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    refuse_without_keys(settings)
+
+
+def _environment(host: str, port: int, data: Path, *, edge_port: int, everybody: bool = False) -> Mapping[str, str]:
     """Return the services' environment: our defaults, then the operator's settings, then addresses that must agree."""
     defaults = {
         "STORAGE_KIND": "local",
@@ -177,6 +194,7 @@ def _environment(host: str, port: int, data: Path, *, edge_port: int) -> Mapping
         "GATEWAY_PORT": str(port),
         "GATEWAY_WORKERS": f"127.0.0.1:{edge_port}",
         "PYTHONUNBUFFERED": "1",
+        **({"GATEWAY_OPEN": "true"} if everybody else {}),
     }
     return {**defaults, **os.environ, **fixed}
 

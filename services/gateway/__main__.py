@@ -10,10 +10,14 @@ from services.storage.settings import StorageSettings, open_keys, open_store
 from services.strict_settings import SettingsError
 
 
-def start() -> int:
-    """Serve a gateway until SIGTERM, and return the exit status. Raises SettingsError that names a wrong setting."""
+def start(*, everybody: bool = False) -> int:
+    """Serve a gateway until SIGTERM, and return the exit status. Raises SettingsError that names a wrong setting.
+
+    everybody  let everybody in without an access key, as GATEWAY_OPEN does
+    """
     try:
-        settings, storage = GatewaySettings(), StorageSettings()
+        settings = GatewaySettings(open=True) if everybody else GatewaySettings()
+        storage = StorageSettings()
         store, keys = open_store(storage), open_keys(storage)
     except ValueError as error:
         raise SettingsError(str(error)) from error

@@ -9,25 +9,32 @@ import signal
 import socket
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
+from fastapi.responses import JSONResponse
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.middleware.cors import CORSMiddleware
 from starlette.middleware.gzip import GZipMiddleware
 
 import services
 from services.gateway import errors
+from services.gateway.access.authentication import Authentication
+from services.gateway.access.caller import Scope
+from services.gateway.access.code_guesses import CodeGuesses
+from services.gateway.access.store import AccessStore
+from services.gateway.database import open_engine
 from services.gateway.dispatch.dispatcher import Dispatcher
 from services.gateway.dispatch.run_supervisor import Dependencies
 from services.gateway.instance_lock import FolderInUse, lock_instance
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
-from services.gateway.jobs.tables import open_engine
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import RequestMiddleware
-from services.gateway.routes import assets, captures, collections, files, health, jobs, pages
+from services.gateway.routes import access, assets, captures, collections, files, health, jobs, pages
+from services.gateway.routes.access_rules import check_rules, describe_rules, needs
 from services.gateway.settings import GatewaySettings, worker_credentials
 from services.gateway.worker_client import WorkerPool
 from services.logs import configure
@@ -35,6 +42,7 @@ from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
+_ROUTES = (captures, jobs, assets, collections, files, access, health, pages)
 _GRACE_S = 5  # for answers in progress when the gateway stops
 
 _log = logging.getLogger(__name__)
@@ -43,8 +51,8 @@ _log = logging.getLogger(__name__)
 def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> FastAPI:
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
-    Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, job_store,
-    dispatcher. Raises SettingsError where the workers' certificate or token cannot be used.
+    Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
+    code_guesses, job_store, dispatcher. Raises SettingsError where the workers' certificate or token cannot be used.
     """
     app = FastAPI(
         title="capture2vr",
@@ -53,6 +61,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
         lifespan=_lifespan,
         docs_url=None,  # that page loads scripts from another host; the document itself is at /openapi.json
         redoc_url=None,
+        openapi_url=None,  # the route below, which needs a key
     )
     metrics = Metrics()
     app.state.settings = settings
@@ -67,8 +76,12 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
         credentials=worker_credentials(settings),
     )
     errors.install_handlers(app)
-    for routes in (captures, jobs, assets, collections, files, health, pages):
-        app.include_router(routes.router)
+    app.state.authentication = Authentication(told_open=settings.open, may_open=not settings.is_public)
+    app.state.code_guesses = CodeGuesses()
+    for module in _ROUTES:
+        check_rules(module.router.routes)
+        app.include_router(module.router)
+    _add_openapi(app)
     # Compression makes scripts four times smaller: 2.5 MB would take a second of a first visit at 20 Mbit/s.
     app.mount("/web", GZipMiddleware(pages.WebFiles(directory=pages.WEB), compresslevel=6), name="web")
     if settings.cors_origins:
@@ -76,11 +89,30 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
             CORSMiddleware,
             allow_origins=settings.cors_origins,
             allow_methods=["GET", "POST", "DELETE"],
-            allow_headers=["Content-Type", "Idempotency-Key", "Last-Event-ID"],
+            allow_headers=["Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID"],
             expose_headers=["ETag", "Location", "X-Request-ID"],
         )
     app.add_middleware(RequestMiddleware, metrics=metrics, settings=settings)
     return app
+
+
+def _add_openapi(app: FastAPI) -> None:
+    """Serve the OpenAPI document, with the access rules, to operators."""
+    make_document = app.openapi
+
+    def document() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            made = make_document()
+            for module in _ROUTES:
+                describe_rules(module.router.routes, made)
+        assert app.openapi_schema is not None
+        return app.openapi_schema
+
+    app.openapi = document  # type: ignore[method-assign]
+
+    @app.get("/openapi.json", include_in_schema=False, dependencies=[needs(Scope.OPERATE)])
+    async def get_openapi() -> JSONResponse:
+        return JSONResponse(document())
 
 
 @asynccontextmanager
@@ -91,6 +123,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         holder = stack.enter_context(lock_instance(settings.data_dir))
         engine = open_engine(settings.database)
         stack.callback(engine.dispose)
+        authentication: Authentication = app.state.authentication
+        authentication.connect(AccessStore(engine))
+        stack.push_async_callback(authentication.close)
         job_store = AsyncJobStore(JobStore(engine))
         stack.callback(job_store.close)
         stack.push_async_callback(workers.close)
@@ -104,7 +139,11 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         )
         app.state.job_store = job_store
         app.state.dispatcher = Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
-        for background in (app.state.dispatcher.run(), job_store.watch_other_gateways()):
+        for background in (
+            app.state.dispatcher.run(),
+            job_store.watch_other_gateways(),
+            authentication.store_use(),
+        ):
             task = asyncio.create_task(background)
             task.add_done_callback(_report_death)
             stack.push_async_callback(_stop, task)
@@ -129,7 +168,7 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     try:
         app = create_app(settings, store, keys)
         with lock_instance(settings.data_dir):
-            open_engine(settings.database).dispose()
+            refuse_without_keys(settings)
         listening = _listen(settings)
     # ImportError: the database's driver is not installed
     except (FolderInUse, OSError, SQLAlchemyError, ImportError, SettingsError) as error:
@@ -154,6 +193,22 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     return 0 if server.started else 1
 
 
+def refuse_without_keys(settings: GatewaySettings) -> None:
+    """Raises SettingsError for a gateway that others could reach and nobody has to show a key to, unless that was told.
+
+    Opens the database, and brings its schema up to date.
+    """
+    engine = open_engine(settings.database)
+    try:
+        if settings.is_public and not settings.open and not AccessStore(engine).has_keys():
+            raise SettingsError(
+                f"other machines can reach {settings.reached_host}, and there are no access keys: create one with "
+                "`capture2vr keys create`, or let everybody in with --open (GATEWAY_OPEN=true)"
+            )
+    finally:
+        engine.dispose()
+
+
 def _listen(settings: GatewaySettings) -> socket.socket:
     """Open the listening socket. Raises OSError."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
@@ -167,5 +222,7 @@ def _listen(settings: GatewaySettings) -> socket.socket:
 def _announce(settings: GatewaySettings, port: int) -> None:
     _log.info("settings: %s", json.dumps(settings.describe()))
     _log.info("listening on http://%s:%d", settings.host, port)
-    if settings.is_public:
-        _log.warning("GATEWAY_HOST=%s: everybody who reaches this port can use it: no authentication", settings.host)
+    if settings.open and settings.is_public:
+        _log.warning("GATEWAY_OPEN: everybody who reaches this port owns all that is in it; no keys are asked for")
+    elif not settings.is_public:
+        _log.info("until the first access key is created, everybody on this machine is let in")

@@ -11,11 +11,13 @@ import re
 import time
 import uuid
 from dataclasses import dataclass, field
+from urllib.parse import unquote
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from services.gateway.access.api_key import KEY_PATTERN, mask_keys
 from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
 from services.gateway.same_site import SiteRules
@@ -108,6 +110,7 @@ class RequestMiddleware:
 
         try:
             self._sites.check(scope["method"], headers)
+            _refuse_key_in_url(scope)
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
             await self._app(scope, receive_counted, send_unless_too_large)
@@ -118,7 +121,7 @@ class RequestMiddleware:
         except ClientDisconnect:
             exchange.status = exchange.status or _CLIENT_CLOSED
         except Exception:
-            _log.exception("%s %s failed", scope["method"], scope["path"])
+            _log.exception("%s %s failed", scope["method"], mask_keys(scope["path"]))
             if exchange.status:  # the answer has been started: all that is left is to break the connection
                 raise
             await internal_error(identity).response()(scope, receive, send_with_headers)
@@ -135,13 +138,22 @@ class RequestMiddleware:
         self._metrics.observe_response(
             scope["method"], route, exchange.status, seconds, exchange.received, exchange.streamed
         )
+        path = mask_keys(scope["path"])
         extra = {
             "method": scope["method"],
-            "path": scope["path"],
+            "path": path,
             "status": exchange.status,
             "ms": round(seconds * 1000, 1),
         }
-        _log.info("%s %s %d", scope["method"], scope["path"], exchange.status, extra=extra)
+        _log.info("%s %s %d", scope["method"], path, exchange.status, extra=extra)
+
+
+def _refuse_key_in_url(scope: Scope) -> None:
+    """Raises Problem for an access key in a URL, where logs and histories keep it."""
+    if KEY_PATTERN.search(scope["path"]) or KEY_PATTERN.search(unquote(scope["query_string"].decode("latin-1"))):
+        detail = "an access key was sent in the URL, where logs and browsers keep it"
+        hints = ("send it in the header Authorization: Bearer KEY", "revoke this key: it may have been seen")
+        raise Problem(400, "KEY_IN_URL", detail, hints=hints)
 
 
 def _declared_length(headers: Headers) -> int:

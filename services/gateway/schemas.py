@@ -272,7 +272,7 @@ class Check(BaseModel):
 
 
 class Readiness(BaseModel):
-    """Whether the gateway can accept and run jobs, and the result of each check."""
+    """Whether the gateway can accept and run jobs, and, for operators, the result of each check."""
 
     ready: bool
     checks: dict[str, Check]

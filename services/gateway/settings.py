@@ -16,8 +16,11 @@ class GatewaySettings(StrictSettings):
 
     model_config = SettingsConfigDict(env_prefix="GATEWAY_")
 
-    host: str = "127.0.0.1"  # only this machine can connect by default, because there is no authentication
+    host: str = "127.0.0.1"  # only this machine can connect by default
     port: int = Field(default=8080, ge=0, le=65535)  # 0 chooses a free one
+    # Where others reach the port, if that is not `host`: in a container, the address on which the port is published.
+    published_host: str = ""
+    open: bool = False  # let everybody in without an access key, also from other machines
     data_dir: Path = Path("capture2vr-data")  # jobs database and staged uploads
     workers: CommaList = ("127.0.0.1:50051",)
     edge_ca: Path | None = None  # CA certificates (PEM) that verify the workers' certificates; none: gRPC without TLS
@@ -49,9 +52,14 @@ class GatewaySettings(StrictSettings):
         return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'gateway.db'}"
 
     @property
+    def reached_host(self) -> str:
+        """Address on which clients reach the port."""
+        return self.published_host or self.host
+
+    @property
     def is_public(self) -> bool:
         """Whether other machines can connect."""
-        return self.host not in LOOPBACK
+        return self.reached_host not in LOOPBACK
 
 
 def worker_credentials(settings: GatewaySettings) -> ClientCredentials:

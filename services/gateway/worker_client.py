@@ -136,20 +136,20 @@ class WorkerPool:
             async for report in reports:
                 yield report
 
-    async def follow(self, address: str, job: str, after_seq: int, give_up_s: float) -> AsyncGenerator[Report, None]:
+    async def follow(self, address: str, job: Job, after_seq: int, give_up_s: float) -> AsyncGenerator[Report, None]:
         """Yield a run's reports after number `after_seq`, up to `RunFailed` or `RunFinished`, reconnecting if needed.
 
         Raises RunUnknown, and WorkerLost, WorkerBusy or WorkerUnreachable when nothing was received for `give_up_s`.
         """
-        events = self._client(address).follow(job, after_seq, give_up_s=give_up_s)
+        events = self._client(address).follow(job.id, job.token, after_seq, give_up_s=give_up_s)
         async with aclosing(_reports(events)) as reports:
             async for report in reports:
                 yield report
 
-    async def cancel(self, address: str, job: str) -> bool:
+    async def cancel(self, address: str, job: Job) -> bool:
         """Cancel a run, and return whether the worker had it. Raises WorkerLost."""
         try:
-            return await self._client(address).cancel(job, CANCEL_S)
+            return await self._client(address).cancel(job.id, job.token, CANCEL_S)
         except grpc.aio.AioRpcError as error:
             raise WorkerLost(f"{address}: {error.details()}") from None
 
@@ -218,6 +218,8 @@ def _header(job: Job, size: int) -> pb.Header:
         fill=order.fill,
         cut=order.cut,
         box=_wire_box(PhotoBox.of(order.box) if order.box else None),
+        tenant=job.tenant,
+        token=job.token,
     )
 
 

@@ -121,7 +121,7 @@ def test_any_problem_is_json(made: Problem) -> None:
 
 
 def _faulty(tmp_path: Path) -> FastAPI:
-    app = create_app(GatewaySettings(data_dir=tmp_path), MemoryStore())
+    app = create_app(GatewaySettings(data_dir=tmp_path, open=True), MemoryStore())
 
     @app.get("/fault")
     async def fault() -> None:

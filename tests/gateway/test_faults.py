@@ -11,7 +11,7 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 
-from services.gateway.jobs import tables
+from services.gateway import database
 from services.gateway.routes import health
 from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
 
@@ -43,8 +43,8 @@ def disk() -> Iterator[Disk]:
 
 
 async def test_a_locked_database_is_a_wait_and_not_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "_BUSY_MS", 200)
-    monkeypatch.setattr(tables, "_CHECK_MS", 100)
+    monkeypatch.setattr(database, "_BUSY_MS", 200)
+    monkeypatch.setattr(database, "_CHECK_MS", 100)
     store = memory()
     order = {"capture": capture(store), "asset_key": "dress"}
     async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:

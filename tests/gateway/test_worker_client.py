@@ -97,10 +97,10 @@ async def test_a_run_is_reported_to_its_end_and_can_be_heard_again(tmp_path: Pat
         assert isinstance(told[-1], RunFinished)
         assert [report.seq for report in told] == list(range(1, len(told) + 1))
         assert [report.state for report in told if isinstance(report, VersionPublished)] == ["preview", "refined"]
-        assert [report async for report in workers.follow(address, "job_1", 2, 0.0)] == told[2:]
+        assert [report async for report in workers.follow(address, job(), 2, 0.0)] == told[2:]
         with pytest.raises(RunKnown):
             _ = [report async for report in workers.reconstruct(address, job(), chunks(archive), len(archive))]
-        assert await workers.cancel(address, "job_1") is False
+        assert await workers.cancel(address, job()) is False
 
 
 def anchors_of(xyz_m: list[float], rgb: bytes) -> Report:
@@ -142,12 +142,12 @@ async def test_refusals_have_names(tmp_path: Path) -> None:
     archive = json.dumps({"wait": 1}).encode()
     async with pool(tmp_path, queue=0) as (workers, address, work):
         with pytest.raises(RunUnknown):
-            _ = [report async for report in workers.follow(address, "job_9", 0, 0.0)]
+            _ = [report async for report in workers.follow(address, replace(job(), id="job_9"), 0, 0.0)]
         with pytest.raises(Problem) as unknown:
             await anext(workers.reconstruct(address, job(preset="nope"), chunks(archive), len(archive)))
         assert unknown.value.code == "PRESET_UNKNOWN"
         with pytest.raises(WorkerUnreachable):
-            await anext(workers.follow(_NOBODY, "job_1", 0, 0.0))
+            await anext(workers.follow(_NOBODY, job(), 0, 0.0))
         running = workers.reconstruct(address, job(), chunks(archive), len(archive))
         await anext(running)
         with pytest.raises(WorkerBusy):

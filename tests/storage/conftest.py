@@ -12,6 +12,7 @@ from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
 from services.storage.s3 import S3Store
 from services.storage.store import Store, list_all
+from services.storage.tenant_store import store_of_tenant
 from tests.referees.s3.server import S3Server
 
 
@@ -21,7 +22,7 @@ def shared_bucket(s3_server: S3Server) -> S3Store:
     return s3_store(s3_server)
 
 
-@pytest.fixture(params=["memory", "local", pytest.param("s3", marks=pytest.mark.s3)])
+@pytest.fixture(params=["memory", "local", "tenant", pytest.param("s3", marks=pytest.mark.s3)])
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
     """An empty store of each kind."""
     if request.param == "s3":
@@ -35,7 +36,10 @@ def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
 
 def near_store(kind: str, folder: Path) -> Store:
     """A store that answers within a millisecond, for tests of what is the same for all."""
-    return MemoryStore() if kind == "memory" else LocalStore(folder / "objects", "http://gateway/v1/files")
+    if kind == "memory":
+        return MemoryStore()
+    local = LocalStore(folder / "objects", "http://gateway/v1/files")
+    return store_of_tenant(local, "ada") if kind == "tenant" else local
 
 
 def s3_store(server: S3Server, bucket: str = "") -> S3Store:

@@ -105,14 +105,14 @@ class Client:
     async def ended(self, archive: bytes, job: str = "job_1", **header: object) -> list[pb.Event]:
         return [event async for event in self.reconstruct(archive, job, **header)]
 
-    def attach(self, job: str = "job_1", after_seq: int = 0) -> grpc.aio.UnaryStreamCall:
-        return self.stub.Attach(pb.AttachRequest(job=job, after_seq=after_seq))
+    def attach(self, job: str = "job_1", after_seq: int = 0, token: str = "") -> grpc.aio.UnaryStreamCall:
+        return self.stub.Attach(pb.AttachRequest(job=job, after_seq=after_seq, token=token))
 
     async def attached(self, job: str = "job_1", after_seq: int = 0) -> list[pb.Event]:
         return [event async for event in self.attach(job, after_seq)]
 
-    async def cancel(self, job: str = "job_1") -> bool:
-        return (await self.stub.Cancel(pb.CancelRequest(job=job))).was_running
+    async def cancel(self, job: str = "job_1", token: str = "") -> bool:
+        return (await self.stub.Cancel(pb.CancelRequest(job=job, token=token))).was_running
 
     async def worker(self) -> pb.Worker:
         return await self.stub.GetWorker(pb.GetWorkerRequest())

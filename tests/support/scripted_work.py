@@ -17,6 +17,7 @@ from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.storage.catalogue.publish import publish
 from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
 
 
 class Making:
@@ -51,7 +52,7 @@ class Making:
             collection = request.collection or DEFAULT_COLLECTION
             made = publish(
                 bundle,
-                self._store,
+                store_of_tenant(self._store, request.tenant),
                 key=request.asset_key,
                 job=request.job,
                 fence=request.fence,

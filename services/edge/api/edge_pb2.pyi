@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut", "tenant", "token")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -53,6 +53,8 @@ class Header(_message.Message):
     FILL_FIELD_NUMBER: _ClassVar[int]
     BOX_FIELD_NUMBER: _ClassVar[int]
     CUT_FIELD_NUMBER: _ClassVar[int]
+    TENANT_FIELD_NUMBER: _ClassVar[int]
+    TOKEN_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -66,7 +68,9 @@ class Header(_message.Message):
     fill: str
     box: Box
     cut: str
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ...) -> None: ...
+    tenant: str
+    token: str
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ...) -> None: ...
 
 class Box(_message.Message):
     __slots__ = ("left", "top", "right", "bottom")
@@ -219,18 +223,22 @@ class Polygon(_message.Message):
     def __init__(self, xy: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class AttachRequest(_message.Message):
-    __slots__ = ("job", "after_seq")
+    __slots__ = ("job", "after_seq", "token")
     JOB_FIELD_NUMBER: _ClassVar[int]
     AFTER_SEQ_FIELD_NUMBER: _ClassVar[int]
+    TOKEN_FIELD_NUMBER: _ClassVar[int]
     job: str
     after_seq: int
-    def __init__(self, job: _Optional[str] = ..., after_seq: _Optional[int] = ...) -> None: ...
+    token: str
+    def __init__(self, job: _Optional[str] = ..., after_seq: _Optional[int] = ..., token: _Optional[str] = ...) -> None: ...
 
 class CancelRequest(_message.Message):
-    __slots__ = ("job",)
+    __slots__ = ("job", "token")
     JOB_FIELD_NUMBER: _ClassVar[int]
+    TOKEN_FIELD_NUMBER: _ClassVar[int]
     job: str
-    def __init__(self, job: _Optional[str] = ...) -> None: ...
+    token: str
+    def __init__(self, job: _Optional[str] = ..., token: _Optional[str] = ...) -> None: ...
 
 class CancelReply(_message.Message):
     __slots__ = ("was_running",)

@@ -92,7 +92,7 @@ class EdgeReconstructionServicer:
     def Attach(self, request, context):
         """The events of a job that this worker knows, after `after_seq`: replayed, then live. A job is known from the end of
         its upload until ten minutes after its own end.
-        NOT_FOUND           no such job here
+        NOT_FOUND           no such job here, or the token is not the job's
         OUT_OF_RANGE        this run has fewer than `after_seq` events: the number is of another run; start from 0
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -100,7 +100,8 @@ class EdgeReconstructionServicer:
         raise NotImplementedError('Method not implemented!')
 
     def Cancel(self, request, context):
-        """Stop a job; its slot is free within two seconds. Cancelling a job that has ended is not an error.
+        """Stop a job; its slot is free within two seconds. Cancelling a job that has ended is not an error; without the job's
+        token nothing is stopped, as if the job were unknown.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -140,10 +140,10 @@ class Central:
         """Start a call of the client; return the stream of its events, which the caller closes."""
         return EventStream(call(self._client.result()), self._loop)
 
-    def cancel(self, job: str) -> None:
+    def cancel(self, job: str, token: str) -> None:
         """Cancel a run there without waiting: a central that cannot be reached gets it later, within `cancel_s`."""
         with suppress(CentralUnavailable):
-            self._start(self._cancel(job))
+            self._start(self._cancel(job, token))
 
     def close(self) -> None:
         """Stop polling and close the connection; open streams end."""
@@ -176,9 +176,9 @@ class Central:
         polling.cancel()
         await client.close()
 
-    async def _cancel(self, job: str) -> None:
+    async def _cancel(self, job: str, token: str) -> None:
         try:
-            await self._client.result().cancel(job, self.timeouts.cancel_s, wait_for_ready=True)
+            await self._client.result().cancel(job, token, self.timeouts.cancel_s, wait_for_ready=True)
             _log.info("job %s: cancelled at central", job)
         except grpc.aio.AioRpcError as error:
             _log.warning("job %s: not cancelled at central: %s", job, error.details())

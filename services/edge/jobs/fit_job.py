@@ -23,6 +23,7 @@ from services.edge.worker.memory_budget import MemoryBudget
 from services.storage.bundle import Bundle, Json
 from services.storage.catalogue.publish import KeyElsewhere, Publish, PublishedAsset, StaleFence, publish
 from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
 
 _log = logging.getLogger(__name__)
 
@@ -104,7 +105,7 @@ class FieldFitter:
         try:
             return self._publish(
                 bundle,
-                self._store,
+                store_of_tenant(self._store, request.tenant),
                 key=request.asset_key,
                 job=request.job,
                 fence=request.fence,

@@ -92,10 +92,11 @@ class _Forwarding:
 
     def follow_run(self) -> pb.Finished:
         """Follow the run from the last event received to its end; reconnect where the stream breaks."""
-        job, seq, give_up_s = self._request.job, self._seq, self._timeouts.lost_s
+        job, token = self._request.job, self._request.token
+        seq, give_up_s = self._seq, self._timeouts.lost_s
         lost = self._reconnecting.set
         try:
-            return self._follow(lambda client: client.follow(job, seq, give_up_s=give_up_s, lost=lost))
+            return self._follow(lambda client: client.follow(job, token, seq, give_up_s=give_up_s, lost=lost))
         except StreamEnded as ended:
             if ended.status in RUN_UNKNOWN:
                 raise self._run_unknown() from None
@@ -160,7 +161,7 @@ class _Forwarding:
         except JobReturned:
             raise
         except Cancelled:
-            self._central.cancel(self._request.job)
+            self._central.cancel(self._request.job, self._request.token)
             raise
 
     def _run_unknown(self) -> Exception:
@@ -187,6 +188,8 @@ def _header(request: ReconstructionRequest, size: int) -> pb.Header:
         prepared=True,
         collection=request.collection,
         fill=request.fill or "",
+        tenant=request.tenant,
+        token=request.token,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hmac
 import logging
 from collections import deque
 from collections.abc import AsyncIterator
@@ -34,7 +35,7 @@ GIVE_UP_S = 1.5
 class _PendingUpload:
     """A job whose archive is being uploaded: it has its place in the queue, but Attach does not know it yet."""
 
-    fence: int
+    request: ReconstructionRequest
     receiving: asyncio.Task[None]
     refusal: RefusedError | None = None
 
@@ -93,9 +94,8 @@ class JobQueue:
         self._admit(request)
         folder = self._scratch.folder(capture_bytes)
         archive = folder / "capture.zip"
-        upload = _PendingUpload(
-            request.fence, asyncio.create_task(receive(chunks, archive, expected_bytes=capture_bytes))
-        )
+        receiving = asyncio.create_task(receive(chunks, archive, expected_bytes=capture_bytes))
+        upload = _PendingUpload(request, receiving)
         self._uploads[request.job] = upload
         try:
             await upload.received()
@@ -108,17 +108,18 @@ class JobQueue:
                 del self._uploads[request.job]
         return self._enqueue(JobRun(request, archive, folder, self._checkpoints))
 
-    def find(self, job: str) -> JobRun | None:
-        """Return the job's run, if it waits, runs or ended lately; else None."""
-        return self._runs.get(job)
+    def find(self, job: str, token: str) -> JobRun | None:
+        """Return the job's run, if it waits, runs or ended lately and the token is the job's; else None."""
+        run = self._runs.get(job)
+        return run if run is not None and _shows_token(run.request, token) else None
 
-    def cancel(self, job: str) -> bool:
+    def cancel(self, job: str, token: str) -> bool:
         """Stop a job in its upload, the queue or its slot, which is free within two seconds; False for an unknown or
-        ended job."""
-        if (upload := self._uploads.get(job)) is not None:
+        ended job, and for a token that is not the job's."""
+        if (upload := self._uploads.get(job)) is not None and _shows_token(upload.request, token):
             upload.refuse(RefusedError(grpc.StatusCode.CANCELLED, "CANCELLED", "the job was cancelled"))
             return True
-        run = self._runs.get(job)
+        run = self.find(job, token)
         if run is None or run.log.ending is not None:
             return False
         self._stop(run, CANCELLED)
@@ -146,7 +147,7 @@ class JobQueue:
         if self.draining:
             raise _draining()
         if (upload := self._uploads.get(request.job)) is not None:
-            if upload.fence >= request.fence:
+            if upload.request.fence >= request.fence:
                 raise _job_known(request.job, "is being uploaded")
             # The older lease's gateway is down or cut off, and its upload will not be used.
             upload.refuse(RefusedError(grpc.StatusCode.ABORTED, "FENCE_STALE", "a newer lease uploads the job"))
@@ -237,6 +238,11 @@ class JobQueue:
         # The entry may belong to a newer run: a failed job may run again under a higher fence.
         if self._runs.get(run.request.job) is run:
             del self._runs[run.request.job]
+
+
+def _shows_token(request: ReconstructionRequest, token: str) -> bool:
+    """Return whether a caller shows the job's token; a job of a gateway from before tokens has none."""
+    return not request.token or hmac.compare_digest(request.token.encode(), token.encode())
 
 
 def _draining() -> RefusedError:

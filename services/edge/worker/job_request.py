@@ -16,6 +16,7 @@ from services.edge.mesh.fill_gaps import Fill
 from services.edge.points.nouns import Cut
 from services.edge.worker.capabilities import Capabilities
 from services.photo_box import HOW, InvalidBox, PhotoBox
+from services.storage.tenant_store import DEFAULT_TENANT, valid_tenant
 
 T = TypeVar("T")
 
@@ -56,6 +57,8 @@ class ReconstructionRequest:
     fill        which holes of the mesh are filled; None: by the kind of capture
     cut         what of the capture is kept
     box         rectangle of a single photo that the thing lies in; None: it is looked for
+    tenant      whose job it is: key and collection are the tenant's
+    token       secret that Attach and Cancel must show; "": none
     """
 
     job: str
@@ -70,6 +73,8 @@ class ReconstructionRequest:
     fill: Fill | None = None
     cut: Cut = "auto"
     box: PhotoBox | None = None
+    tenant: str = DEFAULT_TENANT
+    token: str = ""
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -82,6 +87,8 @@ class ReconstructionRequest:
         _require_name("KEY_INVALID", "asset_key", header.asset_key)
         if header.collection:
             _require_name("COLLECTION_INVALID", "collection", header.collection)
+        if header.tenant and not valid_tenant(header.tenant):
+            raise invalid("TENANT_INVALID", "tenant must be 1 to 32 of a-z 0-9 - and begin with a letter or digit")
         if header.target:
             _require_target(header.target, offer)
         if len(header.label) > LABEL_MAX_CHARS or not _LINE.fullmatch(header.label):
@@ -103,6 +110,8 @@ class ReconstructionRequest:
             fill=_checked_choice("fill", header.fill, get_args(Fill)) if header.fill else None,
             cut=_checked_choice("cut", header.cut or "auto", get_args(Cut)),
             box=checked_box(header),
+            tenant=header.tenant or DEFAULT_TENANT,
+            token=header.token,
         )
 
 

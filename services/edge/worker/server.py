@@ -78,7 +78,7 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
             await _refuse(context, refused, chunks)
 
     async def Attach(self, request: pb.AttachRequest, context: Context) -> AsyncIterator[pb.Event]:  # noqa: N802
-        run = self._runs.find(request.job)
+        run = self._runs.find(request.job, request.token)
         if run is None:
             await context.abort(grpc.StatusCode.NOT_FOUND, "JOB_UNKNOWN: this worker does not know the job")
         if request.after_seq > run.log.last_seq:
@@ -88,7 +88,7 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
             yield event
 
     async def Cancel(self, request: pb.CancelRequest, context: Context) -> pb.CancelReply:  # noqa: N802
-        return pb.CancelReply(was_running=self._runs.cancel(request.job))
+        return pb.CancelReply(was_running=self._runs.cancel(request.job, request.token))
 
     async def GetWorker(self, request: pb.GetWorkerRequest, context: Context) -> pb.Worker:  # noqa: N802
         offer = self._work.offer

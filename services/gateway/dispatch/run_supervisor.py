@@ -30,6 +30,7 @@ from services.gateway.worker_client import WorkerPool
 from services.gateway.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerLost, WorkerUnreachable
 from services.grpc_client import CHUNK_BYTES
 from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
 
 _BATCH_INTERVAL_S = 0.2  # between two writes about one run: people see five steps a second, the disk syncs as often
 _CANCEL_RETRY_S = 0.5  # a cancellation may arrive before the upload of the run that it should stop
@@ -103,9 +104,10 @@ class RunSupervisor:
 
     async def _start_run(self) -> bool:
         """Start the run and follow it. Returns False where the connection was lost or the run exists: then reattach."""
-        order, dependencies = self.job.order, self._dependencies
-        size = await capture_bytes(dependencies.store, order.capture)
-        data = capture_chunks(dependencies.store, order.capture, size, CHUNK_BYTES)
+        capture, dependencies = self.job.order.capture, self._dependencies
+        store = store_of_tenant(dependencies.store, self.job.tenant)
+        size = await capture_bytes(store, capture)
+        data = capture_chunks(store, capture, size, CHUNK_BYTES)
         try:
             await self._follow(dependencies.workers.reconstruct(self.worker, self.job, data, size))
         except WorkerBusy as busy:
@@ -127,7 +129,7 @@ class RunSupervisor:
         dependencies, lease = self._dependencies, self.job.lease
         try:
             await self._follow(
-                dependencies.workers.follow(self.worker, self.job.id, lease.run_seq, dependencies.attach_for_s)
+                dependencies.workers.follow(self.worker, self.job, lease.run_seq, dependencies.attach_for_s)
             )
         except (RunUnknown, WorkerBusy, WorkerLost) as error:
             _log.warning("job %s: its run on %s is lost: %s", self.job.id, self.worker, error)
@@ -175,7 +177,7 @@ class RunSupervisor:
     async def _cancel(self) -> None:
         while True:
             try:
-                if await self._dependencies.workers.cancel(self.worker, self.job.id):
+                if await self._dependencies.workers.cancel(self.worker, self.job):
                     return
             except WorkerLost as error:
                 _log.info("job %s: not cancelled yet, trying again: %s", self.job.id, error)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from services.storage.tenant_store import DEFAULT_TENANT
+
 Json = Mapping[str, Any]
 
 
@@ -71,6 +73,8 @@ class Job:
     fraction    progress of the whole job, [0,1]; never decreases, not even when a run is repeated
     elapsed_s   since the job was accepted, as of `updated`; survives every restart because `created` does
     last_event  sequence number of its newest event
+    tenant      whose job it is: capture, asset key and collection are the tenant's
+    token       secret that gateways and workers share, without which a worker neither shows nor stops the run
     """
 
     id: str
@@ -88,6 +92,8 @@ class Job:
     warnings: tuple[str, ...] = ()
     seconds: Json = field(default_factory=dict)
     last_event: int = 0
+    tenant: str = DEFAULT_TENANT
+    token: str = ""
     lease: Lease = field(default_factory=Lease)
 
     @property

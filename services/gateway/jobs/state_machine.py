@@ -11,6 +11,7 @@ A change that concerns a run needs the fencing token of its lease (`fence`); an 
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -40,6 +41,7 @@ NEXT_STATES: dict[State, frozenset[State]] = {
 RUNNING_STATES = frozenset({State.RUNNING, State.CANCELLING})
 """States in which a worker may be running the job."""
 
+_TOKEN_BYTES = 16
 _LONGEST_PAUSE_S = 60.0  # between attempts: a worker that restarts within a minute gets the job
 
 
@@ -250,6 +252,7 @@ def _add_event(job: Job, kind: str, now: float, **data: Any) -> Change:
     return Change(job, (Event(job.id, seq, kind, now, {**standing, **data}),))
 
 
-def create_job(job_id: str, order: Order, *, now: float) -> Change:
-    """Create a job in the state QUEUED."""
-    return _add_event(Job(job_id, order, created=now, updated=now), "state", now, error=None)
+def create_job(job_id: str, order: Order, *, tenant: str, now: float) -> Change:
+    """Create a tenant's job in the state QUEUED."""
+    job = Job(job_id, order, created=now, updated=now, tenant=tenant, token=secrets.token_hex(_TOKEN_BYTES))
+    return _add_event(job, "state", now, error=None)

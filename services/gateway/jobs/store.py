@@ -15,6 +15,7 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import IntegrityError
 
+from services.gateway.database import brief_wait, for_writing
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
 from services.gateway.jobs.row_mapping import (
@@ -26,7 +27,8 @@ from services.gateway.jobs.row_mapping import (
     lease_values,
 )
 from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
-from services.gateway.jobs.tables import brief_wait, events, for_writing, idempotency, jobs, leases
+from services.gateway.jobs.tables import events, idempotency, jobs, leases
+from services.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
 _RUNS = [state.value for state in RUNNING_STATES]
@@ -51,38 +53,38 @@ class JobStore:
         self._writer = for_writing(engine)
         self._locks = engine.dialect.name != "sqlite"  # SQLite has only one writer at a time: no row locks needed
 
-    def create(self, order: Order, *, key: str = "", body_sha256: str = "") -> Job:
-        """Create a job; for a known idempotency key, return the job that was created with it.
+    def create(self, tenant: str, order: Order, *, key: str = "", body_sha256: str = "") -> Job:
+        """Create a job of a tenant; for an idempotency key that it has used, return the job that was created with it.
 
         Raises Problem IDEMPOTENCY_CONFLICT.
         """
         try:
             with self._writer.begin() as db:
-                known = _find_by_key(db, key, body_sha256)
-                return known or _insert(db, order, key, body_sha256)
+                known = _find_by_key(db, tenant, key, body_sha256)
+                return known or _insert(db, tenant, order, key, body_sha256)
         except IntegrityError:  # another process used the key between our query and our insert
             with self._engine.begin() as db:
-                known = _find_by_key(db, key, body_sha256)
+                known = _find_by_key(db, tenant, key, body_sha256)
             if known is None:
                 raise
             return known
 
-    def find_by_key(self, key: str, body_sha256: str) -> Job | None:
-        """Return the job created with an idempotency key, or None.
+    def find_by_key(self, tenant: str, key: str, body_sha256: str) -> Job | None:
+        """Return the job that a tenant created with an idempotency key, or None.
 
         Raises Problem IDEMPOTENCY_CONFLICT when the key was used for a different request.
         """
         with self._engine.begin() as db:
-            return _find_by_key(db, key, body_sha256)
+            return _find_by_key(db, tenant, key, body_sha256)
 
-    def get(self, job: str) -> Job:
-        """Return a job. Raises Problem JOB_UNKNOWN."""
+    def get(self, tenant: str, job: str) -> Job:
+        """Return a tenant's job. Raises Problem JOB_UNKNOWN."""
         with self._engine.begin() as db:
-            return _get(db, WHOLE_JOB, job)
+            return _get(db, _of(tenant), job)
 
-    def page(self, *, limit: int, after: str = "") -> list[Job]:
-        """Return at most `limit` jobs older than the job `after`, newest first."""
-        select = WHOLE_JOB.order_by(jobs.c.id.desc()).limit(limit)
+    def page(self, tenant: str, *, limit: int, after: str = "") -> list[Job]:
+        """Return at most `limit` jobs of a tenant that are older than the job `after`, newest first."""
+        select = _of(tenant).order_by(jobs.c.id.desc()).limit(limit)
         with self._engine.begin() as db:
             return [job_from_row(row) for row in db.execute(select.where(jobs.c.id < after) if after else select)]
 
@@ -98,9 +100,9 @@ class JobStore:
         with self._writer.connect() as db, brief_wait(db), db.begin():
             pass
 
-    def using(self, capture: str) -> list[str]:
-        """Return the ids of the jobs that have not ended and need this capture."""
-        active = jobs.c.state.not_in([state.value for state in TERMINAL])
+    def using(self, tenant: str, capture: str) -> list[str]:
+        """Return the ids of a tenant's jobs that have not ended and need this capture."""
+        active = sa.and_(jobs.c.tenant == tenant, jobs.c.state.not_in([state.value for state in TERMINAL]))
         select = sa.select(jobs.c.id).where(active, jobs.c.order["capture"].as_string() == capture)
         with self._engine.begin() as db:
             return [job for (job,) in db.execute(select.order_by(jobs.c.id))]
@@ -141,10 +143,10 @@ class JobStore:
             renewed: dict[str, bool] = {job: cancel for job, cancel in rows}  # noqa: C416 - rows are no pairs to mypy
         return {job for job, _ in running} - renewed.keys(), {job for job, cancel in renewed.items() if cancel}
 
-    def job_and_events(self, job: str, after: int) -> tuple[Job, list[Event]]:
-        """Return a job and its events after number `after`, in one transaction. Raises Problem JOB_UNKNOWN."""
+    def job_and_events(self, tenant: str, job: str, after: int) -> tuple[Job, list[Event]]:
+        """Return a tenant's job and its events after number `after`, in one transaction. Raises Problem JOB_UNKNOWN."""
         with self._engine.begin() as db:
-            return _get(db, WHOLE_JOB, job), _events(db, job, after)
+            return _get(db, _of(tenant), job), _events(db, job, after)
 
     def newest_event_id(self) -> int:
         """Return the id of the newest event of all jobs, 0 if there is none."""
@@ -171,6 +173,10 @@ def _ready_jobs(now: float) -> sa.Select[Any]:
     return WHOLE_JOB.where(jobs.c.state == State.QUEUED.value, leases.c.not_before <= now).order_by(jobs.c.id)
 
 
+def _of(tenant: str) -> sa.Select[Any]:
+    return WHOLE_JOB.where(jobs.c.tenant == tenant)
+
+
 def _get(db: Connection, select: sa.Select[Any], job: str) -> Job:
     # An invalid id is not queried: it comes from a URL, and Postgres refuses some characters in any text.
     row = db.execute(select.where(jobs.c.id == job)).first() if JOB_ID.fullmatch(job) else None
@@ -184,8 +190,9 @@ def _events(db: Connection, job: str, after: int) -> list[Event]:
     return [event_from_row(row) for row in db.execute(select.limit(_EVENTS_AT_ONCE))]
 
 
-def _find_by_key(db: Connection, key: str, body_sha256: str) -> Job | None:
-    row = db.execute(sa.select(idempotency).where(idempotency.c.key == key)).first() if key else None
+def _find_by_key(db: Connection, tenant: str, key: str, body_sha256: str) -> Job | None:
+    which = idempotency.c.key == _stored_key(tenant, key)
+    row = db.execute(sa.select(idempotency).where(which)).first() if key else None
     if row is None:
         return None
     if row.body_sha256 != body_sha256:
@@ -195,17 +202,24 @@ def _find_by_key(db: Connection, key: str, body_sha256: str) -> Job | None:
             f"this Idempotency-Key was used for a different request, which created {row.job}",
             hints=("use a new Idempotency-Key for every new job",),
         )
-    return _get(db, WHOLE_JOB, row.job)
+    return _get(db, _of(tenant), row.job)
 
 
-def _insert(db: Connection, order: Order, key: str, body_sha256: str) -> Job:
+def _stored_key(tenant: str, key: str) -> str:
+    """Return an idempotency key as it is stored. No key has a space, so no two tenants can have one."""
+    return key if tenant == DEFAULT_TENANT else f"{tenant} {key}"
+
+
+def _insert(db: Connection, tenant: str, order: Order, key: str, body_sha256: str) -> Job:
     now = time.time()
-    change = create_job(new_job_id(now), order, now=now)
+    change = create_job(new_job_id(now), order, tenant=tenant, now=now)
     db.execute(jobs.insert().values(job_values(change.job)))
     db.execute(leases.insert().values(lease_values(change.job)))
     db.execute(events.insert(), [event_values(event) for event in change.events])
     if key:
-        db.execute(idempotency.insert().values(key=key, body_sha256=body_sha256, job=change.job.id))
+        db.execute(
+            idempotency.insert().values(key=_stored_key(tenant, key), body_sha256=body_sha256, job=change.job.id)
+        )
     return change.job
 
 

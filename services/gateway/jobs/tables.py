@@ -1,19 +1,11 @@
-"""Database tables of the jobs, and the SQLAlchemy engine. A commit survives a power cut.
-
-SQLite by default: a write-ahead log, so that readers never wait for the writer; every commit is synced; writers lock at
-BEGIN, because a transaction that reads first and writes later fails at once instead of waiting for the lock.
-"""
+"""Database tables of the jobs, as the migrations have made them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
-
 import sqlalchemy as sa
-from sqlalchemy.engine import Connection, Engine
 
-metadata = sa.MetaData()
+from services.gateway.database import metadata
+from services.storage.tenant_store import DEFAULT_TENANT
 
 jobs = sa.Table(
     "jobs",
@@ -34,6 +26,9 @@ jobs = sa.Table(
     sa.Column("last_event", sa.Integer, nullable=False),
     sa.Column("created", sa.Double, nullable=False),
     sa.Column("updated", sa.Double, nullable=False),
+    sa.Column("tenant", sa.String(32), nullable=False, server_default=DEFAULT_TENANT),
+    sa.Column("token", sa.String(64), nullable=False, server_default=sa.text("''")),
+    sa.Index("ix_jobs_tenant_id", "tenant", "id"),
 )
 
 leases = sa.Table(
@@ -66,52 +61,8 @@ events = sa.Table(
 idempotency = sa.Table(
     "idempotency_keys",
     metadata,
+    # The tenant's name, a space, and the key; of the default tenant the key alone, as it was before there were tenants.
     sa.Column("key", sa.String(255), primary_key=True),
     sa.Column("body_sha256", sa.String(64), nullable=False),
     sa.Column("job", sa.ForeignKey("jobs.id"), nullable=False),
 )
-
-_CHECK_MS = 1_000  # wait of a health check
-_BUSY_MS = 10_000  # wait for the lock: other processes hold it for a synced commit; longer than 10 s is a fault
-
-
-def open_engine(url: str) -> Engine:
-    """Open the database and create missing tables. Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used."""
-    engine = sa.create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
-    if engine.dialect.name == "sqlite":
-        sa.event.listen(engine, "connect", _prepare)
-        sa.event.listen(engine, "begin", _begin)
-    metadata.create_all(engine)
-    return engine
-
-
-def for_writing(engine: Engine) -> Engine:
-    """Return the engine with transactions that take SQLite's write lock at BEGIN."""
-    return engine.execution_options(writes=True)
-
-
-@contextmanager
-def brief_wait(db: Connection) -> Iterator[None]:
-    """Wait only a moment for SQLite's lock, on this connection: whoever asks whether the database can be written."""
-    if db.dialect.name != "sqlite":
-        yield
-        return
-    raw: Any = db.connection.dbapi_connection
-    raw.execute(f"PRAGMA busy_timeout={_CHECK_MS}")
-    try:
-        yield
-    finally:
-        raw.execute(f"PRAGMA busy_timeout={_BUSY_MS}")
-
-
-def _prepare(connection: Any, _: Any) -> None:
-    connection.isolation_level = None  # the driver must not begin transactions by itself: `_begin` does
-    cursor = connection.cursor()
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={_BUSY_MS}"):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()
-
-
-def _begin(connection: Connection) -> None:
-    writes = connection.get_execution_options().get("writes", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

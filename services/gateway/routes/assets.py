@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import logging
 from collections.abc import Callable
@@ -14,8 +13,11 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
+from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.collection_choice import require_collection
+from services.gateway.qr_code import qr_svg
+from services.gateway.routes.access_rules import needs
 from services.gateway.routes.http_ranges import etag_matches
 from services.gateway.routes.store_access import ANY_ORIGIN, gateway_url, in_thread, object_url, store_of
 from services.gateway.schemas import problems
@@ -28,8 +30,6 @@ from services.storage.store import NO_CACHE, Store
 router = APIRouter(prefix="/v1", tags=["assets"])
 
 _log = logging.getLogger(__name__)
-
-_QR_SCALE, _QR_BORDER = 8, 4  # pixels per module; the quiet zone that ISO/IEC 18004 asks for
 
 Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
 InCollection = Annotated[
@@ -72,7 +72,7 @@ class AssetRemovalView(BaseModel):
     updated: str
 
 
-@router.get("/assets", response_model=AssetPage, responses=problems(422, 503))
+@router.get("/assets", response_model=AssetPage, dependencies=[needs(Scope.READ)], responses=problems(422, 503))
 async def list_assets(
     request: Request,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
@@ -88,7 +88,11 @@ async def list_assets(
     return AssetPage(assets=[_summary(request, each) for each in entries], next=last, damaged=damaged)
 
 
-@router.get("/assets/{key}", responses={200: {"content": {"application/json": {}}}, **problems(404, 410, 422, 503)})
+@router.get(
+    "/assets/{key}",
+    dependencies=[needs(Scope.READ)],
+    responses={200: {"content": {"application/json": {}}}, **problems(404, 410, 422, 503)},
+)
 async def get_asset(key: Key, request: Request) -> Response:
     """Get an asset's catalogue entry, with the URL of every file. Answers 304 for an ETag in If-None-Match."""
     found = await _entry(request, key)
@@ -104,7 +108,12 @@ async def get_asset(key: Key, request: Request) -> Response:
     return Response(body, headers=headers, media_type="application/json")
 
 
-@router.get("/assets/{key}/lod/{level}", status_code=307, responses=problems(404, 410, 422, 503))
+@router.get(
+    "/assets/{key}/lod/{level}",
+    status_code=307,
+    dependencies=[needs(Scope.READ)],
+    responses=problems(404, 410, 422, 503),
+)
 async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Request) -> Response:
     """Redirect to the GLB file of a level of detail of the current version; 0 is the finest."""
     levels = (await _entry(request, key)).document["lods"]
@@ -119,21 +128,32 @@ async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)]
 @router.get(
     "/assets/{key}/qr.svg",
     response_class=Response,
+    dependencies=[needs(Scope.READ)],
     responses={200: {"content": {"image/svg+xml": {}}}, **problems(404, 410, 422, 503)},
 )
 async def get_qr_code(key: Key, request: Request) -> Response:
     """Get the URL of the asset's viewer page as a QR code (SVG), to open it on a headset."""
     await _entry(request, key)
-    return Response(_qr_svg(urljoin(gateway_url(request), f"view/{key}")), media_type="image/svg+xml")
+    return Response(qr_svg(urljoin(gateway_url(request), f"view/{key}")), media_type="image/svg+xml")
 
 
-@router.post("/assets/{key}/remove", response_model=AssetRemovalView, responses=problems(404, 422, 503))
+@router.post(
+    "/assets/{key}/remove",
+    response_model=AssetRemovalView,
+    dependencies=[needs(Scope.MANAGE)],
+    responses=problems(404, 422, 503),
+)
 async def remove_asset(key: Key, request: Request, collection: InCollection = "") -> AssetRemovalView:
     """Remove (hide) an asset. Its files are kept: restoring it, or publishing a new version, brings it back."""
     return await _set_removed(request, key, remove, collection)
 
 
-@router.post("/assets/{key}/restore", response_model=AssetRemovalView, responses=problems(404, 422, 503))
+@router.post(
+    "/assets/{key}/restore",
+    response_model=AssetRemovalView,
+    dependencies=[needs(Scope.MANAGE)],
+    responses=problems(404, 422, 503),
+)
 async def restore_asset(key: Key, request: Request, collection: InCollection = "") -> AssetRemovalView:
     """Restore a removed asset as it was."""
     return await _set_removed(request, key, restore, collection)
@@ -219,11 +239,3 @@ def _summary(request: Request, found: Entry) -> AssetSummary:
         self=f"/v1/assets/{found.key}",
         view=f"/view/{found.key}",
     )
-
-
-def _qr_svg(text: str) -> bytes:
-    import segno
-
-    buffer = io.BytesIO()
-    segno.make(text, micro=False).save(buffer, kind="svg", scale=_QR_SCALE, border=_QR_BORDER, light="#fff")
-    return buffer.getvalue()

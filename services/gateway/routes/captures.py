@@ -11,6 +11,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.capture_objects import (
@@ -23,6 +24,7 @@ from services.gateway.jobs.capture_objects import (
 )
 from services.gateway.jobs.store import JobStore
 from services.gateway.photo_boxes import BoxQuery, parse_box
+from services.gateway.routes.access_rules import caller_of, needs
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import problems
 from services.gateway.uploads.accept import Uploads
@@ -30,6 +32,7 @@ from services.gateway.uploads.accept import Uploads
 router = APIRouter(prefix="/v1", tags=["captures"])
 
 _CHUNK_BYTES = 256 << 10
+_LISTS = needs(Scope.CAPTURE, Scope.READ, Scope.MANAGE)
 _PRIVATE = {"Cache-Control": "private, no-store"}
 
 CaptureId = Annotated[str, Path(max_length=100, pattern=r"^[A-Za-z0-9_-]+$", description="Id from POST /v1/captures.")]
@@ -159,6 +162,7 @@ _BODY = {
     "/captures",
     status_code=201,
     response_model=CaptureView,
+    dependencies=[needs(Scope.CAPTURE)],
     responses=problems(400, 408, 413, 415, 422, 503, 507),
     openapi_extra=_BODY,
 )
@@ -168,12 +172,13 @@ async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
     Every file is checked, and locations, serial numbers and names of persons are removed from it. The answer is sent
     after the capture has been stored. `box` is only for the inspection of a single photo; a job names it again.
     """
-    return CaptureView.model_validate(await _uploads(request).accept(request, parse_box(box)))
+    return CaptureView.model_validate(await _uploads(request).accept(request, store_of(request), parse_box(box)))
 
 
 @router.post(
     "/outlines",
     response_model=OutlineView,
+    dependencies=[needs(Scope.CAPTURE)],
     responses=problems(400, 408, 413, 415, 422, 503, 507),
     openapi_extra=_BODY,
 )
@@ -186,7 +191,7 @@ async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
     return OutlineView.model_validate(await _uploads(request).outline(request, parse_box(box)))
 
 
-@router.get("/captures", response_model=CapturePage, responses=problems(422, 503))
+@router.get("/captures", response_model=CapturePage, dependencies=[_LISTS], responses=problems(422, 503))
 async def get_captures(
     request: Request,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
@@ -206,7 +211,7 @@ async def get_captures(
     return CapturePage(captures=found, next=last, damaged=damaged)
 
 
-@router.get("/captures/{capture}", response_model=CaptureView, responses=problems(404, 422, 503))
+@router.get("/captures/{capture}", response_model=CaptureView, dependencies=[_LISTS], responses=problems(404, 422, 503))
 async def get_capture(capture: CaptureId, request: Request) -> CaptureView:
     """Get a capture's receipt: the answer to its upload."""
     store = store_of(request)
@@ -216,6 +221,7 @@ async def get_capture(capture: CaptureId, request: Request) -> CaptureView:
 @router.get(
     "/captures/{capture}/archive",
     response_class=Response,
+    dependencies=[needs(Scope.MANAGE)],  # photos of people's rooms: a headset's key has no need of them
     responses={200: {"content": {"application/zip": {}}}, **problems(404, 422, 503)},
 )
 async def download_capture(capture: CaptureId, request: Request) -> StreamingResponse:
@@ -232,11 +238,16 @@ async def download_capture(capture: CaptureId, request: Request) -> StreamingRes
     return StreamingResponse(chunks, headers=headers, media_type="application/zip")
 
 
-@router.delete("/captures/{capture}", response_model=CaptureDeletionView, responses=problems(404, 409, 422, 503))
+@router.delete(
+    "/captures/{capture}",
+    response_model=CaptureDeletionView,
+    dependencies=[needs(Scope.MANAGE)],
+    responses=problems(404, 409, 422, 503),
+)
 async def remove_capture(capture: CaptureId, request: Request) -> CaptureDeletionView:
     """Delete a capture for good. Assets that were made from it stay; no job can use it again."""
     job_store: AsyncJobStore = request.app.state.job_store
-    if using := await job_store.read(JobStore.using, capture):
+    if using := await job_store.read(JobStore.using, caller_of(request).tenant, capture):
         detail = f"{len(using)} jobs that have not ended need the capture: {', '.join(using[:3])}"
         raise Problem(409, "CAPTURE_IN_USE", detail, hints=("cancel these jobs, or wait for their end",))
     store = store_of(request)
@@ -254,6 +265,6 @@ def _uploads(request: Request) -> Uploads:
     """Return the app's `Uploads`, created at the first upload because its limiters belong to the running event loop."""
     state = request.app.state
     if not hasattr(state, "uploads"):
-        state.uploads = Uploads(state.settings, state.store, state.workers)
+        state.uploads = Uploads(state.settings, state.workers)
     uploads: Uploads = state.uploads
     return uploads

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from itertools import chain, islice
@@ -14,21 +14,27 @@ from typing import Annotated, TypeVar
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel
 
+from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.collection_choice import require_collection
+from services.gateway.routes.access_rules import ANYONE, caller_of, needs
 from services.gateway.routes.http_ranges import etag_matches
 from services.gateway.routes.store_access import ANY_ORIGIN, in_thread, object_url, store_of
 from services.gateway.schemas import problems
-from services.storage.catalogue.collection import Index, Row, index_name, load_shard, parse_envelope, read_index
+from services.storage.catalogue.collection import Index, Row, Shard, index_name, load_shard, parse_envelope, read_index
 from services.storage.catalogue.entry import valid_key
 from services.storage.catalogue.reader import LoadRows, find_row, retry_if_shard_missing
 from services.storage.store import NO_CACHE, Store
+from services.storage.tenant_store import store_of_tenant
 
 router = APIRouter(prefix="/v1", tags=["collections"])
 
 _CACHED_SHARDS = 64  # parsed shards in memory, 0.7 MB each at most: every search reads all shards of its collection
 
 _T = TypeVar("_T")
+
+LoadTenantRows = Callable[[str, Shard], Iterable[Row]]
+"""Reads the rows of a tenant's shard."""
 
 Name = Annotated[
     str,
@@ -88,12 +94,18 @@ class KeyPage(BaseModel):
     keys: list[KeyView]
 
 
-def row_cache(store: Store) -> LoadRows:
-    """Return a function that reads the rows of a shard and caches them: shards never change, being named by hash."""
-    return lru_cache(maxsize=_CACHED_SHARDS)(partial(load_shard, store))
+def row_cache(store: Store) -> LoadTenantRows:
+    """Return a function that reads the rows of a tenant's shard and caches them: shards are named by hash, and never
+    change.
+    """
+    return lru_cache(maxsize=_CACHED_SHARDS)(lambda tenant, shard: load_shard(store_of_tenant(store, tenant), shard))
 
 
-@router.get("/collections/{name}", responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)})
+@router.get(
+    "/collections/{name}",
+    dependencies=[needs(Scope.READ)],
+    responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)},
+)
 async def get_collection(name: Name, request: Request) -> Response:
     """Get a collection's signed index, as it is on the store, and `base`, the URL prefix of its objects.
 
@@ -115,7 +127,12 @@ async def get_collection(name: Name, request: Request) -> Response:
     return Response(body, headers=headers, media_type="application/json")
 
 
-@router.get("/collections/{name}/assets", response_model=RowPage, responses=problems(404, 422, 503))
+@router.get(
+    "/collections/{name}/assets",
+    response_model=RowPage,
+    dependencies=[needs(Scope.READ)],
+    responses=problems(404, 422, 503),
+)
 async def search_collection(
     name: Name,
     request: Request,
@@ -130,7 +147,7 @@ async def search_collection(
     if after and not valid_key(after):
         hints = ("use the `next` of the previous page",)
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
-    load_rows: LoadRows = request.app.state.load_rows
+    load_rows = _load_rows_of(request)
 
     def find_matches(index: Index) -> tuple[int, list[Row]]:
         return index.version, _matching_rows(index, load_rows, label, after, limit)
@@ -141,13 +158,18 @@ async def search_collection(
     return RowPage(collection=name, version=version, assets=views, next=last)
 
 
-@router.get("/collections/{name}/assets/{key}", response_model=PlaceView, responses=problems(404, 410, 422, 503))
+@router.get(
+    "/collections/{name}/assets/{key}",
+    response_model=PlaceView,
+    dependencies=[needs(Scope.READ)],
+    responses=problems(404, 410, 422, 503),
+)
 async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceView:
     """Get one asset of a collection, and the shard that lists it."""
     require_collection(name, "check the name in the URL")
     if not valid_key(key):
         raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
-    load_rows: LoadRows = request.app.state.load_rows
+    load_rows = _load_rows_of(request)
 
     version, found = await _read(request, name, lambda index: (index.version, find_row(index, key, load_rows)))
     if found is None:
@@ -160,7 +182,7 @@ async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceV
     return PlaceView(collection=name, version=version, shard=object_url(request, shard.name), asset=asset)
 
 
-@router.get("/keys", response_model=KeyPage)
+@router.get("/keys", response_model=KeyPage, dependencies=[ANYONE])
 async def list_public_keys(request: Request) -> KeyPage:
     """List the public keys that verify collections; clients store them at their first visit (trust on first use)."""
     keys = request.app.state.keys.verification_keys
@@ -178,6 +200,10 @@ async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:
         return await in_thread(lambda: retry_if_shard_missing(attempt))
     except FileNotFoundError:
         raise _unknown(name) from None
+
+
+def _load_rows_of(request: Request) -> LoadRows:
+    return partial(request.app.state.load_rows, caller_of(request).tenant)
 
 
 def _matching_rows(index: Index, rows: LoadRows, label: str, after: str, limit: int) -> list[Row]:

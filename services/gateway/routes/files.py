@@ -11,12 +11,15 @@ import anyio
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import StreamingResponse
 
+from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
+from services.gateway.routes.access_rules import caller_of, needs
 from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
-from services.gateway.routes.store_access import ANY_ORIGIN, in_thread, store_of
+from services.gateway.routes.store_access import ANY_ORIGIN, in_thread
 from services.gateway.schemas import problems
 from services.storage.local import LocalStore
-from services.storage.store import NO_CACHE, Head
+from services.storage.store import NO_CACHE, Head, Store
+from services.storage.tenant_store import tenant_of
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 
@@ -27,22 +30,38 @@ _HASH = re.compile(r"\.([0-9a-f]{64})(\.[^./]*)?$")
 _READ_BYTES = 256 << 10  # per read from the disk
 
 
-@router.head("/files/{name:path}", include_in_schema=False)
-@router.get("/files/{name:path}", response_class=Response, responses=problems(404, 416, 503))
+@router.head("/files/{name:path}", include_in_schema=False, dependencies=[needs(Scope.READ)])
+@router.get(
+    "/files/{name:path}",
+    response_class=Response,
+    dependencies=[needs(Scope.READ)],
+    responses=problems(404, 416, 503),
+)
 async def get_file(name: str, request: Request) -> Response:
     """Get a file of an asset, or a part of it with a Range header. Files under `assets/` never change."""
-    store = store_of(request)
-    if not isinstance(store, LocalStore) or not name.startswith(_PUBLIC):
+    store: Store = request.app.state.store
+    if not isinstance(store, LocalStore):
+        raise _unknown_file()
+    tenant, own_name = _split(name)
+    if tenant != caller_of(request).tenant or not own_name.startswith(_PUBLIC):
         raise _unknown_file()
     try:
         head = await in_thread(lambda: store.head(name))
     except (FileNotFoundError, ValueError):
         raise _unknown_file() from None
-    if not name.startswith("assets/"):
+    if not own_name.startswith("assets/"):
         return await _small_file(store, head, request)
     if not _is_intact(head):
         raise _damaged_file(head.name)
     return await _large_file(store, head, request)
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Split an object's name into its tenant and its name there. Raises Problem FILE_UNKNOWN."""
+    try:
+        return tenant_of(name)
+    except ValueError:
+        raise _unknown_file() from None
 
 
 async def _small_file(store: LocalStore, head: Head, request: Request) -> Response:

@@ -9,9 +9,12 @@ from pathlib import Path
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
+from sqlalchemy.exc import SQLAlchemyError
 
+from services.gateway.access.caller import Scope
 from services.gateway.jobs.store import JobStore
-from services.gateway.schemas import Check, Readiness
+from services.gateway.routes.access_rules import ANYONE, authenticate, needs
+from services.gateway.schemas import Check, Readiness, problems
 from services.gateway.worker_client import WorkerPool
 from services.storage.local import LocalStore
 from services.storage.store import Store
@@ -22,19 +25,23 @@ _LEAST_FREE = 64 << 20  # bytes: below it the database's log and a small upload 
 _CHECK_S = 2.0  # timeout of one check: orchestrators ask every few seconds and wait about as long
 
 
-@router.get("/livez", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+@router.get("/livez", response_class=Response, dependencies=[ANYONE], responses={200: {"content": {"text/plain": {}}}})
 async def livez() -> Response:
     """Liveness check: answers "ok" as long as the process is alive."""
     return Response("ok\n", media_type="text/plain")
 
 
-@router.get("/readyz", response_model=Readiness, responses={503: {"model": Readiness}})
+@router.get(
+    "/readyz", response_model=Readiness, dependencies=[ANYONE], responses={503: {"model": Readiness}, **problems(401)}
+)
 async def readyz(request: Request, response: Response) -> Readiness:
     """Readiness check: 200 if jobs can run, else 503.
 
-    The store, the database, for writing too, and at least one worker must answer, and the disks have space.
+    The store, the database, for writing too, and at least one worker must answer, and the disks have space. What each
+    of them said is for operators; orchestrators, which have no key, get the status alone.
     """
     state = request.app.state
+    may_see = await _may_see_checks(request)
     names = ("store", "database", "disk", "workers")
     found = await asyncio.gather(
         _check(asyncio.to_thread(state.store.list, "catalog/", limit=1)),
@@ -45,10 +52,15 @@ async def readyz(request: Request, response: Response) -> Readiness:
     checks = dict(zip(names, found, strict=True))
     ready = all(check.ok for check in found)
     response.status_code = 200 if ready else 503
-    return Readiness(ready=ready, checks=checks)
+    return Readiness(ready=ready, checks=checks if may_see else {})
 
 
-@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+@router.get(
+    "/metrics",
+    response_class=Response,
+    dependencies=[needs(Scope.OPERATE)],
+    responses={200: {"content": {"text/plain": {}}}},
+)
 async def metrics(request: Request) -> Response:
     """Get metrics in Prometheus' text format."""
     job_store = request.app.state.job_store
@@ -56,6 +68,13 @@ async def metrics(request: Request) -> Response:
         await job_store.read(JobStore.count_by_state), job_store.notifier.listener_count
     )
     return Response(page, headers={"Content-Type": CONTENT_TYPE_LATEST})
+
+
+async def _may_see_checks(request: Request) -> bool:
+    try:
+        return Scope.OPERATE in (await authenticate(request)).scopes
+    except SQLAlchemyError:  # the keys are in the database, which is one of the checks
+        return not request.app.state.settings.is_public
 
 
 async def _check(question: Awaitable[object]) -> Check:

@@ -14,6 +14,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
+from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.capture_objects import capture_bytes, unknown_capture
@@ -23,6 +24,7 @@ from services.gateway.jobs.state_machine import request_cancel
 from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.photo_boxes import require_box
+from services.gateway.routes.access_rules import caller_of, needs
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
@@ -30,6 +32,7 @@ from services.storage.catalogue.entry import valid_key
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
+_FOLLOWS = needs(Scope.CAPTURE, Scope.READ, Scope.MANAGE)
 _HEARTBEAT_S = 10.0  # longest silence on an event stream: proxies cut silent connections after 30 to 60 s
 _RECONNECT_MS = 1000  # how long browsers wait before they reconnect
 _SEND_TIMEOUT_S = 30.0  # a client that reads nothing for so long is considered gone
@@ -44,7 +47,13 @@ IdempotencyKey = Annotated[
 ]
 
 
-@router.post("/jobs", status_code=202, response_model=JobView, responses=problems(400, 404, 409, 413, 415, 422, 503))
+@router.post(
+    "/jobs",
+    status_code=202,
+    response_model=JobView,
+    dependencies=[needs(Scope.CAPTURE)],
+    responses=problems(400, 404, 409, 413, 415, 422, 503),
+)
 async def create_job(
     body: JobRequest, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
 ) -> JobView:
@@ -55,7 +64,11 @@ async def create_job(
 
 
 @router.post(
-    "/jobs/{job}/again", status_code=202, response_model=JobView, responses=problems(400, 404, 409, 413, 415, 422, 503)
+    "/jobs/{job}/again",
+    status_code=202,
+    response_model=JobView,
+    dependencies=[needs(Scope.CAPTURE)],
+    responses=problems(400, 404, 409, 413, 415, 422, 503),
 )
 async def repeat_job(
     job: str, body: JobAgain, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
@@ -63,7 +76,7 @@ async def repeat_job(
     """Create a job with the same capture, key and options as an earlier one, but another cut. Nothing is uploaded."""
 
     async def changed_order() -> Order:
-        earlier: Job = await request.app.state.job_store.read(JobStore.get, job)
+        earlier: Job = await request.app.state.job_store.read(JobStore.get, caller_of(request).tenant, job)
         await _require_capture(earlier.order.capture, request)
         return replace(earlier.order, cut=body.cut)
 
@@ -73,7 +86,7 @@ async def repeat_job(
     return JobView.of(repeated, time.time())
 
 
-@router.get("/jobs", response_model=JobPage, responses=problems(422))
+@router.get("/jobs", response_model=JobPage, dependencies=[_FOLLOWS], responses=problems(422))
 async def list_jobs(
     request: Request,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
@@ -82,22 +95,30 @@ async def list_jobs(
     ] = "",
 ) -> JobPage:
     """List jobs, newest first."""
-    now = time.time()
-    found = await request.app.state.job_store.read(JobStore.page, limit=limit + 1, after=after)
+    now, tenant = time.time(), caller_of(request).tenant
+    found = await request.app.state.job_store.read(JobStore.page, tenant, limit=limit + 1, after=after)
     jobs = [JobView.of(job, now) for job in found[:limit]]
     return JobPage(jobs=jobs, next=jobs[-1].id if len(found) > limit else None)
 
 
-@router.get("/jobs/{job}", response_model=JobView, responses=problems(404))
+@router.get("/jobs/{job}", response_model=JobView, dependencies=[_FOLLOWS], responses=problems(404))
 async def get_job(job: str, request: Request) -> JobView:
     """Get a job's state, progress and result."""
-    return JobView.of(await request.app.state.job_store.read(JobStore.get, job), time.time())
+    return JobView.of(await request.app.state.job_store.read(JobStore.get, caller_of(request).tenant, job), time.time())
 
 
-@router.post("/jobs/{job}/cancel", status_code=202, response_model=JobView, responses=problems(404))
+@router.post(
+    "/jobs/{job}/cancel",
+    status_code=202,
+    response_model=JobView,
+    dependencies=[needs(Scope.CAPTURE)],
+    responses=problems(404),
+)
 async def cancel_job(job: str, request: Request) -> JobView:
     """Cancel a job: at once while it is queued, within seconds while it is running. No effect on one that has ended."""
-    changed: Job = await request.app.state.job_store.change(job, partial(request_cancel, now=time.time()))
+    job_store: AsyncJobStore = request.app.state.job_store
+    await job_store.read(JobStore.get, caller_of(request).tenant, job)
+    changed = await job_store.change(job, partial(request_cancel, now=time.time()))
     if not changed.ended:
         request.app.state.dispatcher.cancel(job)
     return JobView.of(changed, time.time())
@@ -106,6 +127,7 @@ async def cancel_job(job: str, request: Request) -> JobView:
 @router.get(
     "/jobs/{job}/events",
     response_class=EventSourceResponse,
+    dependencies=[_FOLLOWS],
     responses={
         200: {
             "description": "Server-sent events `progress`, `anchors` (a few points, before there is a mesh), "
@@ -132,17 +154,18 @@ async def follow_job(
 ) -> EventSourceResponse:
     """Follow a job as server-sent events: first all events so far, then new ones, until the job has ended."""
     job_store: AsyncJobStore = request.app.state.job_store
-    await job_store.read(JobStore.get, job)  # an unknown job is a 404, not an empty stream
+    tenant = caller_of(request).tenant
+    await job_store.read(JobStore.get, tenant, job)  # an unknown job is a 404, not an empty stream
     start = int(last_event_id) if last_event_id else after or 0
     return EventSourceResponse(
-        _event_stream(job_store, request.app.state.metrics, job, start),
+        _event_stream(job_store, request.app.state.metrics, tenant, job, start),
         ping=3600,  # in effect off: our own heartbeats carry the job's state and are visible to pages
         send_timeout=_SEND_TIMEOUT_S,
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
 
 
-@router.get("/presets", response_model=Presets)
+@router.get("/presets", response_model=Presets, dependencies=[needs(*Scope)])
 async def list_presets(request: Request) -> Presets:
     """List the presets that the workers offer, the memory that each takes, and the default."""
     known = await _known_presets(request)
@@ -158,21 +181,23 @@ async def _create_once(
     """
     job_store: AsyncJobStore = request.app.state.job_store
     sha256 = hashlib.sha256(content.encode()).hexdigest()
-    job: Job | None = await job_store.read(JobStore.find_by_key, idempotency_key, sha256)
+    tenant = caller_of(request).tenant
+    job: Job | None = await job_store.read(JobStore.find_by_key, tenant, idempotency_key, sha256)
     if job is None:
-        job = await job_store.write(JobStore.create, await make_order(), key=idempotency_key, body_sha256=sha256)
+        order = await make_order()
+        job = await job_store.write(JobStore.create, tenant, order, key=idempotency_key, body_sha256=sha256)
         request.app.state.dispatcher.wake()
     return job
 
 
 async def _event_stream(
-    job_store: AsyncJobStore, metrics: Metrics, job_id: str, last_seq: int
+    job_store: AsyncJobStore, metrics: Metrics, tenant: str, job_id: str, last_seq: int
 ) -> AsyncIterator[ServerSentEvent]:
     replaying = True
     with job_store.notifier.listen(job_id) as news:
         while True:
             news.clear()
-            job, fresh = await job_store.read(JobStore.job_and_events, job_id, last_seq)
+            job, fresh = await job_store.read(JobStore.job_and_events, tenant, job_id, last_seq)
             for event in fresh:
                 yield _sse(event)
                 if not replaying:

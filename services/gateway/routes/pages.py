@@ -17,6 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
 from services.gateway.errors import Problem
+from services.gateway.routes.access_rules import ANYONE
 from services.gateway.schemas import problems
 from services.gateway.settings import GatewaySettings
 from services.storage.catalogue.entry import valid_key
@@ -39,13 +40,13 @@ _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest lev
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 
 
-@router.get("/", response_class=Response, responses=_HTML)
+@router.get("/", response_class=Response, dependencies=[ANYONE], responses=_HTML)
 async def capture_page(request: Request) -> Response:
     """The capture page: take photos or a video with a phone, or upload files."""
     return _page("capture/index.html", request)
 
 
-@router.get("/view", response_class=Response, responses={**_HTML, **problems(404, 422)})
+@router.get("/view", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404, 422)})
 async def view_assets(
     request: Request,
     key: Annotated[list[str], Query(max_length=_MOST_ASSETS, description="The assets' keys, each once.")],
@@ -55,14 +56,14 @@ async def view_assets(
     return _page("viewer/view.html", request)
 
 
-@router.get("/view/{key}", response_class=Response, responses={**_HTML, **problems(404)})
+@router.get("/view/{key}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
 async def view_asset(key: str, request: Request) -> Response:
     """The viewer page of an asset, for a screen or a headset."""
     _check_keys([key])
     return _page("viewer/view.html", request)
 
 
-@router.get("/browse/{name}", response_class=Response, responses={**_HTML, **problems(404)})
+@router.get("/browse/{name}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
 async def browse_collection(name: str, request: Request) -> Response:
     """The page of a collection: pictures of all its assets, with a search."""
     if not valid_key(name):
@@ -80,7 +81,7 @@ class Shell(BaseModel):
     files: list[str]
 
 
-@router.get("/web/shell.json", response_model=Shell)
+@router.get("/web/shell.json", response_model=Shell, dependencies=[ANYONE])
 def list_shell(response: Response) -> Shell:
     """List the pages that open without the server, each for all of its kind, and all files that they load."""
     files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]

@@ -10,8 +10,10 @@ import anyio.to_thread
 from fastapi import Request
 
 from services.gateway.errors import Problem
+from services.gateway.routes.access_rules import caller_of
 from services.storage.catalogue.faults import CatalogueFault
 from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
 
 ANY_ORIGIN = {"Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": "ETag, Content-Range, Accept-Ranges"}
 """CORS headers of answers that pages of any origin may read."""
@@ -37,9 +39,8 @@ async def in_thread(work: Callable[[], _T]) -> _T:
 
 
 def store_of(request: Request) -> Store:
-    """Return the gateway's store."""
-    store: Store = request.app.state.store
-    return store
+    """Return the store of the caller's tenant."""
+    return store_of_tenant(request.app.state.store, caller_of(request).tenant)
 
 
 def gateway_url(request: Request) -> str:

@@ -63,22 +63,22 @@ class Uploads:
     Must be created on the event loop that serves the requests.
     """
 
-    def __init__(self, settings: GatewaySettings, store: Store, workers: WorkerPool) -> None:
+    def __init__(self, settings: GatewaySettings, workers: WorkerPool) -> None:
         self._limits = UploadLimits(settings.max_upload_bytes, settings.max_files)
-        self._store = store
         self._workers = workers
         self._staging = settings.data_dir / "uploads"
         self._writers, self._checkers = CapacityLimiter(_WRITERS), CapacityLimiter(_CHECKERS)
         self._staging.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(self._staging)
 
-    async def accept(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
+    async def accept(self, request: Request, store: Store, box: PhotoBox | None) -> dict[str, Any]:
         """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind.
 
-        box  rectangle around the thing in a single photo, for its inspection
+        store  of the caller's tenant
+        box    rectangle around the thing in a single photo, for its inspection
         """
         async with self._inspected(request, box) as (packed, inspection):
-            return await self._store_capture(packed, inspection)
+            return await self._store_capture(store, packed, inspection)
 
     async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
         """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
@@ -126,40 +126,44 @@ class Uploads:
         if declared * _COPIES > shutil.disk_usage(self._staging).free:
             raise storage_full()
 
-    async def _store_capture(self, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
+    async def _store_capture(
+        self, store: Store, packed: _PackedCapture, inspection: Inspection | None
+    ) -> dict[str, Any]:
         """Store the archive, then its receipt: a receipt on the store means that the capture is complete."""
         capture = f"cap_{int(time.time() * 1000):012x}{secrets.token_hex(8)}"
         receipt = _receipt(capture, packed, inspection)
         name = capture_name(capture)
         try:
-            await self._write(lambda: self._put(name, packed.archive, "application/zip"))
-            await self._write(lambda: self._put(receipt_name(capture), _json_bytes(receipt), "application/json"))
+            await self._write(lambda: _put(store, name, packed.archive, "application/zip"))
+            await self._write(lambda: _put(store, receipt_name(capture), _json_bytes(receipt), "application/json"))
         except BaseException:
-            await asyncio.shield(asyncio.to_thread(self._remove, capture))
+            await asyncio.shield(asyncio.to_thread(_remove, store, capture))
             raise
         return receipt
-
-    def _put(self, name: str, data: bytes | Path, content_type: str) -> None:
-        try:
-            self._store.put(name, data, content_type=content_type, cache_control="private, no-store")
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise
-            detail = "the capture could not be written to the store"
-            raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
-
-    def _remove(self, capture: str) -> None:
-        for name in (capture_name(capture), receipt_name(capture)):
-            try:
-                self._store.delete(name)
-            except OSError:
-                continue  # the store cannot be reached; a leftover is harmless, because no client knows this id
 
     async def _write(self, work: Callable[[], None]) -> None:
         await anyio.to_thread.run_sync(work, limiter=self._writers)
 
     async def _run_checker(self, work: Callable[[], _T]) -> _T:
         return await anyio.to_thread.run_sync(work, limiter=self._checkers)
+
+
+def _put(store: Store, name: str, data: bytes | Path, content_type: str) -> None:
+    try:
+        store.put(name, data, content_type=content_type, cache_control="private, no-store")
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        detail = "the capture could not be written to the store"
+        raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
+
+
+def _remove(store: Store, capture: str) -> None:
+    for name in (capture_name(capture), receipt_name(capture)):
+        try:
+            store.delete(name)
+        except OSError:
+            continue  # the store cannot be reached; a leftover is harmless, because no client knows this id
 
 
 async def _unless_client_leaves(

@@ -611,7 +611,7 @@ def test_a_closed_central_leaves_nothing_behind() -> None:
     with reaching("127.0.0.1:1") as central:
         assert "central 127.0.0.1:1" in {thread.name for thread in threading.enumerate()}
     assert "central 127.0.0.1:1" not in {thread.name for thread in threading.enumerate()}
-    central.cancel("0" * 32)
+    central.cancel("0" * 32, "")
     with pytest.raises(CentralUnavailable, match="closed"):
         central.worker()
     gc.collect()  # an event loop that is not closed warns here, and warnings are errors

@@ -27,6 +27,7 @@ from services.storage.catalogue.collection import index_name
 from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from services.storage.memory import MemoryStore
+from services.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
 from tests.support.edge_client import Client, leftovers, until, upload, worker
 from tests.support.patience import CANCEL_S
@@ -94,6 +95,20 @@ async def test_points_become_an_asset(client: Client, store: MemoryStore, scratc
     assert json.loads(store.get(asset.manifest))["preset"] == "draft"
     assert store.get(asset.document["lods"][0]["name"]).startswith(b"glTF")
     assert leftovers(scratch) == []
+
+
+async def test_an_asset_is_its_tenants(client: Client, store: MemoryStore, tmp_path: Path) -> None:
+    sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
+    for number, tenant in enumerate(("ada", "bob")):
+        job = f"job_{number}"
+        events = await client.ended(sent, job, asset_key="dome", label=tenant, preset="draft", tenant=tenant)
+        assert events[-1].HasField("finished"), events[-1]
+        assert read_entry(store_of_tenant(store, tenant), "dome").document["label"] == tenant
+    with pytest.raises(FileNotFoundError):
+        read_entry(store, "dome")
+    for tenant in ("../ada", "Ada", "a" * 33):
+        with pytest.raises(grpc.aio.AioRpcError, match="TENANT_INVALID"):
+            await client.ended(sent, "job_9", asset_key="dome", tenant=tenant)
 
 
 async def test_a_few_points_are_told_before_there_is_a_mesh(client: Client, store: MemoryStore, tmp_path: Path) -> None:

@@ -202,6 +202,16 @@ async def test_cancel_ends_a_running_job(client: Client, scratch: Path) -> None:
     assert (await client.ended(b"ticks 1", "next"))[-1].HasField("finished")
 
 
+async def test_a_job_is_shown_and_stopped_by_its_token_only(client: Client) -> None:
+    call = await waiting(client, token="right")
+    for wrong in ("", "wrong", "right "):
+        assert await status_of(client.attach(token=wrong)) == grpc.StatusCode.NOT_FOUND
+        assert not await client.cancel(token=wrong)
+    assert (await anext(aiter(client.attach(token="right")))).seq == 1
+    assert await client.cancel(token="right")
+    assert [event async for event in call][-1].failure.code == "CANCELLED"
+
+
 async def test_cancel_ends_a_queued_job(client: Client, scratch: Path) -> None:
     await waiting(client, "running")
     second = await queued(client, "second")

@@ -257,7 +257,10 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 
 NUMBERS = {
-    "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill box cut",
+    "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill box cut "
+    "tenant token",
+    "AttachRequest": "job after_seq token",
+    "CancelRequest": "job token",
     "Box": "left top right bottom",
     "Inspection": "kind format frames points warnings failure outline",
     "Preset": "name summary trained memory_bytes literature takes",

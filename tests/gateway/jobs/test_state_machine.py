@@ -74,7 +74,7 @@ class JobMachine(RuleBasedStateMachine):
     def begin(self) -> None:
         self.now = 1000.0
         self.old_fences: set[int] = set()
-        self.take(create_job("job_1", ORDER, now=self.now), None)
+        self.take(create_job("job_1", ORDER, tenant="default", now=self.now), None)
 
     def take(self, change: Change, before: Job | None) -> None:
         after = change.job
@@ -172,7 +172,9 @@ TestJobMachine.settings = settings(max_examples=80, stateful_step_count=30)
 
 
 def running() -> Job:
-    return lease_to_worker(create_job("job_1", ORDER, now=0).job, holder="gw", worker="w", now=0, lease_s=10).job
+    return lease_to_worker(
+        create_job("job_1", ORDER, tenant="default", now=0).job, holder="gw", worker="w", now=0, lease_s=10
+    ).job
 
 
 def after(job: Job, *told: Report) -> Job:

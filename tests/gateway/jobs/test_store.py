@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 
 import pytest
 
+from services.gateway.database import open_engine
 from services.gateway.errors import Problem
 from services.gateway.jobs import tables
 from services.gateway.jobs.job import Job, Order, State
@@ -25,35 +25,11 @@ from services.gateway.jobs.state_machine import (
     take_over,
 )
 from services.gateway.jobs.store import JobStore
-from services.gateway.jobs.tables import metadata, open_engine
-from tests.conftest import missing
-from tests.referees.postgres import programs, running
+from services.storage.tenant_store import DEFAULT_TENANT
 
 ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object", box=(0.25, 0.125, 0.75, 1.0))
 RETRY = Retry(3, 1.0)
-
-
-@pytest.fixture(scope="session")
-def postgres() -> Iterator[str]:
-    """The URL of a real Postgres."""
-    found = programs()
-    if found is None:
-        missing("a Postgres server")
-    assert found is not None
-    with running(found) as url:
-        yield url
-
-
-@pytest.fixture(params=["sqlite", "postgres"])
-def url(tmp_path: Path, request: pytest.FixtureRequest) -> str:
-    """An empty database of each kind."""
-    if request.param == "sqlite":
-        return f"sqlite:///{tmp_path / 'jobs.db'}"
-    found: str = request.getfixturevalue("postgres")
-    engine = open_engine(found)
-    metadata.drop_all(engine)
-    engine.dispose()
-    return found
+HOME = DEFAULT_TENANT
 
 
 @pytest.fixture
@@ -69,7 +45,7 @@ def lease(now: float = 100.0, holder: str = "gw") -> partial[Change]:
 
 @pytest.mark.slow
 def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> None:
-    made = store.create(ORDER)
+    made = store.create(HOME, ORDER)
     claimed = store.claim(made.created + 1, ("draft",), lease(made.created + 1))
     assert claimed is not None
     told = [
@@ -79,7 +55,7 @@ def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> N
     ]
     job = store.change(made.id, partial(apply_reports, fence=1, reports=told, now=made.created + 5, retry=RETRY))
     engine = open_engine(url)
-    again, events = JobStore(engine).job_and_events(made.id, 0)
+    again, events = JobStore(engine).job_and_events(HOME, made.id, 0)
     engine.dispose()
     assert again == job
     assert again.state is State.SUCCEEDED
@@ -89,24 +65,24 @@ def test_a_job_survives_a_restart_in_every_field(store: JobStore, url: str) -> N
 
 @pytest.mark.parametrize(("isolate", "cut"), [(True, "object"), (False, "scene"), (None, "")])
 def test_an_order_of_before_the_cut_keeps_its_choice(store: JobStore, url: str, isolate: bool | None, cut: str) -> None:
-    made = store.create(ORDER)
+    made = store.create(HOME, ORDER)
     engine = open_engine(url)
     older = {name: value for name, value in asdict(ORDER).items() if name != "cut"} | {"isolate": isolate}
     with engine.begin() as connection:
         connection.execute(tables.jobs.update().where(tables.jobs.c.id == made.id).values(order=older))
     engine.dispose()
-    assert store.get(made.id).order == replace(ORDER, cut=cut)
+    assert store.get(HOME, made.id).order == replace(ORDER, cut=cut)
 
 
 def test_the_queue_is_first_come_first_served(store: JobStore) -> None:
-    jobs = [store.create(ORDER).id for _ in range(5)]
+    jobs = [store.create(HOME, ORDER).id for _ in range(5)]
     claimed = [store.claim(1e12, ("draft",), lease()) for _ in range(6)]
     assert [job.id if job else None for job in claimed] == [*sorted(jobs), None]
 
 
 def test_a_job_is_claimed_by_one_of_many(store: JobStore, url: str) -> None:
     for _ in range(20):
-        store.create(ORDER)
+        store.create(HOME, ORDER)
     gate = threading.Barrier(4)
 
     def claims(_: int) -> list[str]:
@@ -124,33 +100,33 @@ def test_a_job_is_claimed_by_one_of_many(store: JobStore, url: str) -> None:
 
 def test_an_idempotency_key_makes_one_job(store: JobStore) -> None:
     with ThreadPoolExecutor(8) as pool:
-        made = list(pool.map(lambda _: store.create(ORDER, key="k", body_sha256="a").id, range(8)))
+        made = list(pool.map(lambda _: store.create(HOME, ORDER, key="k", body_sha256="a").id, range(8)))
     assert len(set(made)) == 1
     with pytest.raises(Problem) as conflict:
-        store.create(ORDER, key="k", body_sha256="b")
+        store.create(HOME, ORDER, key="k", body_sha256="b")
     assert (conflict.value.status, conflict.value.code) == (409, "IDEMPOTENCY_CONFLICT")
 
 
 def test_what_a_transition_refuses_leaves_no_trace(store: JobStore) -> None:
-    job = store.create(ORDER)
+    job = store.create(HOME, ORDER)
     with pytest.raises(LeaseLost):
         store.change(job.id, partial(apply_reports, fence=9, reports=[], now=0, retry=RETRY))
-    assert store.get(job.id) == job
+    assert store.get(HOME, job.id) == job
 
 
 def test_a_lease_is_renewed_by_its_fence_only(store: JobStore) -> None:
-    job = store.create(ORDER)
+    job = store.create(HOME, ORDER)
     store.claim(1e12, ("draft",), lease(holder="a"))
     assert store.renew("a", 500.0, [(job.id, 1)]) == (set(), set())
     assert store.renew("a", 500.0, [(job.id, 2)]) == ({job.id}, set())
     assert store.renew("b", 500.0, [(job.id, 1)]) == ({job.id}, set())
     store.change(job.id, partial(request_cancel, now=5))
     assert store.renew("a", 500.0, [(job.id, 1)]) == (set(), {job.id})
-    assert store.get(job.id).lease.until == 500.0
+    assert store.get(HOME, job.id).lease.until == 500.0
 
 
 def test_a_run_is_taken_over_when_its_lease_is_out_or_by_its_former_self(store: JobStore) -> None:
-    job = store.create(ORDER)
+    job = store.create(HOME, ORDER)
     store.claim(1e12, ("draft",), lease(100.0, "a"))
 
     def orphan(now: float, holder: str, ours: tuple[str, ...] = ()) -> Job | None:
@@ -166,9 +142,9 @@ def test_a_run_is_taken_over_when_its_lease_is_out_or_by_its_former_self(store: 
 
 
 def test_pages_are_newest_first_and_complete(store: JobStore) -> None:
-    jobs = [store.create(ORDER).id for _ in range(7)]
+    jobs = [store.create(HOME, ORDER).id for _ in range(7)]
     seen: list[str] = []
-    while page := store.page(limit=3, after=seen[-1] if seen else ""):
+    while page := store.page(HOME, limit=3, after=seen[-1] if seen else ""):
         seen += [job.id for job in page]
     assert seen == sorted(jobs, reverse=True)
     assert store.count_by_state()[State.QUEUED] == 7
@@ -176,7 +152,7 @@ def test_pages_are_newest_first_and_complete(store: JobStore) -> None:
 
 def test_others_news_are_heard(store: JobStore) -> None:
     before = store.newest_event_id()
-    job = store.create(ORDER)
+    job = store.create(HOME, ORDER)
     after, touched = store.jobs_changed_since(before)
     assert touched == {job.id}
     assert store.jobs_changed_since(after) == (after, set())
@@ -184,5 +160,5 @@ def test_others_news_are_heard(store: JobStore) -> None:
 
 def test_an_unknown_job_has_a_name(store: JobStore) -> None:
     with pytest.raises(Problem) as unknown:
-        store.get("job_none")
+        store.get(HOME, "job_none")
     assert (unknown.value.status, unknown.value.code) == (404, "JOB_UNKNOWN")

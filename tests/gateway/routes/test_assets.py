@@ -23,7 +23,7 @@ from tests.support.bundles import bundle
 
 
 def client(tmp_path: Path, store: Store, **settings: Any) -> httpx.AsyncClient:
-    app = create_app(GatewaySettings(data_dir=tmp_path / "data", workers=(), **settings), store)
+    app = create_app(GatewaySettings(data_dir=tmp_path / "data", workers=(), open=True, **settings), store)
     return httpx.AsyncClient(transport=httpx.ASGITransport(app, raise_app_exceptions=False), base_url="http://gateway")
 
 

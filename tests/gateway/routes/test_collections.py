@@ -26,7 +26,7 @@ INDEX = index_name("default")
 
 
 def client(folder: Path, store: Store, keys: Keys = SIGNED) -> httpx.AsyncClient:
-    app = create_app(GatewaySettings(data_dir=folder / "data", workers=()), store, keys)
+    app = create_app(GatewaySettings(data_dir=folder / "data", workers=(), open=True), store, keys)
     return httpx.AsyncClient(transport=httpx.ASGITransport(app, raise_app_exceptions=False), base_url="http://gateway")
 
 

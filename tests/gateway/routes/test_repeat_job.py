@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from services.gateway.database import open_engine
 from services.gateway.jobs.capture_objects import capture_name
 from services.gateway.jobs.job import Order
 from services.gateway.jobs.store import JobStore
-from services.gateway.jobs.tables import open_engine
 from tests.support.in_process_gateway import capture, gateway, memory
 
 OPTIONS = {"label": "My dress", "preset": "draft", "longest_m": 0.31, "fill": "all", "target": "quest3"}
@@ -37,7 +37,7 @@ def stored_order(data_dir: Path, job: str) -> Order:
     """The order of a job as it is in the gateway's database."""
     engine = open_engine(f"sqlite:///{data_dir / 'gateway.db'}")
     try:
-        return JobStore(engine).get(job).order
+        return JobStore(engine).get("default", job).order
     finally:
         engine.dispose()
 

@@ -42,7 +42,9 @@ class Gateway:
     def __init__(self, data_dir: Path, store: MemoryStore, **settings: Any) -> None:
         self.store = store
         self.data_dir = data_dir
-        self.app: FastAPI = create_app(GatewaySettings(data_dir=data_dir, **{"workers": (), **settings}), store)
+        self.app: FastAPI = create_app(
+            GatewaySettings(data_dir=data_dir, open=True, **{"workers": (), **settings}), store
+        )
         transport = httpx.ASGITransport(self.app, raise_app_exceptions=False)
         self.client = httpx.AsyncClient(transport=transport, base_url="http://gateway")
 

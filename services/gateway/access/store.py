@@ -1,0 +1,249 @@
+"""Access store: tenants, access keys, pairings and the gateways' secrets in the SQL database.
+
+Each method is one short transaction. They block; async code runs them on threads.
+"""
+
+from __future__ import annotations
+
+import secrets as random
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.engine import Connection, Engine
+from sqlalchemy.exc import IntegrityError
+
+from services.gateway.access.api_key import ApiKey, hash_of, new_secret
+from services.gateway.access.caller import Scope, parse_scopes, scope_names
+from services.gateway.access.tables import api_keys, pairings, secrets, tenants
+from services.gateway.database import for_writing
+from services.storage.tenant_store import check_tenant
+
+PAIRING_S = 300.0
+"""Seconds in which a pairing can be claimed: a minute to fetch the headset, and some to type."""
+_ID_BYTES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Tenant:
+    """A tenant. created: seconds since the epoch; label: a name for people, or "" """
+
+    name: str
+    label: str
+    created: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """An invitation of one device: whoever shows its token or its code before `expires` gets a key with its scopes.
+
+    key_expires  when that key expires; None: never
+    key          id of the key, once it has been claimed; else ""
+    """
+
+    id: str
+    tenant: str
+    label: str
+    scopes: frozenset[Scope]
+    code: str
+    expires: float
+    key_expires: float | None
+    key: str
+
+
+class AccessStore:
+    """Tenants, keys, pairings and secrets in one database."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._writer = for_writing(engine)
+
+    def has_keys(self) -> bool:
+        """Return whether a key was ever created: from then on the gateway asks for keys, even if all were revoked."""
+        with self._engine.begin() as db:
+            return db.execute(sa.select(api_keys.c.id).limit(1)).first() is not None
+
+    def ensure_tenant(self, name: str, label: str = "") -> bool:
+        """Create a tenant unless it exists; return whether it was created. Raises ValueError for an invalid name."""
+        check_tenant(name)
+        try:
+            with self._writer.begin() as db:
+                if _tenant(db, name):
+                    return False
+                db.execute(tenants.insert().values(name=name, label=label, created=time.time()))
+                return True
+        except IntegrityError:  # another process was faster
+            return False
+
+    def tenant(self, name: str) -> Tenant | None:
+        """Return a tenant, or None."""
+        with self._engine.begin() as db:
+            return _tenant(db, name)
+
+    def list_tenants(self, *, limit: int, after: str = "") -> list[Tenant]:
+        """Return at most `limit` tenants whose names sort behind `after`."""
+        select = sa.select(tenants).where(tenants.c.name > after).order_by(tenants.c.name).limit(limit)
+        with self._engine.begin() as db:
+            return [Tenant(row.name, row.label, row.created) for row in db.execute(select)]
+
+    def create_key(
+        self, tenant: str, scopes: Iterable[Scope], *, label: str = "", expires: float | None = None
+    ) -> tuple[ApiKey, str]:
+        """Create a key of an existing tenant; return it and its secret, which is shown once and stored nowhere."""
+        secret = new_secret(tenant)
+        with self._writer.begin() as db:
+            return _insert_key(db, tenant, scopes, label, expires, secret), secret
+
+    def key_by_hash(self, sha256: str) -> ApiKey | None:
+        """Return the key with this hash, or None."""
+        with self._engine.begin() as db:
+            return _key_from(db.execute(sa.select(api_keys).where(api_keys.c.sha256 == sha256)).first())
+
+    def key(self, key_id: str) -> ApiKey | None:
+        """Return the key with this id, or None."""
+        with self._engine.begin() as db:
+            return _key_from(db.execute(sa.select(api_keys).where(api_keys.c.id == key_id)).first())
+
+    def list_keys(self, tenant: str | None, *, limit: int, after: str = "") -> list[ApiKey]:
+        """Return at most `limit` keys of a tenant, or of all for None, whose ids sort behind `after`."""
+        select = sa.select(api_keys).where(api_keys.c.id > after)
+        if tenant is not None:
+            select = select.where(api_keys.c.tenant == tenant)
+        with self._engine.begin() as db:
+            rows = db.execute(select.order_by(api_keys.c.id).limit(limit)).all()
+        return [key for row in rows if (key := _key_from(row))]
+
+    def revoke_key(self, key_id: str, tenant: str | None) -> ApiKey | None:
+        """Revoke a key of a tenant, or of any for None; return it, or None where there is no such key. Idempotent."""
+        mine = api_keys.c.id == key_id
+        if tenant is not None:
+            mine = sa.and_(mine, api_keys.c.tenant == tenant)
+        with self._writer.begin() as db:
+            db.execute(api_keys.update().where(mine, api_keys.c.revoked.is_(None)).values(revoked=time.time()))
+            return _key_from(db.execute(sa.select(api_keys).where(mine)).first())
+
+    def expire_key(self, key_id: str, tenant: str | None, at: float) -> None:
+        """Let a key expire at this time, unless it expires earlier."""
+        mine = [api_keys.c.id == key_id, sa.or_(api_keys.c.expires.is_(None), api_keys.c.expires > at)]
+        if tenant is not None:
+            mine.append(api_keys.c.tenant == tenant)
+        with self._writer.begin() as db:
+            db.execute(api_keys.update().where(*mine).values(expires=at))
+
+    def note_use(self, last_used: Mapping[str, float]) -> None:
+        """Store when keys were used last, by their ids."""
+        with self._writer.begin() as db:
+            for key_id, at in last_used.items():
+                earlier = sa.or_(api_keys.c.last_used.is_(None), api_keys.c.last_used < at)
+                db.execute(api_keys.update().where(api_keys.c.id == key_id, earlier).values(last_used=at))
+
+    def create_pairing(
+        self, tenant: str, scopes: Iterable[Scope], *, label: str, key_expires: float | None
+    ) -> tuple[Pairing, str]:
+        """Create a pairing; return it, with its code of six digits, and its token. No two at a time have one code."""
+        token, now = random.token_urlsafe(32), time.time()
+        with self._writer.begin() as db:
+            db.execute(pairings.delete().where(pairings.c.expires < now, pairings.c.key.is_(None)))
+            taken = set(db.execute(sa.select(pairings.c.code).where(pairings.c.expires >= now)).scalars())
+            values = {
+                "id": f"pair_{random.token_hex(_ID_BYTES)}",
+                "tenant": tenant,
+                "label": label,
+                "scopes": _join(scopes),
+                "token_sha256": hash_of(token),
+                "code": _free_code(taken),
+                "expires": now + PAIRING_S,
+                "key_expires": key_expires,
+                "key": None,
+            }
+            db.execute(pairings.insert().values(values))
+            return _pairing_from(values), token
+
+    def pairing(self, pairing_id: str, tenant: str) -> Pairing | None:
+        """Return a tenant's pairing, or None."""
+        with self._engine.begin() as db:
+            return _find_pairing(db, sa.and_(pairings.c.id == pairing_id, pairings.c.tenant == tenant))
+
+    def claim_pairing(self, *, token: str = "", code: str = "") -> tuple[ApiKey, str] | None:
+        """Claim a pairing by its token or its code: create its key and return it with its secret.
+
+        None where there is no such pairing, or it has expired or been claimed: each can be claimed once.
+        """
+        wanted = pairings.c.token_sha256 == hash_of(token) if token else pairings.c.code == code
+        now = time.time()
+        with self._writer.begin() as db:
+            open_ones = sa.and_(wanted, pairings.c.expires > now, pairings.c.key.is_(None))
+            found = _find_pairing(db, open_ones, lock=True)
+            if found is None:
+                return None
+            secret = new_secret(found.tenant)
+            key = _insert_key(db, found.tenant, found.scopes, found.label, found.key_expires, secret)
+            db.execute(pairings.update().where(pairings.c.id == found.id).values(key=key.id))
+            return key, secret
+
+    def secret(self, name: str) -> str:
+        """Return a secret that all gateways of this database share; made at first use: 256 bits as hex."""
+        select = sa.select(secrets.c.value).where(secrets.c.name == name)
+        with self._engine.begin() as db:
+            found = db.execute(select).scalar()
+        if found is not None:
+            return str(found)
+        try:
+            with self._writer.begin() as db:
+                db.execute(secrets.insert().values(name=name, value=random.token_hex(32)))
+        except IntegrityError:  # another gateway was faster
+            pass
+        with self._engine.begin() as db:
+            return str(db.execute(select).scalar_one())
+
+
+def _tenant(db: Connection, name: str) -> Tenant | None:
+    row = db.execute(sa.select(tenants).where(tenants.c.name == name)).first()
+    return Tenant(row.name, row.label, row.created) if row else None
+
+
+def _insert_key(
+    db: Connection, tenant: str, scopes: Iterable[Scope], label: str, expires: float | None, secret: str
+) -> ApiKey:
+    key = ApiKey(
+        # Ids begin with the time of creation, so that lists are in its order.
+        id=f"key_{int(time.time() * 1000):012x}{random.token_hex(_ID_BYTES)}",
+        tenant=tenant,
+        label=label,
+        sha256=hash_of(secret),
+        scopes=frozenset(scopes),
+        created=time.time(),
+        expires=expires,
+    )
+    values = {column.name: getattr(key, column.name) for column in api_keys.c}
+    db.execute(api_keys.insert().values({**values, "scopes": _join(key.scopes)}))
+    return key
+
+
+def _key_from(row: sa.Row[Any] | None) -> ApiKey | None:
+    return ApiKey(**{**row._mapping, "scopes": parse_scopes(row.scopes.split())}) if row else None
+
+
+def _find_pairing(db: Connection, which: sa.ColumnElement[bool], *, lock: bool = False) -> Pairing | None:
+    """Find a pairing. lock: until the transaction's end, on databases with more than one writer at a time"""
+    select = sa.select(pairings).where(which)
+    row = db.execute(select.with_for_update() if lock else select).first()
+    return _pairing_from(dict(row._mapping)) if row else None
+
+
+def _pairing_from(row: Mapping[str, Any]) -> Pairing:
+    values = {name: value for name, value in row.items() if name != "token_sha256"}
+    return Pairing(**{**values, "scopes": parse_scopes(row["scopes"].split()), "key": row["key"] or ""})
+
+
+def _join(scopes: Iterable[Scope]) -> str:
+    return " ".join(scope_names(scopes))
+
+
+def _free_code(taken: set[str]) -> str:
+    """Return six random digits that no open pairing has."""
+    while (code := f"{random.randbelow(10**6):06}") in taken:
+        pass
+    return code

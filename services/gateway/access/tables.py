@@ -1,0 +1,50 @@
+"""Database tables of tenants, access keys, pairings and the gateways' own secrets, as the migrations have made them."""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+
+from services.gateway.database import metadata
+
+tenants = sa.Table(
+    "tenants",
+    metadata,
+    sa.Column("name", sa.String(32), primary_key=True),
+    sa.Column("label", sa.String(200), nullable=False),
+    sa.Column("created", sa.Double, nullable=False),
+)
+
+api_keys = sa.Table(
+    "api_keys",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("tenant", sa.ForeignKey("tenants.name"), nullable=False, index=True),
+    sa.Column("label", sa.String(200), nullable=False),
+    sa.Column("sha256", sa.String(64), nullable=False, unique=True),
+    sa.Column("scopes", sa.String(100), nullable=False),
+    sa.Column("created", sa.Double, nullable=False),
+    sa.Column("expires", sa.Double),
+    sa.Column("last_used", sa.Double),
+    sa.Column("revoked", sa.Double),
+)
+
+pairings = sa.Table(
+    "pairings",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("tenant", sa.ForeignKey("tenants.name"), nullable=False),
+    sa.Column("label", sa.String(200), nullable=False),
+    sa.Column("scopes", sa.String(100), nullable=False),
+    sa.Column("token_sha256", sa.String(64), nullable=False, unique=True),
+    sa.Column("code", sa.String(6), nullable=False),
+    sa.Column("expires", sa.Double, nullable=False),
+    sa.Column("key_expires", sa.Double),
+    sa.Column("key", sa.ForeignKey("api_keys.id")),
+)
+
+secrets = sa.Table(
+    "secrets",
+    metadata,
+    sa.Column("name", sa.String(32), primary_key=True),
+    sa.Column("value", sa.String(64), nullable=False),
+)

@@ -1,0 +1,109 @@
+"""The gateway's SQL database: its engine, and schema migrations (Alembic). A commit survives a power cut.
+
+SQLite by default: a write-ahead log, so that readers never wait for the writer; every commit is synced; writers lock at
+BEGIN, because a transaction that reads first and writes later fails at once instead of waiting for the lock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.engine import Connection, Engine
+
+metadata = sa.MetaData()
+"""All tables of the gateway; a test compares them with what the migrations make."""
+
+_MIGRATIONS = Path(__file__).with_name("migrations")
+_FIRST = "0001"  # the schema of databases that are older than the migrations
+_LOCK = 0x63327672  # Postgres: key of the lock that one gateway holds while it migrates; any number, only ours
+_CHECK_MS = 1_000  # wait of a health check
+_BUSY_MS = 10_000  # wait for the lock: other processes hold it for a synced commit; longer than 10 s is a fault
+
+
+def open_engine(url: str) -> Engine:
+    """Open the database and bring its schema up to date.
+
+    Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used, SchemaNewer for one of a newer gateway.
+    """
+    engine = sa.create_engine(url, pool_pre_ping=not url.startswith("sqlite"))
+    if engine.dialect.name == "sqlite":
+        sa.event.listen(engine, "connect", _prepare)
+        sa.event.listen(engine, "begin", _begin)
+    _migrate(engine)
+    return engine
+
+
+class SchemaNewer(sa.exc.SQLAlchemyError):
+    """The database was migrated by a newer version of the gateway."""
+
+
+def for_writing(engine: Engine) -> Engine:
+    """Return the engine with transactions that take SQLite's write lock at BEGIN."""
+    return engine.execution_options(writes=True)
+
+
+@contextmanager
+def brief_wait(db: Connection) -> Iterator[None]:
+    """Wait only a moment for SQLite's lock, on this connection: whoever asks whether the database can be written."""
+    if db.dialect.name != "sqlite":
+        yield
+        return
+    raw: Any = db.connection.dbapi_connection
+    raw.execute(f"PRAGMA busy_timeout={_CHECK_MS}")
+    try:
+        yield
+    finally:
+        raw.execute(f"PRAGMA busy_timeout={_BUSY_MS}")
+
+
+def _migrate(engine: Engine) -> None:
+    """Run the migrations that this database lacks, in one transaction; several gateways may start at once."""
+    # Here, because Alembic takes 0.2 s to import, and the command line imports this module for less.
+    from alembic.runtime.migration import MigrationContext
+    from alembic.script import ScriptDirectory
+
+    scripts = ScriptDirectory(str(_MIGRATIONS), version_locations=[str(_MIGRATIONS)])
+    head = scripts.get_current_head()
+    with engine.connect() as db, db.begin():
+        if MigrationContext.configure(db).get_current_revision() == head:
+            return
+    with for_writing(engine).connect() as db, db.begin():
+        if db.dialect.name == "postgresql":
+            db.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+        _upgrade(db, scripts, head)
+
+
+def _upgrade(db: Connection, scripts: Any, head: str | None) -> None:
+    from alembic.config import Config
+    from alembic.runtime.environment import EnvironmentContext
+    from alembic.runtime.migration import MigrationContext
+    from alembic.util.exc import CommandError
+
+    present = MigrationContext.configure(db).get_current_revision()
+    if present is None and sa.inspect(db).has_table("jobs"):
+        MigrationContext.configure(db).stamp(scripts, _FIRST)
+        present = _FIRST
+    try:
+        steps = scripts._upgrade_revs(head, present)
+    except CommandError:
+        raise SchemaNewer(f"the jobs database is of a newer gateway (schema {present}); install that version") from None
+    with EnvironmentContext(Config(), scripts, fn=lambda *_: steps) as environment:
+        environment.configure(connection=db)
+        environment.run_migrations()
+
+
+def _prepare(connection: Any, _: Any) -> None:
+    connection.isolation_level = None  # the driver must not begin transactions by itself: `_begin` does
+    cursor = connection.cursor()
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", f"busy_timeout={_BUSY_MS}"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin(connection: Connection) -> None:
+    writes = connection.get_execution_options().get("writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,0 +1,96 @@
+"""Access rules: every route names the scopes of which a caller needs one, or that anyone may ask.
+
+`check_rules` refuses a route that has no rule, so that none is forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from fastapi import Depends, Request
+from fastapi.routing import APIRoute
+from starlette.routing import BaseRoute
+
+from services.gateway.access.authentication import Authentication, refused
+from services.gateway.access.caller import Caller, Scope, scope_names
+from services.gateway.errors import Problem
+from services.gateway.schemas import problems
+
+SESSION_COOKIE = "c2v_session"
+
+
+class _Rule:
+    """A dependency that authenticates the request and checks the caller's scopes; none: anyone may ask."""
+
+    def __init__(self, scopes: frozenset[Scope]) -> None:
+        self.scopes = scopes
+
+    async def __call__(self, request: Request) -> None:
+        if not self.scopes:
+            return
+        caller = await authenticate(request)
+        if not caller.scopes & self.scopes:
+            raise _missing_scope(caller, self.scopes)
+
+
+def needs(*scopes: Scope) -> Any:
+    """Return the dependency of a route for callers with one of these scopes; the handler then asks `caller_of`."""
+    return Depends(_Rule(frozenset(scopes)))
+
+
+ANYONE = Depends(_Rule(frozenset()))
+"""The dependency of a route that anyone may ask: pages without data, and logging in."""
+
+
+async def authenticate(request: Request) -> Caller:
+    """Return who makes the request, and keep it for `caller_of`. Raises Problem for a key or cookie that is refused."""
+    authentication: Authentication = request.app.state.authentication
+    cookie = request.cookies.get(SESSION_COOKIE)
+    caller = await authentication.caller(request.headers.get("authorization"), cookie)
+    request.state.caller = caller
+    return caller
+
+
+def caller_of(request: Request) -> Caller:
+    """Return who makes a request whose route has a rule."""
+    caller: Caller = request.state.caller
+    return caller
+
+
+def check_rules(routes: Iterable[BaseRoute]) -> None:
+    """Raises RuntimeError where one of these routes has no access rule: a fault of the program."""
+    bare = [route.path for route in routes if isinstance(route, APIRoute) and _rule_of(route) is None]
+    if bare:
+        raise RuntimeError(f"these routes have no access rule: {', '.join(bare)}")
+
+
+def describe_rules(routes: Iterable[BaseRoute], document: dict[str, Any]) -> None:
+    """Add to an OpenAPI document how callers authenticate, the scopes that each route needs, and its refusals."""
+    schemes = document.setdefault("components", {}).setdefault("securitySchemes", {})
+    schemes["key"] = {"type": "http", "scheme": "bearer", "description": "An access key, c2v_TENANT_…"}
+    schemes["session"] = {"type": "apiKey", "in": "cookie", "name": SESSION_COOKIE}
+    for route in routes:
+        if not isinstance(route, APIRoute) or not route.include_in_schema:
+            continue
+        rule = _rule_of(route)
+        if rule is None or not rule.scopes:
+            continue
+        for method in route.methods or ():
+            operation = document["paths"][route.path_format][method.lower()]
+            operation["security"] = [{"key": []}, {"session": []}]
+            operation["x-scopes"] = scope_names(rule.scopes)
+            for status, answer in problems(401, 403).items():
+                operation["responses"].setdefault(str(status), answer)
+
+
+def _rule_of(route: APIRoute) -> _Rule | None:
+    return next((each.dependency for each in route.dependencies if isinstance(each.dependency, _Rule)), None)
+
+
+def _missing_scope(caller: Caller, scopes: frozenset[Scope]) -> Problem:
+    if caller.via == "anonymous":
+        return refused("KEY_MISSING", "this needs an access key", "log in at /login, or send Authorization: Bearer KEY")
+    wanted = " or ".join(scope_names(scopes))
+    detail = f"this needs the scope {wanted}; the access key has {', '.join(scope_names(caller.scopes)) or 'none'}"
+    return Problem(403, "SCOPE_MISSING", detail, hints=("use a key with that scope",))

@@ -1,0 +1,99 @@
+"""The database's schema: what migrations make is what the code expects, and what was stored before is still there."""
+
+from __future__ import annotations
+
+import json
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+from services.gateway.access.store import AccessStore
+from services.gateway.database import SchemaNewer, metadata, open_engine
+from services.gateway.jobs.job import Order
+from services.gateway.jobs.store import JobStore
+
+_ORDER = Order("cap_1", "draft", "dress", "Dress")
+_JOB = "job_" + "0" * 32
+
+
+def test_the_migrations_make_the_tables_that_the_code_expects(url: str) -> None:
+    engine = open_engine(url)
+    with engine.connect() as db:
+        options = {"compare_type": True, "compare_server_default": True}
+        assert compare_metadata(MigrationContext.configure(db, opts=options), metadata) == []
+    engine.dispose()
+
+
+def make_first_schema(url: str) -> None:
+    """A database as the gateway made it before there were migrations, with a job and its idempotency key."""
+    engine = sa.create_engine(url)
+    text, number = "VARCHAR(255) NOT NULL", "DOUBLE PRECISION NOT NULL"
+    with engine.begin() as db:
+        db.exec_driver_sql(
+            f'CREATE TABLE jobs (id VARCHAR(64) PRIMARY KEY, "order" JSON NOT NULL, state {text}, stage {text}, '
+            f"fraction {number}, elapsed_s {number}, eta_s {number}, preview JSON, asset JSON, error JSON, "
+            f"warnings JSON NOT NULL, seconds JSON NOT NULL, last_event INTEGER NOT NULL, created {number}, "
+            f"updated {number})"
+        )
+        db.exec_driver_sql(
+            f"CREATE TABLE leases (job VARCHAR(64) PRIMARY KEY REFERENCES jobs, holder {text}, worker {text}, "
+            f"fence BIGINT NOT NULL, attempts INTEGER NOT NULL, until {number}, not_before {number}, "
+            "run_seq BIGINT NOT NULL, cancel BOOLEAN NOT NULL)"
+        )
+        db.exec_driver_sql(
+            f"CREATE TABLE idempotency_keys (key VARCHAR(255) PRIMARY KEY, body_sha256 {text}, "
+            "job VARCHAR(64) NOT NULL REFERENCES jobs)"
+        )
+        db.execute(
+            sa.text(
+                'INSERT INTO jobs (id, "order", state, stage, fraction, elapsed_s, eta_s, warnings, seconds, '
+                "last_event, created, updated) VALUES (:id, :order, 'QUEUED', '', 0, 0, 0, '[]', '{}', 0, 1, 1)"
+            ),
+            {"id": _JOB, "order": json.dumps(asdict(_ORDER))},
+        )
+        db.exec_driver_sql(f"INSERT INTO leases VALUES ('{_JOB}', '', '', 0, 0, 0, 0, 0, false)")
+        db.exec_driver_sql(f"INSERT INTO idempotency_keys VALUES ('k', 'sha', '{_JOB}')")
+    engine.dispose()
+
+
+def test_jobs_of_before_the_tenants_are_the_default_tenants(url: str) -> None:
+    make_first_schema(url)
+    engine = open_engine(url)
+    jobs = JobStore(engine)
+    assert jobs.get("default", _JOB).order == _ORDER
+    assert jobs.find_by_key("default", "k", "sha") == jobs.get("default", _JOB)
+    assert jobs.page("ada", limit=5) == []
+    assert not AccessStore(engine).has_keys()
+    engine.dispose()
+
+
+def test_gateways_that_start_at_once_migrate_once(url: str) -> None:
+    make_first_schema(url)
+    gate = threading.Barrier(4)
+
+    def start(_: int) -> None:
+        gate.wait()
+        open_engine(url).dispose()
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(start, range(4)))
+    engine = open_engine(url)
+    assert [tenant.name for tenant in AccessStore(engine).list_tenants(limit=9)] == ["default"]
+    engine.dispose()
+
+
+def test_a_database_of_a_newer_gateway_is_refused_and_left_alone(url: str) -> None:
+    open_engine(url).dispose()
+    engine = sa.create_engine(url)
+    with engine.begin() as db:
+        db.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+    with pytest.raises(SchemaNewer, match=r"newer gateway \(schema 9999\)"):
+        open_engine(url)
+    with engine.begin() as db:
+        assert db.exec_driver_sql("SELECT version_num FROM alembic_version").scalar_one() == "9999"
+    engine.dispose()
