@@ -23,7 +23,9 @@ from services.gateway import errors
 from services.gateway.access.authentication import Authentication
 from services.gateway.access.caller import Scope
 from services.gateway.access.code_guesses import CodeGuesses
+from services.gateway.access.limits import Limits
 from services.gateway.access.store import AccessStore
+from services.gateway.access.usage import Usage
 from services.gateway.database import open_engine
 from services.gateway.dispatch.dispatcher import Dispatcher
 from services.gateway.dispatch.run_supervisor import Dependencies
@@ -33,7 +35,7 @@ from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import RequestMiddleware
-from services.gateway.routes import access, assets, captures, collections, files, health, jobs, pages
+from services.gateway.routes import access, assets, captures, collections, files, health, jobs, pages, tenants
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
 from services.gateway.settings import GatewaySettings, worker_credentials
 from services.gateway.worker_client import WorkerPool
@@ -42,7 +44,7 @@ from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
-_ROUTES = (captures, jobs, assets, collections, files, access, health, pages)
+_ROUTES = (captures, jobs, assets, collections, files, access, tenants, health, pages)
 _GRACE_S = 5  # for answers in progress when the gateway stops
 
 _log = logging.getLogger(__name__)
@@ -52,7 +54,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    code_guesses, job_store, dispatcher. Raises SettingsError where the workers' certificate or token cannot be used.
+    limits, usage, code_guesses, job_store, dispatcher. Raises SettingsError where the workers' certificate or token
+    cannot be used.
     """
     app = FastAPI(
         title="capture2vr",
@@ -77,6 +80,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     )
     errors.install_handlers(app)
     app.state.authentication = Authentication(told_open=settings.open, may_open=not settings.is_public)
+    app.state.limits = Limits(settings, app.state.authentication)
+    app.state.usage = Usage(app.state.authentication, store)
     app.state.code_guesses = CodeGuesses()
     for module in _ROUTES:
         check_rules(module.router.routes)
@@ -90,9 +95,9 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
             allow_origins=settings.cors_origins,
             allow_methods=["GET", "POST", "DELETE"],
             allow_headers=["Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID"],
-            expose_headers=["ETag", "Location", "X-Request-ID"],
+            expose_headers=["ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID"],
         )
-    app.add_middleware(RequestMiddleware, metrics=metrics, settings=settings)
+    app.add_middleware(RequestMiddleware, metrics=metrics, limits=app.state.limits, settings=settings)
     return app
 
 

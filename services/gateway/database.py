@@ -6,12 +6,13 @@ BEGIN, because a transaction that reads first and writes later fails at once ins
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import Connection, Engine
 
 metadata = sa.MetaData()
@@ -44,6 +45,13 @@ class SchemaNewer(sa.exc.SQLAlchemyError):
 def for_writing(engine: Engine) -> Engine:
     """Return the engine with transactions that take SQLite's write lock at BEGIN."""
     return engine.execution_options(writes=True)
+
+
+def upsert(db: Connection, table: sa.Table, key: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+    """Insert a row, or update the one with this primary key, in one statement: another process may do so just now."""
+    insert = postgresql.insert if db.dialect.name == "postgresql" else sqlite.insert
+    row = insert(table).values({**key, **values})
+    db.execute(row.on_conflict_do_update(index_elements=list(key), set_=dict(values)))
 
 
 @contextmanager

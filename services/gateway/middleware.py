@@ -18,6 +18,7 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from services.gateway.access.api_key import KEY_PATTERN, mask_keys
+from services.gateway.access.limits import Limits
 from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
 from services.gateway.same_site import SiteRules
@@ -55,8 +56,9 @@ class _Exchange:
 class RequestMiddleware:
     """The outermost layer of the app: adds ids and headers, limits bodies, counts and logs, answers all exceptions."""
 
-    def __init__(self, app: ASGIApp, *, metrics: Metrics, settings: GatewaySettings) -> None:
+    def __init__(self, app: ASGIApp, *, metrics: Metrics, limits: Limits, settings: GatewaySettings) -> None:
         self._app = app
+        self._limits = limits
         self._sites = SiteRules.of(settings)
         self._has_tls = settings.public_url.startswith("https://")  # by a proxy, which may not tell
         self._metrics = metrics
@@ -98,6 +100,9 @@ class RequestMiddleware:
                 # What any origin's pages may read, they may also show: the other answers stay in this site.
                 shared = headers_out.get("access-control-allow-origin") == "*"
                 headers_out.setdefault("Cross-Origin-Resource-Policy", "cross-origin" if shared else "same-origin")
+                if rate := scope.get("state", {}).get("rate_limit"):
+                    for name, value in rate.headers.items():
+                        headers_out.setdefault(name, value)
                 if self._has_tls or scope["scheme"] == "https":
                     headers_out.setdefault("Strict-Transport-Security", _HSTS)
                 exchange.streamed = headers_out.get("content-type", "").startswith(_STREAM)
@@ -111,6 +116,8 @@ class RequestMiddleware:
         try:
             self._sites.check(scope["method"], headers)
             _refuse_key_in_url(scope)
+            client = scope.get("client")
+            self._limits.spend_address(client[0] if client else "")
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
             await self._app(scope, receive_counted, send_unless_too_large)

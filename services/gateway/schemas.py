@@ -11,11 +11,20 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from services.gateway.jobs.job import Job, Order, State
 from services.gateway.one_line import one_line
 from services.gateway.worker_types import WorkerPreset
+from services.storage.tenant_store import TENANT_PATTERN
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
 _EXAMPLE_CAPTURE = "cap_7f3c9a1e5b2d4c68"
 
 
+class StrictBody(BaseModel):
+    """Base of request bodies: unknown fields are an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Label = Annotated[str, Field(max_length=200), AfterValidator(one_line)]
+TenantName = Annotated[str, Field(pattern=f"^{TENANT_PATTERN}$", max_length=32)]
 CutName = Literal["", "auto", "object", "scene"]
 _CUT = (
     "What to keep. object: without the floor or table and the surroundings; scene: everything that was seen; auto or "

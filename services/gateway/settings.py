@@ -35,6 +35,16 @@ class GatewaySettings(StrictSettings):
     max_upload_bytes: int = Field(default=2 << 30, ge=1)  # a minute of 4K video with depth is about 1 GB
     max_files: int = Field(default=2000, ge=1)  # a minute of frames at 30 Hz
 
+    # Limits of a tenant, each 0 for none; operators set others for single tenants. They hold for callers with a key.
+    limit_requests_per_minute: int = Field(default=6_000, ge=0)
+    limit_uploads_at_once: int = Field(default=64, ge=0)
+    limit_jobs_at_once: int = Field(default=200, ge=0)  # that have not ended
+    limit_jobs_per_day: int = Field(default=0, ge=0)
+    limit_stored_bytes: int = Field(default=0, ge=0)
+    limit_capture_bytes: int = Field(default=0, ge=0)  # beside max_upload_bytes
+    # Of a client's address, with or without a key; this machine's own are not counted.
+    limit_address_requests_per_minute: int = Field(default=3_000, ge=0)
+
     lease_s: float = Field(default=10.0, gt=0)  # after so long without renewal another gateway takes the job over
     silence_s: float = Field(default=15.0, gt=0)  # three of the worker's heartbeats missed: the stream is dead
     attach_for_s: float = Field(default=10.0, ge=0)  # try so long to reattach to a lost run, then queue the job again

@@ -17,8 +17,8 @@ from sqlalchemy.exc import IntegrityError
 
 from services.gateway.access.api_key import ApiKey, hash_of, new_secret
 from services.gateway.access.caller import Scope, parse_scopes, scope_names
-from services.gateway.access.tables import api_keys, pairings, secrets, tenants
-from services.gateway.database import for_writing
+from services.gateway.access.tables import api_keys, pairings, secrets, tenants, usage
+from services.gateway.database import for_writing, upsert
 from services.storage.tenant_store import check_tenant
 
 PAIRING_S = 300.0
@@ -87,6 +87,35 @@ class AccessStore:
         select = sa.select(tenants).where(tenants.c.name > after).order_by(tenants.c.name).limit(limit)
         with self._engine.begin() as db:
             return [Tenant(row.name, row.label, row.created) for row in db.execute(select)]
+
+    def own_limits(self, tenant: str) -> dict[str, int] | None:
+        """Return the limits that were set for a tenant alone; None where there are none."""
+        with self._engine.begin() as db:
+            found = db.execute(sa.select(tenants.c.limits).where(tenants.c.name == tenant)).scalar()
+        return dict(found) if found else None
+
+    def set_limits(self, tenant: str, limits: Mapping[str, int]) -> None:
+        """Set a tenant's own limits, in place of those it had; none: those of the settings hold."""
+        with self._writer.begin() as db:
+            values = dict(limits) if limits else sa.null()
+            db.execute(tenants.update().where(tenants.c.name == tenant).values(limits=values))
+
+    def usage(self, tenant: str) -> tuple[int, float] | None:
+        """Return the bytes that a tenant stores, and when they were counted; None before the first count."""
+        with self._engine.begin() as db:
+            row = db.execute(sa.select(usage).where(usage.c.tenant == tenant)).first()
+        return (row.stored_bytes, row.measured) if row else None
+
+    def set_usage(self, tenant: str, stored_bytes: int, measured: float) -> None:
+        """Store a count of the bytes that a tenant stores."""
+        with self._writer.begin() as db:
+            upsert(db, usage, {"tenant": tenant}, {"stored_bytes": stored_bytes, "measured": measured})
+
+    def add_usage(self, tenant: str, stored_bytes: int) -> None:
+        """Add bytes to a tenant's count, or subtract them; nothing before the first count."""
+        with self._writer.begin() as db:
+            total = usage.c.stored_bytes + stored_bytes
+            db.execute(usage.update().where(usage.c.tenant == tenant).values(stored_bytes=total))
 
     def create_key(
         self, tenant: str, scopes: Iterable[Scope], *, label: str = "", expires: float | None = None

@@ -1,4 +1,4 @@
-"""Database tables of tenants, access keys, pairings and the gateways' own secrets, as the migrations have made them."""
+"""Database tables of tenants and what they use, keys, pairings and secrets, as the migrations have made them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,15 @@ tenants = sa.Table(
     sa.Column("name", sa.String(32), primary_key=True),
     sa.Column("label", sa.String(200), nullable=False),
     sa.Column("created", sa.Double, nullable=False),
+    sa.Column("limits", sa.JSON),
+)
+
+usage = sa.Table(
+    "usage",
+    metadata,
+    sa.Column("tenant", sa.ForeignKey("tenants.name"), primary_key=True),
+    sa.Column("stored_bytes", sa.BigInteger, nullable=False),
+    sa.Column("measured", sa.Double, nullable=False),
 )
 
 api_keys = sa.Table(

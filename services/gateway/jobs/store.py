@@ -5,6 +5,7 @@ The methods block; async code calls them through async_store.py.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import time
@@ -15,7 +16,7 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import IntegrityError
 
-from services.gateway.database import brief_wait, for_writing
+from services.gateway.database import brief_wait, for_writing, upsert
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
 from services.gateway.jobs.row_mapping import (
@@ -27,10 +28,13 @@ from services.gateway.jobs.row_mapping import (
     lease_values,
 )
 from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
-from services.gateway.jobs.tables import events, idempotency, jobs, leases
+from services.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
 from services.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
+_DAY_S = 86_400.0
+_BUSY_RETRY_S = 30  # a job takes about a minute
+_TERMINAL = [state.value for state in TERMINAL]
 _RUNS = [state.value for state in RUNNING_STATES]
 
 
@@ -53,14 +57,19 @@ class JobStore:
         self._writer = for_writing(engine)
         self._locks = engine.dialect.name != "sqlite"  # SQLite has only one writer at a time: no row locks needed
 
-    def create(self, tenant: str, order: Order, *, key: str = "", body_sha256: str = "") -> Job:
+    def create(
+        self, tenant: str, order: Order, *, key: str = "", body_sha256: str = "", at_once: int = 0, per_day: int = 0
+    ) -> Job:
         """Create a job of a tenant; for an idempotency key that it has used, return the job that was created with it.
 
-        Raises Problem IDEMPOTENCY_CONFLICT.
+        at_once, per_day  most jobs of the tenant that have not ended, and that were created within a day; 0: no limit
+        Raises Problem IDEMPOTENCY_CONFLICT, JOBS_LIMITED.
         """
         try:
             with self._writer.begin() as db:
                 known = _find_by_key(db, tenant, key, body_sha256)
+                if known is None:
+                    _check_limits(db, tenant, at_once, per_day)
                 return known or _insert(db, tenant, order, key, body_sha256)
         except IntegrityError:  # another process used the key between our query and our insert
             with self._engine.begin() as db:
@@ -100,9 +109,16 @@ class JobStore:
         with self._writer.connect() as db, brief_wait(db), db.begin():
             pass
 
+    def load(self, tenant: str) -> tuple[int, int]:
+        """Return how many jobs of a tenant have not ended, and how many it created within a day."""
+        mine = sa.select(sa.func.count()).where(jobs.c.tenant == tenant)
+        with self._engine.begin() as db:
+            active = db.execute(mine.where(jobs.c.state.not_in(_TERMINAL))).scalar_one()
+            return active, db.execute(mine.where(jobs.c.created > time.time() - _DAY_S)).scalar_one()
+
     def using(self, tenant: str, capture: str) -> list[str]:
         """Return the ids of a tenant's jobs that have not ended and need this capture."""
-        active = sa.and_(jobs.c.tenant == tenant, jobs.c.state.not_in([state.value for state in TERMINAL]))
+        active = sa.and_(jobs.c.tenant == tenant, jobs.c.state.not_in(_TERMINAL))
         select = sa.select(jobs.c.id).where(active, jobs.c.order["capture"].as_string() == capture)
         with self._engine.begin() as db:
             return [job for (job,) in db.execute(select.order_by(jobs.c.id))]
@@ -119,8 +135,20 @@ class JobStore:
             return db.execute(_ready_jobs(now).limit(1)).first() is not None
 
     def claim(self, now: float, presets: Collection[str], transition: Callable[[Job], Change]) -> Job | None:
-        """Apply a transition to the oldest queued job of these presets that may start; None when there is none."""
-        return self._change_first(_ready_jobs(now).where(jobs.c.order["preset"].as_string().in_(presets)), transition)
+        """Apply a transition to the next queued job of these presets that may start; None when there is none.
+
+        The tenants take turns: next is the oldest job of the tenant with the fewest running ones; of several tenants,
+        of the one whose last turn is longest ago. So a tenant with one job waits for what runs already and no more.
+        """
+        offered = jobs.c.order["preset"].as_string().in_(presets)
+        with self._writer.begin() as db:
+            for tenant in _turns(db, now, offered):
+                select = _ready_jobs(now).where(jobs.c.tenant == tenant, offered).limit(1)
+                row = db.execute(select.with_for_update(skip_locked=True) if self._locks else select).first()
+                if row is not None:  # else another gateway has just taken the tenant's last job
+                    _note_turn(db, tenant, now)
+                    return _write(db, transition(job_from_row(row)))
+        return None
 
     def claim_orphan(
         self, now: float, holder: str, own_runs: Iterable[str], transition: Callable[[Job], Change]
@@ -132,7 +160,12 @@ class JobStore:
         """
         orphaned = sa.or_(leases.c.until < now, leases.c.holder == holder)
         select = WHOLE_JOB.where(jobs.c.state.in_(_RUNS), orphaned, jobs.c.id.not_in(list(own_runs)))
-        return self._change_first(select.order_by(jobs.c.id), transition)
+        select = select.order_by(jobs.c.id).limit(1)
+        if self._locks:
+            select = select.with_for_update(skip_locked=True)
+        with self._writer.begin() as db:
+            row = db.execute(select).first()
+            return _write(db, transition(job_from_row(row))) if row else None
 
     def renew(self, holder: str, until: float, running: Sequence[tuple[str, int]]) -> tuple[set[str], set[str]]:
         """Renew the leases of these (job, fence). Returns the jobs whose leases are lost, and those to be cancelled."""
@@ -160,17 +193,48 @@ class JobStore:
             rows = db.execute(select).all()
         return max((number for number, _ in rows), default=after), {job for _, job in rows}
 
-    def _change_first(self, select: sa.Select[Any], transition: Callable[[Job], Change]) -> Job | None:
-        select = select.limit(1)
-        if self._locks:
-            select = select.with_for_update(skip_locked=True)
-        with self._writer.begin() as db:
-            row = db.execute(select).first()
-            return _write(db, transition(job_from_row(row))) if row else None
-
 
 def _ready_jobs(now: float) -> sa.Select[Any]:
     return WHOLE_JOB.where(jobs.c.state == State.QUEUED.value, leases.c.not_before <= now).order_by(jobs.c.id)
+
+
+def _turns(db: Connection, now: float, offered: sa.ColumnElement[bool]) -> list[str]:
+    """Return the tenants with jobs that may start, in the order of their turns."""
+    ready = sa.select(jobs.c.tenant).join(leases).distinct()
+    ready = ready.where(jobs.c.state == State.QUEUED.value, leases.c.not_before <= now, offered)
+    tenants = list(db.execute(ready).scalars())
+    if len(tenants) < 2:
+        return tenants
+    running = sa.select(jobs.c.tenant, sa.func.count()).where(jobs.c.state.in_(_RUNS)).group_by(jobs.c.tenant)
+    counts: dict[str, int] = {row[0]: row[1] for row in db.execute(running)}
+    turns = sa.select(queue_turns.c.tenant, queue_turns.c.served).where(queue_turns.c.tenant.in_(tenants))
+    served: dict[str, float] = {row.tenant: row.served for row in db.execute(turns)}
+    return sorted(tenants, key=lambda tenant: (counts.get(tenant, 0), served.get(tenant, 0.0), tenant))
+
+
+def _note_turn(db: Connection, tenant: str, now: float) -> None:
+    upsert(db, queue_turns, {"tenant": tenant}, {"served": now})
+
+
+def _check_limits(db: Connection, tenant: str, at_once: int, per_day: int) -> None:
+    """Raises Problem JOBS_LIMITED where a tenant may create no job now."""
+    mine = jobs.c.tenant == tenant
+    if at_once:
+        active = sa.and_(mine, jobs.c.state.not_in(_TERMINAL))
+        if db.execute(sa.select(sa.func.count()).where(active)).scalar_one() >= at_once:
+            raise _jobs_limited(f"{at_once:,} jobs wait or run already, as many as are allowed at once", _BUSY_RETRY_S)
+    if per_day:
+        now = time.time()
+        recent = sa.select(jobs.c.created).where(mine, jobs.c.created > now - _DAY_S)
+        times = db.execute(recent.order_by(jobs.c.created.desc()).limit(per_day)).scalars().all()
+        if len(times) == per_day:
+            wait_s = math.ceil(times[-1] + _DAY_S - now)
+            raise _jobs_limited(f"{per_day:,} jobs were created within a day, as many as are allowed", wait_s)
+
+
+def _jobs_limited(detail: str, retry_s: int) -> Problem:
+    hints = (f"try again in {retry_s:,} s", "ask the operator for more")
+    return Problem(429, "JOBS_LIMITED", detail, retryable=True, hints=hints, headers={"Retry-After": str(retry_s)})
 
 
 def _of(tenant: str) -> sa.Select[Any]:

@@ -58,6 +58,14 @@ events = sa.Table(
     sa.UniqueConstraint("job", "seq"),
 )
 
+queue_turns = sa.Table(
+    "queue_turns",
+    metadata,
+    # No foreign key: a tenant of a job need not be in the table of tenants, as in a database of only jobs.
+    sa.Column("tenant", sa.String(32), primary_key=True),
+    sa.Column("served", sa.Double, nullable=False),
+)
+
 idempotency = sa.Table(
     "idempotency_keys",
     metadata,

@@ -1,4 +1,4 @@
-"""/v1/session, /v1/pairings, /v1/api-keys, /v1/tenants: log in, pair devices, create and revoke access keys."""
+"""/v1/session, /v1/pairings, /v1/api-keys: log in, pair devices, create and revoke access keys."""
 
 from __future__ import annotations
 
@@ -9,18 +9,24 @@ from typing import Annotated, Any
 from urllib.parse import urljoin
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from services.gateway.access.api_key import ApiKey
 from services.gateway.access.authentication import Authentication
 from services.gateway.access.caller import Caller, Scope, scope_names
-from services.gateway.access.store import Pairing, Tenant
+from services.gateway.access.store import Pairing
 from services.gateway.errors import Problem
-from services.gateway.one_line import one_line
 from services.gateway.qr_code import qr_svg
-from services.gateway.routes.access_rules import ANYONE, SESSION_COOKIE, authenticate, caller_of, needs
+from services.gateway.routes.access_rules import (
+    ANYONE,
+    SESSION_COOKIE,
+    authenticate,
+    authentication_of,
+    caller_of,
+    needs,
+)
 from services.gateway.routes.store_access import gateway_url
-from services.gateway.schemas import problems
+from services.gateway.schemas import Label, StrictBody, TenantName, problems
 from services.storage.tenant_store import TENANT_PATTERN
 
 router = APIRouter(prefix="/v1", tags=["access"])
@@ -29,19 +35,13 @@ _DAY_S = 86_400.0
 _MOST_DAYS = 3_650
 _DEVICE_DAYS = 90  # after which a paired device is paired again
 
-Label = Annotated[str, Field(max_length=200), AfterValidator(one_line)]
-TenantName = Annotated[str, Field(pattern=f"^{TENANT_PATTERN}$", max_length=32)]
 Scopes = Annotated[list[Scope], Field(min_length=1, max_length=len(Scope))]
 Days = Annotated[int, Field(ge=1, le=_MOST_DAYS)]
 KeyId = Annotated[str, Path(max_length=64, pattern=r"^key_[0-9a-f]+$", description="Id of an access key.")]
 PairingId = Annotated[str, Path(max_length=64, pattern=r"^pair_[0-9a-f]+$", description="Id of a pairing.")]
 
 
-class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class LoginRequest(_Body):
+class LoginRequest(StrictBody):
     """An access key, typed or pasted into the login page."""
 
     key: Annotated[str, Field(max_length=200, description="An access key, c2v_TENANT_…")]
@@ -61,7 +61,7 @@ class SessionView(BaseModel):
         return cls(tenant=caller.tenant, scopes=_sorted(caller.scopes), via=caller.via, key=caller.key)
 
 
-class PairingRequest(_Body):
+class PairingRequest(StrictBody):
     """A device to be logged in: what it may do, a name for it, and the days after which it has to be paired again."""
 
     scopes: Scopes
@@ -87,14 +87,14 @@ class NewPairingView(PairingView):
     qr: str
 
 
-class ClaimRequest(_Body):
+class ClaimRequest(StrictBody):
     """What a device shows to be logged in: the token from the QR code, or the six digits."""
 
     token: Annotated[str, Field(max_length=100)] = ""
     code: Annotated[str, Field(pattern=r"^([0-9]{6})?$")] = ""
 
 
-class KeyRequest(_Body):
+class KeyRequest(StrictBody):
     """A new access key. `tenant`: whose, for operators; null: the caller's. `expires_days` null: it never expires."""
 
     scopes: Scopes
@@ -103,7 +103,7 @@ class KeyRequest(_Body):
     tenant: TenantName | None = None
 
 
-class RotationRequest(_Body):
+class RotationRequest(StrictBody):
     """How long the old key goes on beside the new one."""
 
     grace_days: Annotated[int, Field(ge=0, le=_MOST_DAYS)] = 1
@@ -140,33 +140,6 @@ class KeyPage(BaseModel):
     next: str | None
 
 
-class TenantRequest(_Body):
-    """A new tenant: its name, which is part of its keys, and a name for people."""
-
-    name: TenantName
-    label: Label = ""
-
-
-class TenantView(BaseModel):
-    """A tenant."""
-
-    name: str
-    label: str
-    created: datetime
-
-    @classmethod
-    def of(cls, tenant: Tenant) -> TenantView:
-        """Convert a tenant."""
-        return cls(name=tenant.name, label=tenant.label, created=_utc(tenant.created))
-
-
-class TenantPage(BaseModel):
-    """A page of tenants, by name. `next` is the value of `after` for the next page; null on the last page."""
-
-    tenants: list[TenantView]
-    next: str | None
-
-
 @router.get("/session", response_model=SessionView, dependencies=[ANYONE], responses=problems(401))
 async def get_session(request: Request) -> SessionView:
     """Tell who makes this request: tenant, scopes, and whether by a key, a session, or without either."""
@@ -176,7 +149,7 @@ async def get_session(request: Request) -> SessionView:
 @router.post("/session", response_model=SessionView, dependencies=[ANYONE], responses=problems(401, 415, 422))
 async def log_in(body: LoginRequest, request: Request, response: Response) -> SessionView:
     """Log a browser in with an access key: it gets a session cookie, which scripts cannot read."""
-    key = await _authentication(request).check_secret(body.key)
+    key = await authentication_of(request).check_secret(body.key)
     await _set_session(key, request, response)
     return SessionView.of(Caller(key.tenant, key.scopes, "session", key.id))
 
@@ -198,7 +171,7 @@ async def log_out(request: Request) -> Response:
 )
 async def create_pairing(body: PairingRequest, request: Request) -> NewPairingView:
     """Start to pair a device: it gets a key of its own, with scopes that the caller has."""
-    caller, authentication = caller_of(request), _authentication(request)
+    caller, authentication = caller_of(request), authentication_of(request)
     _require_keys(caller)
     _require_own_scopes(caller, body.scopes)
     expires = await _latest(authentication, caller, time.time() + body.expires_days * _DAY_S)
@@ -216,7 +189,7 @@ async def create_pairing(body: PairingRequest, request: Request) -> NewPairingVi
 )
 async def get_pairing(pairing: PairingId, request: Request) -> PairingView:
     """Get a pairing, to see whether the device has used it."""
-    authentication, tenant = _authentication(request), caller_of(request).tenant
+    authentication, tenant = authentication_of(request), caller_of(request).tenant
     found = await authentication.run(lambda: authentication.store.pairing(pairing, tenant))
     if found is None:
         raise Problem(404, "PAIRING_UNKNOWN", f"there is no pairing {pairing}", hints=("start a new one",))
@@ -230,7 +203,7 @@ async def claim_pairing(body: ClaimRequest, request: Request, response: Response
     """Log this device in by a pairing's token or code. Each works once, for a few minutes."""
     if bool(body.token) == bool(body.code):
         raise Problem(422, "REQUEST_INVALID", "send either `token` or `code`", hints=("open the link again",))
-    authentication = _authentication(request)
+    authentication = authentication_of(request)
     if body.code:
         request.app.state.code_guesses.spend(request)
     claimed = await authentication.run(lambda: authentication.store.claim_pairing(token=body.token, code=body.code))
@@ -251,7 +224,7 @@ async def claim_pairing(body: ClaimRequest, request: Request, response: Response
 )
 async def create_key(body: KeyRequest, request: Request) -> NewKeyView:
     """Create an access key. Its secret is in this answer and nowhere else."""
-    caller, authentication = caller_of(request), _authentication(request)
+    caller, authentication = caller_of(request), authentication_of(request)
     _require_keys(caller)
     tenant = _tenant_for(caller, body.tenant)
     _require_own_scopes(caller, body.scopes)
@@ -277,7 +250,7 @@ async def list_keys(
     after: Annotated[str, Query(pattern=r"^(key_[0-9a-f]{1,60})?$", description="`next` of the previous page.")] = "",
 ) -> KeyPage:
     """List access keys, the oldest first, with those that were revoked or have expired."""
-    caller, authentication = caller_of(request), _authentication(request)
+    caller, authentication = caller_of(request), authentication_of(request)
     wanted = None if tenant == "*" and Scope.OPERATE in caller.scopes else _tenant_for(caller, tenant or None)
     found = await authentication.run(lambda: authentication.store.list_keys(wanted, limit=limit + 1, after=after))
     keys = [KeyView.of(key) for key in found[:limit]]
@@ -292,7 +265,7 @@ async def list_keys(
 )
 async def revoke_key(key: KeyId, request: Request) -> KeyView:
     """Revoke an access key: within a minute it is refused everywhere, and its browser sessions end."""
-    caller, authentication = caller_of(request), _authentication(request)
+    caller, authentication = caller_of(request), authentication_of(request)
     revoked = await authentication.run(lambda: authentication.store.revoke_key(key, _reach(caller)))
     if revoked is None:
         raise _unknown_key(key)
@@ -309,7 +282,7 @@ async def revoke_key(key: KeyId, request: Request) -> KeyView:
 )
 async def rotate_key(key: KeyId, body: RotationRequest, request: Request) -> NewKeyView:
     """Replace an access key by a new one with the same scopes; the old one goes on for the days of grace."""
-    caller, authentication = caller_of(request), _authentication(request)
+    caller, authentication = caller_of(request), authentication_of(request)
     store = authentication.store
     old = await authentication.run(lambda: store.key(key))
     if old is None or _reach(caller) not in (None, old.tenant):
@@ -324,37 +297,6 @@ async def rotate_key(key: KeyId, body: RotationRequest, request: Request) -> New
     return new
 
 
-@router.post(
-    "/tenants",
-    status_code=201,
-    response_model=TenantView,
-    dependencies=[needs(Scope.OPERATE)],
-    responses=problems(409, 415, 422),
-)
-async def create_tenant(body: TenantRequest, request: Request) -> TenantView:
-    """Create a tenant. Its captures, jobs, assets and collections are its own."""
-    authentication = _authentication(request)
-    store = authentication.store
-    if not await authentication.run(lambda: store.ensure_tenant(body.name, body.label)):
-        raise Problem(409, "TENANT_EXISTS", f"there is a tenant {body.name} already", hints=("choose another name",))
-    created = await authentication.run(lambda: store.tenant(body.name))
-    assert created is not None
-    return TenantView.of(created)
-
-
-@router.get("/tenants", response_model=TenantPage, dependencies=[needs(Scope.OPERATE)], responses=problems(422))
-async def list_tenants(
-    request: Request,
-    limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    after: Annotated[str, Query(pattern=f"^({TENANT_PATTERN})?$", description="`next` of the previous page.")] = "",
-) -> TenantPage:
-    """List tenants by name."""
-    authentication = _authentication(request)
-    found = await authentication.run(lambda: authentication.store.list_tenants(limit=limit + 1, after=after))
-    tenants = [TenantView.of(each) for each in found[:limit]]
-    return TenantPage(tenants=tenants, next=tenants[-1].name if len(found) > limit else None)
-
-
 async def _new_key(
     authentication: Authentication, tenant: str, scopes: Iterable[Scope], label: str, expires: float | None
 ) -> NewKeyView:
@@ -365,7 +307,7 @@ async def _new_key(
 
 
 async def _set_session(key: ApiKey, request: Request, response: Response) -> None:
-    cookie, seconds = await _authentication(request).sign_session(key)
+    cookie, seconds = await authentication_of(request).sign_session(key)
     response.set_cookie(
         SESSION_COOKIE,
         cookie,
@@ -383,11 +325,6 @@ async def _latest(authentication: Authentication, caller: Caller, wanted: float 
     if Scope.OPERATE in caller.scopes or own is None or own.expires is None:
         return wanted
     return own.expires if wanted is None else min(wanted, own.expires)
-
-
-def _authentication(request: Request) -> Authentication:
-    authentication: Authentication = request.app.state.authentication
-    return authentication
 
 
 def _tenant_for(caller: Caller, wanted: str | None) -> str:

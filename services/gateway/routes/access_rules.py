@@ -14,6 +14,7 @@ from starlette.routing import BaseRoute
 
 from services.gateway.access.authentication import Authentication, refused
 from services.gateway.access.caller import Caller, Scope, scope_names
+from services.gateway.access.limits import TenantLimits
 from services.gateway.errors import Problem
 from services.gateway.schemas import problems
 
@@ -30,6 +31,7 @@ class _Rule:
         if not self.scopes:
             return
         caller = await authenticate(request)
+        request.state.rate_limit = await request.app.state.limits.spend(caller)
         if not caller.scopes & self.scopes:
             raise _missing_scope(caller, self.scopes)
 
@@ -43,11 +45,16 @@ ANYONE = Depends(_Rule(frozenset()))
 """The dependency of a route that anyone may ask: pages without data, and logging in."""
 
 
+def authentication_of(request: Request) -> Authentication:
+    """Return the app's authentication."""
+    authentication: Authentication = request.app.state.authentication
+    return authentication
+
+
 async def authenticate(request: Request) -> Caller:
     """Return who makes the request, and keep it for `caller_of`. Raises Problem for a key or cookie that is refused."""
-    authentication: Authentication = request.app.state.authentication
     cookie = request.cookies.get(SESSION_COOKIE)
-    caller = await authentication.caller(request.headers.get("authorization"), cookie)
+    caller = await authentication_of(request).caller(request.headers.get("authorization"), cookie)
     request.state.caller = caller
     return caller
 
@@ -56,6 +63,13 @@ def caller_of(request: Request) -> Caller:
     """Return who makes a request whose route has a rule."""
     caller: Caller = request.state.caller
     return caller
+
+
+async def limits_of(request: Request) -> TenantLimits:
+    """Return the limits of the caller's tenant; none for a caller without a key."""
+    caller, limits = caller_of(request), request.app.state.limits
+    found: TenantLimits = await limits.of(caller.tenant) if caller.key else TenantLimits()
+    return found
 
 
 def check_rules(routes: Iterable[BaseRoute]) -> None:
@@ -80,7 +94,7 @@ def describe_rules(routes: Iterable[BaseRoute], document: dict[str, Any]) -> Non
             operation = document["paths"][route.path_format][method.lower()]
             operation["security"] = [{"key": []}, {"session": []}]
             operation["x-scopes"] = scope_names(rule.scopes)
-            for status, answer in problems(401, 403).items():
+            for status, answer in problems(401, 403, 429).items():
                 operation["responses"].setdefault(str(status), answer)
 
 

@@ -24,7 +24,7 @@ from services.gateway.jobs.capture_objects import (
 )
 from services.gateway.jobs.store import JobStore
 from services.gateway.photo_boxes import BoxQuery, parse_box
-from services.gateway.routes.access_rules import caller_of, needs
+from services.gateway.routes.access_rules import caller_of, limits_of, needs
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import problems
 from services.gateway.uploads.accept import Uploads
@@ -163,7 +163,7 @@ _BODY = {
     status_code=201,
     response_model=CaptureView,
     dependencies=[needs(Scope.CAPTURE)],
-    responses=problems(400, 408, 413, 415, 422, 503, 507),
+    responses=problems(400, 408, 413, 415, 422, 429, 503, 507),
     openapi_extra=_BODY,
 )
 async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
@@ -172,7 +172,15 @@ async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
     Every file is checked, and locations, serial numbers and names of persons are removed from it. The answer is sent
     after the capture has been stored. `box` is only for the inspection of a single photo; a job names it again.
     """
-    return CaptureView.model_validate(await _uploads(request).accept(request, store_of(request), parse_box(box)))
+    caller, limits, usage = caller_of(request), await limits_of(request), request.app.state.usage
+    tenant = caller.tenant
+    with request.app.state.limits.upload(tenant, limits.uploads_at_once):
+        allowance = await usage.allowance(tenant, limits)
+        uploads, store = _uploads(request), store_of(request)
+        receipt = await uploads.accept(request, store, parse_box(box), allowance.check)
+        if caller.key:
+            await usage.add(tenant, receipt["bytes"])
+    return CaptureView.model_validate(receipt)
 
 
 @router.post(
@@ -251,7 +259,10 @@ async def remove_capture(capture: CaptureId, request: Request) -> CaptureDeletio
         detail = f"{len(using)} jobs that have not ended need the capture: {', '.join(using[:3])}"
         raise Problem(409, "CAPTURE_IN_USE", detail, hints=("cancel these jobs, or wait for their end",))
     store = store_of(request)
-    return CaptureDeletionView(capture=capture, bytes=await in_thread(lambda: delete_capture(store, capture)))
+    freed = await in_thread(lambda: delete_capture(store, capture))
+    if (caller := caller_of(request)).key:
+        await request.app.state.usage.add(caller.tenant, -freed)
+    return CaptureDeletionView(capture=capture, bytes=freed)
 
 
 def _summary(receipt: dict[str, Any]) -> CaptureSummary:

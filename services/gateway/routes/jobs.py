@@ -24,7 +24,7 @@ from services.gateway.jobs.state_machine import request_cancel
 from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.photo_boxes import require_box
-from services.gateway.routes.access_rules import caller_of, needs
+from services.gateway.routes.access_rules import caller_of, limits_of, needs
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
@@ -52,7 +52,7 @@ IdempotencyKey = Annotated[
     status_code=202,
     response_model=JobView,
     dependencies=[needs(Scope.CAPTURE)],
-    responses=problems(400, 404, 409, 413, 415, 422, 503),
+    responses=problems(400, 404, 409, 413, 415, 422, 429, 503),
 )
 async def create_job(
     body: JobRequest, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
@@ -68,7 +68,7 @@ async def create_job(
     status_code=202,
     response_model=JobView,
     dependencies=[needs(Scope.CAPTURE)],
-    responses=problems(400, 404, 409, 413, 415, 422, 503),
+    responses=problems(400, 404, 409, 413, 415, 422, 429, 503),
 )
 async def repeat_job(
     job: str, body: JobAgain, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
@@ -185,7 +185,16 @@ async def _create_once(
     job: Job | None = await job_store.read(JobStore.find_by_key, tenant, idempotency_key, sha256)
     if job is None:
         order = await make_order()
-        job = await job_store.write(JobStore.create, tenant, order, key=idempotency_key, body_sha256=sha256)
+        limits = await limits_of(request)
+        job = await job_store.write(
+            JobStore.create,
+            tenant,
+            order,
+            key=idempotency_key,
+            body_sha256=sha256,
+            at_once=limits.jobs_at_once,
+            per_day=limits.jobs_per_day,
+        )
         request.app.state.dispatcher.wake()
     return job
 

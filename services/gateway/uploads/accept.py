@@ -71,13 +71,18 @@ class Uploads:
         self._staging.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(self._staging)
 
-    async def accept(self, request: Request, store: Store, box: PhotoBox | None) -> dict[str, Any]:
+    async def accept(
+        self, request: Request, store: Store, box: PhotoBox | None, check_size: Callable[[int], None]
+    ) -> dict[str, Any]:
         """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind.
 
-        store  of the caller's tenant
-        box    rectangle around the thing in a single photo, for its inspection
+        store       of the caller's tenant
+        box         rectangle around the thing in a single photo, for its inspection
+        check_size  raises Problem for a capture of so many bytes; called before anything is read, and when it is packed
         """
+        check_size(_declared_bytes(request))
         async with self._inspected(request, box) as (packed, inspection):
+            check_size(packed.archive.stat().st_size)
             return await self._store_capture(store, packed, inspection)
 
     async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
@@ -121,9 +126,7 @@ class Uploads:
 
     def _check_free_space(self, request: Request) -> None:
         """Refuse an upload whose Content-Length does not fit on the disk, before reading it."""
-        length = request.headers.get("content-length", "")
-        declared = int(length) if length.isascii() and length.isdigit() else 0
-        if declared * _COPIES > shutil.disk_usage(self._staging).free:
+        if _declared_bytes(request) * _COPIES > shutil.disk_usage(self._staging).free:
             raise storage_full()
 
     async def _store_capture(
@@ -146,6 +149,12 @@ class Uploads:
 
     async def _run_checker(self, work: Callable[[], _T]) -> _T:
         return await anyio.to_thread.run_sync(work, limiter=self._checkers)
+
+
+def _declared_bytes(request: Request) -> int:
+    """Return the Content-Length; 0 where the client does not tell."""
+    length = request.headers.get("content-length", "")
+    return int(length) if length.isascii() and length.isdigit() else 0
 
 
 def _put(store: Store, name: str, data: bytes | Path, content_type: str) -> None:

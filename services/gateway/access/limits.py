@@ -1,0 +1,157 @@
+"""Limits of tenants and of addresses: how many requests a minute, uploads and jobs at once, jobs a day, bytes."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, replace
+
+from cachetools import TTLCache
+from limits import RateLimitItem, RateLimitItemPerMinute
+from limits.storage import MemoryStorage
+from limits.strategies import SlidingWindowCounterRateLimiter
+
+from services.gateway.access.authentication import CACHE_S, Authentication
+from services.gateway.access.caller import Caller
+from services.gateway.errors import Problem
+from services.gateway.settings import GatewaySettings
+
+_UPLOAD_RETRY_S = 5
+_TENANTS = 20_000  # whose limits are cached
+
+
+@dataclass(frozen=True, slots=True)
+class TenantLimits:
+    """What a tenant may do; 0 is no limit. jobs_at_once counts those that have not ended."""
+
+    requests_per_minute: int = 0
+    uploads_at_once: int = 0
+    jobs_at_once: int = 0
+    jobs_per_day: int = 0
+    stored_bytes: int = 0
+    capture_bytes: int = 0
+
+    @classmethod
+    def of(cls, settings: GatewaySettings) -> TenantLimits:
+        """Return the limits in the settings, which hold for tenants without limits of their own."""
+        return cls(**{field.name: getattr(settings, f"limit_{field.name}") for field in fields(cls)})
+
+    def with_own(self, own: Mapping[str, int] | None) -> TenantLimits:
+        """Return these limits with a tenant's own in their places."""
+        return replace(self, **(own or {}))
+
+    def document(self) -> dict[str, int]:
+        """Return the limits by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RateState:
+    """Where a caller stands: `limit` requests in 60 s, of which `remaining` are left, all again after `reset_s`."""
+
+    limit: int
+    remaining: int
+    reset_s: int
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """The headers of draft-ietf-httpapi-ratelimit-headers-10."""
+        return {
+            "RateLimit-Policy": f'"requests";q={self.limit};w=60',
+            "RateLimit": f'"requests";r={self.remaining};t={self.reset_s}',
+        }
+
+
+class Limits:
+    """Counts requests and uploads in this process, and knows the limits of each tenant. Event loop only."""
+
+    def __init__(self, settings: GatewaySettings, authentication: Authentication) -> None:
+        self._defaults = TenantLimits.of(settings)
+        self._of_address = settings.limit_address_requests_per_minute
+        self._authentication = authentication
+        self._limiter = SlidingWindowCounterRateLimiter(MemoryStorage())
+        self._items: dict[int, RateLimitItem] = {}
+        self._own: TTLCache[str, TenantLimits] = TTLCache(_TENANTS, CACHE_S)
+        self._uploads = Counter[str]()
+
+    async def of(self, tenant: str) -> TenantLimits:
+        """Return a tenant's limits, as they were at most `CACHE_S` seconds ago."""
+        found = self._own.get(tenant)
+        if found is None:
+            store = self._authentication.store
+            found = self._defaults.with_own(await self._authentication.run(lambda: store.own_limits(tenant)))
+            self._own[tenant] = found
+        return found
+
+    def forget(self, tenant: str) -> None:
+        """Read a tenant's limits anew: they were changed here."""
+        self._own.pop(tenant, None)
+
+    def spend_address(self, address: str) -> RateState | None:
+        """Count a request of an address. Raises Problem REQUESTS_LIMITED; None where it is not limited."""
+        if not self._of_address or _is_local(address):
+            return None
+        return self._spend(self._of_address, "address", address)
+
+    async def spend(self, caller: Caller) -> RateState | None:
+        """Count a request of a caller's tenant. Raises Problem REQUESTS_LIMITED; None where it is not limited."""
+        if not caller.key:
+            return None
+        limit = (await self.of(caller.tenant)).requests_per_minute
+        return self._spend(limit, "tenant", caller.tenant) if limit else None
+
+    @contextmanager
+    def upload(self, tenant: str, most: int) -> Iterator[None]:
+        """Count an upload while it lasts. Raises Problem UPLOADS_LIMITED where `most` of the tenant's go on already."""
+        if most and self._uploads[tenant] >= most:
+            detail = f"{most} uploads are going on already, as many as are allowed at once"
+            raise limited("UPLOADS_LIMITED", detail, _UPLOAD_RETRY_S, hint="wait until one has ended")
+        self._uploads[tenant] += 1
+        try:
+            yield
+        finally:
+            self._uploads[tenant] -= 1
+            if not self._uploads[tenant]:
+                del self._uploads[tenant]
+
+    def _spend(self, limit: int, kind: str, name: str) -> RateState:
+        item = self._items.setdefault(limit, RateLimitItemPerMinute(limit))
+        accepted = self._limiter.hit(item, kind, name)
+        stats = self._limiter.get_window_stats(item, kind, name)
+        reset_s = max(1, math.ceil(stats.reset_time - time.time()))
+        state = RateState(limit, max(0, stats.remaining), reset_s)
+        if not accepted:
+            detail = f"more than {limit:,} requests a minute"
+            raise limited("REQUESTS_LIMITED", detail, reset_s, hint="ask less often", headers=state.headers)
+        return state
+
+
+def limited(code: str, detail: str, retry_s: int, *, hint: str, headers: Mapping[str, str] | None = None) -> Problem:
+    """Return the problem for a limit that is reached now, and not after `retry_s` seconds."""
+    answer = {"Retry-After": str(retry_s), **(headers or {})}
+    return Problem(429, code, detail, retryable=True, hints=(hint, f"try again in {retry_s} s"), headers=answer)
+
+
+def too_much_stored(limit: int, stored: int) -> Problem:
+    """Return the problem for a tenant whose store is full. Waiting does not help, so it is no 429."""
+    detail = f"{stored:,} of {limit:,} bytes are stored, and this would be more than is allowed"
+    return Problem(
+        413, "STORED_BYTES_LIMITED", detail, hints=("delete captures or assets", "ask the operator for more")
+    )
+
+
+def capture_too_large(limit: int) -> Problem:
+    """Return the problem for a capture that is larger than the tenant's may be."""
+    detail = f"a capture may have at most {limit:,} bytes"
+    return Problem(413, "CAPTURE_BYTES_LIMITED", detail, hints=("send a smaller capture", "ask the operator for more"))
+
+
+def _is_local(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:  # a test client's or a Unix socket's name
+        return True
