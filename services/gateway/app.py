@@ -35,16 +35,20 @@ from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import RequestMiddleware
-from services.gateway.routes import access, assets, captures, collections, files, health, jobs, pages, tenants
+from services.gateway.routes import access, assets, captures, collections, files, health, jobs, pages, tenants, webhooks
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
 from services.gateway.settings import GatewaySettings, worker_credentials
+from services.gateway.webhooks.deliveries import Deliveries
+from services.gateway.webhooks.outbox import Outbox
+from services.gateway.webhooks.send import Sender
+from services.gateway.webhooks.store import WebhookStore
 from services.gateway.worker_client import WorkerPool
 from services.logs import configure
 from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
-_ROUTES = (captures, jobs, assets, collections, files, access, tenants, health, pages)
+_ROUTES = (captures, jobs, assets, collections, files, access, tenants, webhooks, health, pages)
 _GRACE_S = 5  # for answers in progress when the gateway stops
 
 _log = logging.getLogger(__name__)
@@ -54,8 +58,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    limits, usage, code_guesses, job_store, dispatcher. Raises SettingsError where the workers' certificate or token
-    cannot be used.
+    limits, usage, code_guesses, job_store, webhooks, outbox, deliveries, dispatcher. Raises SettingsError where the
+    workers' certificate or token cannot be used.
     """
     app = FastAPI(
         title="capture2vr",
@@ -143,11 +147,16 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             on_job_ended=app.state.metrics.observe_job,
         )
         app.state.job_store = job_store
+        app.state.webhooks = WebhookStore(engine)
+        sender = Sender(allow_private=settings.webhook_private)
+        app.state.outbox = Outbox(engine)
+        app.state.deliveries = Deliveries(app.state.outbox, sender, app.state.metrics.observe_webhook)
         app.state.dispatcher = Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
         for background in (
             app.state.dispatcher.run(),
             job_store.watch_other_gateways(),
             authentication.store_use(),
+            app.state.deliveries.run(),
         ):
             task = asyncio.create_task(background)
             task.add_done_callback(_report_death)

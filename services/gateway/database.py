@@ -54,6 +54,12 @@ def upsert(db: Connection, table: sa.Table, key: Mapping[str, Any], values: Mapp
     db.execute(row.on_conflict_do_update(index_elements=list(key), set_=dict(values)))
 
 
+def insert_if_absent(db: Connection, table: sa.Table, values: Mapping[str, Any]) -> None:
+    """Insert a row unless there is one with its primary key."""
+    insert = postgresql.insert if db.dialect.name == "postgresql" else sqlite.insert
+    db.execute(insert(table).values(dict(values)).on_conflict_do_nothing())
+
+
 @contextmanager
 def brief_wait(db: Connection) -> Iterator[None]:
     """Wait only a moment for SQLite's lock, on this connection: whoever asks whether the database can be written."""

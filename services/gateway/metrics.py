@@ -38,6 +38,9 @@ class Metrics:
         self._stage_s = Histogram(
             "capture2vr_stage_seconds", "By stage of jobs that succeeded", ["stage"], buckets=_JOB_S, registry=registry
         )
+        self._webhooks = Counter(
+            "capture2vr_webhook_attempts", "Attempts to send a webhook message", ["outcome"], registry=registry
+        )
         self._lag_s = Histogram(
             "capture2vr_event_lag_seconds",
             "Event written to event sent",
@@ -64,6 +67,10 @@ class Metrics:
     def observe_event_lag(self, lag_s: float) -> None:
         """Record the seconds between the writing of a live event and its sending."""
         self._lag_s.observe(max(0.0, lag_s))
+
+    def observe_webhook(self, outcome: str) -> None:
+        """Count an attempt to send a webhook message. outcome: delivered, failed or gone"""
+        self._webhooks.labels(outcome).inc()
 
     def render(self, counts: Mapping[State, int], listeners: int) -> bytes:
         """Return the metrics in Prometheus' text format."""

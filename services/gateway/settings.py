@@ -35,6 +35,8 @@ class GatewaySettings(StrictSettings):
     max_upload_bytes: int = Field(default=2 << 30, ge=1)  # a minute of 4K video with depth is about 1 GB
     max_files: int = Field(default=2000, ge=1)  # a minute of frames at 30 Hz
 
+    webhook_private: bool = False  # send webhooks to private addresses too, and without TLS
+
     # Limits of a tenant, each 0 for none; operators set others for single tenants. They hold for callers with a key.
     limit_requests_per_minute: int = Field(default=6_000, ge=0)
     limit_uploads_at_once: int = Field(default=64, ge=0)

@@ -10,7 +10,7 @@ import asyncio
 import json
 import string
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ _PARAMETERS = {
     "/v1/api-keys": {"key": "api_key"},
     "/v1/pairings": {"pairing": "pairing"},
     "/v1/tenants": {"name": "tenant"},
+    "/v1/webhooks": {"webhook": "webhook", "message": "message"},
     "/view": {"key": "asset"},
     "/browse": {"name": "collection"},
 }
@@ -57,6 +58,11 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/api-keys/{key}/rotate": {"grace_days": 0},
     "post /v1/tenants": {"name": "eve"},
     "put /v1/tenants/{name}/limits": {"jobs_at_once": 0},
+    "post /v1/webhooks": {"url": "http://127.0.0.1:9/bob"},
+    "put /v1/webhooks/{webhook}/state": {"disabled": True},
+    "post /v1/webhooks/{webhook}/rotate": None,
+    "post /v1/webhooks/{webhook}/test": None,
+    "post /v1/webhooks/{webhook}/messages/{message}/redeliver": None,
 }
 """Bodies of what has one; "{capture}" is a tenant's capture."""
 _WITHOUT_KEY = {  # what anyone may ask
@@ -76,6 +82,8 @@ class Ids:
     file: str
     api_key: str
     pairing: str
+    webhook: str
+    message: str
     tenant: str = "ada"
     level: str = "0"
 
@@ -128,7 +136,9 @@ async def ids_of(site: TwoTenants, client: httpx.AsyncClient, tenant: str, store
     pairing = (await client.post("/v1/pairings", json={"scopes": ["read"]})).json()["id"]
     entry = (await client.get(f"/v1/assets/{key}")).json()
     file = f"tenants/{tenant}/{entry['manifest']['name']}"
-    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing)
+    hook = (await client.post("/v1/webhooks", json={"url": "http://127.0.0.1:9/"})).json()["id"]
+    message = (await client.post(f"/v1/webhooks/{hook}/test")).json()["id"]
+    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message)
 
 
 def nothing() -> Ids:
@@ -141,6 +151,8 @@ def nothing() -> Ids:
         file="tenants/nobody/assets/a/manifest.json",
         api_key="key_" + "0" * 28,
         pairing="pair_" + "0" * 16,
+        webhook="hook_" + "0" * 16,
+        message="msg_" + "0" * 40,
         tenant="nobody",
     )
 
@@ -148,7 +160,7 @@ def nothing() -> Ids:
 def masked(answer: httpx.Response, ids: Ids) -> tuple[int, str]:
     """Status and text of an answer, without the ids that were asked for and what changes with every request."""
     text = answer.text
-    values = (ids.capture, ids.job, ids.asset, ids.collection, ids.file, ids.api_key, ids.pairing)
+    values = [getattr(ids, field.name) for field in fields(ids) if field.name not in ("tenant", "level")]
     for value in sorted(values, key=len, reverse=True):
         text = text.replace(value, "…")
     return answer.status_code, text
@@ -163,7 +175,7 @@ def test_another_tenants_ids_are_as_ids_that_do_not_exist(key: str, tmp_path_fac
 
 async def _walk(key: str, folder: Path) -> None:
     store = LocalStore(folder / "store")
-    async with two_tenants(folder, store) as site:
+    async with two_tenants(folder, store, webhook_private=True) as site:
         document = (await site.operator.get("/openapi.json")).json()
         ada = await ids_of(site, site.ada, "ada", store, key)
         before = await everything_of(site.ada, ada)
@@ -212,7 +224,7 @@ async def test_without_a_key_nothing_is_answered(tmp_path: Path) -> None:
 
 async def test_events_of_another_tenant(tmp_path: Path) -> None:
     store = memory()
-    async with two_tenants(tmp_path, store) as site:
+    async with two_tenants(tmp_path, store, webhook_private=True) as site:
         ids = await ids_of(site, site.ada, "ada", store, "dress")
         answer = await site.bob.get(f"/v1/jobs/{ids.job}/events")
         assert (answer.status_code, answer.json()["code"]) == (404, "JOB_UNKNOWN")

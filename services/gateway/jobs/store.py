@@ -29,6 +29,8 @@ from services.gateway.jobs.row_mapping import (
 )
 from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
 from services.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
+from services.gateway.jobs.webhook_events import webhook_event
+from services.gateway.webhooks.outbox import enqueue
 from services.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
@@ -293,4 +295,7 @@ def _write(db: Connection, change: Change) -> Job:
     db.execute(leases.update().where(leases.c.job == job.id).values(lease_values(job)))
     if change.events:
         db.execute(events.insert(), [event_values(event) for event in change.events])
+        for event in change.events:
+            if (told := webhook_event(job, event)) is not None:
+                enqueue(db, job.tenant, told)
     return job

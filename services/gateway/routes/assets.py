@@ -17,10 +17,11 @@ from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.collection_choice import require_collection
 from services.gateway.qr_code import qr_svg
-from services.gateway.routes.access_rules import needs
+from services.gateway.routes.access_rules import authentication_of, caller_of, needs
 from services.gateway.routes.http_ranges import etag_matches
 from services.gateway.routes.store_access import ANY_ORIGIN, gateway_url, in_thread, object_url, store_of
 from services.gateway.schemas import problems
+from services.gateway.webhooks.outbox import Event
 from services.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
 from services.storage.catalogue.faults import CatalogueFault
 from services.storage.catalogue.removal import remove, restore
@@ -184,7 +185,17 @@ async def _set_removed(
         found = await in_thread(lambda: change(store, key, keys))
     except FileNotFoundError:
         raise _unknown(key) from None
+    await _tell_webhooks(request, found)
     return AssetRemovalView(key=key, version=found.version, removed=found.removed, updated=found.document["updated"])
+
+
+async def _tell_webhooks(request: Request, found: Entry) -> None:
+    """Tell the tenant's webhooks that an asset was removed or restored; a repeated request tells it once."""
+    data = {"key": found.key, "version": found.version, "updated": found.document["updated"]}
+    event = Event(f"asset.{'removed' if found.removed else 'restored'}", json.dumps(data, sort_keys=True), data)
+    outbox, tenant = request.app.state.outbox, caller_of(request).tenant
+    await authentication_of(request).run(lambda: outbox.enqueue(tenant, event))
+    request.app.state.deliveries.wake()
 
 
 def _check_key(key: str) -> None:
