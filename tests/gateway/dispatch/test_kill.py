@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import random
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -24,7 +19,7 @@ from services.storage.local import LocalStore
 from tests.support import in_process_gateway
 from tests.support.in_process_gateway import capture
 from tests.support.patience import PATIENCE_S
-from tests.support.repository import ROOT
+from tests.support.service_processes import ServiceProcess, killed_at_the_end
 
 pytestmark = pytest.mark.slow
 
@@ -33,43 +28,11 @@ _KILLS = 6
 _WITHIN_S = 10 * PATIENCE_S
 
 
-class Process:
-    """A service that is killed and comes back."""
-
-    def __init__(self, module: str, log: Path, *arguments: str, **variables: object) -> None:
-        self._command = [sys.executable, "-m", module, *arguments]
-        self._log = log
-        self._environment = {**os.environ, **{name: str(value) for name, value in variables.items()}}
-        self.start()
-
-    def start(self) -> None:
-        with self._log.open("ab") as log:
-            self._running = subprocess.Popen(self._command, cwd=ROOT, env=self._environment, stdout=log, stderr=log)
-
-    def kill(self) -> None:
-        """As a power cut: no handler runs."""
-        self.end(signal.SIGKILL)
-
-    def end(self, number: signal.Signals) -> None:
-        """Send a signal that ends it, and wait until it has ended."""
-        self._running.send_signal(number)
-        self._running.wait()
-
-
-@contextmanager
-def _killed_at_the_end(*processes: Process) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.kill()
-
-
 def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_factory: Callable[[], int]) -> None:
     store = LocalStore(tmp_path / "objects")
     edge_port, gateway_port = unused_tcp_port_factory(), unused_tcp_port_factory()
     shared = {"STORAGE_ROOT": store.root, "OMP_NUM_THREADS": 1}
-    edge = Process(
+    edge = ServiceProcess(
         "tests.support.scripted_work_worker",
         tmp_path / "edge.log",
         EDGE_PORT=edge_port,
@@ -77,7 +40,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
         EDGE_SCRATCH=tmp_path / "scratch",
         **shared,
     )
-    gateway = Process(
+    gateway = ServiceProcess(
         "services.gateway",
         tmp_path / "gateway.log",
         GATEWAY_PORT=gateway_port,
@@ -94,7 +57,7 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
     chance = random.Random(7)
     name = capture(store, steps=6, pause_s=0.1)
     with (
-        _killed_at_the_end(edge, gateway),
+        killed_at_the_end(edge, gateway),
         httpx.Client(base_url=f"http://127.0.0.1:{gateway_port}", timeout=PATIENCE_S) as client,
     ):
         jobs = {f"key{n}": _start(client, name, f"key{n}", deadline) for n in range(_JOBS)}
@@ -121,14 +84,14 @@ def test_no_job_is_lost_and_none_is_done_twice(tmp_path: Path, unused_tcp_port_f
 
 async def test_a_job_that_kills_its_workers_fails_by_name(tmp_path: Path, unused_tcp_port: int) -> None:
     store = LocalStore(tmp_path / "objects")
-    edge = Process(
+    edge = ServiceProcess(
         "tests.support.scripted_work_worker",
         tmp_path / "edge.log",
         EDGE_PORT=unused_tcp_port,
         EDGE_SCRATCH=tmp_path / "scratch",
         STORAGE_ROOT=store.root,
     )
-    with _killed_at_the_end(edge):
+    with killed_at_the_end(edge):
         async with in_process_gateway.gateway(tmp_path / "gw", store, unused_tcp_port, max_attempts=2) as client:
             job = await in_process_gateway.start(client, capture(store, wait=1))
             done, killed = {"state": "QUEUED"}, 0.0

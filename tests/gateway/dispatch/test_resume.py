@@ -15,10 +15,10 @@ import pytest
 from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
 from tests.edge.jobs.test_reconstruct_job import hemisphere_ply
-from tests.gateway.dispatch.test_kill import Process
 from tests.support import in_process_gateway
 from tests.support.in_process_gateway import ended, events, gateway, start
 from tests.support.patience import PATIENCE_S
+from tests.support.service_processes import ServiceProcess
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
     with zipfile.ZipFile(tmp_path / "capture.zip", "w") as packed:
         packed.writestr("dome.ply", hemisphere_ply())
     store.put("captures/cap_dome.zip", (tmp_path / "capture.zip").read_bytes(), content_type="application/zip")
-    edge = Process(
+    edge = ServiceProcess(
         "tests.support.hasty_worker",
         tmp_path / "edge.log",
         "edge",
