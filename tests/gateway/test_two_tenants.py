@@ -66,8 +66,9 @@ _BODIES: Mapping[str, Any] = {
 }
 """Bodies of what has one; "{capture}" is a tenant's capture."""
 _WITHOUT_KEY = {  # what anyone may ask
-    "get /", "get /view", "get /view/{key}", "get /browse/{name}", "get /web/shell.json", "get /livez", "get /readyz",
-    "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session", "post /v1/pairings/claim",
+    "get /", "get /login", "get /pair", "get /view", "get /view/{key}", "get /browse/{name}", "get /web/shell.json",
+    "get /livez", "get /readyz", "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session",
+    "post /v1/pairings/claim",
 }  # fmt: skip
 
 

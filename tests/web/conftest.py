@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,17 @@ from services.cli.up import Stack, run_stack
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.pipeline import reconstruct
 from services.edge.preset import load_preset
+from services.gateway.access.caller import ALL_SCOPES, Scope
 from services.storage.bundle import Bundle
+from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
 from tests.conftest import missing
 from tests.support.chromium import chromium, launch
 from tests.support.npm_packages import installed
 from tests.support.repository import ROOT
 from tests.support.sites import Site, site_at
 from tests.support.small_pictures import draw_small
+from tests.support.tenants import make_key
 
 PATIENCE_MS = 60_000  # a whole reconstruction fits, on a busy two-core machine
 expect.set_options(timeout=PATIENCE_MS)
@@ -78,6 +82,37 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """A gateway without a worker, for tests that publish what they look at."""
     with site_at(tmp_path_factory.mktemp("site")) as site:
         yield site
+
+
+@dataclass(frozen=True, slots=True)
+class GuardedSite:
+    """A gateway that asks for keys, and a key of the tenant ada that may do everything within it."""
+
+    site: Site
+    key: str
+
+    @property
+    def url(self) -> str:
+        return self.site.url
+
+    @property
+    def store(self) -> Store:
+        """The objects of the tenant."""
+        return store_of_tenant(self.site.store, "ada")
+
+    def log_in(self, context: BrowserContext) -> None:
+        """Give a browser the session cookie that the login page would get."""
+        answer = context.request.post(f"{self.url}/v1/session", data={"key": self.key})
+        assert answer.ok, answer.text()
+
+
+@pytest.fixture(scope="package")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedSite]:
+    """A gateway without a worker that asks for keys."""
+    folder = tmp_path_factory.mktemp("guarded")
+    key = make_key(folder / "data", "ada", ALL_SCOPES - {Scope.OPERATE})
+    with site_at(folder) as site:
+        yield GuardedSite(site, key)
 
 
 @pytest.fixture(scope="session")

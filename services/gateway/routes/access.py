@@ -80,7 +80,7 @@ class PairingView(BaseModel):
 
 
 class NewPairingView(PairingView):
-    """A new pairing: the device opens `url`, which `qr` shows as a QR code (SVG), or types `code` at `/pair`."""
+    """A new pairing: the device opens `url`, which `qr` shows as a QR code (SVG), or types `code` at `/login`."""
 
     code: str
     url: str

@@ -1,4 +1,4 @@
-"""HTML pages: capture page, viewer, collection page; and the static files (JavaScript modules) that they load."""
+"""HTML pages (capture, viewer, collection, login, pairing) and the static files (JavaScript modules) that they load."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ _WORKER_POLICY = "default-src 'none'; script-src 'self' 'unsafe-eval'"
 _IMMUTABLE = "public, max-age=31536000, immutable"
 _START_GUARD = re.compile(r'<script src="/web/shared/start-guard\.js"([^>]*)></script>')
 _SHELL_PAGES = {"/browse/default": "collection/collection.html", "/view/any": "viewer/view.html"}
+_ONLINE = {WEB / "capture", WEB / "login", WEB / "pair"}  # pages that need the server in any case
 _SHELL_SUFFIXES = {".css", ".js", ".svg", ".wasm"}
 _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest levels leave most of a headset's budget
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
@@ -44,6 +45,18 @@ _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 async def capture_page(request: Request) -> Response:
     """The capture page: take photos or a video with a phone, or upload files."""
     return _page("capture/index.html", request)
+
+
+@router.get("/login", response_class=Response, dependencies=[ANYONE], responses=_HTML)
+async def login_page(request: Request) -> Response:
+    """The login page: an access key, or six digits that another screen shows."""
+    return _page("login/login.html", request)
+
+
+@router.get("/pair", response_class=Response, dependencies=[ANYONE], responses=_HTML)
+async def pairing_page(request: Request) -> Response:
+    """The pairing page: shows a QR code and six digits, and logs in the phone that scans the code."""
+    return _page("pair/pair.html", request)
 
 
 @router.get("/view", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404, 422)})
@@ -85,7 +98,7 @@ class Shell(BaseModel):
 def list_shell(response: Response) -> Shell:
     """List the pages that open without the server, each for all of its kind, and all files that they load."""
     files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]
-    files = [path for path in files if path.parent != WEB / "capture"]  # that page needs the server in any case
+    files = [path for path in files if path.parent not in _ONLINE]
     digest = hashlib.sha256(b"".join(hashlib.sha256(_html(name).encode()).digest() for name in _SHELL_PAGES.values()))
     for path in files:
         found = path.stat()

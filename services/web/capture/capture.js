@@ -4,6 +4,7 @@ import { showUploadProgress, startUploadProgress } from './job-progress.js';
 import { watchJob } from './job-watch.js';
 import { showState, showTrouble } from './page-state.js';
 import { chosenBox } from './photo-box.js';
+import { showAccount } from '../shared/account.js';
 import { getJson, keyFrom, postJson, uploadCapture } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 
@@ -130,3 +131,4 @@ window.addEventListener('beforeunload', (event) => {
 startFileChoice();
 offerPresets();
 resumeJob();
+showAccount();

@@ -1,6 +1,7 @@
 // The collection page (/browse/{name}): pictures of all assets of a collection, to search, to open, and to choose from.
 import { Card } from './card.js';
 import { PER_PAGE, search } from './search.js';
+import { showAccount } from '../shared/account.js';
 import { element } from '../shared/dom.js';
 import { formatCount } from '../shared/format.js';
 import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
@@ -235,3 +236,4 @@ if (name !== 'default') {
 }
 registerServiceWorker();
 show();
+showAccount();

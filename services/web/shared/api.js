@@ -1,5 +1,6 @@
 // The gateway's HTTP API, as all pages use it.
 import { deleteEntry, openCache, readEntry, writeEntry } from './cache-storage.js';
+import { leadToLogin } from './login-redirect.js';
 import { fetchBytes } from './network.js';
 import { Problem, isConnectionProblem, noAnswer, offline } from './problems.js';
 import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
@@ -9,6 +10,7 @@ import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
 const GATEWAY_ERRORS = [502, 503, 504]; // a proxy's word that the server behind it cannot be reached
 const GONE = [404, 410];
+const LOGIN_PAGES = ['/login', '/pair']; // where nobody has to be logged in
 
 /**
  * Parse the body of an answer.
@@ -30,6 +32,19 @@ function parseAnswer(status, text) {
   throw new Problem({ status, ...body });
 }
 
+/**
+ * Parse the body of an answer to what a page needs in order to show anything: without a session it leads to the login page.
+ * @template T
+ * @param {Response} response
+ * @param {ArrayBuffer} bytes
+ * @returns {T} as `parseAnswer`
+ * @throws {Problem} as `parseAnswer`
+ */
+function parseNeeded({ status }, bytes) {
+  if (status === 401 && !LOGIN_PAGES.includes(location.pathname)) leadToLogin();
+  return parseAnswer(status, decodeText(bytes));
+}
+
 /** @param {ArrayBuffer} bytes */
 const decodeText = (bytes) => new TextDecoder().decode(bytes);
 
@@ -42,7 +57,7 @@ const decodeText = (bytes) => new TextDecoder().decode(bytes);
  */
 export async function getJson(url) {
   const { response, bytes } = await fetchBytes(url, { cache: 'no-cache' });
-  return parseAnswer(response.status, decodeText(bytes));
+  return parseNeeded(response, bytes);
 }
 
 /**
@@ -61,7 +76,7 @@ export async function getCachedJson(url) {
     if (GATEWAY_ERRORS.includes(response.status) && copy) throw offline();
     if (GONE.includes(response.status)) await deleteEntry(cache, url);
     /** @type {T} */
-    const document = parseAnswer(response.status, decodeText(bytes));
+    const document = parseNeeded(response, bytes);
     if (!copy || decodeText(copy.bytes) !== decodeText(bytes)) await writeEntry(cache, url, bytes, response.headers);
     return document;
   } catch (problem) {
@@ -86,6 +101,16 @@ export async function postJson(url, body, headers = {}) {
     body: JSON.stringify(body),
   });
   return parseAnswer(response.status, decodeText(bytes));
+}
+
+/**
+ * DELETE what is at an address.
+ * @param {string} url
+ * @throws {Problem} as `getJson`
+ */
+export async function deleteAt(url) {
+  const { response, bytes } = await fetchBytes(url, { method: 'DELETE' });
+  if (!response.ok) parseAnswer(response.status, decodeText(bytes));
 }
 
 /**

@@ -5,6 +5,33 @@
 /** Width, height and depth in metres. */
 export type SizeM = [width: number, height: number, depth: number];
 
+// ---- access ---------------------------------------------------------------------------------------------------------
+
+export type Scope = 'capture' | 'read' | 'manage' | 'operate';
+
+/** Who makes the requests of this browser: GET /v1/session. `key`: id of the access key. */
+export interface Session {
+  tenant: string;
+  scopes: Scope[];
+  via: 'open' | 'key' | 'session' | 'anonymous';
+  key: string;
+}
+
+/** An invitation of a device: GET /v1/pairings/{pairing}. */
+export interface Pairing {
+  id: string;
+  label: string;
+  expires: string;
+  claimed: boolean;
+}
+
+/** What POST /v1/pairings answers: `qr` is an SVG document that shows `url`. */
+export interface NewPairing extends Pairing {
+  code: string;
+  url: string;
+  qr: string;
+}
+
 // ---- assets ---------------------------------------------------------------------------------------------------------
 
 export type AssetState = 'preview' | 'refined';

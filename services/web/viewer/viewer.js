@@ -12,6 +12,7 @@ import { XrInput } from './xr-input.js';
 import { XrSession } from './xr-session.js';
 import { pause, prepare } from '../graphics/gpu-warmup.js';
 import { createStage, frame, hintsOf } from '../graphics/scene.js';
+import { showAccount } from '../shared/account.js';
 import { getCachedJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
@@ -308,3 +309,4 @@ page.qr.src = `/v1/assets/${encodeURIComponent(items[0]?.key ?? '')}/qr.svg`;
 page.qr.hidden = items.length !== 1; // the code of several would be that of the first
 registerServiceWorker();
 updates.poll();
+showAccount();

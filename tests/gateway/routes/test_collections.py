@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import httpx
 import pytest
+from fastapi import FastAPI
 
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
@@ -25,8 +27,15 @@ SIGNED = Keys(signers=(ONE,))
 INDEX = index_name("default")
 
 
+def app_of(folder: Path, store: Store, keys: Keys = SIGNED) -> FastAPI:
+    return create_app(GatewaySettings(data_dir=folder / "data", workers=(), open=True), store, keys)
+
+
 def client(folder: Path, store: Store, keys: Keys = SIGNED) -> httpx.AsyncClient:
-    app = create_app(GatewaySettings(data_dir=folder / "data", workers=(), open=True), store, keys)
+    return client_of(app_of(folder, store, keys))
+
+
+def client_of(app: FastAPI) -> httpx.AsyncClient:
     return httpx.AsyncClient(transport=httpx.ASGITransport(app, raise_app_exceptions=False), base_url="http://gateway")
 
 
@@ -44,8 +53,11 @@ def store() -> MemoryStore:
 
 
 @pytest.fixture
-def gateway(tmp_path: Path, store: MemoryStore) -> httpx.AsyncClient:
-    return client(tmp_path, store)
+async def gateway(tmp_path: Path, store: MemoryStore) -> AsyncIterator[httpx.AsyncClient]:
+    """A gateway that has been started: removing and restoring tell webhooks, which are in its database."""
+    app = app_of(tmp_path, store)
+    async with app.router.lifespan_context(app), client_of(app) as client:
+        yield client
 
 
 async def test_the_index_is_what_the_store_has(gateway: httpx.AsyncClient, store: MemoryStore) -> None:

@@ -1,0 +1,66 @@
+// The login page (/login): an access key or six digits for a session cookie; then back to the page that needed it.
+import { getJson, postJson } from '../shared/api.js';
+import { element } from '../shared/dom.js';
+import { addressAfterLogin } from '../shared/login-redirect.js';
+import { sentences, toProblem } from '../shared/problems.js';
+
+/** @import { Session } from '../shared/types.d.ts' */
+
+document.body.dataset.started = 'yes';
+const page = {
+  present: element('present', HTMLElement),
+  said: element('said', HTMLElement),
+  codeForm: element('code-form', HTMLFormElement),
+  code: element('code', HTMLInputElement),
+  keyForm: element('key-form', HTMLFormElement),
+  key: element('key', HTMLInputElement),
+};
+
+/**
+ * Logs in, and leaves for the page that needed it.
+ * @param {string} url
+ * @param {{ key: string } | { code: string }} body
+ */
+async function logIn(url, body) {
+  page.said.hidden = true;
+  document.body.dataset.state = 'sending';
+  try {
+    /** @type {Session} */
+    const { tenant } = await postJson(url, body);
+    Object.assign(document.body.dataset, { state: 'done', tenant });
+    location.replace(addressAfterLogin(location.search));
+  } catch (error) {
+    Object.assign(document.body.dataset, { state: 'asking', code: toProblem(error).code });
+    page.said.textContent = sentences(error);
+    page.said.hidden = false;
+  }
+}
+
+/** Says who is logged in already: logging in again takes that one's place. */
+async function showPresent() {
+  /** @type {Session | null} */
+  const session = await getJson('/v1/session').catch(() => null);
+  const isOpen = session?.via === 'open';
+  if (!session || session.via === 'anonymous') return;
+  page.present.textContent = isOpen ? 'This server asks nobody for a key.' : `This browser is logged in as ${session.tenant}.`;
+  page.present.hidden = false;
+}
+
+/**
+ * Listens to a form with one field; an empty field is asked for instead of sent.
+ * @param {HTMLFormElement} form
+ * @param {HTMLInputElement} field
+ * @param {(text: string) => Promise<void>} send
+ */
+function listen(form, field, send) {
+  form.addEventListener('submit', (event) => {
+    event.preventDefault();
+    const text = field.value.replace(/\s/g, '');
+    if (text) send(text);
+    else field.focus();
+  });
+}
+
+listen(page.codeForm, page.code, (code) => logIn('/v1/pairings/claim', { code }));
+listen(page.keyForm, page.key, (key) => logIn('/v1/session', { key }));
+showPresent();

@@ -1,0 +1,37 @@
+// The corner of every page that says who is logged in, with links to pair a device and to sign out.
+import { deleteAt, getJson } from './api.js';
+import { create, element } from './dom.js';
+import { leadToLogin } from './login-redirect.js';
+
+/** @import { Session } from './types.d.ts' */
+
+/** Shows who is logged in. Shows nothing where no keys are asked for, and without the server. */
+export async function showAccount() {
+  const corner = element('account', HTMLElement);
+  /** @type {Session | null} */
+  const session = await getJson('/v1/session').catch(() => null);
+  if (!session || session.via === 'open') return;
+  corner.replaceChildren(...(session.via === 'anonymous' ? [createLogin()] : createAccount(session)));
+  corner.hidden = false;
+  document.body.dataset.tenant = session.via === 'anonymous' ? '' : session.tenant;
+}
+
+/** Signs out, and forgets what this browser keeps of the account. */
+async function signOut() {
+  await deleteAt('/v1/session');
+  location.assign('/login');
+}
+
+function createLogin() {
+  const login = create('button', { type: 'button', className: 'link', textContent: 'Log in' });
+  login.addEventListener('click', leadToLogin);
+  return login;
+}
+
+/** @param {Session} session */
+function createAccount({ tenant }) {
+  const leave = create('button', { type: 'button', className: 'link', textContent: 'Sign out' });
+  leave.addEventListener('click', () => signOut().catch(() => (leave.textContent = 'The server does not answer. Try again')));
+  const name = create('span', { textContent: tenant, title: 'Who is logged in' });
+  return [name, create('a', { href: '/pair', textContent: 'Pair a device' }), leave];
+}

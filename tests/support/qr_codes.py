@@ -1,0 +1,16 @@
+"""Reading QR codes off a screenshot, as a phone's camera does."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+
+def text_of(png: bytes) -> str:
+    """The text of the code on a picture. Raises AssertionError where there is none."""
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    margin = cv2.copyMakeBorder(picture, 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+    text, _, _ = cv2.QRCodeDetector().detectAndDecode(margin)
+    assert text, "there is no QR code to be read"
+    return text
