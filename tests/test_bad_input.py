@@ -465,7 +465,7 @@ def test_what_is_no_range_gives_the_whole_file_or_416(wanted: str, product: Prod
 
 PATHS = ["/", "/view/dress", "/v1/captures", "/v1/jobs", "/v1/jobs/x", "/v1/jobs/x/events", "/v1/jobs/x/cancel"]
 PATHS += ["/v1/presets", "/v1/assets", "/v1/assets/dress", "/v1/assets/dress/lod/0", "/v1/assets/dress/qr.svg"]
-PATHS += ["/livez", "/readyz", "/metrics", "/openapi.json", "/web/nowhere.js"]
+PATHS += ["/v1/uploads/upl_0/capture", "/livez", "/readyz", "/metrics", "/openapi.json", "/web/nowhere.js"]
 
 
 @pytest.mark.usefixtures("nothing_stays")

@@ -35,7 +35,23 @@ from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import RequestMiddleware
-from services.gateway.routes import access, assets, captures, collections, files, health, jobs, pages, tenants, webhooks
+from services.gateway.resumable import protocol
+from services.gateway.resumable.expiry import Expiry
+from services.gateway.resumable.store import UploadStore
+from services.gateway.resumable.uploads import ResumableUploads
+from services.gateway.routes import (
+    access,
+    assets,
+    captures,
+    collections,
+    files,
+    health,
+    jobs,
+    pages,
+    tenants,
+    uploads,
+    webhooks,
+)
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
 from services.gateway.settings import GatewaySettings, worker_credentials
 from services.gateway.webhooks.deliveries import Deliveries
@@ -48,7 +64,10 @@ from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
-_ROUTES = (captures, jobs, assets, collections, files, access, tenants, webhooks, health, pages)
+_ROUTES = (captures, uploads, jobs, assets, collections, files, access, tenants, webhooks, health, pages)
+# What pages of other origins may send and read, beside what uploads need.
+_REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
+_ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _GRACE_S = 5  # for answers in progress when the gateway stops
 
 _log = logging.getLogger(__name__)
@@ -58,8 +77,9 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    limits, usage, code_guesses, job_store, webhooks, outbox, deliveries, dispatcher. Raises SettingsError where the
-    workers' certificate or token cannot be used.
+    limits, usage, code_guesses, job_store, resumable, webhooks, outbox, deliveries, dispatcher.
+
+    Raises SettingsError where the workers' certificate or token cannot be used.
     """
     app = FastAPI(
         title="capture2vr",
@@ -97,9 +117,9 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.cors_origins,
-            allow_methods=["GET", "POST", "DELETE"],
-            allow_headers=["Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID"],
-            expose_headers=["ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID"],
+            allow_methods=["GET", "HEAD", "POST", "PATCH", "DELETE"],
+            allow_headers=[*_REQUEST_HEADERS, *protocol.REQUEST_HEADERS],
+            expose_headers=[*_ANSWER_HEADERS, *protocol.ANSWER_HEADERS],
         )
     app.add_middleware(RequestMiddleware, metrics=metrics, limits=app.state.limits, settings=settings)
     return app
@@ -147,6 +167,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             on_job_ended=app.state.metrics.observe_job,
         )
         app.state.job_store = job_store
+        resumable = ResumableUploads(UploadStore(engine), settings.data_dir / "uploads", settings.upload_expires_s)
+        stack.callback(resumable.close)
+        app.state.resumable = resumable
         app.state.webhooks = WebhookStore(engine)
         sender = Sender(allow_private=settings.webhook_private)
         app.state.outbox = Outbox(engine)
@@ -157,6 +180,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             job_store.watch_other_gateways(),
             authentication.store_use(),
             app.state.deliveries.run(),
+            Expiry(resumable, app.state.store, app.state.usage.add).run(),
         ):
             task = asyncio.create_task(background)
             task.add_done_callback(_report_death)

@@ -27,7 +27,7 @@ from services.logs import request_id
 
 _JSON_BYTES = 64 << 10  # limit of a body that is no upload: a job request has a few hundred bytes
 _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and headers of some thousand files
-_UPLOADS = ("/v1/captures", "/v1/outlines")
+_UPLOADS = re.compile("/v1/(captures|outlines|uploads(/[^/]*)?)/?")
 _CLIENT_CLOSED = 499  # nginx's status for a client that disconnected before its answer; never sent, only counted
 _STREAM = "text/event-stream"
 # What the pages use, for themselves alone: the camera, tilt and turn of a phone, a headset.
@@ -136,7 +136,7 @@ class RequestMiddleware:
             self._count(scope, exchange)
 
     def _limit(self, path: str) -> int:
-        return self._max_upload_bytes + _FORM_BYTES if path.rstrip("/") in _UPLOADS else _JSON_BYTES
+        return self._max_upload_bytes + _FORM_BYTES if _UPLOADS.fullmatch(path) else _JSON_BYTES
 
     def _count(self, scope: Scope, exchange: _Exchange) -> None:
         seconds = time.perf_counter() - exchange.began

@@ -33,6 +33,8 @@ class GatewaySettings(StrictSettings):
     log_level: str = Field(default="INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$")
 
     max_upload_bytes: int = Field(default=2 << 30, ge=1)  # a minute of 4K video with depth is about 1 GB
+    # Seconds after its last byte in which an upload can go on; then what there is of it is removed.
+    upload_expires_s: float = Field(default=86_400.0, gt=0)
     max_files: int = Field(default=2000, ge=1)  # a minute of frames at 30 Hz
 
     webhook_private: bool = False  # send webhooks to private addresses too, and without TLS

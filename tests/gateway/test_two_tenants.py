@@ -30,6 +30,7 @@ from tests.support.tenants import TwoTenants, publish_for, two_tenants
 KEYS = st.text(string.ascii_letters + string.digits + "._-", min_size=4, max_size=30).map(lambda text: f"a{text}")
 _PARAMETERS = {
     "/v1/captures": {"capture": "capture"},
+    "/v1/uploads": {"upload": "upload"},
     "/v1/jobs": {"job": "job"},
     "/v1/assets": {"key": "asset", "level": "level"},
     "/v1/collections": {"name": "collection", "key": "asset"},
@@ -45,6 +46,8 @@ _PARAMETERS = {
 _BODIES: Mapping[str, Any] = {
     "post /v1/captures": None,  # an upload's body, which names nothing
     "post /v1/outlines": None,
+    "post /v1/uploads": None,
+    "post /v1/uploads/{upload}/capture": None,
     "post /v1/jobs": {"capture": "{capture}", "asset_key": "mine"},
     "post /v1/jobs/{job}/again": {"cut": "scene"},
     "post /v1/jobs/{job}/cancel": None,
@@ -65,6 +68,10 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/webhooks/{webhook}/messages/{message}/redeliver": None,
 }
 """Bodies of what has one; "{capture}" is a tenant's capture."""
+_HEADERS: Mapping[str, Mapping[str, str]] = {
+    "/v1/uploads": {"Tus-Resumable": "1.0.0", "Upload-Length": "3", "Upload-Offset": "0"},
+}
+"""Headers without which a request says nothing, by the beginning of the path."""
 _WITHOUT_KEY = {  # what anyone may ask
     "get /", "get /login", "get /pair", "get /view", "get /view/{key}", "get /browse/{name}", "get /web/shell.json",
     "get /livez", "get /readyz", "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session",
@@ -85,6 +92,7 @@ class Ids:
     pairing: str
     webhook: str
     message: str
+    upload: str
     tenant: str = "ada"
     level: str = "0"
 
@@ -115,7 +123,8 @@ class Operation:
             if isinstance(body, dict):
                 body = {name: ids.capture if value == "{capture}" else value for name, value in body.items()}
         query = {"key": ids.asset} if self.template == "/view" else {}
-        return await client.request(self.method, path, json=body, params=query)
+        headers = next((each for begin, each in _HEADERS.items() if path.startswith(begin)), {})
+        return await client.request(self.method, path, json=body, params=query, headers=headers)
 
 
 def operations(document: dict[str, Any]) -> Iterator[Operation]:
@@ -139,7 +148,9 @@ async def ids_of(site: TwoTenants, client: httpx.AsyncClient, tenant: str, store
     file = f"tenants/{tenant}/{entry['manifest']['name']}"
     hook = (await client.post("/v1/webhooks", json={"url": "http://127.0.0.1:9/"})).json()["id"]
     message = (await client.post(f"/v1/webhooks/{hook}/test")).json()["id"]
-    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message)
+    created = await client.post("/v1/uploads", headers=_HEADERS["/v1/uploads"])
+    upload = created.headers["Location"].rpartition("/")[2]
+    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message, upload)
 
 
 def nothing() -> Ids:
@@ -154,6 +165,7 @@ def nothing() -> Ids:
         pairing="pair_" + "0" * 16,
         webhook="hook_" + "0" * 16,
         message="msg_" + "0" * 40,
+        upload="upl_" + "0" * 32,
         tenant="nobody",
     )
 
@@ -206,7 +218,9 @@ async def everything_of(client: httpx.AsyncClient, ids: Ids) -> list[str]:
     job = (await client.get(f"/v1/jobs/{ids.job}")).json()
     keys = [(each["id"], each["revoked"]) for each in (await client.get("/v1/api-keys")).json()["keys"]]
     pairing = (await client.get(f"/v1/pairings/{ids.pairing}")).json()
-    return [answer.text for answer in answers] + [job["state"], str(keys), str(pairing)]
+    upload = await client.head(f"/v1/uploads/{ids.upload}", headers=_HEADERS["/v1/uploads"])
+    offset = upload.headers["Upload-Offset"]
+    return [answer.text for answer in answers] + [job["state"], str(keys), str(pairing), offset]
 
 
 async def test_without_a_key_nothing_is_answered(tmp_path: Path) -> None:
@@ -217,7 +231,8 @@ async def test_without_a_key_nothing_is_answered(tmp_path: Path) -> None:
             if operation.name in _WITHOUT_KEY:
                 assert answer.status_code != 401 or operation.name == "post /v1/session", operation.name
             else:
-                assert (answer.status_code, answer.json()["code"]) == (401, "KEY_MISSING"), operation.name
+                code = answer.json()["code"] if answer.content else "KEY_MISSING"  # HEAD has no body
+                assert (answer.status_code, code) == (401, "KEY_MISSING"), operation.name
                 assert "security" in document["paths"][operation.template][operation.method], operation.name
         for path in ("/openapi.json", "/metrics"):
             assert (await site.ada.get(path)).status_code == 403

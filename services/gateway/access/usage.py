@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -30,6 +30,10 @@ class Allowance:
     capture_bytes: int
     stored_limit: int
     stored_bytes: int
+
+    def without(self, size: int) -> Allowance:
+        """Return the allowance once so many of the stored bytes are gone, as those of an upload that is finished."""
+        return replace(self, stored_bytes=max(0, self.stored_bytes - size))
 
     def check(self, size: int) -> None:
         """Raises Problem CAPTURE_BYTES_LIMITED, STORED_BYTES_LIMITED for a capture of this size."""

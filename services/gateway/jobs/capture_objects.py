@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import logging
+import secrets
+import time
 from collections.abc import AsyncGenerator, Callable
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 from services.gateway.errors import Problem
@@ -19,6 +22,22 @@ _T = TypeVar("_T")
 _FOLDER = "captures/"
 _LISTED = 200  # objects per request to the store
 _READ_BYTES = 4 << 20  # one request to an S3 server; its latency is then small beside the transfer
+
+
+def new_capture() -> str:
+    """Return the id of a new capture. It begins with the time, so that ids sort by age."""
+    return f"cap_{int(time.time() * 1000):012x}{secrets.token_hex(8)}"
+
+
+def put_private(store: Store, name: str, data: bytes | Path, content_type: str) -> None:
+    """Write an object that only this service reads. Raises Problem STORE_UNAVAILABLE, OSError on a full disk."""
+    try:
+        store.put(name, data, content_type=content_type, cache_control="private, no-store")
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        detail = "the capture could not be written to the store"
+        raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
 
 
 def capture_name(capture: str) -> str:
@@ -106,6 +125,21 @@ def delete_capture(store: Store, capture: str) -> int:
     if not freed:
         raise unknown_capture(capture)
     return freed
+
+
+def is_stored(store: Store, capture: str) -> bool:
+    """Return whether a capture is stored as a whole. Raises OSError."""
+    try:
+        store.head(receipt_name(capture))
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def delete_unfinished(store: Store, capture: str) -> None:
+    """Delete the archive of a capture that has no receipt. Raises OSError."""
+    if not is_stored(store, capture):
+        store.delete(capture_name(capture))
 
 
 async def capture_bytes(store: Store, capture: str) -> int:

@@ -19,6 +19,7 @@ from services.gateway.jobs.capture_objects import (
     capture_chunks,
     delete_capture,
     list_captures,
+    new_capture,
     read_receipt,
     unknown_capture,
 )
@@ -28,6 +29,7 @@ from services.gateway.routes.access_rules import caller_of, limits_of, needs
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import problems
 from services.gateway.uploads.accept import Uploads
+from services.gateway.uploads.receive import body_of
 
 router = APIRouter(prefix="/v1", tags=["captures"])
 
@@ -176,8 +178,9 @@ async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
     tenant = caller.tenant
     with request.app.state.limits.upload(tenant, limits.uploads_at_once):
         allowance = await usage.allowance(tenant, limits)
-        uploads, store = _uploads(request), store_of(request)
-        receipt = await uploads.accept(request, store, parse_box(box), allowance.check)
+        uploads, store = uploads_of(request), store_of(request)
+        body, rectangle = body_of(request), parse_box(box)
+        receipt = await uploads.accept(request, body, store, rectangle, allowance.check, new_capture())
         if caller.key:
             await usage.add(tenant, receipt["bytes"])
     return CaptureView.model_validate(receipt)
@@ -196,7 +199,7 @@ async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
     Takes the same body as an upload, and stores nothing. Send the photo itself: a smaller copy may give another
     outline.
     """
-    return OutlineView.model_validate(await _uploads(request).outline(request, parse_box(box)))
+    return OutlineView.model_validate(await uploads_of(request).outline(request, parse_box(box)))
 
 
 @router.get("/captures", response_model=CapturePage, dependencies=[_LISTS], responses=problems(422, 503))
@@ -272,7 +275,7 @@ def _summary(receipt: dict[str, Any]) -> CaptureSummary:
     return CaptureSummary.model_validate({**known, "self": url, "archive": f"{url}/archive"})
 
 
-def _uploads(request: Request) -> Uploads:
+def uploads_of(request: Request) -> Uploads:
     """Return the app's `Uploads`, created at the first upload because its limiters belong to the running event loop."""
     state = request.app.state
     if not hasattr(state, "uploads"):

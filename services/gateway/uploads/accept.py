@@ -6,13 +6,12 @@ import asyncio
 import errno
 import hashlib
 import json
-import secrets
 import shutil
 import tempfile
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,11 +22,18 @@ from anyio import CapacityLimiter
 from starlette.requests import ClientDisconnect, Request
 
 from services.gateway.errors import Problem, storage_full
-from services.gateway.jobs.capture_objects import capture_name, receipt_name
+from services.gateway.jobs.capture_objects import capture_name, put_private, receipt_name
 from services.gateway.jobs.collection_choice import require_collection
 from services.gateway.one_line import one_line
 from services.gateway.settings import GatewaySettings
-from services.gateway.uploads.receive import ReceivedUpload, UploadLimits, receive, too_many_files
+from services.gateway.uploads.receive import (
+    ReceivedUpload,
+    UploadBody,
+    UploadLimits,
+    body_of,
+    receive,
+    too_many_files,
+)
 from services.gateway.uploads.validate import FileReport, validate
 from services.gateway.worker_client import Inspection, WorkerPool
 from services.photo_box import PhotoBox
@@ -37,7 +43,7 @@ from services.storage.store import Store
 # Threads: writing to disk is mostly waiting; decoding images is mostly computing, with one decoded image per thread.
 _WRITERS, _CHECKERS = 8, 2
 _COPIES = 3  # of an upload on the disk at worst: as received, unpacked, packed
-_ABANDONED_S = 24 * 3600.0  # a staging folder of this age was left by a gateway that crashed
+_ABANDONED_S = 24 * 3600.0  # a staging folder or file of this age was left by a gateway that crashed
 
 _ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
 
@@ -72,22 +78,30 @@ class Uploads:
         _remove_abandoned(self._staging)
 
     async def accept(
-        self, request: Request, store: Store, box: PhotoBox | None, check_size: Callable[[int], None]
+        self,
+        request: Request,
+        body: UploadBody,
+        store: Store,
+        box: PhotoBox | None,
+        check_size: Callable[[int], None],
+        capture: str,
     ) -> dict[str, Any]:
-        """Store the request's capture and return its receipt. Raises Problem; on any error nothing is left behind.
+        """Store the capture in a body and return its receipt. Raises Problem; on any error nothing is left behind.
 
+        request     whose client waits for the receipt: when it leaves, the work ends
         store       of the caller's tenant
+        capture     the new capture's id
         box         rectangle around the thing in a single photo, for its inspection
         check_size  raises Problem for a capture of so many bytes; called before anything is read, and when it is packed
         """
-        check_size(_declared_bytes(request))
-        async with self._inspected(request, box) as (packed, inspection):
+        check_size(body.size)
+        async with self._inspected(request, body, box) as (packed, inspection):
             check_size(packed.archive.stat().st_size)
-            return await self._store_capture(store, packed, inspection)
+            return await self._store_capture(store, _receipt(capture, packed, inspection), packed.archive)
 
     async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
         """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
-        async with self._inspected(request, box) as (_, found):
+        async with self._inspected(request, body_of(request), box) as (_, found):
             facts = found or _UNKNOWN
             return {
                 "inspected": found is not None,
@@ -98,16 +112,16 @@ class Uploads:
 
     @asynccontextmanager
     async def _inspected(
-        self, request: Request, box: PhotoBox | None
+        self, request: Request, body: UploadBody, box: PhotoBox | None
     ) -> AsyncIterator[tuple[_PackedCapture, Inspection | None]]:
-        """Receive, check and pack the request's capture, and have it inspected; its files are removed afterwards.
+        """Receive, check and pack the capture in a body, and have it inspected; its files are removed afterwards.
 
         Raises Problem.
         """
-        self._check_free_space(request)
+        self.check_free_space(body.size)
         folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._staging))
         try:
-            received = await receive(request, folder / "in", self._limits, self._write)
+            received = await receive(body, folder / "in", self._limits, self._write)
             left = threading.Event()
             checking = self._run_checker(lambda: _check_and_pack(received, folder, self._limits, left))
             packed = await _unless_client_leaves(request, checking, left)
@@ -124,21 +138,18 @@ class Uploads:
             # does not stop it.
             await asyncio.shield(asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True))
 
-    def _check_free_space(self, request: Request) -> None:
-        """Refuse an upload whose Content-Length does not fit on the disk, before reading it."""
-        if _declared_bytes(request) * _COPIES > shutil.disk_usage(self._staging).free:
+    def check_free_space(self, size: int) -> None:
+        """Refuse an upload of so many bytes that does not fit on the disk, before reading it. Raises Problem."""
+        if size * _COPIES > shutil.disk_usage(self._staging).free:
             raise storage_full()
 
-    async def _store_capture(
-        self, store: Store, packed: _PackedCapture, inspection: Inspection | None
-    ) -> dict[str, Any]:
+    async def _store_capture(self, store: Store, receipt: dict[str, Any], archive: Path) -> dict[str, Any]:
         """Store the archive, then its receipt: a receipt on the store means that the capture is complete."""
-        capture = f"cap_{int(time.time() * 1000):012x}{secrets.token_hex(8)}"
-        receipt = _receipt(capture, packed, inspection)
-        name = capture_name(capture)
+        capture = receipt["capture"]
         try:
-            await self._write(lambda: _put(store, name, packed.archive, "application/zip"))
-            await self._write(lambda: _put(store, receipt_name(capture), _json_bytes(receipt), "application/json"))
+            await self._write(lambda: put_private(store, capture_name(capture), archive, "application/zip"))
+            document = _json_bytes(receipt)
+            await self._write(lambda: put_private(store, receipt_name(capture), document, "application/json"))
         except BaseException:
             await asyncio.shield(asyncio.to_thread(_remove, store, capture))
             raise
@@ -149,22 +160,6 @@ class Uploads:
 
     async def _run_checker(self, work: Callable[[], _T]) -> _T:
         return await anyio.to_thread.run_sync(work, limiter=self._checkers)
-
-
-def _declared_bytes(request: Request) -> int:
-    """Return the Content-Length; 0 where the client does not tell."""
-    length = request.headers.get("content-length", "")
-    return int(length) if length.isascii() and length.isdigit() else 0
-
-
-def _put(store: Store, name: str, data: bytes | Path, content_type: str) -> None:
-    try:
-        store.put(name, data, content_type=content_type, cache_control="private, no-store")
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        detail = "the capture could not be written to the store"
-        raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
 
 
 def _remove(store: Store, capture: str) -> None:
@@ -279,6 +274,11 @@ def _json_bytes(receipt: dict[str, Any]) -> bytes:
 
 
 def _remove_abandoned(staging: Path) -> None:
-    for folder in staging.iterdir():
-        if time.time() - folder.stat().st_mtime > _ABANDONED_S:
-            shutil.rmtree(folder, ignore_errors=True)
+    for path in staging.iterdir():
+        with suppress(FileNotFoundError):  # an upload's chunk, which has been stored meanwhile
+            if time.time() - path.stat().st_mtime <= _ABANDONED_S:
+                continue
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink()

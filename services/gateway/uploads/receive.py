@@ -1,17 +1,20 @@
-"""Streams the body of an upload to disk: multipart/form-data, or one raw zip."""
+"""Streams the body of an upload to disk: multipart/form-data, one raw zip, or one file.
+
+The body comes from a request, or from the store, where a resumable upload has kept it.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 
 from services.gateway.errors import Problem
 from services.gateway.uploads.file_names import safe_name, unique_name
@@ -21,6 +24,8 @@ _BATCH_BYTES = 256 << 10
 _IDLE_S = 60.0  # timeout without a byte: mobile networks pause for some seconds only
 _FIELD_BYTES = 1024  # most bytes of a text field
 _MOST_FIELDS = 20  # text fields of a form
+_FORM_TYPE = b"multipart/form-data"
+_ZIP_TYPES = (b"application/zip", b"application/x-zip-compressed", b"application/octet-stream")
 _SEND_FEWER = ("send fewer frames, for example every second one",)
 
 InThread = Callable[[Callable[[], None]], Awaitable[None]]
@@ -32,6 +37,24 @@ class UploadLimits:
 
     total_bytes: int
     files: int
+
+
+@dataclass(frozen=True, slots=True)
+class UploadBody:
+    """The bytes of an upload, and what is told of them.
+
+    batches     the bytes, in parts of some 256 KB
+    media_type  their Content-Type
+    size        how many they are; 0: not told
+    file_name   name of the one file that they are; "": a form, or a zip without a name
+    fields      text fields that are told beside the bytes
+    """
+
+    batches: AsyncIterator[bytes]
+    media_type: str
+    size: int = 0
+    file_name: str = ""
+    fields: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -48,11 +71,18 @@ class ReceivedUpload:
     has_client_names: bool = True
 
 
-async def receive(request: Request, folder: Path, limits: UploadLimits, in_thread: InThread) -> ReceivedUpload:
-    """Write the files in the request's body below `folder`. Raises Problem 400, 408, 413, 415; ClientDisconnect."""
-    sink = _sink(request, ReceivedUpload(folder), limits)
+def body_of(request: Request) -> UploadBody:
+    """Return the body of a request."""
+    length = request.headers.get("content-length", "")
+    size = int(length) if length.isascii() and length.isdigit() else 0
+    return UploadBody(batches(request), request.headers.get("content-type", ""), size)
+
+
+async def receive(body: UploadBody, folder: Path, limits: UploadLimits, in_thread: InThread) -> ReceivedUpload:
+    """Write the files in a body below `folder`. Raises Problem 400, 408, 413, 415; ClientDisconnect."""
+    sink = _sink(body, ReceivedUpload(folder, fields=dict(body.fields)), limits)
     try:
-        async for batch in _batches(request):
+        async for batch in body.batches:
             await in_thread(functools.partial(sink.write, batch))
         await in_thread(sink.finish)
     finally:
@@ -60,39 +90,54 @@ async def receive(request: Request, folder: Path, limits: UploadLimits, in_threa
     return sink.received
 
 
-async def _batches(request: Request) -> AsyncIterator[bytes]:
-    """Yield the body in batches of at least `_BATCH_BYTES`. Raises Problem 408 when the client stops sending."""
+async def batches(request: Request) -> AsyncIterator[bytes]:
+    """Yield a request's body in batches of at least `_BATCH_BYTES`.
+
+    Raises Problem 408 when the client stops sending, ClientDisconnect when it leaves; the bytes before have been
+    yielded then.
+    """
     batch = bytearray()
     stream = aiter(request.stream())
-    while True:
+    failure: Exception | None = None
+    while failure is None:
         try:
             async with asyncio.timeout(_IDLE_S):
                 batch += await anext(stream)
-        except StopAsyncIteration:
-            break
+        except (StopAsyncIteration, ClientDisconnect) as end:
+            failure = end
         except TimeoutError:
             detail = f"the client sent nothing for {_IDLE_S:.0f} s"
-            raise Problem(408, "UPLOAD_SILENT", detail, retryable=True) from None
-        if len(batch) >= _BATCH_BYTES:
+            failure = Problem(408, "UPLOAD_SILENT", detail, retryable=True)
+        if len(batch) >= _BATCH_BYTES or (failure and batch):
             yield bytes(batch)
             batch.clear()
-    if batch:
-        yield bytes(batch)
+    if not isinstance(failure, StopAsyncIteration):
+        raise failure
 
 
-def _sink(request: Request, received: ReceivedUpload, limits: UploadLimits) -> _RawBody | _MultipartBody:
-    """Return the writer for the request's Content-Type. Raises Problem 415."""
-    kind, options = parse_options_header(request.headers.get("content-type"))
-    if kind == b"multipart/form-data" and options.get(b"boundary"):
+def require_media_type(media_type: str, file_name: str) -> None:
+    """Raises Problem 415 for a body that is neither a form, nor a zip, nor a file with a name."""
+    kind, options = parse_options_header(media_type)
+    is_form = kind == _FORM_TYPE and options.get(b"boundary")
+    if not (is_form or file_name or kind in _ZIP_TYPES):
+        raise Problem(
+            415,
+            "UPLOAD_MEDIA_TYPE",
+            "the Content-Type of an upload must be multipart/form-data with a boundary, or application/zip",
+            hints=("send the files as fields named 'files'",),
+        )
+
+
+def _sink(body: UploadBody, received: ReceivedUpload, limits: UploadLimits) -> _OneFile | _MultipartBody:
+    """Return the writer for a body. Raises Problem 415."""
+    require_media_type(body.media_type, body.file_name)
+    if body.file_name:
+        return _OneFile(safe_name(body.file_name) or "file", received, limits)
+    kind, options = parse_options_header(body.media_type)
+    if kind == _FORM_TYPE:
         return _MultipartBody(options[b"boundary"], received, limits)
-    if kind in (b"application/zip", b"application/x-zip-compressed", b"application/octet-stream"):
-        return _RawBody(received, limits)
-    raise Problem(
-        415,
-        "UPLOAD_MEDIA_TYPE",
-        "the Content-Type of an upload must be multipart/form-data with a boundary, or application/zip",
-        hints=("send the files as fields named 'files'",),
-    )
+    received.has_client_names = False
+    return _OneFile("capture.zip", received, limits)
 
 
 class _UploadFiles:
@@ -133,17 +178,17 @@ class _UploadFiles:
             self._file = None
 
 
-class _RawBody:
-    """Receives a body that is one zip."""
+class _OneFile:
+    """Receives a body that is one file."""
 
-    def __init__(self, received: ReceivedUpload, limits: UploadLimits) -> None:
+    def __init__(self, name: str, received: ReceivedUpload, limits: UploadLimits) -> None:
         self.received = received
-        self.received.has_client_names = False
+        self._name = name
         self._files = _UploadFiles(received, limits)
 
     def write(self, data: bytes) -> None:
         if not self.received.files:
-            self._files.open("capture.zip")
+            self._files.open(self._name)
         self._files.write(data)
 
     def finish(self) -> None:

@@ -27,6 +27,8 @@ _NOT_ASKED = {
     "/v1/jobs/{job}/events",  # waits for the job's end
     "/readyz",  # says 503 without a worker, as it should
 }
+# The bodies of tus are bytes.
+schemathesis.serializer.alias("application/offset+octet-stream", "application/octet-stream")
 
 
 @pytest.fixture(scope="module")

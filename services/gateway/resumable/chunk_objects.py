@@ -1,0 +1,52 @@
+"""The bytes of resumable uploads on the store: an object for each chunk, which begins with the upload's id.
+
+Names have no folder of an upload's own, because a local store would keep that for ever.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+
+from services.gateway.errors import Problem
+from services.gateway.resumable.store import Chunk
+from services.storage.store import Store, list_all
+
+CHUNK_BYTES = 8 << 20
+"""Bytes of a chunk: what a killed gateway can lose at most of what it received. S3 takes 0.1 s for so many."""
+_BATCH_BYTES = 256 << 10  # as batches come from a request
+
+
+def chunk_name(upload: str, chunk: Chunk) -> str:
+    """Return the object name of a chunk. Two writers never write the same one."""
+    return f"{_prefix(upload)}{chunk.start:015d}.{chunk.writer}"
+
+
+async def read_chunks(store: Store, upload: str, chunks: Sequence[Chunk]) -> AsyncIterator[bytes]:
+    """Yield the bytes of an upload in batches. Raises Problem UPLOAD_DAMAGED, STORE_UNAVAILABLE."""
+    for chunk in chunks:
+        try:
+            data = await asyncio.to_thread(store.get, chunk_name(upload, chunk))
+        except FileNotFoundError:
+            raise _damaged() from None
+        except OSError as error:
+            raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
+        if len(data) != chunk.length:
+            raise _damaged()
+        for start in range(0, len(data), _BATCH_BYTES):
+            yield data[start : start + _BATCH_BYTES]
+
+
+def delete_chunks(store: Store, upload: str) -> None:
+    """Delete all objects of an upload, also those that were never acknowledged. Raises OSError."""
+    for head in list_all(store, _prefix(upload)):
+        store.delete(head.name)
+
+
+def _prefix(upload: str) -> str:
+    return f"uploads/{upload}."
+
+
+def _damaged() -> Problem:
+    hints = ("delete this upload, and send the file again",)
+    return Problem(409, "UPLOAD_DAMAGED", "the store has lost a part of this upload", hints=hints)
