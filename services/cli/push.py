@@ -16,9 +16,11 @@ from services.cli.assets import check_collection
 from services.cli.errors import BadInput, parse_answer, problem_sentence
 from services.cli.http import client_of
 from services.cli.progress import StageBar, console, warn
+from services.cli.resumable_upload import upload_resumably
 from services.storage.archives import is_zip, pack
 
 _CHUNK_BYTES = 256 << 10  # of the upload; the progress bar moves with each
+_RESUMABLE_BYTES = 16 << 20  # of an upload that can go on; a smaller one is sent again within seconds
 _TIMEOUT = httpx.Timeout(30.0, read=60.0)  # the gateway sends an event at least every 15 s while a job runs
 _RECONNECT_S = 1.0  # pause before reconnecting
 _GIVE_UP_S = 120.0  # without an answer of the gateway; a restart takes seconds
@@ -63,6 +65,8 @@ def push_capture(
 def upload(client: httpx.Client, source: Path, bar: StageBar, *, box: Sequence[float] | None = None) -> Any:
     """Upload the capture as one zip; zip the source first if it is not one. Returns the receipt.
 
+    A large one goes on where it stopped after a lost connection, or when the same is pushed again.
+
     box  left, top, right, bottom of the thing in a single photo, with which the worker inspects it
     """
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
@@ -71,8 +75,11 @@ def upload(client: httpx.Client, source: Path, bar: StageBar, *, box: Sequence[f
             archive = Path(scratch) / "capture.zip"
             pack(source, archive)
         size = archive.stat().st_size
-        headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
         params = {"box": ",".join(map(str, box))} if box else {}
+        if size >= _RESUMABLE_BYTES:
+            told = {"filetype": "application/zip"}
+            return upload_resumably(client, archive, bar, told, params, file=source.name)
+        headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
         answer = client.post("/v1/captures", params=params, content=_chunks(archive, size, bar), headers=headers)
         return parse_answer(answer, file=source.name)
 
