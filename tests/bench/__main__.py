@@ -38,6 +38,7 @@ ON_DEMAND = {
     "figure8": "the paper's Figure 8: milliseconds a frame in a browser, and an estimate for Quest 3",
     "figure9": "the paper's Figure 9: garments that are deformed and partly hidden",
     "peer-extraction": "the extraction beside DCUDF2's and MIND's on the same fields, where you have them",
+    "peer-fields": "published networks with their published weights (GeoUDF, LoSF), where you have them",
     "published": "the methods of the literature at their own budget of steps: hours, resumable",
 }
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -30,16 +29,12 @@ from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.sampling import sample
 from services.edge.mesh.topology import component_count
 from services.edge.paper_field.networks import network_of
-from tests.bench.cell import ROOT
 from tests.bench.methods import peak_mb
+from tests.bench.peer_fields import run_child
 from tests.bench.published import Cell, add_state, cells, weights_reached
 from tests.support.mesh_metrics import chamfer_l1, welded
 
 PEERS = {"dcudf2": ("DCUDF2", "DCUDF2_FOLDER"), "mind": ("MIND", "MIND_FOLDER")}
-ABSENT = {
-    "LoSF-UDF": "weights and code were not to be had offline",
-    "GeoUDF": "no licence; its weights were not to be had offline",
-}
 GARMENT = "garment 564 of DCUDF2's repository"
 _PAD = 0.05  # around the points, as DCUDF2's own evaluation has it
 _CHUNK = 1 << 16
@@ -92,8 +87,6 @@ def main(arguments: list[str]) -> None:
         for subject in subjects(Path(scratch), options):
             for line in lines(subject, options):
                 print(line, flush=True)
-    for name, why in ABSENT.items():
-        print(f"| – | {name} | – | {why} |" + " |" * 6)
 
 
 def subjects(scratch: Path, options: argparse.Namespace) -> Iterator[Subject]:
@@ -178,15 +171,8 @@ def _line(subject: Subject, name: str, cells: int, seconds: float, peak: float, 
 
 def _child(peer: str, folder: str, task: Path, network: Path, target: Path, timeout_s: float | None = None) -> str:
     """Run the child; return why it failed, or nothing."""
-    python = os.environ.get("PEERS_PYTHON", sys.executable)
-    command = [python, "-m", "tests.bench.peer_extraction_child"]
-    command += [peer, str(Path(folder).resolve()), str(task), str(network), str(target)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, cwd=ROOT, check=False)
-    except subprocess.TimeoutExpired:
-        return f"not done after {timeout_s:.0f} s"
-    said = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]
-    return said[-1].replace("|", "/")[:120] if done.returncode else ""
+    asked = [peer, str(Path(folder).resolve()), str(task), str(network), str(target)]
+    return run_child("tests.bench.peer_extraction_child", asked, timeout_s)
 
 
 def _parser() -> argparse.ArgumentParser:
