@@ -54,6 +54,7 @@ from services.gateway.routes import (
 )
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
 from services.gateway.settings import GatewaySettings, worker_credentials
+from services.gateway.uploads.check_processes import CheckProcesses
 from services.gateway.webhooks.deliveries import Deliveries
 from services.gateway.webhooks.outbox import Outbox
 from services.gateway.webhooks.send import Sender
@@ -77,7 +78,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    limits, usage, code_guesses, job_store, resumable, webhooks, outbox, deliveries, dispatcher.
+    limits, usage, check_processes, code_guesses, job_store, resumable, webhooks, outbox, deliveries, dispatcher.
 
     Raises SettingsError where the workers' certificate or token cannot be used.
     """
@@ -105,6 +106,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     errors.install_handlers(app)
     app.state.authentication = Authentication(told_open=settings.open, may_open=not settings.is_public)
     app.state.limits = Limits(settings, app.state.authentication)
+    app.state.check_processes = CheckProcesses()
     app.state.usage = Usage(app.state.authentication, store)
     app.state.code_guesses = CodeGuesses()
     for module in _ROUTES:
@@ -152,6 +154,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         holder = stack.enter_context(lock_instance(settings.data_dir))
         engine = open_engine(settings.database)
         stack.callback(engine.dispose)
+        app.state.check_processes.start()
+        stack.callback(app.state.check_processes.close)
         authentication: Authentication = app.state.authentication
         authentication.connect(AccessStore(engine))
         stack.push_async_callback(authentication.close)

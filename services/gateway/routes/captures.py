@@ -279,6 +279,6 @@ def uploads_of(request: Request) -> Uploads:
     """Return the app's `Uploads`, created at the first upload because its limiters belong to the running event loop."""
     state = request.app.state
     if not hasattr(state, "uploads"):
-        state.uploads = Uploads(state.settings, state.workers)
+        state.uploads = Uploads(state.settings, state.workers, state.check_processes)
     uploads: Uploads = state.uploads
     return uploads

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import hashlib
 import json
 import shutil
 import tempfile
-import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager, suppress
@@ -26,26 +24,18 @@ from services.gateway.jobs.capture_objects import capture_name, put_private, rec
 from services.gateway.jobs.collection_choice import require_collection
 from services.gateway.one_line import one_line
 from services.gateway.settings import GatewaySettings
-from services.gateway.uploads.receive import (
-    ReceivedUpload,
-    UploadBody,
-    UploadLimits,
-    body_of,
-    receive,
-    too_many_files,
-)
-from services.gateway.uploads.validate import FileReport, validate
+from services.gateway.uploads.check_and_pack import CheckOrder
+from services.gateway.uploads.check_processes import CheckProcesses
+from services.gateway.uploads.receive import ReceivedUpload, UploadBody, UploadLimits, body_of, receive
+from services.gateway.uploads.refusal import Refused
+from services.gateway.uploads.validate import FileReport
 from services.gateway.worker_client import Inspection, WorkerPool
 from services.photo_box import PhotoBox
-from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
 from services.storage.store import Store
 
-# Threads: writing to disk is mostly waiting; decoding images is mostly computing, with one decoded image per thread.
-_WRITERS, _CHECKERS = 8, 2
+_WRITERS = 8  # threads: writing to disk is mostly waiting
 _COPIES = 3  # of an upload on the disk at worst: as received, unpacked, packed
 _ABANDONED_S = 24 * 3600.0  # a staging folder or file of this age was left by a gateway that crashed
-
-_ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
 
 _UNKNOWN = Inspection("", "", 0, 0, (), None)  # while no worker can look
 
@@ -64,16 +54,17 @@ class _PackedCapture:
 
 
 class Uploads:
-    """Accepts uploads, many at once: `_WRITERS` threads write to disk, `_CHECKERS` threads validate files.
+    """Accepts uploads, many at once: threads write them to disk, processes check them.
 
     Must be created on the event loop that serves the requests.
     """
 
-    def __init__(self, settings: GatewaySettings, workers: WorkerPool) -> None:
+    def __init__(self, settings: GatewaySettings, workers: WorkerPool, checks: CheckProcesses) -> None:
         self._limits = UploadLimits(settings.max_upload_bytes, settings.max_files)
         self._workers = workers
         self._staging = settings.data_dir / "uploads"
-        self._writers, self._checkers = CapacityLimiter(_WRITERS), CapacityLimiter(_CHECKERS)
+        self._checks = checks
+        self._writers = CapacityLimiter(_WRITERS)
         self._staging.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(self._staging)
 
@@ -122,13 +113,16 @@ class Uploads:
         folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._staging))
         try:
             received = await receive(body, folder / "in", self._limits, self._write)
-            left = threading.Event()
-            checking = self._run_checker(lambda: _check_and_pack(received, folder, self._limits, left))
-            packed = await _unless_client_leaves(request, checking, left)
+            name, collection = _check_fields(received)
+            order = self._order(folder, received)
+            files = await _unless_client_leaves(request, self._checks.check(order))
+            packed = _PackedCapture(files.archive, files.sha256, name, collection, files.verdicts)
             inspection = await _unless_client_leaves(request, self._workers.inspect(packed.archive, box))
             if inspection is not None and inspection.failure is not None:
                 raise inspection.failure
             yield packed, inspection
+        except Refused as refused:
+            raise Problem(refused.status, refused.code, refused.detail, hints=refused.hints) from None
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT):
                 raise storage_full() from None
@@ -158,8 +152,11 @@ class Uploads:
     async def _write(self, work: Callable[[], None]) -> None:
         await anyio.to_thread.run_sync(work, limiter=self._writers)
 
-    async def _run_checker(self, work: Callable[[], _T]) -> _T:
-        return await anyio.to_thread.run_sync(work, limiter=self._checkers)
+    def _order(self, folder: Path, received: ReceivedUpload) -> CheckOrder:
+        limits = self._limits
+        return CheckOrder(
+            str(folder.absolute()), received.files, received.has_client_names, limits.files, limits.total_bytes
+        )
 
 
 def _remove(store: Store, capture: str) -> None:
@@ -170,12 +167,8 @@ def _remove(store: Store, capture: str) -> None:
             continue  # the store cannot be reached; a leftover is harmless, because no client knows this id
 
 
-async def _unless_client_leaves(
-    request: Request, work: Coroutine[Any, Any, _T], left: threading.Event | None = None
-) -> _T:
-    """Await the work, and end it as soon as the client has disconnected: nobody would get the answer.
-
-    left  is set then, for work in a thread, which cannot be cancelled; other work is cancelled
+async def _unless_client_leaves(request: Request, work: Coroutine[Any, Any, _T]) -> _T:
+    """Await the work, and cancel it as soon as the client has disconnected: nobody would get the answer.
 
     Raises ClientDisconnect, and what the work raises.
     """
@@ -187,11 +180,7 @@ async def _unless_client_leaves(
         return working.result()
     finally:
         leaving.cancel()
-        if not working.done():
-            if left is None:
-                working.cancel()
-            else:
-                left.set()
+        working.cancel()
         await asyncio.gather(working, leaving, return_exceptions=True)
 
 
@@ -201,52 +190,16 @@ async def _disconnected(request: Request) -> None:
         pass
 
 
-def _check_and_pack(
-    received: ReceivedUpload, folder: Path, limits: UploadLimits, left: threading.Event
-) -> _PackedCapture:
-    """Unpack an archive, validate every file, strip its metadata, and pack all as one zip.
-
-    left  is set when the client has disconnected
-
-    Raises Problem, ClientDisconnect.
-    """
+def _check_fields(received: ReceivedUpload) -> tuple[str, str]:
+    """Return the capture's name and collection from the form's text fields. Raises Problem."""
     if not received.files:
         raise Problem(422, "CAPTURE_EMPTY", "the upload has no files", hints=("choose at least one file",))
     if collection := received.fields.get("collection", ""):
         require_collection(collection, "change the field `collection`, or leave it out")
     try:
-        name = one_line(received.fields.get("name", "")[:200])
+        return one_line(received.fields.get("name", "")[:200]), collection
     except ValueError as error:
         raise Problem(422, "NAME_INVALID", str(error), hints=("change the field `name`",)) from None
-    source, names = received.folder, received.files
-    if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
-        client_name = names[0] if received.has_client_names else ""
-        source, names = folder / "files", _unpack(source / names[0], folder / "files", limits, client_name)
-    verdicts = validate(source, names, left)
-    archive = folder / "capture.zip"
-    pack(source, archive)
-    with archive.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return _PackedCapture(archive, sha256, name, collection, verdicts)
-
-
-def _unpack(archive: Path, into: Path, limits: UploadLimits, client_name: str) -> list[str]:
-    """Unpack an uploaded archive and return the names of its files. client_name: the archive's name, for errors
-
-    Raises Problem.
-    """
-    try:
-        files = unpack(archive, into, ArchiveLimits(total_bytes=2 * limits.total_bytes))
-    except ArchiveError as error:
-        raise Problem(422, error.code, error.message, file=error.file or client_name, hints=error.hints) from None
-    if not files:
-        raise Problem(
-            422, "CAPTURE_EMPTY", "the archive has no files", file=client_name, hints=("zip the files again",)
-        )
-    if len(files) > limits.files:
-        raise too_many_files(limits)
-    archive.unlink()
-    return [file.relative_to(into).as_posix() for file in files]
 
 
 def _receipt(capture: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:

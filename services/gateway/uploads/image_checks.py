@@ -17,7 +17,10 @@ from services.gateway.uploads.sniff import Kind
 MAX_PIXELS = 100_000_000  # 300 MB decoded; phones' largest sensors have 200 megapixels, binned to 12 or 50
 _MAX_DECODED_PIXELS = 24_000_000  # larger images are not decoded fully: 72 MB each, on two threads
 _MAX_DECODED_BYTES = 400_000_000  # of a PNG: 100 megapixels with alpha, or 50 of 16 bits
-_MAX_SCANS = 100  # of a JPEG; encoders write about ten, and each costs 15 ms for 24 megapixels
+_MAX_SCANS = 100  # of a JPEG; encoders write about ten
+# Of a JPEG, pixels × scans: its decoder visits all pixels in each scan, which takes 15 ms for 24 megapixels. 100
+# megapixels in 12 scans are fine.
+_MAX_SCANNED_PIXELS = 1_500_000_000
 _MAX_SIDE = 65_535  # pixels: JPEG's limit
 # Pillow's formats that are decoded here. A JPEG file of several pictures, "MPO", is opened as a JPEG, because Pillow
 # knows the name MPO only in a process that has opened a JPEG before.
@@ -65,12 +68,14 @@ def _size(kind: Kind, path: Path, data: Buffer) -> tuple[int, int]:
 
 
 def _pillow_size(path: Path) -> tuple[int, int]:
-    pillow = _pillow()
+    pillow = load_pillow()
     try:
         with pillow.open(path, formats=_FORMATS) as image:
             return int(image.width), int(image.height)
     except UnidentifiedImageError:
         raise UnreadableError("this is not an image that can be read, although its name says so") from None
+    except MemoryError:
+        raise
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged headers
         raise UnreadableError(f"the image's header is damaged: {error}") from None
 
@@ -82,22 +87,27 @@ def _check_jpeg(path: Path, data: Buffer, pixels: int) -> None:
     """
     if (scans := jpeg.count_scans(data)) > _MAX_SCANS:
         raise UnreadableError(f"the JPEG has {scans:,} scans; at most {_MAX_SCANS} are read")
+    if scans * pixels > _MAX_SCANNED_PIXELS and jpeg.is_progressive(data):
+        most = _MAX_SCANNED_PIXELS // pixels
+        raise TooLargeError(f"the JPEG has {scans:,} scans; at most {most} are allowed for {pixels:,} pixels")
     if pixels <= _MAX_DECODED_PIXELS or not jpeg.is_progressive(data):
         _decode(path, draft=True)
 
 
 def _decode(path: Path, *, draft: bool) -> None:
     try:
-        with _pillow().open(path, formats=_FORMATS) as image:
+        with load_pillow().open(path, formats=_FORMATS) as image:
             if draft:
                 image.draft(None, (max(1, image.width // 8), max(1, image.height // 8)))
             image.load()
+    except MemoryError:
+        raise
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged pixels
         raise UnreadableError(f"the image is damaged or cut short: {error}") from None
 
 
 @cache
-def _pillow() -> ModuleType:
+def load_pillow() -> ModuleType:
     """Return Pillow's Image module with HEIF support, and without its size limit (ours, above, is stricter)."""
     import pillow_heif
 

@@ -18,6 +18,7 @@ from starlette.requests import ClientDisconnect, Request
 
 from services.gateway.errors import Problem
 from services.gateway.uploads.file_names import safe_name, unique_name
+from services.gateway.uploads.refusal import SEND_FEWER, too_many_files
 
 # Bytes per write in a thread: 32 uploads hold 8 MB, and switching threads costs 1 % of the write.
 _BATCH_BYTES = 256 << 10
@@ -26,7 +27,6 @@ _FIELD_BYTES = 1024  # most bytes of a text field
 _MOST_FIELDS = 20  # text fields of a form
 _FORM_TYPE = b"multipart/form-data"
 _ZIP_TYPES = (b"application/zip", b"application/x-zip-compressed", b"application/octet-stream")
-_SEND_FEWER = ("send fewer frames, for example every second one",)
 
 InThread = Callable[[Callable[[], None]], Awaitable[None]]
 
@@ -79,7 +79,7 @@ def body_of(request: Request) -> UploadBody:
 
 
 async def receive(body: UploadBody, folder: Path, limits: UploadLimits, in_thread: InThread) -> ReceivedUpload:
-    """Write the files in a body below `folder`. Raises Problem 400, 408, 413, 415; ClientDisconnect."""
+    """Write the files in a body below `folder`. Raises Problem 400, 408, 413, 415; Refused; ClientDisconnect."""
     sink = _sink(body, ReceivedUpload(folder, fields=dict(body.fields)), limits)
     try:
         async for batch in body.batches:
@@ -151,7 +151,7 @@ class _UploadFiles:
 
     def open(self, name: str) -> None:
         if len(self.received.files) >= self._limits.files:
-            raise too_many_files(self._limits)
+            raise too_many_files(self._limits.files)
         name = unique_name(name, self._used_names)
         path = self.received.folder / name
         try:
@@ -168,7 +168,7 @@ class _UploadFiles:
         self.received.size += len(data)
         if self.received.size > self._limits.total_bytes:
             detail = f"the upload is too large; at most {self._limits.total_bytes:,} bytes are allowed"
-            raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=_SEND_FEWER)
+            raise Problem(413, "UPLOAD_TOO_LARGE", detail, hints=SEND_FEWER)
         if self._file is not None:
             self._file.write(data)
 
@@ -249,7 +249,7 @@ class _MultipartBody:
         self._headers = {}
         self._parts += 1
         if self._parts > self._most_parts:
-            raise too_many_files(self._limits)
+            raise too_many_files(self._limits.files)
 
     def _on_header_field(self, data: bytes, start: int, end: int) -> None:
         self._header_name += data[start:end]
@@ -288,12 +288,6 @@ class _MultipartBody:
 
     def _on_end(self) -> None:
         self._ended = True
-
-
-def too_many_files(limits: UploadLimits) -> Problem:
-    """Return the problem for an upload with too many files, in a form or in a zip."""
-    detail = f"the upload has too many files; at most {limits.files:,} are allowed"
-    return Problem(413, "UPLOAD_TOO_MANY_FILES", detail, hints=_SEND_FEWER)
 
 
 def _malformed() -> Problem:

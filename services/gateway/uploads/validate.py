@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
-import threading
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from starlette.requests import ClientDisconnect
-
-from services.gateway.errors import Problem
 from services.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
 from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
 from services.gateway.uploads.image_checks import MAX_PIXELS, TooLargeError, check_image, map_file
+from services.gateway.uploads.refusal import Refused
 from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
 
 _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
@@ -46,43 +43,41 @@ class FileReport:
         return {**asdict(self), "stripped": list(self.stripped)}
 
 
-def validate(folder: Path, names: Iterable[str], left: threading.Event) -> list[FileReport]:
+def validate(folder: Path, names: Iterable[str], begin: Callable[[str], None]) -> list[FileReport]:
     """Check the files and strip their metadata in place; delete those of unknown format.
 
-    left  is set when the client has disconnected; no other file is checked then
+    begin  is called with the name of each file before it is checked
 
-    Raises Problem 422, naming the file: IMAGE_TOO_LARGE, IMAGE_UNREADABLE, CAPTURE_UNREADABLE, ARCHIVE_NESTED;
-    CAPTURE_EMPTY or CAPTURE_UNKNOWN_FORMAT where no usable file is left. Raises ClientDisconnect when `left` is set.
+    Raises Refused, naming the file: IMAGE_TOO_LARGE, IMAGE_UNREADABLE, CAPTURE_UNREADABLE, ARCHIVE_NESTED;
+    CAPTURE_EMPTY or CAPTURE_UNKNOWN_FORMAT where no usable file is left.
     """
     names = sorted(names)
     only = names[0] if len(names) == 1 else ""
     if only and _kind(folder / only) is Kind.ARCHIVE:  # not a zip, which would have been unpacked before
         hints = ("send a .zip, or the files themselves",)
         detail = "this kind of archive is not supported"
-        raise Problem(422, "CAPTURE_UNKNOWN_FORMAT", detail, file=only, hints=hints)
-    verdicts = [_check_file(folder, name, left) for name in names]
+        raise Refused("CAPTURE_UNKNOWN_FORMAT", detail, only, hints)
+    verdicts = [_check_file(folder, name, begin) for name in names]
     if not any(verdict.bytes for verdict in verdicts):
         detail = "the file is empty" if only else "all files of the upload are empty"
-        raise Problem(422, "CAPTURE_EMPTY", detail, file=only, hints=("choose other files",))
+        raise Refused("CAPTURE_EMPTY", detail, only, ("choose other files",))
     if not any(verdict.verdict == "ok" for verdict in verdicts):
-        raise Problem(
-            422,
+        raise Refused(
             "CAPTURE_UNKNOWN_FORMAT",
             "no file of the upload is a photo, a video, a point cloud or a scan",
-            file=verdicts[0].file,
-            hints=("send photos, a video, .ply, .pcd, .las, .e57, .obj or the export of a scanner app",),
+            verdicts[0].file,
+            ("send photos, a video, .ply, .pcd, .las, .e57, .obj or the export of a scanner app",),
         )
     return verdicts
 
 
-def _check_file(folder: Path, name: str, left: threading.Event) -> FileReport:
-    if left.is_set():
-        raise ClientDisconnect
+def _check_file(folder: Path, name: str, begin: Callable[[str], None]) -> FileReport:
+    begin(name)
     path = folder / name
     kind = _kind(path)
     if kind is Kind.ARCHIVE:
         hints = ("send the archive by itself", "or unpack it and send the files")
-        raise Problem(422, "ARCHIVE_NESTED", "the upload has an archive among other files", file=name, hints=hints)
+        raise Refused("ARCHIVE_NESTED", "the upload has an archive among other files", name, hints)
     size = path.stat().st_size
     if kind is Kind.UNKNOWN:
         path.unlink()
@@ -101,7 +96,7 @@ def _kind(path: Path) -> Kind:
 def _clean_file(kind: Kind, path: Path, name: str) -> tuple[str, ...]:
     """Strip a file's metadata, then check the image, so that no decoder sees unknown parts; return what was removed.
 
-    Raises Problem 422.
+    Raises Refused.
     """
     try:
         with map_file(path) as data:
@@ -115,9 +110,9 @@ def _clean_file(kind: Kind, path: Path, name: str) -> tuple[str, ...]:
                 check_image(kind, path, data)
     except TooLargeError as error:
         hints = (f"send images of at most {MAX_PIXELS // 1_000_000} megapixels",)
-        raise Problem(422, "IMAGE_TOO_LARGE", str(error), file=name, hints=hints) from None
+        raise Refused("IMAGE_TOO_LARGE", str(error), name, hints) from None
     except UnreadableError as error:
         code = "IMAGE_UNREADABLE" if kind in IMAGES else "CAPTURE_UNREADABLE"
         hints = ("send the file again, or leave it out",)
-        raise Problem(422, code, str(error), file=name, hints=hints) from None
+        raise Refused(code, str(error), name, hints) from None
     return result.removed

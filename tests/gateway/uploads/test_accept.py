@@ -6,7 +6,6 @@ import asyncio
 import io
 import json
 import struct
-import threading
 import zipfile
 import zlib
 from collections.abc import AsyncIterator, Callable
@@ -18,13 +17,11 @@ import httpx
 import pytest
 from fastapi import FastAPI
 from PIL import Image
-from starlette.requests import ClientDisconnect
 
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
-from services.gateway.uploads.validate import validate
 from services.storage.archives import unpack
 from services.storage.bundle import sha256_hex
 from services.storage.memory import MemoryStore
@@ -508,14 +505,6 @@ async def test_a_client_that_leaves_ends_the_inspection_of_its_capture(gateway: 
     await gateway.app({"type": "http", "method": "POST", "headers": headers, **path, **ends}, receive, send)
     assert ended.is_set()
     gateway.assert_empty()
-
-
-def test_no_file_is_checked_for_a_client_that_has_left(tmp_path: Path) -> None:
-    (tmp_path / "a.ply").write_bytes(CLOUD)
-    left = threading.Event()
-    left.set()
-    with pytest.raises(ClientDisconnect):
-        validate(tmp_path, ["a.ply"], left)
 
 
 async def test_a_jpeg_of_hundreds_of_scans_is_refused_before_it_is_decoded(gateway: Gateway) -> None:

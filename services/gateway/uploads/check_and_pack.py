@@ -1,0 +1,80 @@
+"""Check the files of an upload and pack them as one zip: what a check process does with hostile bytes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from services.gateway.uploads.refusal import Refused, too_many_files
+from services.gateway.uploads.validate import FileReport, validate
+from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
+
+_ZIPS = (".zip", ".r3d")  # extensions of archives: a file of such a name with other content is a broken archive
+
+
+@dataclass(frozen=True, slots=True)
+class CheckOrder:
+    """What to check, as sent to a check process.
+
+    folder            of the upload, where the archive is written; the files are in its folder `in`
+    names             of the files, relative to that folder
+    has_client_names  whether the names are the client's: the file of a raw body has none
+    most_files        in an archive; most_bytes: of all files together
+    """
+
+    folder: str
+    names: Sequence[str]
+    has_client_names: bool
+    most_files: int
+    most_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class PackedFiles:
+    """The archive of the checked files, its sha256 in hex, and the result for each file."""
+
+    archive: Path
+    sha256: str
+    verdicts: Sequence[FileReport]
+
+
+def archive_of(folder: Path) -> Path:
+    """Return the path of the archive in an upload's folder."""
+    return folder / "capture.zip"
+
+
+def check_and_pack(order: CheckOrder, begin: Callable[[str], None]) -> PackedFiles:
+    """Unpack an archive, validate every file, strip its metadata, and pack all as one zip.
+
+    begin  is called with the name of each file before that is looked at
+
+    Raises Refused.
+    """
+    folder = Path(order.folder)
+    source, names = folder / "in", order.names
+    if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
+        begin(names[0] if order.has_client_names else "")
+        source, names = folder / "files", _unpack(source / names[0], folder / "files", order)
+    verdicts = validate(source, names, begin)
+    archive = archive_of(folder)
+    pack(source, archive)
+    with archive.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return PackedFiles(archive, sha256, verdicts)
+
+
+def _unpack(archive: Path, into: Path, order: CheckOrder) -> list[str]:
+    """Unpack an uploaded archive and return the names of its files. Raises Refused."""
+    client_name = order.names[0] if order.has_client_names else ""
+    try:
+        files = unpack(archive, into, ArchiveLimits(total_bytes=2 * order.most_bytes))
+    except ArchiveError as error:
+        raise Refused(error.code, error.message, error.file or client_name, error.hints) from None
+    if not files:
+        raise Refused("CAPTURE_EMPTY", "the archive has no files", client_name, ("zip the files again",))
+    if len(files) > order.most_files:
+        raise too_many_files(order.most_files)
+    archive.unlink()
+    return [file.relative_to(into).as_posix() for file in files]

@@ -1,0 +1,24 @@
+"""Refusal of an upload, for code that knows nothing of HTTP: the processes that check files import little."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SEND_FEWER = ("send fewer frames, for example every second one",)
+
+
+@dataclass(slots=True)
+class Refused(Exception):  # noqa: N818 - not a fault of ours
+    """An upload, or one of its files, cannot be used. The fields are those of a `Problem`."""
+
+    code: str
+    detail: str
+    file: str = ""
+    hints: tuple[str, ...] = ()
+    status: int = 422
+
+
+def too_many_files(most: int) -> Refused:
+    """Return the refusal of an upload with more files than `most`, in a form or in a zip."""
+    detail = f"the upload has too many files; at most {most:,} are allowed"
+    return Refused("UPLOAD_TOO_MANY_FILES", detail, hints=SEND_FEWER, status=413)

@@ -1,0 +1,175 @@
+"""Each upload is checked in a process of its own: what it costs is limited, and nothing of it is left."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from services.gateway.errors import Problem
+from services.gateway.uploads import check_processes
+from services.gateway.uploads.check_and_pack import CheckOrder
+from services.gateway.uploads.check_processes import CheckProcesses
+from tests.support.patience import PATIENCE_S
+
+CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
+
+# The server, with a check that does something else, and limits that are reached soon.
+SCRIPTED = """
+import errno, os, signal, socket, sys, time
+from services.gateway.uploads import check_server
+def check_and_pack(order, begin):
+    begin("a.ply")
+    {does}
+check_server.check_and_pack = check_and_pack
+check_server._LEAST_SECONDS = 0.0
+check_server._MOST_DATA_BYTES = 200 << 20
+check_server._SLOWED, check_server._DISK_SECONDS = 0.0, {seconds}
+check_server.serve(socket.socket(fileno=int(sys.argv[1])))
+"""
+
+
+def order(folder: Path, **files: bytes) -> CheckOrder:
+    (folder / "in").mkdir(parents=True)
+    for name, content in files.items():
+        (folder / "in" / name.replace("__", ".")).write_bytes(content)
+    return CheckOrder(str(folder), [name.replace("__", ".") for name in files], True, 100, 1 << 30)
+
+
+class Below(CheckProcesses):
+    """The checks of a test, and the processes that they have started."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._others = set(self._servers())
+
+    def server(self) -> psutil.Process | None:
+        """The server, where it runs."""
+        return next(iter(set(self._servers()) - self._others), None)
+
+    def running(self) -> list[psutil.Process]:
+        """The checks that run now."""
+        server = self.server()
+        return server.children() if server else []
+
+    async def until_running(self, count: int) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while len(self.running()) != count:
+                await asyncio.sleep(0.01)
+
+    @staticmethod
+    def _servers() -> list[psutil.Process]:
+        return psutil.Process().children()
+
+
+@pytest.fixture
+def checks() -> Iterator[Below]:
+    made = Below()
+    yield made
+    made.close()
+    assert made.server() is None
+
+
+async def test_a_capture_is_packed_by_another_process(checks: Below, tmp_path: Path) -> None:
+    packed = await checks.check(order(tmp_path, a__ply=CLOUD))
+    assert packed.archive.stat().st_size > len(CLOUD)
+    assert [(each.file, each.verdict) for each in packed.verdicts] == [("a.ply", "ok")]
+    await checks.until_running(0)
+
+
+def scripted(patch: pytest.MonkeyPatch, does: str, *, seconds: float = 60.0) -> None:
+    patch.setattr(check_processes, "_PROGRAM", ("-c", SCRIPTED.format(does=does, seconds=seconds)))
+
+
+@pytest.mark.parametrize(
+    ("does", "status", "code", "words"),
+    [
+        ("while True: pass", 422, "CAPTURE_TOO_LARGE", "time"),
+        ("time.sleep(600)", 422, "CAPTURE_TOO_LARGE", "time"),
+        ("bytearray(1 << 30)", 422, "CAPTURE_TOO_LARGE", "memory"),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", 422, "CAPTURE_UNREADABLE", "SIGSEGV"),
+        ("os.kill(os.getpid(), signal.SIGABRT)", 422, "CAPTURE_UNREADABLE", "SIGABRT"),
+        ("os._exit(7)", 422, "CAPTURE_UNREADABLE", "status 7"),
+        ("raise OSError(errno.ENOSPC, 'full')", 507, "STORAGE_FULL", "full"),
+        ("os.kill(os.getppid(), signal.SIGKILL); os._exit(0)", 503, "CHECK_INTERRUPTED", "interrupted"),
+    ],
+)
+async def test_a_check_that_costs_too_much_or_crashes_is_a_problem_that_names_the_file(
+    does: str,
+    status: int,
+    code: str,
+    words: str,
+    checks: Below,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scripted(monkeypatch, does, seconds=1.0 if "sleep(600)" in does else 60.0)
+    with pytest.raises(Problem) as caught:
+        await checks.check(order(tmp_path, a__ply=CLOUD))
+    problem = caught.value
+    assert (problem.status, problem.code) == (status, code), problem.detail
+    assert words in problem.detail
+    assert problem.hints
+    if code.startswith("CAPTURE"):
+        assert problem.file == "a.ply"
+
+
+async def test_a_fault_of_ours_is_an_internal_error_with_its_traceback(
+    checks: Below, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted(monkeypatch, "raise KeyError('MPO')")
+    with pytest.raises(RuntimeError, match="KeyError: 'MPO'"):
+        await checks.check(order(tmp_path, a__ply=CLOUD))
+
+
+async def test_a_client_that_leaves_ends_its_check(checks: Below, tmp_path: Path) -> None:
+    """A pipe that nobody writes to: whoever opens it waits, in the kernel, where no exception can reach."""
+    what = order(tmp_path, a__ply=b"", b__ply=CLOUD)
+    (tmp_path / "in" / "a.ply").unlink()
+    os.mkfifo(tmp_path / "in" / "a.ply")
+    checking = asyncio.create_task(checks.check(what))
+    await checks.until_running(1)
+    checking.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await checking
+    await checks.until_running(0)
+
+
+async def test_a_server_that_was_killed_is_started_again(checks: Below, tmp_path: Path) -> None:
+    await checks.check(order(tmp_path / "1", a__ply=CLOUD))
+    await checks.until_running(0)
+    server = checks.server()
+    assert server is not None
+    server.send_signal(signal.SIGKILL)
+    server.wait(PATIENCE_S)
+    assert (await checks.check(order(tmp_path / "2", a__ply=CLOUD))).sha256
+
+
+async def test_more_checks_than_run_at_once_all_end(checks: Below, tmp_path: Path) -> None:
+    orders = [order(tmp_path / str(number), a__ply=CLOUD) for number in range(20)]
+    packed = await asyncio.gather(*map(checks.check, orders))
+    assert len({each.sha256 for each in packed}) == 1
+    assert all(each.archive.exists() for each in packed)
+
+
+async def test_the_processes_know_no_secret(checks: Below, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STORAGE_SECRET_KEY", "do-not-tell")
+    monkeypatch.setenv("GATEWAY_EDGE_TOKEN", "do-not-tell")
+    await checks.check(order(tmp_path, a__ply=CLOUD))
+    server = checks.server()
+    assert server is not None
+    assert "do-not-tell" not in server.environ().values()
+
+
+def test_an_app_that_is_dropped_leaves_no_process() -> None:
+    checks = Below()
+    checks.start()
+    server = checks.server()
+    assert server is not None
+    del checks
+    assert not server.is_running()
