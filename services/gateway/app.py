@@ -9,6 +9,7 @@ import signal
 import socket
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from functools import partial
 from typing import Any
 
 import uvicorn
@@ -26,6 +27,7 @@ from services.gateway.access.code_guesses import CodeGuesses
 from services.gateway.access.limits import Limits
 from services.gateway.access.store import AccessStore
 from services.gateway.access.usage import Usage
+from services.gateway.connections import ConnectionLimits, LimitedProtocol
 from services.gateway.database import open_engine
 from services.gateway.dispatch.dispatcher import Dispatcher
 from services.gateway.dispatch.run_supervisor import Dependencies
@@ -220,19 +222,28 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
         _announce(settings, listening.getsockname()[1])
         if not keys.verification_keys:
             _log.warning("signatures of collections are not checked: set STORAGE_SIGNING_KEY or STORAGE_TRUSTED_KEYS")
-        config = uvicorn.Config(
-            app,
-            log_config=None,
-            access_log=False,
-            timeout_graceful_shutdown=_GRACE_S,
-            server_header=False,
-        )
-        server = uvicorn.Server(config)
+        server = uvicorn.Server(server_config(app, settings))
         # uvicorn raises the signal that stopped it again at the end; ignored, because a requested stop is no failure.
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: None)
         server.run(sockets=[listening])
     return 0 if server.started else 1
+
+
+def server_config(app: FastAPI, settings: GatewaySettings) -> uvicorn.Config:
+    """Return the HTTP server's configuration for an app, with the limits of connections."""
+    metrics: Metrics = app.state.metrics
+    limits = ConnectionLimits(settings.limit_address_connections, metrics.observe_refused_connection)
+    protocol: Any = partial(LimitedProtocol, limits)
+    return uvicorn.Config(
+        app,
+        http=protocol,
+        ws="none",
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=_GRACE_S,
+        server_header=False,
+    )
 
 
 def refuse_without_keys(settings: GatewaySettings) -> None:

@@ -41,6 +41,18 @@ class Metrics:
         self._webhooks = Counter(
             "capture2vr_webhook_attempts", "Attempts to send a webhook message", ["outcome"], registry=registry
         )
+        self._connections = Counter(
+            "capture2vr_connections_refused",
+            "Connections closed before there was a request",
+            ["reason"],
+            registry=registry,
+        )
+        self._damaged = Counter(
+            "capture2vr_damaged_objects",
+            "Times that a damaged object of the store was met: a catalogue entry, a receipt or a file",
+            ["kind"],
+            registry=registry,
+        )
         self._lag_s = Histogram(
             "capture2vr_event_lag_seconds",
             "Event written to event sent",
@@ -71,6 +83,14 @@ class Metrics:
     def observe_webhook(self, outcome: str) -> None:
         """Count an attempt to send a webhook message. outcome: delivered, failed or gone"""
         self._webhooks.labels(outcome).inc()
+
+    def observe_refused_connection(self, code: str) -> None:
+        """Count a connection that was closed before there was a request, for the reason with this code."""
+        self._connections.labels(code).inc()
+
+    def observe_damage(self, kind: str, count: int = 1) -> None:
+        """Count damaged objects of the store that were met. kind: entry, receipt or file"""
+        self._damaged.labels(kind).inc(count)
 
     def render(self, counts: Mapping[State, int], listeners: int) -> bytes:
         """Return the metrics in Prometheus' text format."""

@@ -6,6 +6,7 @@ Plain ASGI, because the framework's own middleware class buffers streams and hid
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 import time
@@ -19,6 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from services.gateway.access.api_key import KEY_PATTERN, mask_keys
 from services.gateway.access.limits import Limits
+from services.gateway.connections import MAX_HEAD_BYTES, head_too_large
 from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
 from services.gateway.same_site import SiteRules
@@ -28,6 +30,8 @@ from services.logs import request_id
 _JSON_BYTES = 64 << 10  # limit of a body that is no upload: a job request has a few hundred bytes
 _FORM_BYTES = 16 << 20  # what multipart adds to an upload: boundaries and headers of some thousand files
 _UPLOADS = re.compile("/v1/(captures|outlines|uploads(/[^/]*)?)/?")
+_UPLOAD_SILENCE_S = 90.0  # without a byte of a body; uploads have a limit of their own, which names the upload
+_SILENCE_S = 20.0
 _CLIENT_CLOSED = 499  # nginx's status for a client that disconnected before its answer; never sent, only counted
 _STREAM = "text/event-stream"
 # What the pages use, for themselves alone: the camera, tilt and turn of a phone, a headset.
@@ -46,11 +50,13 @@ class _Exchange:
     """State of one request and its answer while they are processed."""
 
     limit: int
+    silence_s: float
     began: float = field(default_factory=time.perf_counter)
     received: int = 0
     status: int = 0
     streamed: bool = False
-    too_large: bool = False
+    has_body: bool = False  # whether all of the body has been received
+    refusal: Problem | None = None  # of the body
 
 
 class RequestMiddleware:
@@ -78,14 +84,21 @@ class RequestMiddleware:
             request_id.reset(token)
 
     async def _handle(self, scope: Scope, receive: Receive, send: Send, headers: Headers, identity: str) -> None:
-        exchange = _Exchange(self._limit(scope["path"]))
+        is_upload = _UPLOADS.fullmatch(scope["path"]) is not None
+        exchange = _Exchange(self._limit(is_upload), _UPLOAD_SILENCE_S if is_upload else _SILENCE_S)
 
         async def receive_counted() -> Message:
-            message = await receive()
+            try:
+                async with asyncio.timeout(None if exchange.has_body else exchange.silence_s):
+                    message = await receive()
+            except TimeoutError:
+                exchange.refusal = _silent(exchange.silence_s)
+                raise exchange.refusal from None
             exchange.received += len(message.get("body", b""))
+            exchange.has_body = not message.get("more_body", False)
             if exchange.received > exchange.limit:
-                exchange.too_large = True
-                raise _too_large(exchange.limit)
+                exchange.refusal = _too_large(exchange.limit)
+                raise exchange.refusal
             return message
 
         async def send_with_headers(message: Message) -> None:
@@ -108,21 +121,22 @@ class RequestMiddleware:
                 exchange.streamed = headers_out.get("content-type", "").startswith(_STREAM)
             await send(message)
 
-        async def send_unless_too_large(message: Message) -> None:
+        async def send_unless_refused(message: Message) -> None:
             # The framework answers an exception of `receive` as a malformed body: drop that answer, send ours below.
-            if not exchange.too_large or exchange.status:
+            if not exchange.refusal or exchange.status:
                 await send_with_headers(message)
 
         try:
+            _check_head(scope)
             self._sites.check(scope["method"], headers)
             _refuse_key_in_url(scope)
             client = scope.get("client")
             self._limits.spend_address(client[0] if client else "")
             if _declared_length(headers) > exchange.limit:
                 raise _too_large(exchange.limit)
-            await self._app(scope, receive_counted, send_unless_too_large)
-            if exchange.too_large and not exchange.status:
-                raise _too_large(exchange.limit)
+            await self._app(scope, receive_counted, send_unless_refused)
+            if exchange.refusal and not exchange.status:
+                raise exchange.refusal
         except Problem as problem:
             await problem.response()(scope, receive, send_with_headers)
         except ClientDisconnect:
@@ -135,8 +149,8 @@ class RequestMiddleware:
         finally:
             self._count(scope, exchange)
 
-    def _limit(self, path: str) -> int:
-        return self._max_upload_bytes + _FORM_BYTES if _UPLOADS.fullmatch(path) else _JSON_BYTES
+    def _limit(self, is_upload: bool) -> int:
+        return self._max_upload_bytes + _FORM_BYTES if is_upload else _JSON_BYTES
 
     def _count(self, scope: Scope, exchange: _Exchange) -> None:
         seconds = time.perf_counter() - exchange.began
@@ -155,6 +169,13 @@ class RequestMiddleware:
         _log.info("%s %s %d", scope["method"], path, exchange.status, extra=extra)
 
 
+def _check_head(scope: Scope) -> None:
+    """Raises Problem for a request line and headers that are too large, and arrived so fast that they were read."""
+    size = len(scope.get("raw_path", b"")) + len(scope["query_string"])
+    if size + sum(len(name) + len(value) + 4 for name, value in scope["headers"]) > MAX_HEAD_BYTES:
+        raise head_too_large()
+
+
 def _refuse_key_in_url(scope: Scope) -> None:
     """Raises Problem for an access key in a URL, where logs and histories keep it."""
     if KEY_PATTERN.search(scope["path"]) or KEY_PATTERN.search(unquote(scope["query_string"].decode("latin-1"))):
@@ -166,6 +187,10 @@ def _refuse_key_in_url(scope: Scope) -> None:
 def _declared_length(headers: Headers) -> int:
     length = headers.get("content-length", "")
     return int(length) if length.isascii() and length.isdigit() else 0
+
+
+def _silent(seconds: float) -> Problem:
+    return Problem(408, "REQUEST_SILENT", f"the client sent nothing for {seconds:.0f} s", retryable=True)
 
 
 def _too_large(limit: int) -> Problem:

@@ -48,6 +48,7 @@ class GatewaySettings(StrictSettings):
     limit_capture_bytes: int = Field(default=0, ge=0)  # beside max_upload_bytes
     # Of a client's address, with or without a key; this machine's own are not counted.
     limit_address_requests_per_minute: int = Field(default=3_000, ge=0)
+    limit_address_connections: int = Field(default=512, ge=0)  # open ones; behind a proxy all are the proxy's
 
     lease_s: float = Field(default=10.0, gt=0)  # after so long without renewal another gateway takes the job over
     silence_s: float = Field(default=15.0, gt=0)  # three of the worker's heartbeats missed: the stream is dead

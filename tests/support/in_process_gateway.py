@@ -16,7 +16,7 @@ from fastapi import FastAPI
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.server import EdgeServer
 from services.edge.worker.settings import EdgeSettings
-from services.gateway.app import create_app
+from services.gateway.app import create_app, server_config
 from services.gateway.settings import GatewaySettings
 from services.storage.memory import MemoryStore
 from services.storage.store import Store
@@ -54,7 +54,8 @@ async def gateway(data_dir: Path, store: Store, *ports: int, **settings: Any) ->
 @asynccontextmanager
 async def listening(app: FastAPI) -> AsyncIterator[str]:
     """The app behind uvicorn; its URL."""
-    config = uvicorn.Config(app, port=0, log_config=None, timeout_graceful_shutdown=1, ws="none")
+    config = server_config(app, app.state.settings)
+    config.port, config.timeout_graceful_shutdown = 0, 1
     server = uvicorn.Server(config)
     # serve() would take this process's signal handlers.
     task = asyncio.create_task(server._serve())

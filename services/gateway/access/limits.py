@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import time
 from collections import Counter
@@ -18,6 +17,7 @@ from limits.strategies import SlidingWindowCounterRateLimiter
 from services.gateway.access.authentication import CACHE_S, Authentication
 from services.gateway.access.caller import Caller
 from services.gateway.errors import Problem
+from services.gateway.own_address import is_own
 from services.gateway.settings import GatewaySettings
 
 _UPLOAD_RETRY_S = 5
@@ -93,7 +93,7 @@ class Limits:
 
     def spend_address(self, address: str) -> RateState | None:
         """Count a request of an address. Raises Problem REQUESTS_LIMITED; None where it is not limited."""
-        if not self._of_address or _is_local(address):
+        if not self._of_address or is_own(address):
             return None
         return self._spend(self._of_address, "address", address)
 
@@ -148,10 +148,3 @@ def capture_too_large(limit: int) -> Problem:
     """Return the problem for a capture that is larger than the tenant's may be."""
     detail = f"a capture may have at most {limit:,} bytes"
     return Problem(413, "CAPTURE_BYTES_LIMITED", detail, hints=("send a smaller capture", "ask the operator for more"))
-
-
-def _is_local(address: str) -> bool:
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:  # a test client's or a Unix socket's name
-        return True

@@ -85,6 +85,7 @@ async def list_assets(
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
     store = store_of(request)
     entries, damaged = await in_thread(lambda: _entries(store, after, limit))
+    request.app.state.metrics.observe_damage("entry", len(damaged))
     last = entries[-1].key if len(entries) == limit else None
     return AssetPage(assets=[_summary(request, each) for each in entries], next=last, damaged=damaged)
 

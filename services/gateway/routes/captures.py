@@ -218,6 +218,7 @@ async def get_captures(
     """List the stored captures, the oldest first."""
     store = store_of(request)
     found, damaged = await in_thread(lambda: list_captures(store, _summary, after=after, limit=limit))
+    request.app.state.metrics.observe_damage("receipt", len(damaged))
     last = found[-1].capture if len(found) == limit else None
     return CapturePage(captures=found, next=last, damaged=damaged)
 

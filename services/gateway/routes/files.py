@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import pathlib
 import re
 from collections.abc import AsyncIterator
@@ -29,6 +30,8 @@ _PUBLIC = ("assets/", "collections/")
 _HASH = re.compile(r"\.([0-9a-f]{64})(\.[^./]*)?$")
 _READ_BYTES = 256 << 10  # per read from the disk
 
+_log = logging.getLogger(__name__)
+
 
 @router.head("/files/{name:path}", include_in_schema=False, dependencies=[needs(Scope.READ)])
 @router.get(
@@ -52,6 +55,8 @@ async def get_file(name: str, request: Request) -> Response:
     if not own_name.startswith("assets/"):
         return await _small_file(store, head, request)
     if not _is_intact(head):
+        _log.error("%s is not what was published: its sha256 is %s", head.name, head.etag)
+        request.app.state.metrics.observe_damage("file")
         raise _damaged_file(head.name)
     return await _large_file(store, head, request)
 
