@@ -52,7 +52,7 @@ async def test_requests_a_minute(tmp_path: Path) -> None:
 async def test_an_addresss_requests_are_counted_before_its_key_is_looked_at(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.gateway.access.limits._is_local", lambda _: False)
+    monkeypatch.setattr("services.gateway.access.limits.is_own", lambda _: False)
     async with two_tenants(tmp_path, memory(), limit_address_requests_per_minute=3) as site:
         bad = {"Authorization": "Bearer c2v_ada_" + "x" * 43}
         answers = [await site.anonymous.get("/v1/jobs", headers=bad) for _ in range(5)]
