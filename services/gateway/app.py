@@ -37,6 +37,9 @@ from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import RequestMiddleware
+from services.gateway.records.audit_log import AuditLog, AuditStore
+from services.gateway.records.deletions import DeletionStore
+from services.gateway.records.tenant_data import TenantData
 from services.gateway.resumable import protocol
 from services.gateway.resumable.expiry import Expiry
 from services.gateway.resumable.store import UploadStore
@@ -46,6 +49,7 @@ from services.gateway.routes import (
     assets,
     captures,
     collections,
+    data,
     files,
     health,
     jobs,
@@ -67,7 +71,7 @@ from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
-_ROUTES = (captures, uploads, jobs, assets, collections, files, access, tenants, webhooks, health, pages)
+_ROUTES = (captures, uploads, jobs, assets, collections, files, access, tenants, webhooks, data, health, pages)
 # What pages of other origins may send and read, beside what uploads need.
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
@@ -111,6 +115,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     app.state.check_processes = CheckProcesses()
     app.state.usage = Usage(app.state.authentication, store)
     app.state.code_guesses = CodeGuesses()
+    app.state.audit = AuditLog()
     for module in _ROUTES:
         check_rules(module.router.routes)
         app.include_router(module.router)
@@ -121,11 +126,13 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.cors_origins,
-            allow_methods=["GET", "HEAD", "POST", "PATCH", "DELETE"],
+            allow_methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
             allow_headers=[*_REQUEST_HEADERS, *protocol.REQUEST_HEADERS],
             expose_headers=[*_ANSWER_HEADERS, *protocol.ANSWER_HEADERS],
         )
-    app.add_middleware(RequestMiddleware, metrics=metrics, limits=app.state.limits, settings=settings)
+    app.add_middleware(
+        RequestMiddleware, metrics=metrics, limits=app.state.limits, audit=app.state.audit, settings=settings
+    )
     return app
 
 
@@ -161,6 +168,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         authentication: Authentication = app.state.authentication
         authentication.connect(AccessStore(engine))
         stack.push_async_callback(authentication.close)
+        app.state.audit_store = AuditStore(engine)
+        app.state.audit.connect(app.state.audit_store)
+        stack.callback(app.state.audit.close)
         job_store = AsyncJobStore(JobStore(engine))
         stack.callback(job_store.close)
         stack.push_async_callback(workers.close)
@@ -180,6 +190,16 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         sender = Sender(allow_private=settings.webhook_private)
         app.state.outbox = Outbox(engine)
         app.state.deliveries = Deliveries(app.state.outbox, sender, app.state.metrics.observe_webhook)
+        app.state.data = TenantData(
+            app.state.store,
+            app.state.keys,
+            authentication,
+            app.state.usage,
+            job_store,
+            DeletionStore(engine),
+            app.state.outbox,
+            app.state.deliveries,
+        )
         app.state.dispatcher = Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
         for background in (
             app.state.dispatcher.run(),
@@ -187,6 +207,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             authentication.store_use(),
             app.state.deliveries.run(),
             Expiry(resumable, app.state.store, app.state.usage.add).run(),
+            app.state.data.keep_retention(),
         ):
             task = asyncio.create_task(background)
             task.add_done_callback(_report_death)

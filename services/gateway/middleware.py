@@ -23,6 +23,7 @@ from services.gateway.access.limits import Limits
 from services.gateway.connections import MAX_HEAD_BYTES, head_too_large
 from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
+from services.gateway.records.audit_log import AuditLog
 from services.gateway.same_site import SiteRules
 from services.gateway.settings import GatewaySettings
 from services.logs import request_id
@@ -62,9 +63,12 @@ class _Exchange:
 class RequestMiddleware:
     """The outermost layer of the app: adds ids and headers, limits bodies, counts and logs, answers all exceptions."""
 
-    def __init__(self, app: ASGIApp, *, metrics: Metrics, limits: Limits, settings: GatewaySettings) -> None:
+    def __init__(
+        self, app: ASGIApp, *, metrics: Metrics, limits: Limits, audit: AuditLog, settings: GatewaySettings
+    ) -> None:
         self._app = app
         self._limits = limits
+        self._audit = audit
         self._sites = SiteRules.of(settings)
         self._has_tls = settings.public_url.startswith("https://")  # by a proxy, which may not tell
         self._metrics = metrics
@@ -104,6 +108,7 @@ class RequestMiddleware:
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 exchange.status = message["status"]
+                await self._audit.record(scope, identity, exchange.status)
                 headers_out = MutableHeaders(scope=message)
                 headers_out.setdefault("X-Content-Type-Options", "nosniff")
                 headers_out.setdefault("Referrer-Policy", "no-referrer")

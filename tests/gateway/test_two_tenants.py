@@ -61,6 +61,8 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/api-keys/{key}/rotate": {"grace_days": 0},
     "post /v1/tenants": {"name": "eve"},
     "put /v1/tenants/{name}/limits": {"jobs_at_once": 0},
+    "post /v1/deletions": {"tenant": "ada"},
+    "put /v1/retention": {"captures_days": 1_000},
     "post /v1/webhooks": {"url": "http://127.0.0.1:9/bob"},
     "put /v1/webhooks/{webhook}/state": {"disabled": True},
     "post /v1/webhooks/{webhook}/rotate": None,

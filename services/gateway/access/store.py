@@ -100,6 +100,17 @@ class AccessStore:
             values = dict(limits) if limits else sa.null()
             db.execute(tenants.update().where(tenants.c.name == tenant).values(limits=values))
 
+    def retention(self, tenant: str) -> dict[str, int]:
+        """Return after how many days what of a tenant is deleted, as it was set; {}: nothing ever is."""
+        with self._engine.begin() as db:
+            return dict(db.execute(sa.select(tenants.c.retention).where(tenants.c.name == tenant)).scalar() or {})
+
+    def set_retention(self, tenant: str, days: Mapping[str, int]) -> None:
+        """Set after how many days what of a tenant is deleted, in place of what held before."""
+        with self._writer.begin() as db:
+            values = dict(days) if days else sa.null()
+            db.execute(tenants.update().where(tenants.c.name == tenant).values(retention=values))
+
     def usage(self, tenant: str) -> tuple[int, float] | None:
         """Return the bytes that a tenant stores, and when they were counted; None before the first count."""
         with self._engine.begin() as db:

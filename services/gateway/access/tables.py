@@ -13,6 +13,7 @@ tenants = sa.Table(
     sa.Column("label", sa.String(200), nullable=False),
     sa.Column("created", sa.Double, nullable=False),
     sa.Column("limits", sa.JSON),
+    sa.Column("retention", sa.JSON),
 )
 
 usage = sa.Table(

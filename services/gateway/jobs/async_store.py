@@ -37,6 +37,11 @@ class AsyncJobStore:
         self._writer = ThreadPoolExecutor(1, "jobs-write")
         self.notifier = JobNotifier()
 
+    @property
+    def blocking(self) -> JobStore:
+        """The store itself, for work that is on a thread already."""
+        return self._store
+
     async def read(self, what: Callable[Concatenate[JobStore, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Call a reading method of the store."""
         return await _run_on(self._readers, lambda: what(self._store, *args, **kwargs))

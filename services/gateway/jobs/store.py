@@ -34,6 +34,7 @@ from services.gateway.webhooks.outbox import enqueue
 from services.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
+_DELETED_AT_ONCE = 500  # jobs per statement: SQLite takes at most 999 values
 _DAY_S = 86_400.0
 _BUSY_RETRY_S = 30  # a job takes about a minute
 _TERMINAL = [state.value for state in TERMINAL]
@@ -118,12 +119,28 @@ class JobStore:
             active = db.execute(mine.where(jobs.c.state.not_in(_TERMINAL))).scalar_one()
             return active, db.execute(mine.where(jobs.c.created > time.time() - _DAY_S)).scalar_one()
 
-    def using(self, tenant: str, capture: str) -> list[str]:
-        """Return the ids of a tenant's jobs that have not ended and need this capture."""
-        active = sa.and_(jobs.c.tenant == tenant, jobs.c.state.not_in(_TERMINAL))
-        select = sa.select(jobs.c.id).where(active, jobs.c.order["capture"].as_string() == capture)
+    def unfinished(self, tenant: str, *, capture: str = "", asset_key: str = "") -> list[str]:
+        """Return the ids of a tenant's jobs that have not ended; only of those for this capture or asset, if named."""
+        select = sa.select(jobs.c.id).where(jobs.c.tenant == tenant, jobs.c.state.not_in(_TERMINAL))
+        for name, value in (("capture", capture), ("asset_key", asset_key)):
+            if value:
+                select = select.where(jobs.c.order[name].as_string() == value)
         with self._engine.begin() as db:
             return [job for (job,) in db.execute(select.order_by(jobs.c.id))]
+
+    def delete_ended(self, tenant: str, *, before: float) -> list[str]:
+        """Delete a tenant's jobs that ended before this time (seconds since the epoch), with all that is known of them.
+
+        Returns their ids.
+        """
+        ended = sa.and_(jobs.c.tenant == tenant, jobs.c.state.in_(_TERMINAL), jobs.c.updated < before)
+        with self._writer.begin() as db:
+            ids = list(db.execute(sa.select(jobs.c.id).where(ended).order_by(jobs.c.id)).scalars())
+            for start in range(0, len(ids), _DELETED_AT_ONCE):
+                some = ids[start : start + _DELETED_AT_ONCE]
+                for column in (events.c.job, idempotency.c.job, leases.c.job, jobs.c.id):
+                    db.execute(sa.delete(column.table).where(column.in_(some)))
+        return ids
 
     def change(self, job: str, transition: Callable[[Job], Change]) -> Job:
         """Apply a transition to a job and store the result; nothing if it raises. Raises Problem JOB_UNKNOWN."""

@@ -150,8 +150,7 @@ async def get_session(request: Request) -> SessionView:
 async def log_in(body: LoginRequest, request: Request, response: Response) -> SessionView:
     """Log a browser in with an access key: it gets a session cookie, which scripts cannot read."""
     key = await authentication_of(request).check_secret(body.key)
-    await _set_session(key, request, response)
-    return SessionView.of(Caller(key.tenant, key.scopes, "session", key.id))
+    return SessionView.of(await _set_session(key, request, response))
 
 
 @router.delete("/session", status_code=204, dependencies=[ANYONE])
@@ -211,8 +210,7 @@ async def claim_pairing(body: ClaimRequest, request: Request, response: Response
         detail = "this code is wrong, or was used, or has expired"
         raise Problem(404, "PAIRING_UNKNOWN", detail, hints=("show a new code on the other screen",))
     key, _ = claimed
-    await _set_session(key, request, response)
-    return SessionView.of(Caller(key.tenant, key.scopes, "session", key.id))
+    return SessionView.of(await _set_session(key, request, response))
 
 
 @router.post(
@@ -306,7 +304,8 @@ async def _new_key(
     return NewKeyView(**_key_fields(key), secret=secret)
 
 
-async def _set_session(key: ApiKey, request: Request, response: Response) -> None:
+async def _set_session(key: ApiKey, request: Request, response: Response) -> Caller:
+    """Give the browser a session cookie; return who it is from now on, also for the audit log."""
     cookie, seconds = await authentication_of(request).sign_session(key)
     response.set_cookie(
         SESSION_COOKIE,
@@ -317,6 +316,8 @@ async def _set_session(key: ApiKey, request: Request, response: Response) -> Non
         httponly=True,
         samesite="lax",  # not strict: the link in a QR code is opened from elsewhere
     )
+    request.state.caller = caller = Caller(key.tenant, key.scopes, "session", key.id)
+    return caller
 
 
 async def _latest(authentication: Authentication, caller: Caller, wanted: float | None) -> float | None:

@@ -163,12 +163,12 @@ async def restore_asset(key: Key, request: Request, collection: InCollection = "
 
 async def _entry(request: Request, key: str) -> Entry:
     """Read the key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, ASSET_REMOVED, STORE_UNAVAILABLE."""
-    _check_key(key)
+    check_key(key)
     store = store_of(request)
     try:
         found = await in_thread(lambda: read_entry(store, key))
     except FileNotFoundError:
-        raise _unknown(key) from None
+        raise unknown_asset(key) from None
     if found.removed:
         hints = (f"POST /v1/assets/{key}/restore restores it",)
         raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANY_ORIGIN))
@@ -178,14 +178,14 @@ async def _entry(request: Request, key: str) -> Entry:
 async def _set_removed(
     request: Request, key: str, change: Callable[[Store, str, Keys], Entry], collection: str
 ) -> AssetRemovalView:
-    _check_key(key)
+    check_key(key)
     store, keys = store_of(request), request.app.state.keys
     try:
         if collection:
             _check_collection(await in_thread(lambda: read_entry(store, key)), collection)
         found = await in_thread(lambda: change(store, key, keys))
     except FileNotFoundError:
-        raise _unknown(key) from None
+        raise unknown_asset(key) from None
     await _tell_webhooks(request, found)
     return AssetRemovalView(key=key, version=found.version, removed=found.removed, updated=found.document["updated"])
 
@@ -199,7 +199,8 @@ async def _tell_webhooks(request: Request, found: Entry) -> None:
     request.app.state.deliveries.wake()
 
 
-def _check_key(key: str) -> None:
+def check_key(key: str) -> None:
+    """Raises Problem KEY_INVALID."""
     if not valid_key(key):
         detail = "an asset key must have 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit"
         raise Problem(422, "KEY_INVALID", detail, hints=("check the key in the URL",))
@@ -213,7 +214,8 @@ def _check_collection(found: Entry, collection: str) -> None:
         raise Problem(404, "ASSET_UNKNOWN", detail, hints=(f"this asset is in: {', '.join(found.collections)}",))
 
 
-def _unknown(key: str) -> Problem:
+def unknown_asset(key: str) -> Problem:
+    """Return the problem for a key under which nothing was published."""
     hints = ("check the key", "its first job may still be running")
     return Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints)
 

@@ -259,7 +259,7 @@ async def download_capture(capture: CaptureId, request: Request) -> StreamingRes
 async def remove_capture(capture: CaptureId, request: Request) -> CaptureDeletionView:
     """Delete a capture for good. Assets that were made from it stay; no job can use it again."""
     job_store: AsyncJobStore = request.app.state.job_store
-    if using := await job_store.read(JobStore.using, caller_of(request).tenant, capture):
+    if using := await job_store.read(JobStore.unfinished, caller_of(request).tenant, capture=capture):
         detail = f"{len(using)} jobs that have not ended need the capture: {', '.join(using[:3])}"
         raise Problem(409, "CAPTURE_IN_USE", detail, hints=("cancel these jobs, or wait for their end",))
     store = store_of(request)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 from urllib.parse import urljoin
 
@@ -26,8 +27,15 @@ async def in_thread(work: Callable[[], _T]) -> _T:
 
     Raises Problem, FileNotFoundError.
     """
-    try:
+    with store_problems():
         return await anyio.to_thread.run_sync(work)
+
+
+@contextmanager
+def store_problems() -> Iterator[None]:
+    """Turn the store's errors into problems. Raises Problem, FileNotFoundError."""
+    try:
+        yield
     except FileNotFoundError:
         raise
     except CatalogueFault as fault:

@@ -31,6 +31,8 @@ EventName = Literal[
     "asset.published",
     "asset.removed",
     "asset.restored",
+    "asset.deleted",
+    "data.deleted",
 ]
 
 

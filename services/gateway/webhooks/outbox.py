@@ -27,6 +27,8 @@ EVENTS = (
     "asset.published",
     "asset.removed",
     "asset.restored",
+    "asset.deleted",
+    "data.deleted",
 )
 TEST_EVENT = "webhook.test"
 DELAYS_S = (5, 60, 300, 1_800, 7_200, 14_400, 21_600, 21_600, 21_600)
@@ -172,6 +174,11 @@ class Outbox:
         """Disable a webhook whose receiver says that it is gone; its messages wait until it is enabled again."""
         with self._writer.begin() as db:
             db.execute(webhooks.update().where(webhooks.c.id == webhook).values(disabled=now))
+
+    def delete_of(self, tenant: str) -> None:
+        """Delete the messages of a tenant that have ended: they name its assets."""
+        with self._writer.begin() as db:
+            db.execute(messages.delete().where(messages.c.tenant == tenant, messages.c.ended.is_not(None)))
 
     def remove_old(self, now: float) -> int:
         """Delete messages that ended more than a week ago; return how many."""

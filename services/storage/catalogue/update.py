@@ -7,7 +7,7 @@ to succeed has seen the newest entry, and the next run completes one that was in
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from services.storage.bundle import sha256_hex
@@ -80,22 +80,71 @@ def rebuild(store: Store, collection: str, keys: Keys = NO_KEYS) -> Index:
     return retry_on_conflict(attempt)
 
 
+def remove_row(store: Store, collection: str, key: str, keys: Keys = NO_KEYS) -> None:
+    """Remove an asset's row from a collection for good, also from the replaced shards that are still on the store.
+
+    Idempotent. Raises CatalogueFault as `update_collections` does.
+    """
+    _replace_row(store, collection, key, keys, lambda: None)
+    _forget_retired(store, collection, keys)
+
+
+def empty(store: Store, collection: str, keys: Keys = NO_KEYS) -> None:
+    """Remove all rows of a collection for good. Its index stays, so that clients see the newer version and obey it.
+
+    Works on a damaged collection too. Idempotent. Raises CatalogueFault where this process cannot sign the index.
+    """
+
+    def attempt() -> None:
+        data, etag = read_mutable(store, index_name(collection))
+        present = _index_or_none(data, collection)
+        if present is not None and not present.shards and not present.retired:
+            return
+        if data is not None and present is not None:
+            _read_current_index(data, collection, keys)
+        version = max(present.version + 1 if present else 1, int(time.time()))
+        _replace_index(store, Index(collection, version, now_iso(), ()), (), keys, etag)
+
+    retry_on_conflict(attempt)
+
+
 def _update_collection(store: Store, collection: str, key: str, keys: Keys) -> None:
+    _replace_row(store, collection, key, keys, lambda: row_of(read_entry(store, key)))
+
+
+def _replace_row(store: Store, collection: str, key: str, keys: Keys, read_row: Callable[[], Row | None]) -> None:
+    """Write the asset's row in place of the one that the collection has. read_row: None: there shall be none"""
+
     def attempt() -> None:
         data, etag = read_mutable(store, index_name(collection))
         present = _read_current_index(data, collection, keys)
-        row = row_of(read_entry(store, key))
+        row = read_row()
         number, rows = present.shard_number(key), _load_rows(store, present, key, etag)
         others = [each for each in rows if each.key != key]
-        if row in rows:
+        new_rows = sorted([*others, row], key=lambda each: each.key) if row else others
+        if new_rows == list(rows):
             return
         _check_unchanged(store, collection, etag)
-        parts = _split_rows(sorted([*others, row], key=lambda each: each.key))
-        new_shards = _write_shards(store, collection, parts, present.version + 1)
+        new_shards = _write_shards(store, collection, _split_rows(new_rows), present.version + 1)
         replaced = [shard.sha256 for shard in present.shards[number : number + 1]]
         shards = (*present.shards[:number], *new_shards, *present.shards[number + 1 :])
         index = Index(collection, present.version + 1, now_iso(), shards, (*present.retired, *replaced))
         _replace_index(store, index, new_shards, keys, etag)
+
+    retry_on_conflict(attempt)
+
+
+def _forget_retired(store: Store, collection: str, keys: Keys) -> None:
+    """Delete all retired shards now. Clients that read an older index a moment ago read the new one instead."""
+
+    def attempt() -> None:
+        data, etag = read_mutable(store, index_name(collection))
+        present = _read_current_index(data, collection, keys)
+        if present.retired:
+            for sha256 in present.retired:
+                store.delete(shard_name(collection, sha256))
+            index = Index(collection, present.version + 1, now_iso(), present.shards)
+            _replace_index(store, index, (), keys, etag)
 
     retry_on_conflict(attempt)
 
@@ -170,10 +219,10 @@ def _all_rows(store: Store, collection: str) -> list[Row]:
 def _split_rows(rows: Sequence[Row]) -> list[Sequence[Row]]:
     """Split rows into two halves where they exceed one shard.
 
-    Shards are never merged: rows stay, those of removed assets too.
+    Shards are never merged: few rows ever go, and those of removed assets stay.
     """
     if len(rows) <= SHARD_ROWS:
-        return [rows]
+        return [rows] if rows else []
     half = len(rows) // 2
     return [rows[:half], rows[half:]]
 

@@ -1,0 +1,129 @@
+"""Audit log: who changed what, from which address and when. Rows are only ever added.
+
+Every request that changes something, or takes a capture or everything out, is one row, written before it is answered.
+Requests that were refused for want of a key are in the request log only, so that strangers cannot fill the database.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.engine import Engine
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.gateway.access.api_key import mask_keys
+from services.gateway.access.caller import Caller
+from services.gateway.database import for_writing
+from services.gateway.records.tables import audit_log
+from services.storage.tenant_store import DEFAULT_TENANT
+
+_LOGINS = ("/v1/session", "/v1/pairings/claim")  # recorded without a key too: who tried to get in
+_EXPORTS = ("/archive", "/export")  # ends of paths that take data out
+_READS = ("GET", "HEAD", "OPTIONS")
+_PART_OF_UPLOAD = "PATCH"  # a film is hundreds of them; the request that begins the upload is recorded
+_PATH_CHARACTERS = 500
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class AuditRecord:
+    """A request that changed something, or tried to.
+
+    at       seconds since the epoch
+    via, key as of `Caller`
+    address  of the client, or of the proxy where the gateway does not trust it
+    request  the X-Request-ID, under which the logs have the rest
+    status   HTTP status of the answer
+    """
+
+    id: int
+    at: float
+    tenant: str
+    via: str
+    key: str
+    address: str
+    request: str
+    method: str
+    path: str
+    status: int
+
+
+class AuditStore:
+    """The audit log in the SQL database. Methods block."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._writer = for_writing(engine)
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Add a row."""
+        with self._writer.begin() as db:
+            db.execute(audit_log.insert().values(dict(row)))
+
+    def page(self, *, tenant: str | None, before: int, limit: int) -> list[AuditRecord]:
+        """Return at most `limit` rows older than the row `before` (0: the newest), newest first; of all for None."""
+        select = sa.select(audit_log).order_by(audit_log.c.id.desc()).limit(limit)
+        if tenant is not None:
+            select = select.where(audit_log.c.tenant == tenant)
+        if before:
+            select = select.where(audit_log.c.id < before)
+        with self._engine.begin() as db:
+            return [AuditRecord(**row._mapping) for row in db.execute(select)]
+
+
+class AuditLog:
+    """Records requests. Event loop only. It records nothing until `connect` has given it a store."""
+
+    def __init__(self) -> None:
+        self._store: AuditStore | None = None
+        self._thread = ThreadPoolExecutor(1, "audit")
+
+    def connect(self, store: AuditStore) -> None:
+        """Use this store."""
+        self._store = store
+
+    def close(self) -> None:
+        """Wait for rows in progress, then end the thread."""
+        self._store = None
+        self._thread.shutdown()
+
+    async def record(self, scope: Mapping[str, Any], request: str, status: int) -> None:
+        """Write the row of a request that is about to be answered, if it belongs into the log.
+
+        A database that fails costs the row, not the answer: what was done is done.
+        """
+        caller: Caller | None = scope.get("state", {}).get("caller")
+        if self._store is None or not _belongs(scope["method"], scope["path"], caller):
+            return
+        client, append = scope.get("client"), self._store.append
+        row = {
+            "at": time.time(),
+            "tenant": caller.tenant if caller else DEFAULT_TENANT,
+            "via": caller.via if caller else "anonymous",
+            "key": caller.key if caller else "",
+            "address": client[0] if client else "",
+            "request": request,
+            "method": scope["method"],
+            "path": mask_keys(scope["path"])[:_PATH_CHARACTERS],
+            "status": status,
+        }
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._thread, append, row)
+        except SQLAlchemyError as error:
+            _log.error("the audit log has no row of %s %s: %s", row["method"], row["path"], error, extra=row)
+
+
+def _belongs(method: str, path: str, caller: Caller | None) -> bool:
+    if caller is None or caller.via == "anonymous":
+        return path in _LOGINS and method not in _READS
+    if method in _READS:
+        return method == "GET" and path.endswith(_EXPORTS)
+    return method != _PART_OF_UPLOAD

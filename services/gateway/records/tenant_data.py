@@ -1,0 +1,187 @@
+"""Delete what a tenant has: one asset, captures, everything; and what it wants to be kept no longer than some days.
+
+Each deletion that was asked for leaves a receipt, and tells the tenant's webhooks. Runs on the event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, TypeVar
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.gateway.access.authentication import Authentication
+from services.gateway.access.usage import Usage
+from services.gateway.errors import Problem
+from services.gateway.jobs.async_store import AsyncJobStore
+from services.gateway.jobs.capture_objects import delete_capture, list_captures
+from services.gateway.jobs.store import JobStore
+from services.gateway.records.deletions import Deletion, DeletionStore, receipt_of
+from services.gateway.webhooks.deliveries import Deliveries
+from services.gateway.webhooks.outbox import Event, Outbox
+from services.storage.catalogue.deletion import DeletedObject, delete_asset, delete_everything
+from services.storage.catalogue.entry import list_keys, read_entry
+from services.storage.catalogue.signing import Keys
+from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
+
+DAY_S = 86_400.0
+_PERIOD_S = 3_600.0  # between two looks for what has been kept long enough; days are what people count in
+_PAGE = 100
+
+_T = TypeVar("_T")
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Retention:
+    """After how many days what of a tenant is deleted; 0: never.
+
+    captures_days        since the upload
+    removed_assets_days  since the asset was removed (hidden)
+    jobs_days            since the job ended
+    """
+
+    captures_days: int = 0
+    removed_assets_days: int = 0
+    jobs_days: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TenantData:
+    """Deletes tenants' data. Each method may be repeated after a failure, and completes what it began."""
+
+    store: Store
+    keys: Keys
+    authentication: Authentication
+    usage: Usage
+    job_store: AsyncJobStore
+    deletions: DeletionStore
+    outbox: Outbox
+    deliveries: Deliveries
+
+    async def delete_asset(self, tenant: str, key: str) -> Deletion:
+        """Delete an asset with all its versions.
+
+        Raises Problem ASSET_IN_USE, FileNotFoundError, ValueError, OSError.
+        """
+        using = await self.job_store.read(JobStore.unfinished, tenant, asset_key=key)
+        if using:
+            raise _in_use("ASSET_IN_USE", f"the asset {key}", using)
+        own = store_of_tenant(self.store, tenant)
+        deleted = await asyncio.to_thread(delete_asset, own, key, self.keys)
+        return await self._finish(tenant, "asset.deleted", receipt_of(f"asset {key}", deleted), {"key": key})
+
+    async def delete_everything(self, tenant: str) -> Deletion:
+        """Delete a tenant's captures, assets, collections and ended jobs. Keys, webhooks and the audit log stay.
+
+        Raises Problem DATA_IN_USE while a job of the tenant has not ended, OSError.
+        """
+        if using := await self.job_store.read(JobStore.unfinished, tenant):
+            raise _in_use("DATA_IN_USE", "the data", using)
+        own = store_of_tenant(self.store, tenant)
+        deleted, kept = await asyncio.to_thread(delete_everything, own, self.keys)
+        jobs = await self.job_store.write(JobStore.delete_ended, tenant, before=time.time() + DAY_S)
+        await self.authentication.run(lambda: self.outbox.delete_of(tenant))
+        receipt = receipt_of("everything", deleted, jobs=jobs, kept=kept)
+        return await self._finish(tenant, "data.deleted", receipt, {"objects": len(deleted), "jobs": len(jobs)})
+
+    async def keep_retention(self) -> None:
+        """Delete every hour what tenants want to keep no longer, until cancelled."""
+        while True:
+            try:
+                await self.apply_retention(time.time())
+            except (OSError, SQLAlchemyError) as error:
+                _log.warning("what was kept long enough could not be deleted; trying again later: %s", error)
+            await asyncio.sleep(_PERIOD_S)
+
+    async def apply_retention(self, now: float) -> None:
+        """Delete what every tenant wants to keep no longer. Raises OSError, SQLAlchemyError."""
+        after, access = "", self.authentication.store
+        while page := await self._run(lambda after=after: access.list_tenants(limit=_PAGE, after=after)):  # type: ignore[misc]
+            for tenant in page:
+                days = await self._run(lambda name=tenant.name: access.retention(name))  # type: ignore[misc]
+                await self._apply(tenant.name, Retention(**days), now)
+            after = page[-1].name
+
+    async def _apply(self, tenant: str, retention: Retention, now: float) -> None:
+        own = store_of_tenant(self.store, tenant)
+        if retention.captures_days:
+            for capture in await asyncio.to_thread(_old_captures, own, now - retention.captures_days * DAY_S):
+                await self._delete_capture(tenant, own, capture)
+        if retention.removed_assets_days:
+            for key in await asyncio.to_thread(_old_removed, own, now - retention.removed_assets_days * DAY_S):
+                try:
+                    await self.delete_asset(tenant, key)
+                except Problem as problem:
+                    _log.info("asset %s of %s is kept for now: %s", key, tenant, problem.detail)
+        if retention.jobs_days:
+            before = now - retention.jobs_days * DAY_S
+            jobs = await self.job_store.write(JobStore.delete_ended, tenant, before=before)
+            if jobs:
+                await self._run(lambda: self.deletions.add(tenant, receipt_of("ended jobs", [], jobs=jobs)))
+
+    async def _delete_capture(self, tenant: str, own: Store, capture: str) -> None:
+        if await self.job_store.read(JobStore.unfinished, tenant, capture=capture):
+            return  # deleted once the job has ended
+        size = await asyncio.to_thread(delete_capture, own, capture)
+        gone = [DeletedObject(f"captures/{capture}", size, "")]
+        await self._run(lambda: self.deletions.add(tenant, receipt_of(f"capture {capture}", gone)))
+        await self.usage.add(tenant, -size)
+
+    async def _finish(self, tenant: str, event: str, receipt: dict[str, Any], data: dict[str, Any]) -> Deletion:
+        deletion = await self._run(lambda: self.deletions.add(tenant, receipt))
+        await self.usage.add(tenant, -receipt["bytes"])
+        message = Event(event, deletion.id, {"deletion": deletion.id, **data})
+        await self._run(lambda: self.outbox.enqueue(tenant, message))
+        self.deliveries.wake()
+        return deletion
+
+    async def _run(self, work: Callable[[], _T]) -> _T:
+        return await self.authentication.run(work)
+
+
+def _old_captures(own: Store, before: float) -> list[str]:
+    """Return the captures that were uploaded before this time; damaged ones have none and stay."""
+    found: list[str] = []
+    after = ""
+    while page := list_captures(own, _capture_and_time, after=after, limit=_PAGE)[0]:
+        found += [capture for capture, uploaded in page if uploaded < before]
+        after = page[-1][0]
+    return found
+
+
+def _capture_and_time(receipt: dict[str, Any]) -> tuple[str, float]:
+    return receipt["capture"], _seconds(str(receipt.get("created")))
+
+
+def _old_removed(own: Store, before: float) -> list[str]:
+    """Return the keys of assets that were removed before this time."""
+    found: list[str] = []
+    after = ""
+    while keys := list_keys(own, after=after, limit=_PAGE):
+        for key in keys:
+            try:
+                removed = read_entry(own, key).document.get("removed")
+            except OSError as fault:  # damaged, or deleted since the keys were listed
+                _log.warning("asset %s is kept: %s", key, fault)
+                continue
+            if removed and _seconds(removed) < before:
+                found.append(key)
+        after = keys[-1]
+    return found
+
+
+def _seconds(iso: str) -> float:
+    return datetime.fromisoformat(iso).timestamp()
+
+
+def _in_use(code: str, what: str, jobs: list[str]) -> Problem:
+    detail = f"jobs that may still write {what} have not ended ({len(jobs)}): {', '.join(jobs[:3])}"
+    return Problem(409, code, detail, hints=("cancel, or wait for the end, then delete again",))
