@@ -56,6 +56,7 @@ def test_pages_import_what_they_share_and_never_each_other() -> None:
         "capture": {"capture", "graphics", "shared", "vendor"},
         "viewer": {"viewer", "graphics", "shared", "vendor"},
         "collection": {"collection", "graphics", "shared", "vendor"},
+        "admin": {"admin", "shared"},
         "login": {"login", "shared"},
         "pair": {"pair", "shared"},
         "graphics": {"graphics", "shared", "vendor"},

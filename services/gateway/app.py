@@ -54,6 +54,7 @@ from services.gateway.routes import (
     health,
     jobs,
     pages,
+    service,
     tenants,
     uploads,
     webhooks,
@@ -71,10 +72,10 @@ from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
-_ROUTES = (captures, uploads, jobs, assets, collections, files, access, tenants, webhooks, data, health, pages)
 # What pages of other origins may send and read, beside what uploads need.
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
+_ROUTES = (captures, uploads, jobs, assets, collections, files, access, tenants, webhooks, data, health, service, pages)
 _GRACE_S = 5  # for answers in progress when the gateway stops
 
 _log = logging.getLogger(__name__)

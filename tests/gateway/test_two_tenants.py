@@ -75,7 +75,8 @@ _HEADERS: Mapping[str, Mapping[str, str]] = {
 }
 """Headers without which a request says nothing, by the beginning of the path."""
 _WITHOUT_KEY = {  # what anyone may ask
-    "get /", "get /login", "get /pair", "get /view", "get /view/{key}", "get /browse/{name}", "get /web/shell.json",
+    "get /", "get /admin", "get /login", "get /pair", "get /view", "get /view/{key}", "get /browse/{name}",
+    "get /web/shell.json",
     "get /livez", "get /readyz", "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session",
     "post /v1/pairings/claim",
 }  # fmt: skip

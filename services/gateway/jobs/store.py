@@ -107,6 +107,19 @@ class JobStore:
             found = {State(state): count for state, count in db.execute(select)}
         return {state: found.get(state, 0) for state in State}
 
+    def oldest_queued(self) -> float | None:
+        """Return when the job that has waited longest was created (seconds since the epoch); None: no job waits."""
+        select = sa.select(sa.func.min(jobs.c.created)).where(jobs.c.state == State.QUEUED.value)
+        with self._engine.begin() as db:
+            found: float | None = db.execute(select).scalar_one()
+        return found
+
+    def failures(self, *, limit: int) -> list[Job]:
+        """Return at most `limit` failed jobs of all tenants, the newest first."""
+        select = WHOLE_JOB.where(jobs.c.state == State.FAILED.value).order_by(jobs.c.id.desc()).limit(limit)
+        with self._engine.begin() as db:
+            return [job_from_row(row) for row in db.execute(select)]
+
     def check_writable(self) -> None:
         """Take the lock of a writer, and let it go. Raises sqlalchemy.exc.DBAPIError where that fails."""
         with self._writer.connect() as db, brief_wait(db), db.begin():

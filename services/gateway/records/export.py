@@ -15,6 +15,7 @@ from services.storage.tenant_store import FOLDER
 
 _READ_BYTES = 4 << 20  # per request to the store; a document that may be replaced meanwhile is one request
 _JOBS_AT_ONCE = 200
+_LEFT_OUT = (FOLDER, "uploads/")  # other tenants, whom the default tenant's store holds; parts of unfinished uploads
 
 
 class _Pipe(io.RawIOBase):
@@ -45,8 +46,8 @@ def export_blocks(store: Store, read_jobs: Callable[[str, int], list[Job]]) -> I
     pipe = _Pipe()
     with zipfile.ZipFile(pipe, "w", zipfile.ZIP_STORED) as archive:
         for head in list_all(store, ""):
-            if head.name.startswith(FOLDER):
-                continue  # of other tenants: the default tenant's store holds them all
+            if head.name.startswith(_LEFT_OUT):
+                continue
             yield from _file(archive, pipe, store, head)
         archive.writestr(_info("jobs.json", datetime.now(UTC)), _jobs_document(read_jobs))
         yield pipe.take()

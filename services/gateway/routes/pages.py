@@ -1,4 +1,4 @@
-"""HTML pages (capture, viewer, collection, login, pairing) and the static files (JavaScript modules) that they load."""
+"""HTML pages (capture, viewer, collection, login, pairing, operator's) and the static files that they load."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _WORKER_POLICY = "default-src 'none'; script-src 'self' 'unsafe-eval'"
 _IMMUTABLE = "public, max-age=31536000, immutable"
 _START_GUARD = re.compile(r'<script src="/web/shared/start-guard\.js"([^>]*)></script>')
 _SHELL_PAGES = {"/browse/default": "collection/collection.html", "/view/any": "viewer/view.html"}
-_ONLINE = {WEB / "capture", WEB / "login", WEB / "pair"}  # pages that need the server in any case
+_ONLINE = {WEB / "admin", WEB / "capture", WEB / "login", WEB / "pair"}  # pages that need the server in any case
 _SHELL_SUFFIXES = {".css", ".js", ".svg", ".wasm"}
 _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest levels leave most of a headset's budget
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
@@ -57,6 +57,12 @@ async def login_page(request: Request) -> Response:
 async def pairing_page(request: Request) -> Response:
     """The pairing page: shows a QR code and six digits, and logs in the phone that scans the code."""
     return _page("pair/pair.html", request)
+
+
+@router.get("/admin", response_class=Response, dependencies=[ANYONE], responses=_HTML)
+async def admin_page(request: Request) -> Response:
+    """The operator's page: tenants, keys, limits, queue, workers, stores, failures, disks. Its figures need a key."""
+    return _page("admin/admin.html", request)
 
 
 @router.get("/view", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404, 422)})

@@ -94,9 +94,29 @@ export async function getCachedJson(url) {
  * @returns {Promise<T>} what the caller declares
  * @throws {Problem} as `getJson`
  */
-export async function postJson(url, body, headers = {}) {
+export const postJson = (url, body, headers = {}) => sendJson('POST', url, body, headers);
+
+/**
+ * PUT a JSON document.
+ * @template T
+ * @param {string} url
+ * @param {unknown} body
+ * @returns {Promise<T>} what the caller declares
+ * @throws {Problem} as `getJson`
+ */
+export const putJson = (url, body) => sendJson('PUT', url, body, {});
+
+/**
+ * @template T
+ * @param {'POST' | 'PUT'} method
+ * @param {string} url
+ * @param {unknown} body
+ * @param {Record<string, string>} headers
+ * @returns {Promise<T>}
+ */
+async function sendJson(method, url, body, headers) {
   const { response, bytes } = await fetchBytes(url, {
-    method: 'POST',
+    method,
     headers: { 'Content-Type': 'application/json', ...headers },
     body: JSON.stringify(body),
   });

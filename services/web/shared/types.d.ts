@@ -250,3 +250,79 @@ export interface Job extends JobProgress {
   warnings: string[];
   links: { again: string };
 }
+
+/** A tenant: GET /v1/tenants. */
+export interface Tenant {
+  name: string;
+  label: string;
+  created: string;
+}
+
+/** Limits of a tenant; 0 is no limit. */
+export interface Limits {
+  requests_per_minute: number;
+  uploads_at_once: number;
+  jobs_at_once: number;
+  jobs_per_day: number;
+  stored_bytes: number;
+  capture_bytes: number;
+}
+
+/** What a tenant uses: GET /v1/tenants/{name}/usage. */
+export interface Usage {
+  tenant: string;
+  limits: Limits;
+  jobs: number;
+  jobs_today: number;
+  stored_bytes: number;
+}
+
+/** An access key, without its secret: GET /v1/api-keys. */
+export interface AccessKey {
+  id: string;
+  tenant: string;
+  label: string;
+  scopes: Scope[];
+  created: string;
+  expires: string | null;
+  last_used: string | null;
+  revoked: string | null;
+}
+
+/** A request that changed something: GET /v1/audit. */
+export interface AuditRecord {
+  id: number;
+  at: string;
+  tenant: string;
+  via: string;
+  key: string;
+  address: string;
+  method: string;
+  path: string;
+  status: number;
+}
+
+/** A worker that answers, in GET /v1/service. */
+export interface WorkerState {
+  address: string;
+  version: string;
+  device: string;
+  slots: number;
+  free_slots: number;
+  queued: number;
+  draining: boolean;
+}
+
+/** State of the service: GET /v1/service. */
+export interface Service {
+  version: string;
+  open: boolean;
+  ready: boolean;
+  checks: Record<string, { ok: boolean; detail: string }>;
+  jobs: Record<string, number>;
+  waiting_s: number;
+  workers: WorkerState[];
+  silent_workers: string[];
+  disks: { holds: string; free_bytes: number; total_bytes: number }[];
+  failures: { job: string; tenant: string; asset_key: string; at: string; code: string; detail: string }[];
+}

@@ -1,0 +1,138 @@
+"""/v1/service: what an operator wants to know of the whole service, at one look."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel
+
+import services
+from services.gateway.access.caller import Scope
+from services.gateway.jobs.job import Job, State
+from services.gateway.jobs.store import JobStore
+from services.gateway.routes.access_rules import authentication_of, needs
+from services.gateway.routes.health import run_checks
+from services.gateway.schemas import Check
+from services.gateway.worker_client import WorkerPool
+from services.gateway.worker_types import WorkerStatus
+from services.storage.local import LocalStore
+from services.storage.store import Store
+
+router = APIRouter(prefix="/v1", tags=["access"])
+
+_FAILURES = 20
+
+
+class WorkerView(BaseModel):
+    """A worker that answers. `device` is where it trains, `slots` how many jobs it runs at once."""
+
+    address: str
+    version: str
+    device: str
+    presets: list[str]
+    slots: int
+    free_slots: int
+    queued: int
+    draining: bool
+
+
+class DiskView(BaseModel):
+    """A disk of this gateway. `holds`: database and staging, or the objects of a local store."""
+
+    holds: str
+    free_bytes: int
+    total_bytes: int
+
+
+class FailureView(BaseModel):
+    """A job that failed, whose, and why."""
+
+    job: str
+    tenant: str
+    asset_key: str
+    at: datetime
+    code: str
+    detail: str
+
+
+class ServiceView(BaseModel):
+    """State of the service. `open`: nobody is asked for a key. `checks` are those of /readyz. `jobs` counts all jobs by
+    state; `waiting_s`: for how long the oldest queued job has waited, 0 where none does.
+    """
+
+    version: str
+    open: bool
+    ready: bool
+    checks: dict[str, Check]
+    jobs: dict[State, int]
+    waiting_s: float
+    workers: list[WorkerView]
+    silent_workers: list[str]
+    disks: list[DiskView]
+    failures: list[FailureView]
+
+
+@router.get("/service", response_model=ServiceView, dependencies=[needs(Scope.OPERATE)])
+async def get_service(request: Request) -> ServiceView:
+    """Get the state of queue, workers, stores and disks, and the jobs that failed last."""
+    state = request.app.state
+    jobs, pool = state.job_store, state.workers
+    checks, workers, counts, oldest, failures, disks = await asyncio.gather(
+        run_checks(request),
+        pool.poll(),
+        jobs.read(JobStore.count_by_state),
+        jobs.read(JobStore.oldest_queued),
+        jobs.read(JobStore.failures, limit=_FAILURES),
+        asyncio.to_thread(_disks, state.settings.data_dir, state.store),
+    )
+    return ServiceView(
+        version=services.__version__,
+        open=await authentication_of(request).is_open(),
+        ready=all(check.ok for check in checks.values()),
+        checks=checks,
+        jobs=counts,
+        waiting_s=max(0.0, time.time() - oldest) if oldest is not None else 0.0,
+        workers=[_worker_view(each) for each in workers],
+        silent_workers=_silent(pool, workers),
+        disks=disks,
+        failures=[_failure_view(job) for job in failures],
+    )
+
+
+def _worker_view(found: WorkerStatus) -> WorkerView:
+    names = ("address", "version", "device", "slots", "free_slots", "queued", "draining")
+    presets = [preset.name for preset in found.presets]
+    return WorkerView(presets=presets, **{name: getattr(found, name) for name in names})
+
+
+def _silent(pool: WorkerPool, answering: tuple[WorkerStatus, ...]) -> list[str]:
+    known = {each.address for each in answering}
+    return [address for address in pool.addresses if address not in known]
+
+
+def _disks(data_dir: Path, store: Store) -> list[DiskView]:
+    """Return the disks of the data folder and of a local store, where that is another one."""
+    folders = [("database and staging", data_dir)]
+    if isinstance(store, LocalStore) and store.root.stat().st_dev != data_dir.stat().st_dev:
+        folders.append(("objects", store.root))
+    elif isinstance(store, LocalStore):
+        folders = [("database, staging and objects", data_dir)]
+    usage = [(holds, shutil.disk_usage(folder)) for holds, folder in folders]
+    return [DiskView(holds=holds, free_bytes=found.free, total_bytes=found.total) for holds, found in usage]
+
+
+def _failure_view(job: Job) -> FailureView:
+    error = job.error or {}
+    return FailureView(
+        job=job.id,
+        tenant=job.tenant,
+        asset_key=job.order.asset_key,
+        at=datetime.fromtimestamp(job.updated, UTC),
+        code=str(error.get("code", "")),
+        detail=str(error.get("detail", "")),
+    )

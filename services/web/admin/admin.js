@@ -1,0 +1,69 @@
+// The operator's page (/admin): the state of the service, anew every ten seconds; tenants, keys and changes.
+import { fillTable, formatBytes, formatSeconds, formatTime } from './table.js';
+import { setLimits, showChanges, showKeys, showTenants } from './tenants.js';
+import { showAccount } from '../shared/account.js';
+import { getJson } from '../shared/api.js';
+import { element } from '../shared/dom.js';
+import { formatCount } from '../shared/format.js';
+import { sentences, toProblem } from '../shared/problems.js';
+
+/** @import { Service, WorkerState } from '../shared/types.d.ts' */
+
+const PERIOD_MS = 10_000;
+const PARTS = /** @type {Record<string, string>} */ ({ store: 'Store', database: 'Database', disk: 'Disk space', workers: 'Workers' });
+
+document.body.dataset.started = 'yes';
+const page = {
+  said: element('said', HTMLElement),
+  service: element('service', HTMLElement),
+  waiting: element('waiting', HTMLElement),
+  limits: element('limits', HTMLFormElement),
+};
+
+/** @param {Service} service */
+function show(service) {
+  const state = service.ready ? 'ready' : 'not ready';
+  page.said.textContent = `Version ${service.version}, ${state}${service.open ? '. Everybody is let in without a key' : ''}.`;
+  page.service.hidden = false;
+  fillTable('checks', Object.entries(service.checks).map(([part, { ok, detail }]) => [PARTS[part] ?? part, ok ? 'good' : { bad: 'bad' }, detail]));
+  page.waiting.textContent = service.waiting_s ? `The oldest job has waited for ${formatSeconds(service.waiting_s)}.` : 'No job waits.';
+  fillTable('queue', Object.entries(service.jobs).map(([name, count]) => [name.toLowerCase(), { number: formatCount(count) }]));
+  fillTable('workers', [...service.workers.map(workerRow), ...service.silent_workers.map(silentRow)]);
+  fillTable('disks', service.disks.map((disk) => [disk.holds, { number: formatBytes(disk.free_bytes) }, { number: formatBytes(disk.total_bytes) }]));
+  fillTable('failures', service.failures.map((job) => [formatTime(job.at), job.tenant, job.asset_key, job.code, job.detail]));
+}
+
+/** @param {WorkerState} worker */
+function workerRow(worker) {
+  const slots = { number: `${worker.free_slots} of ${worker.slots}` };
+  return [worker.address, worker.draining ? 'stopping' : 'answers', worker.version, worker.device, slots, { number: formatCount(worker.queued) }];
+}
+
+/** @param {string} address */
+const silentRow = (address) => [address, { bad: 'silent' }, '', '', { number: '' }, { number: '' }];
+
+/** @param {unknown} error */
+function showProblem(error) {
+  Object.assign(document.body.dataset, { state: 'error', code: toProblem(error).code });
+  page.said.textContent = sentences(error);
+}
+
+/** Loads the state of the service, and shows it. */
+async function refresh() {
+  show(await getJson('/v1/service'));
+  document.body.dataset.state = 'shown';
+}
+
+/** Shows everything once, and the state of the service from then on. */
+async function start() {
+  await refresh();
+  await Promise.all([showTenants(), showKeys(showProblem), showChanges()]);
+  document.body.dataset.state = 'complete';
+  setInterval(() => refresh().catch(showProblem), PERIOD_MS);
+}
+
+page.limits.addEventListener('submit', (event) => {
+  event.preventDefault();
+  setLimits(page.limits).catch(showProblem);
+});
+start().catch(showProblem).finally(showAccount);
