@@ -200,6 +200,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             DeletionStore(engine),
             app.state.outbox,
             app.state.deliveries,
+            resumable.database,
         )
         app.state.dispatcher = Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
         for background in (

@@ -9,9 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +18,10 @@ import pytest
 from services.cli.errors import BadInput
 from services.cli.progress import StageBar
 from services.cli.push import upload
-from services.cli.up import free_port
 from services.storage.archives import pack
-from services.storage.local import LocalStore
-from services.storage.store import list_all
+from tests.support.gateway_process import running
 from tests.support.patience import PATIENCE_S
 from tests.support.repository import ROOT
-from tests.support.service_processes import ServiceProcess, killed_at_the_end
 from tests.support.tus import cloud
 
 _MEGABYTE = 1 << 20
@@ -39,65 +33,6 @@ from services.cli.push import upload
 with httpx.Client(base_url=sys.argv[1]) as client, StageBar() as bar:
     upload(client, Path(sys.argv[2]), bar)
 """
-
-
-class Gateway:
-    """A gateway process without workers."""
-
-    def __init__(self, folder: Path) -> None:
-        self.port = free_port()
-        self.store = LocalStore(folder / "objects")
-        self.process = ServiceProcess(
-            "services.gateway",
-            folder / "gateway.log",
-            GATEWAY_PORT=self.port,
-            GATEWAY_DATA_DIR=folder / "data",
-            GATEWAY_WORKERS="127.0.0.1:9",
-            STORAGE_ROOT=folder / "objects",
-        )
-        self.url = f"http://127.0.0.1:{self.port}"
-
-    def restart(self) -> None:
-        """Kill it, and start it again."""
-        self.process.kill()
-        self.process.start()
-
-    def chunks(self) -> int:
-        """How many chunks of uploads are stored."""
-        return len(list(list_all(self.store, "uploads/")))
-
-    def wait_until_it_answers(self) -> None:
-        """Wait for the start."""
-        deadline = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline:
-            try:
-                if httpx.get(f"{self.url}/livez").is_success:
-                    return
-            except httpx.TransportError:
-                time.sleep(0.05)
-        raise AssertionError("the gateway did not start")
-
-    def captures(self) -> list[dict[str, Any]]:
-        """All that are stored."""
-        found: list[dict[str, Any]] = httpx.get(f"{self.url}/v1/captures").json()["captures"]
-        return found
-
-    def the_one_file(self, folder: Path) -> str:
-        """SHA-256 of the file of the one capture that is stored."""
-        (capture,) = self.captures()
-        self.store.fetch(f"captures/{capture['capture']}.zip", folder / "stored.zip")
-        with zipfile.ZipFile(folder / "stored.zip") as archive:
-            (name,) = archive.namelist()
-            with archive.open(name) as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-
-
-@contextmanager
-def running(folder: Path) -> Iterator[Gateway]:
-    gateway = Gateway(folder)
-    with killed_at_the_end(gateway.process):
-        gateway.wait_until_it_answers()
-        yield gateway
 
 
 @pytest.fixture
@@ -113,14 +48,6 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def wait_for(count: int, gateway: Gateway) -> None:
-    """Wait until so many chunks are stored."""
-    deadline = time.monotonic() + PATIENCE_S
-    while gateway.chunks() < count:
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-
-
 @pytest.mark.slow
 def test_a_gateway_that_is_killed_again_and_again(tmp_path: Path, capture: Path) -> None:
     with running(tmp_path) as gateway, httpx.Client(base_url=gateway.url) as client, StageBar() as bar:
@@ -129,7 +56,7 @@ def test_a_gateway_that_is_killed_again_and_again(tmp_path: Path, capture: Path)
         pushing.start()
         chance = random.Random(0)
         for stored in (1, 3, 6):
-            wait_for(stored, gateway)
+            gateway.wait_for_chunks(stored)
             time.sleep(chance.uniform(0, 0.05))
             gateway.restart()
         # Twice more wherever it is by then: it may be making the capture.
@@ -151,7 +78,7 @@ def test_a_push_that_is_killed_goes_on_when_it_is_started_again(tmp_path: Path, 
     with running(tmp_path) as gateway:
         command = [sys.executable, "-c", _PUSH, gateway.url, str(capture)]
         first = subprocess.Popen(command, cwd=ROOT, env=os.environ, stderr=subprocess.DEVNULL)
-        wait_for(4, gateway)
+        gateway.wait_for_chunks(4)
         first.kill()
         first.wait()
         before = gateway.chunks()

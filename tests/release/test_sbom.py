@@ -88,7 +88,8 @@ def test_it_has_every_file_of_the_vendored_libraries_with_its_hash(components: l
 def test_vendored_libraries_have_versions_and_package_addresses(components: list[dict[str, Any]]) -> None:
     listed = {each["purl"]: each for each in components if "purl" in each}
     libraries = {library.name: library for library in vendored_libraries(ROOT)}
-    assert libraries.keys() == {"three.js", "earcut", "meshoptimizer", "Basis Universal", "Zstandard"}
+    inside_three = {"earcut", "meshoptimizer", "Basis Universal", "Zstandard"}
+    assert libraries.keys() == {"three.js", *inside_three, "tus-js-client", "js-base64"}
     assert libraries["three.js"].purl == f"pkg:npm/three@{libraries['three.js'].version}"
     for library in libraries.values():
         found = listed[library.purl]

@@ -22,6 +22,7 @@ from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.capture_objects import delete_capture, list_captures
 from services.gateway.jobs.store import JobStore
 from services.gateway.records.deletions import Deletion, DeletionStore, receipt_of
+from services.gateway.resumable.store import UploadStore
 from services.gateway.webhooks.deliveries import Deliveries
 from services.gateway.webhooks.outbox import Event, Outbox
 from services.storage.catalogue.deletion import DeletedObject, delete_asset, delete_everything
@@ -65,6 +66,7 @@ class TenantData:
     deletions: DeletionStore
     outbox: Outbox
     deliveries: Deliveries
+    uploads: UploadStore
 
     async def delete_asset(self, tenant: str, key: str) -> Deletion:
         """Delete an asset with all its versions.
@@ -79,13 +81,16 @@ class TenantData:
         return await self._finish(tenant, "asset.deleted", receipt_of(f"asset {key}", deleted), {"key": key})
 
     async def delete_everything(self, tenant: str) -> Deletion:
-        """Delete a tenant's captures, assets, collections and ended jobs. Keys, webhooks and the audit log stay.
+        """Delete a tenant's captures, uploads, assets, collections and ended jobs.
+
+        Keys, webhooks and the audit log stay.
 
         Raises Problem DATA_IN_USE while a job of the tenant has not ended, OSError.
         """
         if using := await self.job_store.read(JobStore.unfinished, tenant):
             raise _in_use("DATA_IN_USE", "the data", using)
         own = store_of_tenant(self.store, tenant)
+        await self.authentication.run(lambda: self.uploads.remove_all(tenant, time.time()))
         deleted, kept = await asyncio.to_thread(delete_everything, own, self.keys)
         jobs = await self.job_store.write(JobStore.delete_ended, tenant, before=time.time() + DAY_S)
         await self.authentication.run(lambda: self.outbox.delete_of(tenant))

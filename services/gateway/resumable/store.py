@@ -134,6 +134,12 @@ class UploadStore:
             ended = sa.func.coalesce(uploads.c.ended, now)
             return db.execute(uploads.update().where(*idle).values(ended=ended, capture="")).rowcount == 1
 
+    def remove_all(self, tenant: str, now: float) -> None:
+        """Remove all uploads of a tenant; their chunks are to be swept then."""
+        with self._writer.begin() as db:
+            ended = sa.func.coalesce(uploads.c.ended, now)
+            db.execute(uploads.update().where(uploads.c.tenant == tenant).values(ended=ended, capture=""))
+
     def remove_expired(self, now: float) -> list[Upload]:
         """Remove the uploads that have expired, and return them."""
         late = (uploads.c.expires <= now, uploads.c.ended.is_(None), uploads.c.finisher_until <= now)

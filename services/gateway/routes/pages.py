@@ -36,6 +36,7 @@ _IMMUTABLE = "public, max-age=31536000, immutable"
 _START_GUARD = re.compile(r'<script src="/web/shared/start-guard\.js"([^>]*)></script>')
 _SHELL_PAGES = {"/browse/default": "collection/collection.html", "/view/any": "viewer/view.html"}
 _ONLINE = {WEB / "admin", WEB / "capture", WEB / "login", WEB / "pair"}  # pages that need the server in any case
+_ONLINE_LIBRARY = "tus-js-client-"  # uploads
 _SHELL_SUFFIXES = {".css", ".js", ".svg", ".wasm"}
 _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest levels leave most of a headset's budget
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
@@ -104,7 +105,7 @@ class Shell(BaseModel):
 def list_shell(response: Response) -> Shell:
     """List the pages that open without the server, each for all of its kind, and all files that they load."""
     files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]
-    files = [path for path in files if path.parent not in _ONLINE]
+    files = [path for path in files if path.parent not in _ONLINE and not path.name.startswith(_ONLINE_LIBRARY)]
     digest = hashlib.sha256(b"".join(hashlib.sha256(_html(name).encode()).digest() for name in _SHELL_PAGES.values()))
     for path in files:
         found = path.stat()

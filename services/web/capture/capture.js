@@ -1,11 +1,12 @@
 // The capture page (/): choose files, name the object, upload, watch the job, see the result.
 import { chosenFiles, chosenName, startFileChoice } from './file-choice.js';
-import { showUploadProgress, startUploadProgress } from './job-progress.js';
+import { showUploadProgress, showUploadWaits, startUploadProgress } from './job-progress.js';
 import { watchJob } from './job-watch.js';
 import { showState, showTrouble } from './page-state.js';
 import { chosenBox } from './photo-box.js';
+import { sendCapture, unfinishedFiles } from './resumable-upload.js';
 import { showAccount } from '../shared/account.js';
-import { getJson, keyFrom, postJson, uploadCapture } from '../shared/api.js';
+import { getJson, keyFrom, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 
 /** @import { CaptureReceipt, Cut, Job, JobRequest, Presets } from '../shared/types.d.ts' */
@@ -20,6 +21,7 @@ const page = {
   cancel: element('cancel', HTMLButtonElement),
   receipt: element('receipt', HTMLElement),
   stripped: element('stripped', HTMLElement),
+  unfinished: element('unfinished', HTMLElement),
 };
 const jobKey = randomKey(); // trying again does not start a second job
 /** @type {CaptureReceipt | null} */
@@ -54,7 +56,8 @@ async function send() {
   page.cancel.hidden = true;
   startUploadProgress();
   try {
-    receipt ??= await uploadCapture(chosenFiles(), name, chosenBox(), showUploadProgress);
+    const progress = { onProgress: showUploadProgress, onWaiting: showUploadWaits };
+    receipt ??= await sendCapture(chosenFiles(), name, chosenBox(), progress);
     showReceipt(receipt);
     /** @type {Job} */
     const job = await postJson('/v1/jobs', jobRequest(receipt, name), { 'Idempotency-Key': jobKey });
@@ -105,6 +108,13 @@ function resumeJob() {
   if (id) getJson(`/v1/jobs/${encodeURIComponent(id)}`).then(watchJob, showTrouble);
 }
 
+/** Tells whose upload has stopped: pages cannot open a person's files by themselves. */
+function offerToGoOn() {
+  const names = unfinishedFiles();
+  page.unfinished.hidden = names.length === 0;
+  page.unfinished.textContent = `The upload of ${names.join(', ')} has stopped on its way. Choose the same files again, and it goes on.`;
+}
+
 /** Tries again after a lost connection: to watch the job, or to send the files. */
 function retry() {
   if (location.hash) location.reload();
@@ -124,11 +134,12 @@ page.form.addEventListener('submit', (event) => {
 element('retry', HTMLButtonElement).addEventListener('click', retry);
 element('reload', HTMLButtonElement).addEventListener('click', () => location.reload());
 for (const id of ['again', 'another']) element(id, HTMLButtonElement).addEventListener('click', restart);
-// An upload that is interrupted is lost: the browser asks before it leaves the page.
+// An upload that is interrupted is lost, or waits for the same files: the browser asks before it leaves the page.
 window.addEventListener('beforeunload', (event) => {
   if (document.body.dataset.state === 'sending') event.preventDefault();
 });
 startFileChoice();
 offerPresets();
+offerToGoOn();
 resumeJob();
 showAccount();

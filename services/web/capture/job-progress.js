@@ -46,6 +46,14 @@ export function showUploadProgress(fraction) {
   page.detail.textContent = fraction < 1 ? `${Math.round(fraction * 100)} % sent` : 'Checking what was sent';
 }
 
+/**
+ * Shows that an upload has lost its connection, and goes on by itself.
+ * @param {number} fraction
+ */
+export function showUploadWaits(fraction) {
+  page.detail.textContent = `${Math.round(fraction * 100)} % sent. The connection is lost; it goes on by itself.`;
+}
+
 /** Shows the stages of a job that begins. */
 export function startJobProgress() {
   page.bar.value = 0; // the upload has filled it

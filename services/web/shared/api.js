@@ -20,7 +20,7 @@ const LOGIN_PAGES = ['/login', '/pair']; // where nobody has to be logged in
  * @returns {T} what the caller declares: the server's document is trusted to have that shape
  * @throws {Problem} where the status or the body is an error
  */
-function parseAnswer(status, text) {
+export function parseAnswer(status, text) {
   /** @type {T} */
   let body;
   try {
@@ -193,6 +193,19 @@ export function uploadCapture(files, name, box, onProgress) {
     request.open('POST', withBox('/v1/captures', box));
     request.send(form);
   });
+}
+
+/**
+ * Make the capture of an upload whose bytes are all there.
+ * @param {string} upload its address
+ * @param {number[] | null} box as in `uploadCapture`
+ * @returns {Promise<CaptureReceipt>}
+ * @throws {Problem} as `getJson`
+ */
+export async function finishUpload(upload, box) {
+  const address = withBox(`${upload}/capture`, box);
+  const { response, bytes } = await fetchBytes(address, { method: 'POST', silenceMs: UPLOAD_CHECK_MS });
+  return parseAnswer(response.status, decodeText(bytes));
 }
 
 const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds

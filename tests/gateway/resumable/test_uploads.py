@@ -515,6 +515,17 @@ class TestTenants:
             await found.ada.delete(upload, headers=TUS)
             assert await _used(found.ada) == 0
 
+    async def test_all_go_with_the_data_of_their_tenant(self, tmp_path: Path) -> None:
+        store = MemoryStore()
+        async with two_tenants(tmp_path, store) as found:
+            open_one = (await create(found.ada, 200, body=cloud(100), filename="a.ply")).headers["Location"]
+            other = (await create(found.bob, 200, body=cloud(100), filename="a.ply")).headers["Location"]
+            deletion = await found.ada.post("/v1/deletions", json={"tenant": "ada"})
+            assert deletion.status_code == 201, deletion.text
+            assert (await found.ada.head(open_one, headers=TUS)).status_code == 404
+            assert list(list_all(store_of_tenant(store, "ada"), "uploads/")) == []
+            assert await offset_of(found.bob, other) == 100
+
     async def test_not_without_end(self, tmp_path: Path) -> None:
         secret = make_key(tmp_path, "ada")
         assert secret
