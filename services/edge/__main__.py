@@ -37,7 +37,9 @@ def start() -> int:
     configure(settings.log_level)
     memory = MemoryBudget(settings.memory or device.memory_bytes or machine_bytes())
     central = Central(settings.central, credentials=credentials) if settings.central else None
-    return serve(settings, Reconstructor(store, presets, device, memory, central, publish, storage.collection, encode))
+    work = Reconstructor(store, presets, device, memory, central, publish, storage.collection, encode)
+    work.warm_up()
+    return serve(settings, work)
 
 
 def main() -> int:

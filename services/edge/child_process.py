@@ -27,15 +27,11 @@ ReportFraction = Callable[[float], None]
 
 
 class ChildError(Exception):
-    """The program failed or took too long (`too_slow`). The message begins with the program's name and says why.
+    """The program failed or took too long (`too_slow`). The message begins with the program's name and says why."""
 
-    status  its exit status, -N where signal N ended it; None where it was killed from here
-    """
-
-    def __init__(self, message: str, *, too_slow: bool = False, status: int | None = None) -> None:
+    def __init__(self, message: str, *, too_slow: bool = False) -> None:
         super().__init__(message)
         self.too_slow = too_slow
-        self.status = status
 
 
 def run_child(
@@ -69,7 +65,7 @@ def run_child(
                     os.killpg(child.pid, signal.SIGKILL)
     if code != 0:
         last = " | ".join(log.read_text(errors="replace").strip().splitlines()[-_LOG_LINES:])
-        raise ChildError(f"{name} ended with status {code}: {last or 'no output'}", status=code)
+        raise ChildError(f"{name} ended with status {code}: {last or 'no output'}")
 
 
 class _Deadline:

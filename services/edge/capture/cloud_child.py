@@ -13,6 +13,7 @@ import numpy as np
 
 from services.edge.capture import e57, las
 from services.edge.capture.cloud_process import COLOURS, POSITIONS
+from services.edge.child_process import set_up_child
 
 _DECODERS = {"LAZ": las.decode_points, "E57": e57.decode_points}
 
@@ -20,7 +21,6 @@ _DECODERS = {"LAZ": las.decode_points, "E57": e57.decode_points}
 def main(kind: str, file: Path, folder: Path, limit_bytes: int) -> None:
     """Decode `file` into `folder` with at most `limit_bytes` of address space; every failure is a non-zero exit."""
     resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, limit_bytes))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     xyz, rgb = _DECODERS[kind](file)
     np.save(folder / POSITIONS, xyz)
     if rgb is not None:
@@ -28,4 +28,5 @@ def main(kind: str, file: Path, folder: Path, limit_bytes: int) -> None:
 
 
 if __name__ == "__main__":
+    set_up_child()
     main(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]), int(sys.argv[4]))

@@ -1,61 +1,108 @@
-"""Inspect an uploaded capture: read it without reconstructing it, in a child process with limits.
+"""Inspect an uploaded capture: read it without reconstructing it, in a process with limits.
 
 Captures are hostile until they have been read: a file of a few kilobytes can cost a reader minutes and gigabytes, and
-damaged bytes can end a process in native code. So the child may use seconds and memory in proportion to what was sent.
+damaged bytes can end a process in native code. So its seconds and memory are limited, in proportion to what was sent.
 """
 
 from __future__ import annotations
 
 import json
-import logging
+import math
+import os
 import signal
-import sys
+import socket
+import time
 from dataclasses import astuple
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.arrays import Tick
+from services.edge.arrays import Tick, no_tick
 from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import require_single_photo
-from services.edge.child_process import ChildError, run_child
 from services.edge.errors import CaptureError
 from services.edge.single_photo.cutout import cut_out
+from services.fork_client import Forked, ForkServer
 from services.photo_box import PhotoBox
 from services.storage.archives import ArchiveError, unpack
 
 ANSWER = "inspection.pb"
-"""File that the child writes: a serialised `Inspection`."""
+"""File that the process writes: a serialised `Inspection`."""
 
+_POLL_S = 0.1  # between two ticks: the longest time that an inspection goes on that nobody waits for
 _WITHIN_S = 120.0  # of the clock, on a machine that does other work too
-# Numbers of signals by which a child ends that used up its processor time or memory; the kernel sends the second one.
+# Numbers of signals by which a process ends that used up its processor time or memory; the kernel sends the second one.
 _USED_UP = (-signal.SIGXCPU, -signal.SIGKILL)
 
-_log = logging.getLogger(__name__)
+
+class Inspector:
+    """Inspects archives, each in a process of its own, without this worker's settings and secrets."""
+
+    def __init__(self, server: ForkServer | None = None) -> None:
+        self._server = server or ForkServer.of("services.edge.jobs.inspection_work")
+
+    def start(self) -> None:
+        """Load all that an inspection needs now, so that the first one need not wait for it."""
+        self._server.start()
+
+    def close(self) -> None:
+        """End the server of the processes."""
+        self._server.close()
+
+    def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
+        """Inspect an archive in a process that is killed when `tick` raises.
+
+        Raises CAPTURE_TOO_LARGE where reading it costs more than the limits, CAPTURE_UNREADABLE where the reader
+        crashes. Faults of the capture are in the answer, as its `failure`.
+        """
+        order = {"archive": str(archive.resolve()), "scratch": str(scratch.resolve()), "box": box and astuple(box)}
+        said = _talk(self._server.fork(), order, tick)
+        if "failed" in said:
+            raise RuntimeError(f"an inspection failed: {said['failed']}")
+        status = said.get("ended", -signal.SIGKILL)
+        if status in _USED_UP:
+            raise too_costly("more time")
+        if status:
+            name = signal.Signals(-status).name if status < 0 else f"status {status}"
+            raise CaptureError("CAPTURE_UNREADABLE", f"cannot be read: its reader crashed ({name})")
+        return pb.Inspection.FromString((scratch / ANSWER).read_bytes())
 
 
-def inspect_in_child(archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
-    """Inspect an archive in a child process, which is killed when `tick` raises.
+def _talk(forked: Forked, order: dict[str, Any], tick: Tick) -> dict[str, Any]:
+    """Send the order; return what the process says until it has ended. Raises what `tick` raises, having killed it.
 
-    Raises CAPTURE_TOO_LARGE where reading it costs more than the limits, CAPTURE_UNREADABLE where the reader crashes.
-    Faults of the capture are in the answer, as its `failure`.
+    A process that takes longer than `_WITHIN_S` is killed too.
     """
-    corners = json.dumps(astuple(box) if box else ())
-    module, paths = "services.edge.jobs.inspection_child", (str(archive.resolve()), str(scratch.resolve()))
-    command = [sys.executable, "-m", module, *paths, corners]
-    log = scratch / "log"
-    try:
-        run_child(command, "the inspection", log, tick, most_seconds=_WITHIN_S)
-    except ChildError as error:
-        if error.too_slow or error.status in _USED_UP:
-            raise too_costly("more time") from None
-        if error.status is not None and error.status < 0:
-            name = signal.Signals(-error.status).name
-            raise CaptureError("CAPTURE_UNREADABLE", f"cannot be read: its reader crashed ({name})") from None
-        _log.error("an inspection failed: %s", log.read_text(errors="replace"))
-        raise
-    return pb.Inspection.FromString((scratch / ANSWER).read_bytes())
+    said, deadline = b"", time.monotonic() + _WITHIN_S
+    with forked.channel as channel:
+        channel.sendall(json.dumps(order).encode() + b"\n")
+        channel.settimeout(_POLL_S)
+        try:
+            said = _read_to_end(channel, deadline, tick)
+        finally:
+            os.close(forked.leash)
+            channel.settimeout(None)
+            said += _read_to_end(channel, math.inf, no_tick)  # its folder may be removed once it has ended
+    return {name: value for line in said.splitlines() for name, value in json.loads(line).items()}
+
+
+def _read_to_end(channel: socket.socket, deadline: float, tick: Tick) -> bytes:
+    """Read until the other end closes, or until the deadline of the monotonic clock."""
+    said = b""
+    while time.monotonic() < deadline:
+        try:
+            block = channel.recv(1 << 16)
+        except TimeoutError:
+            tick(0.5)  # how far it is nobody knows
+            continue
+        except ConnectionError:  # killed before it had read its order
+            break
+        if not block:
+            break
+        said += block
+    return said
 
 
 def too_costly(what: str) -> CaptureError:

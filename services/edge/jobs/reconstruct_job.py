@@ -22,7 +22,7 @@ from services.edge.jobs.available_presets import capabilities_of
 from services.edge.jobs.central_client import Central, CentralUnavailable
 from services.edge.jobs.fit_job import FieldFitter, to_wire
 from services.edge.jobs.forward_job import forward, resume
-from services.edge.jobs.inspect_capture import inspect_in_child, unpack_capture
+from services.edge.jobs.inspect_capture import Inspector, unpack_capture
 from services.edge.jobs.points_archive import read_prepared
 from services.edge.jobs.points_cache import load_points, save_points
 from services.edge.points.nouns import Points
@@ -67,6 +67,11 @@ class Reconstructor:
         self._own_offer = replace(capabilities_of(presets, device, memory.total_bytes), ktx2=encode is not None)
         self._central = central
         self._collection = collection
+        self._inspector = Inspector()
+
+    def warm_up(self) -> None:
+        """Start the server of the inspections now, so that the first phone need not wait for it."""
+        self._inspector.start()
 
     @property
     def offer(self) -> Capabilities:
@@ -91,7 +96,7 @@ class Reconstructor:
 
         Raises EdgeError when reading it costs too much or crashes; other faults are the answer's `failure`.
         """
-        return inspect_in_child(archive, scratch, box, tick)
+        return self._inspector.inspect(archive, scratch, box, tick)
 
     def _reconstruct_with(
         self,

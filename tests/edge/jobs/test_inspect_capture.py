@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import resource
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ import pytest
 
 from services.edge.arrays import no_tick
 from services.edge.errors import Cancelled, CaptureError
-from services.edge.jobs import inspect_capture, inspection_child
-from services.edge.jobs.inspect_capture import inspect_in_child
+from services.edge.jobs import inspection_work
+from services.edge.jobs.inspect_capture import Inspector
+from services.fork_client import ForkServer
 from tests.support import captures
 
 
@@ -43,20 +45,28 @@ def scratch_in(folder: Path) -> Path:
     return scratch
 
 
-def test_a_capture_is_described_by_the_child(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def inspector() -> Iterator[Inspector]:
+    with closing(Inspector()) as made:
+        yield made
+
+
+def test_a_capture_is_described_by_the_child(inspector: Inspector, tmp_path: Path) -> None:
     xyz, rgb, normals = captures.sphere()
     archive = packed(tmp_path, a__ply=captures.ply_bytes(xyz, rgb, normals))
-    found = inspect_in_child(archive, scratch_in(tmp_path), None, no_tick)
+    found = inspector.inspect(archive, scratch_in(tmp_path), None, no_tick)
     assert (found.kind, found.format, found.points) == ("points", "ply", len(xyz))
 
 
-def test_a_face_of_two_million_corners_costs_no_more_than_its_triangles(tmp_path: Path) -> None:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+def test_a_face_of_two_million_corners_costs_no_more_than_its_triangles(inspector: Inspector, tmp_path: Path) -> None:
+    inspector.start()
+    (server,) = (each for each in psutil.Process().children() if inspection_work.__name__ in each.cmdline())
+    before = server.cpu_times()
     archive = packed(tmp_path, a__ply=ply_of_one_face(2_000_000))
-    found = inspect_in_child(archive, scratch_in(tmp_path), None, no_tick)
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    found = inspector.inspect(archive, scratch_in(tmp_path), None, no_tick)
+    used = server.cpu_times()
     assert not found.HasField("failure"), found.failure
-    assert used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime < 10
+    assert used.children_user + used.children_system - before.children_user - before.children_system < 10
 
 
 @pytest.mark.parametrize(
@@ -67,23 +77,27 @@ def test_a_face_of_two_million_corners_costs_no_more_than_its_triangles(tmp_path
     ],
 )
 def test_what_would_cost_much_is_refused_before(
-    tmp_path: Path, name: str, content: Callable[[], bytes], code: str
+    inspector: Inspector, tmp_path: Path, name: str, content: Callable[[], bytes], code: str
 ) -> None:
-    failure = inspect_in_child(packed(tmp_path, **{name: content()}), scratch_in(tmp_path), None, no_tick).failure
+    failure = inspector.inspect(packed(tmp_path, **{name: content()}), scratch_in(tmp_path), None, no_tick).failure
     assert (failure.code, failure.file) == (code, name.replace("__", "."))
     assert failure.hints
 
 
-CHILD = """
-import resource, sys
-from services.edge.jobs import inspect_capture, inspection_child
+SCRIPTED = """
+import os, socket, sys
+from services import fork_server
+from services.edge.jobs import inspection_work
 def inspect(folder, box):
     {costly}
-inspection_child.inspect = inspect
-inspection_child._LEAST_BYTES, inspection_child._LEAST_SECONDS = 1 << 29, 2
-from pathlib import Path
-inspection_child.main(Path(sys.argv[1]), Path(sys.argv[2]), None)
+inspection_work.inspect = inspect
+inspection_work._LEAST_BYTES, inspection_work._LEAST_SECONDS = 1 << 29, 2
+fork_server.serve(socket.socket(fileno=int(sys.argv[1])), inspection_work.work)
 """
+
+
+def scripted(costly: str) -> Inspector:
+    return Inspector(ForkServer("-c", SCRIPTED.format(costly=costly)))
 
 
 @pytest.mark.parametrize(
@@ -91,24 +105,16 @@ inspection_child.main(Path(sys.argv[1]), Path(sys.argv[2]), None)
     [
         ("bytearray(1 << 32)", "CAPTURE_TOO_LARGE", "more memory"),
         ("while True: pass", "CAPTURE_TOO_LARGE", "more time"),
-        ("import os; os.abort()", "CAPTURE_UNREADABLE", "SIGABRT"),
+        ("os.abort()", "CAPTURE_UNREADABLE", "SIGABRT"),
     ],
 )
-def test_what_costs_too_much_or_crashes_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, costly: str, code: str, says: str
-) -> None:
-    run = inspect_capture.run_child
-
-    def run_costly(command: list[object], *rest: object, **most: object) -> None:
-        run([command[0], "-c", CHILD.format(costly=costly), *map(str, command[3:])], *rest, **most)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(inspect_capture, "run_child", run_costly)
-    archive = packed(tmp_path, a__ply=b"ply")
-    try:
-        failure = inspect_in_child(archive, scratch_in(tmp_path), None, no_tick).failure
-        told = (failure.code, failure.message)
-    except CaptureError as error:
-        told = (error.code, error.message)
+def test_what_costs_too_much_or_crashes_is_told(tmp_path: Path, costly: str, code: str, says: str) -> None:
+    with closing(scripted(costly)) as inspector:
+        try:
+            failure = inspector.inspect(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, no_tick).failure
+            told = (failure.code, failure.message)
+        except CaptureError as error:
+            told = (error.code, error.message)
     assert told[0] == code
     assert says in told[1]
 
@@ -117,10 +123,17 @@ def test_an_inspection_that_nobody_waits_for_is_killed(tmp_path: Path) -> None:
     def leave(_: float) -> None:
         raise Cancelled
 
-    with pytest.raises(Cancelled):
-        inspect_in_child(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, leave)
-    left = [each for each in psutil.Process().children(recursive=True) if "inspection_child" in str(each.cmdline())]
-    assert left == []
+    before = {each.pid for each in psutil.Process().children(recursive=True)}
+    with closing(scripted("import time; time.sleep(600)")) as inspector:
+        with pytest.raises(Cancelled):
+            inspector.inspect(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, leave)
+        (server,) = (each for each in psutil.Process().children() if each.pid not in before)
+        assert server.children() == []
+
+
+def test_a_fault_of_ours_is_an_error_with_its_traceback(tmp_path: Path) -> None:
+    with closing(scripted("raise KeyError('MPO')")) as inspector, pytest.raises(RuntimeError, match="KeyError: 'MPO'"):
+        inspector.inspect(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, no_tick)
 
 
 def test_limits_grow_with_the_capture(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,7 +141,7 @@ def test_limits_grow_with_the_capture(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "setrlimit", lambda kind, pair: limits.update({kind: pair[0]}))
     seen = []
     for size in (0, 10**8, 10**9):
-        inspection_child._limit(size)
+        inspection_work._limit(size)
         seen.append((limits[resource.RLIMIT_DATA], limits[resource.RLIMIT_CPU]))
     assert seen == sorted(seen)
     assert seen[0] == (1 << 30, 20)

@@ -6,13 +6,14 @@ import asyncio
 import os
 import signal
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import psutil
 import pytest
 
+from services.fork_client import ForkServer
 from services.gateway.errors import Problem
-from services.gateway.uploads import check_processes
 from services.gateway.uploads.check_and_pack import CheckOrder
 from services.gateway.uploads.check_processes import CheckProcesses
 from tests.support.patience import PATIENCE_S
@@ -22,15 +23,16 @@ CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
 # The server, with a check that does something else, and limits that are reached soon.
 SCRIPTED = """
 import errno, os, signal, socket, sys, time
-from services.gateway.uploads import check_server
+from services import fork_server
+from services.gateway.uploads import check_work
 def check_and_pack(order, begin):
     begin("a.ply")
     {does}
-check_server.check_and_pack = check_and_pack
-check_server._LEAST_SECONDS = 0.0
-check_server._MOST_DATA_BYTES = 200 << 20
-check_server._SLOWED, check_server._DISK_SECONDS = 0.0, {seconds}
-check_server.serve(socket.socket(fileno=int(sys.argv[1])))
+check_work.check_and_pack = check_and_pack
+check_work._LEAST_SECONDS = 0.0
+check_work._MOST_DATA_BYTES = 200 << 20
+check_work._SLOWED, check_work._DISK_SECONDS = 0.0, {seconds}
+fork_server.serve(socket.socket(fileno=int(sys.argv[1])), check_work.work)
 """
 
 
@@ -44,8 +46,8 @@ def order(folder: Path, **files: bytes) -> CheckOrder:
 class Below(CheckProcesses):
     """The checks of a test, and the processes that they have started."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, server: ForkServer | None = None) -> None:
+        super().__init__(server)
         self._others = set(self._servers())
 
     def server(self) -> psutil.Process | None:
@@ -82,8 +84,8 @@ async def test_a_capture_is_packed_by_another_process(checks: Below, tmp_path: P
     await checks.until_running(0)
 
 
-def scripted(patch: pytest.MonkeyPatch, does: str, *, seconds: float = 60.0) -> None:
-    patch.setattr(check_processes, "_PROGRAM", ("-c", SCRIPTED.format(does=does, seconds=seconds)))
+def scripted(does: str, *, seconds: float = 60.0) -> ForkServer:
+    return ForkServer("-c", SCRIPTED.format(does=does, seconds=seconds))
 
 
 @pytest.mark.parametrize(
@@ -104,12 +106,10 @@ async def test_a_check_that_costs_too_much_or_crashes_is_a_problem_that_names_th
     status: int,
     code: str,
     words: str,
-    checks: Below,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scripted(monkeypatch, does, seconds=1.0 if "sleep(600)" in does else 60.0)
-    with pytest.raises(Problem) as caught:
+    server = scripted(does, seconds=1.0 if "sleep(600)" in does else 60.0)
+    with pytest.raises(Problem) as caught, closing(CheckProcesses(server)) as checks:
         await checks.check(order(tmp_path, a__ply=CLOUD))
     problem = caught.value
     assert (problem.status, problem.code) == (status, code), problem.detail
@@ -119,11 +119,11 @@ async def test_a_check_that_costs_too_much_or_crashes_is_a_problem_that_names_th
         assert problem.file == "a.ply"
 
 
-async def test_a_fault_of_ours_is_an_internal_error_with_its_traceback(
-    checks: Below, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scripted(monkeypatch, "raise KeyError('MPO')")
-    with pytest.raises(RuntimeError, match="KeyError: 'MPO'"):
+async def test_a_fault_of_ours_is_an_internal_error_with_its_traceback(tmp_path: Path) -> None:
+    with (
+        closing(CheckProcesses(scripted("raise KeyError('MPO')"))) as checks,
+        pytest.raises(RuntimeError, match="KeyError: 'MPO'"),
+    ):
         await checks.check(order(tmp_path, a__ply=CLOUD))
 
 

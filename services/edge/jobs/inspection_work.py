@@ -1,21 +1,16 @@
-"""Child process that inspects one capture: `python -m services.edge.jobs.inspection_child ARCHIVE SCRATCH BOX`.
-
-BOX is JSON: left, top, right and bottom of the thing in a single photo, or an empty list. The answer is written to
-SCRATCH.
-"""
+"""The inspection of one capture, in a process of its own with limits: what fork_server.py runs for the worker."""
 
 from __future__ import annotations
 
-import json
 import resource
-import sys
 from pathlib import Path
+from typing import Any
 
 from services.edge.api import edge_pb2 as pb
-from services.edge.child_process import set_up_child
 from services.edge.errors import EdgeError
 from services.edge.jobs.inspect_capture import ANSWER, inspect, too_costly, unpack_capture
 from services.edge.worker.failures import failure_of
+from services.fork_server import Send
 from services.photo_box import PhotoBox
 
 # Beside the interpreter and its libraries, which have 350 MB: rows of text take 15 times their bytes when they are
@@ -24,10 +19,16 @@ _LEAST_BYTES, _BYTES_PER_BYTE, _MOST_BYTES = 1 << 30, 16, 6 << 30
 _LEAST_SECONDS, _SECONDS_PER_GB = 20, 100
 
 
-def main(archive: Path, scratch: Path, box: PhotoBox | None) -> None:
-    """Inspect the archive within limits that follow from its unpacked size, and write the answer to `scratch`."""
+def work(order: dict[str, Any], _: Send) -> None:
+    """Inspect an archive within limits that follow from its unpacked size, and write the answer to the scratch folder.
+
+    order  archive and scratch: paths; box: left, top, right and bottom of the thing in a single photo, or nothing
+    """
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    box = PhotoBox.of(order["box"]) if order["box"] else None
+    scratch = Path(order["scratch"])
     try:
-        folder = unpack_capture(archive, scratch)
+        folder = unpack_capture(Path(order["archive"]), scratch)
         _limit(sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()))
         answer = inspect(folder, box)
     except EdgeError as error:
@@ -52,9 +53,3 @@ def _limit(capture_bytes: int) -> None:
 
 def _failed(error: EdgeError, scratch: Path) -> pb.Inspection:
     return pb.Inspection(failure=failure_of(error, job="of an inspection", scratch=scratch))
-
-
-if __name__ == "__main__":
-    set_up_child()
-    corners = json.loads(sys.argv[3])
-    main(Path(sys.argv[1]), Path(sys.argv[2]), PhotoBox.of(corners) if corners else None)
