@@ -22,6 +22,7 @@ BENCHES = {
     "visit": "the viewer in a browser on a throttled link: first mesh, bytes, longest task, three visits",
     "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "service": "many people on one service: what keys cost, 10,000 tenants, turns in the queue, kills",
+    "fuzz": "hostile files of every format: answers, CPU seconds, memory, what is left; resumable",
     "uploads": "32 phones uploading 20 MB each: answers, gateway memory, latency of GET job",
 }
 ON_DEMAND = {

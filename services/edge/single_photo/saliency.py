@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints
@@ -84,7 +84,7 @@ def _background(parts: _Superpixels, apart: Floats) -> Floats:
         np.concatenate([parts.pairs, np.stack([border[first], border[second]], axis=1)]).reshape(-1, 2), axis=0
     )
     cost = np.maximum(apart[pairs[:, 0], pairs[:, 1]] - _SAME, 0) + _FREE
-    way = shortest_path(coo_matrix((cost, pairs.T), (k, k)), directed=False)
+    way = shortest_path(csr_matrix((cost, pairs.T), (k, k)), directed=False)
     similar = np.exp(-(way**2) / (2 * _SIMILAR**2))
     connectivity = similar @ parts.at_border / np.sqrt(similar.sum(axis=1))
     return np.asarray(1 - np.exp(-(connectivity**2) / 2))

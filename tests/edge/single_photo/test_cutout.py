@@ -19,6 +19,7 @@ from services.edge.render.rays import Scene, pinhole
 from services.edge.single_photo.cutout import CutOut, cut_out
 from services.edge.single_photo.plain_background import segment_by_colour
 from services.edge.single_photo.proposal import propose
+from services.edge.single_photo.saliency import saliency
 from services.photo_box import PhotoBox
 from tests.support.single_photos import photo
 from tests.support.walkaround import render_walkaround
@@ -227,3 +228,8 @@ def test_real_photos_of_ordinary_scenes_are_not_refused(data_dir: Path) -> None:
     assert cut_out(room).mask.mean() > 0.01
     chair = cut_out(room, PhotoBox(0.47, 0.38, 0.97, 0.82))
     assert chair.mask.mean() > 0.2
+
+
+def test_the_narrowest_photo_has_a_saliency() -> None:
+    """Of a strip whose superpixels are all neighbours, scipy's shortest ways take another method."""
+    assert saliency(np.full((8, 4000, 3), 99, np.uint8)).shape == (8, 4000)
