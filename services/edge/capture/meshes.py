@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from io import BytesIO
@@ -22,6 +23,8 @@ MAX_FACES = (
     5_000_000  # summed over all nodes, as a scene can repeat one mesh a million times; sampling takes 200 bytes each
 )
 MAX_NODES = 5_000  # of a scene; trimesh takes about a millisecond per node
+MAX_MATERIALS = 500  # of an OBJ: scanners write tens, and each takes 1 ms and more
+_MATERIAL = re.compile(rb"^[ \t]*usemtl[ \t]+(.*)$", re.MULTILINE)
 _GLB_HEADER = 12
 _UNREAD_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
@@ -89,12 +92,21 @@ def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
 
 def _check_before_parsing(data: bytes, folder: Folder, file: str, kind: str) -> None:
     """Check the counts and file names in a mesh file before trimesh reads it."""
-    if kind == "off":
+    if kind == "obj":
+        _check_obj(data, file)
+    elif kind == "off":
         _check_off(data, file)
     elif kind == "glb":
         _check_gltf(_glb_json(data, file), folder, file)
     elif kind == "gltf":
         _check_gltf(parse_json(data.decode("utf-8-sig", "replace"), file), folder, file)
+
+
+def _check_obj(data: bytes, file: str) -> None:
+    """Refuse an OBJ of too many materials: trimesh makes a mesh of each, with all vertices."""
+    if (count := len(set(_MATERIAL.findall(data)))) > MAX_MATERIALS:
+        what = f"has {count:,} materials; at most {MAX_MATERIALS:,} are read"
+        raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("export the mesh with one texture",))
 
 
 def _check_off(data: bytes, file: str) -> None:

@@ -39,6 +39,11 @@ def ply_of_one_face(corners: int) -> bytes:
     return head.encode() + xyz.tobytes() + np.uint32(corners).tobytes() + indices.tobytes()
 
 
+def obj_of_materials(count: int) -> bytes:
+    """A triangle of each material."""
+    return b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"".join(b"usemtl m%d\nf 1 2 3\n" % number for number in range(count))
+
+
 def scratch_in(folder: Path) -> Path:
     scratch = folder / "work"
     scratch.mkdir()
@@ -73,6 +78,7 @@ def test_a_face_of_two_million_corners_costs_no_more_than_its_triangles(inspecto
     ("name", "content", "code"),
     [
         ("a__ply", lambda: ply_of_one_face(5_100_000), "CAPTURE_TOO_LARGE"),
+        ("a__obj", lambda: obj_of_materials(8_000), "CAPTURE_TOO_LARGE"),
         ("a__xyz", lambda: b"1 2 3\n" + b"0.1 " * 400_000, "CAPTURE_UNREADABLE"),
     ],
 )
