@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from services.edge.mesh.sampling import area
 from services.edge.mesh.topology import component_count
 from services.edge.paper_field.network_config import Densify, NetworkConfig
 from tests.bench import ablation, cell, datasets, methods, plots, report, tables, yardstick
+from tests.bench.__main__ import main as bench_main
 from tests.bench.datasets import LayoutError
 from tests.bench.methods import Settings, Unavailable
 from tests.bench.records import Record, Records, code_version, fingerprint
@@ -303,13 +305,17 @@ def _cloud(xyz: np.ndarray, file: Path) -> None:
     trimesh.PointCloud(xyz).export(file)
 
 
+def loaded(entries: list[datasets.Entry]) -> list[datasets.Subject]:
+    return [entry.load() for entry in entries]
+
+
 def test_cars_as_cap_udf_lays_them_out(tmp_path: Path) -> None:
     car = surfaces.hemisphere()
     points = surfaces.sampled(car, 300)
     _write(car, tmp_path / "ground_truth" / "3e5e4ff6.obj")
     _cloud(points, tmp_path / "input" / "3e5e4ff6.ply")
     (tmp_path / "query_data").mkdir()
-    (subject,) = datasets.shapenet_cars(tmp_path)
+    (subject,) = loaded(datasets.shapenet(tmp_path))
     assert subject.name == "3e5e4ff6"
     np.testing.assert_allclose(subject.points, points, atol=1e-6)
     assert area(subject.truth) == pytest.approx(area(car), rel=1e-4)
@@ -321,9 +327,20 @@ def test_cars_as_ndf_lays_them_out(tmp_path: Path) -> None:
     for name in ("1a", "2b"):
         _write(car, tmp_path / "02958343" / name / "model_scaled.off")
     np.savez(tmp_path / "02958343" / "1a" / "voxelized_point_cloud_256res_200points.npz", point_cloud=points, res=256)
-    with_points, without = datasets.shapenet_cars(tmp_path, points=150)
+    entries = datasets.shapenet(tmp_path, points=150)
+    assert [entry.group for entry in entries] == ["car", "car"]
+    with_points, without = loaded(entries)
     np.testing.assert_array_equal(with_points.points, points)
     assert (with_points.name, without.name, without.points.shape) == ("1a", "2b", (150, 3))
+
+
+@pytest.mark.parametrize("file", ["models/model_normalized.obj", "model.obj"])
+def test_shapes_as_shapenet_lays_them_out_have_the_class_of_their_synset(tmp_path: Path, file: str) -> None:
+    for synset in ("02958343", "03001627", "12345678"):
+        _write(surfaces.disk(), tmp_path / synset / "1a" / file)
+    entries = datasets.shapenet(tmp_path, points=50)
+    assert [(entry.name, entry.group) for entry in entries] == [("1a", "car"), ("1a", "chair"), ("1a", "12345678")]
+    assert [subject.points.shape for subject in loaded(entries)] == [(50, 3)] * 3
 
 
 @pytest.mark.parametrize("suffix", [".xyz.npy", ".npy", ".xyz"])
@@ -337,7 +354,7 @@ def test_scenes_find_their_truth_by_the_name_before_the_density(tmp_path: Path, 
         np.save(file, points)
     else:
         np.savetxt(file, points)
-    (subject,) = datasets.scenes(tmp_path)
+    (subject,) = loaded(datasets.scenes(tmp_path))
     assert subject.name == "lounge_1000"
     np.testing.assert_allclose(subject.points, points, atol=1e-6)
     assert area(subject.truth) == pytest.approx(16 * area(surfaces.disk()), rel=1e-4)
@@ -346,7 +363,7 @@ def test_scenes_find_their_truth_by_the_name_before_the_density(tmp_path: Path, 
 def test_bare_scans_are_sampled_by_the_square_metre(tmp_path: Path) -> None:
     room = Mesh(surfaces.disk().vertices * 4, surfaces.disk().faces)
     _write(room, tmp_path / "copyroom" / "copyroom.ply")
-    (subject,) = datasets.scenes(tmp_path, per_square_metre=100)
+    (subject,) = loaded(datasets.scenes(tmp_path, per_square_metre=100))
     assert len(subject.points) == pytest.approx(100 * area(room), abs=2)
 
 
@@ -357,7 +374,7 @@ def test_garments_come_in_the_unit_frame_in_the_order_of_their_numbers(tmp_path:
     for stem in ("10-1", "2-1"):
         _cloud(surfaces.sampled(dress, 3_000), tmp_path / folder / stem.split("-")[0] / f"{stem}.ply")
     _write(dress, tmp_path / "filtered_registered_mesh" / "2-1" / "model_cleaned.obj")
-    meshed, dense = datasets.deep_fashion(tmp_path, points=500)
+    meshed, dense = loaded(datasets.deep_fashion(tmp_path, points=500))
     assert (meshed.name, dense.name) == ("2-1", "10-1")
     assert len(meshed.truth.faces) > 0
     assert (len(dense.truth.faces), len(dense.truth.vertices)) == (0, 3_000)
@@ -367,17 +384,17 @@ def test_garments_come_in_the_unit_frame_in_the_order_of_their_numbers(tmp_path:
         assert np.abs(subject.points).max() < 0.51
 
 
-@pytest.mark.parametrize("load", [datasets.shapenet_cars, datasets.scenes, datasets.deep_fashion])
+@pytest.mark.parametrize("load", [datasets.shapenet, datasets.scenes, datasets.deep_fashion])
 def test_another_folder_is_refused_with_what_was_looked_for(tmp_path: Path, load: object) -> None:
     with pytest.raises(LayoutError, match=r"holds no .*\*|holds no point_cloud"):
-        list(load(tmp_path))  # type: ignore[operator]
+        load(tmp_path)  # type: ignore[operator]
 
 
 def test_points_without_a_truth_are_refused_by_name(tmp_path: Path) -> None:
     _write(surfaces.disk(), tmp_path / "ground_truth" / "lounge.ply")
     _cloud(np.eye(3), tmp_path / "input" / "copyroom_1000.ply")
     with pytest.raises(LayoutError, match=r"copyroom_1000.*lounge"):
-        list(datasets.scenes(tmp_path))
+        datasets.scenes(tmp_path)
 
 
 def test_table_2_runs_on_a_folder(
@@ -394,10 +411,53 @@ def test_table_2_runs_on_a_folder(
         _cloud(surfaces.sampled(surfaces.hemisphere(), 100), tmp_path / "input" / f"{name}.ply")
     tables.main(["--shapenet", str(tmp_path), "--methods", "draft,poisson,cap-udf"])
     printed = capsys.readouterr().out
-    assert "| local field | 0.00300 | 0.1000 | 0.9000 | 0.9900 | 0.980 | — | 1.5 | 300 | 2 of 2 |" in printed
+    assert "| local field | 0.00300 | 20 | 0.9000 | 0.9900 | 0.980 | — | 1.5 | 300 | 2 of 2 |" in printed
     assert "| screened Poisson | — no Open3D |" in printed
     assert "| CAP-UDF | " + "— | " * 8 + "0 of 2 |" in printed
     assert "| floor | 0.00250 | | 0.9500 |" in printed
+
+
+def test_classes_are_tables_of_their_own_and_what_is_missing_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "run_cell", lambda *_: FIGURES)
+    for garment in (1, 2, 7):
+        _cloud(surfaces.sampled(surfaces.disk(), 50), tmp_path / "point_cloud" / f"{garment}" / f"{garment}-1.ply")
+    (tmp_path / "point_cloud" / "2" / "2-1.ply").write_bytes(b"ply\nno")
+    classes = "long_sleeve_dress 1 2\nshort_pants 7\nno_sleeve_upper 8 9\n"
+    (tmp_path / "point_cloud" / "cloth_type_list.txt").write_text(classes)
+    tables.main(["--garments", str(tmp_path), "--methods", "draft"])
+    printed = capsys.readouterr().out
+    assert [line for line in printed.splitlines() if line.startswith("###")] == [
+        "### Table 2: DeepFashion3D, long_sleeve_dress",
+        "### Table 2: DeepFashion3D, short_pants",
+    ]
+    assert printed.count("| 1 of 1 |") == 2, "what was measured stays"
+    assert "Not measured: 2-1 cannot be read: " in printed
+    assert f"Not measured: class no_sleeve_upper, none of whose 2 garments is in {tmp_path}" in printed
+
+
+def test_a_list_of_classes_that_is_none_is_named_with_its_line(tmp_path: Path) -> None:
+    _cloud(np.eye(3), tmp_path / "point_cloud" / "1" / "1-1.ply")
+    (tmp_path / "cloth_type_list.txt").write_text("dress 1\n1: dress\n")
+    with pytest.raises(LayoutError, match=r"cloth_type_list.txt, line 2: a class and numbers"):
+        datasets.deep_fashion(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["figure5"], "dress-v17k-f34k.obj is missing: CAPTURE2VR_DATA names the folder"),
+        (["tables", "--scenes", "nowhere"], "tables: nowhere holds no ground_truth"),
+    ],
+)
+def test_missing_data_are_one_sentence(
+    arguments: list[str], sentence: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("CAPTURE2VR_DATA", str(tmp_path))
+    with pytest.raises(SystemExit, match=re.escape(sentence)) as caught:
+        bench_main(arguments)
+    assert "\n" not in str(caught.value)
 
 
 def test_tables_need_a_folder() -> None:

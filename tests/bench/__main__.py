@@ -7,6 +7,8 @@ import os
 import platform
 import sys
 
+from tests.bench.data_files import DataMissing
+
 BENCHES = {
     "yardstick": "every shape by every method: how near, how whole, how long; kept in yardstick.json",
     "ablation": "each loss off in turn, and the weight of self-consistency (the paper's Table 4)",
@@ -26,7 +28,7 @@ BENCHES = {
     "uploads": "32 phones uploading 20 MB each: answers, gateway memory, latency of GET job",
 }
 ON_DEMAND = {
-    "tables": "the paper's Tables 2 and 3 on the ShapeNet cars, 3D scenes, DeepFashion3D that you have",
+    "tables": "the paper's Tables 2 and 3 on the ShapeNet shapes, 3D scenes, DeepFashion3D that you have",
     "table2": "the paper's Table 2: dress and truck, printed figures beside those reached",
     "table3": "the paper's Table 3: a lounge",
     "table4": "the paper's Table 4: with and without self-consistency, and memory",
@@ -73,10 +75,10 @@ def main(arguments: list[str]) -> int:
 def _run(bench: str, arguments: list[str]) -> None:
     name, own = _PAPER.get(bench, (bench.replace("-", "_"), False))
     module = importlib.import_module(f"tests.bench.{name}")
-    if own:
-        module.main(arguments, bench)
-    else:
-        module.main(arguments)
+    try:
+        module.main(arguments, *([bench] if own else []))
+    except DataMissing as missing:
+        raise SystemExit(f"{bench}: {missing}") from None
 
 
 if __name__ == "__main__":

@@ -46,6 +46,7 @@ from services.edge.render.silhouette import LONGEST_PX
 from services.storage.bundle import Bundle
 from tests.bench.borne_out import likeness_of_patches
 from tests.bench.cell import ROOT
+from tests.bench.data_files import data_file
 from tests.bench.photo_sets import (
     PhotoSet,
     exposure_steps,
@@ -57,7 +58,6 @@ from tests.bench.photo_sets import (
     write_transforms,
 )
 from tests.bench.photos import SEEN_BY, is_seen
-from tests.conftest import data_folder
 from tests.support import scenes
 
 _ONE_IN = 8  # photos is held out
@@ -131,12 +131,12 @@ def _garment(folder: Path, *, depth: bool) -> Row:
 
 
 def _living_room(_: Path) -> Row:
-    return Row(read_capture(data_folder() / "rgbd_livingroom"), hold_out=1)
+    return Row(read_capture(data_file("rgbd_livingroom")), hold_out=1)
 
 
 def _still(_: Path) -> Row:
     """A single frame cannot be spared: it is there twice, and the second one is held out."""
-    capture = read_capture(data_folder() / "phone_tof")
+    capture = read_capture(data_file("phone_tof"))
     (frame,) = capture.frames
     again = replace(frame, name=f"{frame.name} again")
     return Row(replace(capture, frames=(frame, again)), hold_out=1)

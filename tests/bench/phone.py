@@ -20,7 +20,7 @@ from playwright.sync_api import Page, sync_playwright
 from services.cli.progress import StageBar
 from services.cli.push import follow, upload
 from services.cli.up import run_stack
-from tests.conftest import data_folder
+from tests.bench.data_files import data_file
 from tests.support.chromium import launch
 from tests.support.screenshots import drawn, stage
 from tests.support.walkaround import render_walkaround
@@ -34,7 +34,7 @@ _LEAST_DRAWN = 0.02  # of the viewer's canvas; less is not the thing
 
 
 def _fruit(folder: Path) -> Path:
-    return data_folder() / "photos_fruit" / "images"
+    return data_file("photos_fruit/images")
 
 
 def _rendered(folder: Path) -> Path:

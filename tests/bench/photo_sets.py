@@ -20,7 +20,7 @@ from services.edge.arrays import Floats, Ints
 from services.edge.capture.nouns import Intrinsics
 from services.edge.points.orbit import meeting_point
 from services.edge.render.posed_picture import PosedPicture
-from tests.conftest import data_folder
+from tests.bench.data_files import data_file
 from tests.support.walkaround import render_walkaround
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -64,7 +64,7 @@ def fruit(given: Path | None = None) -> PhotoSet:
 
     given  a folder for the photos with these cameras as a `transforms.json` beside them; None: the photos alone
     """
-    data = data_folder() / "photos_fruit"
+    data = data_file("photos_fruit")
     root = ElementTree.parse(data / "camera.xml").getroot()
     poses = {
         f"{camera.get('label')}.JPG": np.array((camera.findtext("transform") or "").split(), float).reshape(4, 4)
@@ -77,7 +77,7 @@ def fruit(given: Path | None = None) -> PhotoSet:
 
 def statue(given: Path | None = None) -> PhotoSet:
     """The photos of the statue, with the cameras of another program; `given` as for `fruit`."""
-    data = data_folder() / "photos_statue"
+    data = data_file("photos_statue")
     lens, poses = _statue_cameras()
     if given:
         write_transforms(given, data / "images", lens, poses)
@@ -85,7 +85,7 @@ def statue(given: Path | None = None) -> PhotoSet:
 
 
 def _statue_cameras() -> tuple[dict[str, float], dict[str, Floats]]:
-    data = data_folder() / "photos_statue"
+    data = data_file("photos_statue")
     names = (data / "ordered_filenames.txt").read_text().split()[1:]
     return bundler_cameras((data / "cameras.out").read_text(), names, _size(data / "images"))
 
@@ -97,7 +97,7 @@ def statue_points() -> Floats:
     and above the pavement. The photos lie on their side: up is to their right. The depth maps' cameras have no
     distortion: so taken, they agree better with each other and with the points of cameras.out.
     """
-    data = data_folder() / "photos_statue"
+    data = data_file("photos_statue")
     lens, poses = _statue_cameras()
     focal = np.array([lens["fl_x"] / lens["w"], lens["fl_y"] / lens["h"]])
     maps = [

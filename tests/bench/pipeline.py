@@ -19,7 +19,7 @@ from services.edge.preset import load_preset
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from tests.conftest import data_folder
+from tests.bench.data_files import data_file
 
 _STAGES = ("POINT_CLOUD", "FITTING", "EXTRACTING", "TEXTURING", "PACKING", "PUBLISHING")
 
@@ -28,7 +28,7 @@ def dress(points: int) -> Capture:
     """Area-weighted samples of the dress."""
     import trimesh
 
-    mesh = trimesh.load(data_folder() / "dress" / "dress-v17k-f34k.obj", process=False)
+    mesh = trimesh.load(data_file("dress/dress-v17k-f34k.obj"), process=False)
     return Capture("points", "sampled", Cloud(np.asarray(trimesh.sample.sample_surface(mesh, points, seed=0)[0])))
 
 
@@ -61,8 +61,8 @@ def room(points: int) -> Capture:
 CASES = {
     "dress, 10,000 points": lambda: dress(10_000),
     "dress, 50,000 points": lambda: dress(50_000),
-    "living room, 5 RGB-D frames": lambda: read_capture(data_folder() / "rgbd_livingroom"),
-    "scanned room, 196,133 points": lambda: read_capture(data_folder() / "cloud_room" / "fragment.pcd"),
+    "living room, 5 RGB-D frames": lambda: read_capture(data_file("rgbd_livingroom")),
+    "scanned room, 196,133 points": lambda: read_capture(data_file("cloud_room/fragment.pcd")),
     "room, 1,000,000 points": lambda: room(1_000_000),
 }
 

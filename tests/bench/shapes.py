@@ -13,7 +13,7 @@ from services.edge.arrays import Floats
 from services.edge.mesh.edges import edges_of
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.topology import component_count
-from tests.conftest import data_folder
+from tests.bench.data_files import data_file
 from tests.support import surfaces
 from tests.support.mesh_metrics import welded
 
@@ -73,7 +73,7 @@ class Row:
 
 def load(file: str, part: str = "") -> Mesh:
     """A mesh of the real data, or one part of it, in its unit frame."""
-    return surfaces.read_unit(data_folder() / file, part)
+    return surfaces.read_unit(data_file(file), part)
 
 
 @cache

@@ -29,7 +29,7 @@ from services.edge.pipeline import reconstruct
 from services.edge.preset import Preset, load_preset
 from services.edge.texture import texture_mesh
 from services.storage.bundle import Bundle
-from tests.conftest import data_folder
+from tests.bench.data_files import data_file
 
 ROOT = Path(__file__).parents[2]
 STAGES = ("unwrap", "bake", "encode")
@@ -43,8 +43,8 @@ def _garment(folder: Path) -> Path:
 
 ROWS: dict[str, Callable[[Path], Path]] = {
     "garment, RGB-D, 40 frames": _garment,
-    "living room, RGB-D, 5 frames": lambda _: data_folder() / "rgbd_livingroom",
-    "fruit, 20 photos": lambda _: data_folder() / "photos_fruit" / "images",
+    "living room, RGB-D, 5 frames": lambda _: data_file("rgbd_livingroom"),
+    "fruit, 20 photos": lambda _: data_file("photos_fruit/images"),
 }
 
 
