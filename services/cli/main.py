@@ -131,6 +131,10 @@ def push(
     fill: Fill = None,
     box: Box = "",
     target: Target = "",
+    visibility: Annotated[
+        Literal["private", "unlisted", "public"] | None,
+        typer.Option(help="Who may read the asset besides its tenant. Default: as it is, or as its collection."),
+    ] = None,
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
     from services.cli.push import push_capture
@@ -144,6 +148,7 @@ def push(
         "fill": fill,
         "box": rectangle.values if rectangle else None,
         "target": target or None,
+        "visibility": visibility,
     }
     push_capture(capture, gateway, key=key, label=label, options=options)
 
@@ -199,6 +204,25 @@ def restore(
     from services.cli.assets import set_removed
 
     set_removed(key, gateway, "restore", collection=collection)
+
+
+@app.command()
+def visibility(
+    name: Annotated[str, typer.Argument(help="Asset key, or with --collection the name of a collection.")],
+    who: Annotated[
+        Literal["private", "unlisted", "public", "inherited"],
+        typer.Argument(
+            help="Who may read it besides its tenant. private: nobody; unlisted: whoever has its address; public: "
+            "everybody, and public collections list it; inherited: as its collection."
+        ),
+    ],
+    collection: Annotated[bool, typer.Option("--collection", help="NAME is a collection.")] = False,
+    gateway: Gateway = DEFAULT_GATEWAY,
+) -> None:
+    """Set who may read an asset or a collection. Files that others have downloaded stay with them."""
+    from services.cli.visibility import set_visibility
+
+    set_visibility(name, who, gateway, is_collection=collection)
 
 
 @app.command()

@@ -25,6 +25,7 @@ from services.gateway.access.authentication import Authentication
 from services.gateway.access.caller import Scope
 from services.gateway.access.code_guesses import CodeGuesses
 from services.gateway.access.limits import Limits
+from services.gateway.access.readers import ReadersCache
 from services.gateway.access.store import AccessStore
 from services.gateway.access.usage import Usage
 from services.gateway.connections import ConnectionLimits, LimitedProtocol
@@ -57,6 +58,7 @@ from services.gateway.routes import (
     service,
     tenants,
     uploads,
+    visibility,
     webhooks,
 )
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
@@ -75,7 +77,10 @@ from services.strict_settings import SettingsError
 # What pages of other origins may send and read, beside what uploads need.
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
-_ROUTES = (captures, uploads, jobs, assets, collections, files, access, tenants, webhooks, data, health, service, pages)
+_ROUTES = (
+    *(captures, uploads, jobs, assets, collections, files, visibility),
+    *(access, tenants, webhooks, data, health, service, pages),
+)
 _GRACE_S = 5  # for answers in progress when the gateway stops
 
 _log = logging.getLogger(__name__)
@@ -85,7 +90,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    limits, usage, check_processes, code_guesses, job_store, resumable, webhooks, outbox, deliveries, dispatcher.
+    limits, usage, check_processes, code_guesses, readers, job_store, resumable, webhooks, outbox, deliveries,
+    dispatcher.
 
     Raises SettingsError where the workers' certificate or token cannot be used.
     """
@@ -117,6 +123,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     app.state.usage = Usage(app.state.authentication, store)
     app.state.code_guesses = CodeGuesses()
     app.state.audit = AuditLog()
+    app.state.readers = ReadersCache(store)
     for module in _ROUTES:
         check_rules(module.router.routes)
         app.include_router(module.router)

@@ -82,6 +82,13 @@ class JobRequest(BaseModel):
             examples=[[0.2, 0.1, 0.8, 0.95]],
         ),
     ] = None
+    visibility: Annotated[
+        Literal["", "private", "unlisted", "public"],
+        Field(
+            description="Who may read the asset besides its tenant. private: nobody; unlisted: whoever has its "
+            "address; public: everybody; empty: as it is, or as its collection."
+        ),
+    ] = ""
 
     def order(self, preset: str, collection: str) -> Order:
         """Convert to the job's order, with the preset and the collection that were chosen."""
@@ -96,6 +103,7 @@ class JobRequest(BaseModel):
             collection=collection,
             fill=self.fill,
             box=tuple(self.box or ()),
+            visibility=self.visibility,
         )
 
 

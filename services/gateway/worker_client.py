@@ -220,6 +220,7 @@ def _header(job: Job, size: int) -> pb.Header:
         box=_wire_box(PhotoBox.of(order.box) if order.box else None),
         tenant=job.tenant,
         token=job.token,
+        visibility=order.visibility,
     )
 
 

@@ -53,6 +53,8 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/jobs/{job}/cancel": None,
     "post /v1/assets/{key}/remove": None,
     "post /v1/assets/{key}/restore": None,
+    "put /v1/assets/{key}/visibility": {"visibility": "public"},
+    "put /v1/collections/{name}/visibility": {"visibility": "public"},
     "post /v1/session": {"key": "c2v_bob_" + "x" * 43},
     "post /v1/pairings": {"scopes": ["read"]},
     "post /v1/pairings/claim": {"code": "000000"},

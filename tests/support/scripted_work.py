@@ -57,6 +57,7 @@ class Making:
                 job=request.job,
                 fence=request.fence,
                 collection=collection,
+                visibility=request.visibility,
             )
             report(
                 pb.Published(

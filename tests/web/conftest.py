@@ -90,6 +90,7 @@ class GuardedSite:
 
     site: Site
     key: str
+    data_dir: Path
 
     @property
     def url(self) -> str:
@@ -112,7 +113,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedSite]:
     folder = tmp_path_factory.mktemp("guarded")
     key = make_key(folder / "data", "ada", ALL_SCOPES - {Scope.OPERATE})
     with site_at(folder) as site:
-        yield GuardedSite(site, key)
+        yield GuardedSite(site, key, folder / "data")
 
 
 @pytest.fixture(scope="session")

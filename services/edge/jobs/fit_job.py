@@ -110,6 +110,7 @@ class FieldFitter:
                 job=request.job,
                 fence=request.fence,
                 collection=request.collection,
+                visibility=request.visibility,
             )
         except StaleFence:
             message = "another worker has taken over the job; the result of this one is discarded"

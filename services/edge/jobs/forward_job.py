@@ -190,6 +190,7 @@ def _header(request: ReconstructionRequest, size: int) -> pb.Header:
         fill=request.fill or "",
         tenant=request.tenant,
         token=request.token,
+        visibility=request.visibility or "",
     )
 
 

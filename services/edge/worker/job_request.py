@@ -16,6 +16,7 @@ from services.edge.mesh.fill_gaps import Fill
 from services.edge.points.nouns import Cut
 from services.edge.worker.capabilities import Capabilities
 from services.photo_box import HOW, InvalidBox, PhotoBox
+from services.storage.catalogue.visibility import Visibility
 from services.storage.tenant_store import DEFAULT_TENANT, valid_tenant
 
 T = TypeVar("T")
@@ -59,6 +60,7 @@ class ReconstructionRequest:
     box         rectangle of a single photo that the thing lies in; None: it is looked for
     tenant      whose job it is: key and collection are the tenant's
     token       secret that Attach and Cancel must show; "": none
+    visibility  the asset's, from its first version on; None: as it is, or as its collection
     """
 
     job: str
@@ -75,6 +77,7 @@ class ReconstructionRequest:
     box: PhotoBox | None = None
     tenant: str = DEFAULT_TENANT
     token: str = ""
+    visibility: Visibility | None = None
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -112,6 +115,9 @@ class ReconstructionRequest:
             box=checked_box(header),
             tenant=header.tenant or DEFAULT_TENANT,
             token=header.token,
+            visibility=_checked_choice("visibility", header.visibility, tuple(Visibility))
+            if header.visibility
+            else None,
         )
 
 

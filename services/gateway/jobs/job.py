@@ -40,6 +40,7 @@ class Order:
     collection: str = ""  # collection that lists the asset; "": the worker's default
     fill: str = ""  # holes of the mesh to fill: none, unseen or all; "": by the kind of capture
     box: tuple[float, ...] = ()  # left, top, right, bottom of the thing in a single photo, as shares; (): look for it
+    visibility: str = ""  # of the asset: private, unlisted or public; "": as it is, or as its collection
 
 
 @dataclass(frozen=True, slots=True)

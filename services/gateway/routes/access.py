@@ -20,6 +20,7 @@ from services.gateway.qr_code import qr_svg
 from services.gateway.routes.access_rules import (
     ANYONE,
     SESSION_COOKIE,
+    TENANT_COOKIE,
     authenticate,
     authentication_of,
     caller_of,
@@ -158,6 +159,7 @@ async def log_out(request: Request) -> Response:
     """Log a browser out. Its key stays good elsewhere."""
     response = Response(status_code=204)
     response.delete_cookie(SESSION_COOKIE, path="/", httponly=True, samesite="lax")
+    response.delete_cookie(TENANT_COOKIE, path="/", samesite="lax")
     return response
 
 
@@ -307,15 +309,18 @@ async def _new_key(
 async def _set_session(key: ApiKey, request: Request, response: Response) -> Caller:
     """Give the browser a session cookie; return who it is from now on, also for the audit log."""
     cookie, seconds = await authentication_of(request).sign_session(key)
+    secure = gateway_url(request).startswith("https:")
     response.set_cookie(
         SESSION_COOKIE,
         cookie,
         max_age=seconds,
         path="/",
-        secure=gateway_url(request).startswith("https:"),
+        secure=secure,
         httponly=True,
         samesite="lax",  # not strict: the link in a QR code is opened from elsewhere
     )
+    # Pages name their caches by it, also without the server. It grants nothing.
+    response.set_cookie(TENANT_COOKIE, key.tenant, max_age=seconds, path="/", secure=secure, samesite="lax")
     request.state.caller = caller = Caller(key.tenant, key.scopes, "session", key.id)
     return caller
 

@@ -19,9 +19,11 @@ from services.gateway.errors import Problem
 from services.gateway.schemas import problems
 
 SESSION_COOKIE = "c2v_session"
+TENANT_COOKIE = "c2v_tenant"
+"""Cookie beside the session's that scripts can read: the tenant that is logged in."""
 
 
-class _Rule:
+class Rule:
     """A dependency that authenticates the request and checks the caller's scopes; none: anyone may ask."""
 
     def __init__(self, scopes: frozenset[Scope]) -> None:
@@ -33,15 +35,15 @@ class _Rule:
         caller = await authenticate(request)
         request.state.rate_limit = await request.app.state.limits.spend(caller)
         if not caller.scopes & self.scopes:
-            raise _missing_scope(caller, self.scopes)
+            raise missing_scope(caller, self.scopes)
 
 
 def needs(*scopes: Scope) -> Any:
     """Return the dependency of a route for callers with one of these scopes; the handler then asks `caller_of`."""
-    return Depends(_Rule(frozenset(scopes)))
+    return Depends(Rule(frozenset(scopes)))
 
 
-ANYONE = Depends(_Rule(frozenset()))
+ANYONE = Depends(Rule(frozenset()))
 """The dependency of a route that anyone may ask: pages without data, and logging in."""
 
 
@@ -98,11 +100,12 @@ def describe_rules(routes: Iterable[BaseRoute], document: dict[str, Any]) -> Non
                 operation["responses"].setdefault(str(status), answer)
 
 
-def _rule_of(route: APIRoute) -> _Rule | None:
-    return next((each.dependency for each in route.dependencies if isinstance(each.dependency, _Rule)), None)
+def _rule_of(route: APIRoute) -> Rule | None:
+    return next((each.dependency for each in route.dependencies if isinstance(each.dependency, Rule)), None)
 
 
-def _missing_scope(caller: Caller, scopes: frozenset[Scope]) -> Problem:
+def missing_scope(caller: Caller, scopes: frozenset[Scope]) -> Problem:
+    """Return the problem for a caller without any of these scopes."""
     if caller.via == "anonymous":
         return refused("KEY_MISSING", "this needs an access key", "log in at /login, or send Authorization: Bearer KEY")
     wanted = " or ".join(scope_names(scopes))

@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import urljoin
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -19,7 +19,8 @@ from services.gateway.jobs.collection_choice import require_collection
 from services.gateway.qr_code import qr_svg
 from services.gateway.routes.access_rules import authentication_of, caller_of, needs
 from services.gateway.routes.http_ranges import etag_matches
-from services.gateway.routes.store_access import ANY_ORIGIN, gateway_url, in_thread, object_url, store_of
+from services.gateway.routes.read_rules import READS_ASSET, Reading, reading_of, unknown_asset
+from services.gateway.routes.store_access import gateway_url, in_thread, object_url, page_path, store_of
 from services.gateway.schemas import problems
 from services.gateway.webhooks.outbox import Event
 from services.storage.catalogue.entry import Entry, list_keys, read_entry, valid_key
@@ -92,19 +93,20 @@ async def list_assets(
 
 @router.get(
     "/assets/{key}",
-    dependencies=[needs(Scope.READ)],
+    dependencies=[READS_ASSET],
     responses={200: {"content": {"application/json": {}}}, **problems(404, 410, 422, 503)},
 )
 async def get_asset(key: Key, request: Request) -> Response:
     """Get an asset's catalogue entry, with the URL of every file. Answers 304 for an ETag in If-None-Match."""
     found = await _entry(request, key)
-    document = json.loads(json.dumps(found.document))
+    reading = reading_of(request)
+    document = _document(found, reading)
     for file in [document["manifest"], document["preview"], *document["lods"], *document["files"]]:
         if file is not None:
             file["url"] = object_url(request, file["name"])
     body = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
     etag = hashlib.sha256(body).hexdigest()[:32]
-    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **ANY_ORIGIN}
+    headers = {"ETag": f'"{etag}"', "Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
     if etag_matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
@@ -113,7 +115,7 @@ async def get_asset(key: Key, request: Request) -> Response:
 @router.get(
     "/assets/{key}/lod/{level}",
     status_code=307,
-    dependencies=[needs(Scope.READ)],
+    dependencies=[READS_ASSET],
     responses=problems(404, 410, 422, 503),
 )
 async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Request) -> Response:
@@ -124,19 +126,22 @@ async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)]
         known = ", ".join(str(each["level"]) for each in levels)
         hints = (f"ask for one of: {known}",)
         raise Problem(404, "LOD_UNKNOWN", f"asset {key} has no level of detail {level}; it has {known}", hints=hints)
-    return RedirectResponse(object_url(request, name), 307, {"Cache-Control": NO_CACHE, **ANY_ORIGIN})
+    reading = reading_of(request)
+    headers = {"Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
+    return RedirectResponse(object_url(request, name), 307, headers)
 
 
 @router.get(
     "/assets/{key}/qr.svg",
     response_class=Response,
-    dependencies=[needs(Scope.READ)],
+    dependencies=[READS_ASSET],
     responses={200: {"content": {"image/svg+xml": {}}}, **problems(404, 410, 422, 503)},
 )
 async def get_qr_code(key: Key, request: Request) -> Response:
     """Get the URL of the asset's viewer page as a QR code (SVG), to open it on a headset."""
     await _entry(request, key)
-    return Response(qr_svg(urljoin(gateway_url(request), f"view/{key}")), media_type="image/svg+xml")
+    address = urljoin(gateway_url(request), page_path(request, f"view/{key}"))
+    return Response(qr_svg(address), media_type="image/svg+xml")
 
 
 @router.post(
@@ -161,6 +166,17 @@ async def restore_asset(key: Key, request: Request, collection: InCollection = "
     return await _set_removed(request, key, restore, collection)
 
 
+def _document(found: Entry, reading: Reading) -> dict[str, Any]:
+    """Return a copy of an entry's document with the visibility that holds; for others without what only its tenant
+    needs: its versions with their jobs, and collections that the reader may not read.
+    """
+    document: dict[str, Any] = json.loads(json.dumps(found.document))
+    document |= {"effective_visibility": reading.visibility, "collections": list(reading.collections)}
+    if not reading.is_own:
+        document.pop("versions")
+    return document
+
+
 async def _entry(request: Request, key: str) -> Entry:
     """Read the key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, ASSET_REMOVED, STORE_UNAVAILABLE."""
     check_key(key)
@@ -171,7 +187,9 @@ async def _entry(request: Request, key: str) -> Entry:
         raise unknown_asset(key) from None
     if found.removed:
         hints = (f"POST /v1/assets/{key}/restore restores it",)
-        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANY_ORIGIN))
+        raise Problem(
+            410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=reading_of(request).cors_headers
+        )
     return found
 
 
@@ -214,12 +232,6 @@ def _check_collection(found: Entry, collection: str) -> None:
         raise Problem(404, "ASSET_UNKNOWN", detail, hints=(f"this asset is in: {', '.join(found.collections)}",))
 
 
-def unknown_asset(key: str) -> Problem:
-    """Return the problem for a key under which nothing was published."""
-    hints = ("check the key", "its first job may still be running")
-    return Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints)
-
-
 def _entries(store: Store, after: str, limit: int) -> tuple[list[Entry], list[str]]:
     """Read at most `limit` entries with keys behind `after`, skipping removed assets; also the keys of damaged ones."""
     found: list[Entry] = []
@@ -250,6 +262,6 @@ def _summary(request: Request, found: Entry) -> AssetSummary:
         label=found.document["label"] or found.key,
         collections=found.collections,
         preview=object_url(request, preview["name"]) if preview else "",
-        self=f"/v1/assets/{found.key}",
-        view=f"/view/{found.key}",
+        self=page_path(request, f"/v1/assets/{found.key}"),
+        view=page_path(request, f"/view/{found.key}"),
     )

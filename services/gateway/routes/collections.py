@@ -14,12 +14,12 @@ from typing import Annotated, TypeVar
 from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel
 
-from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.collection_choice import require_collection
-from services.gateway.routes.access_rules import ANYONE, caller_of, needs
+from services.gateway.routes.access_rules import ANYONE
 from services.gateway.routes.http_ranges import etag_matches
-from services.gateway.routes.store_access import ANY_ORIGIN, in_thread, object_url, store_of
+from services.gateway.routes.read_rules import READS_COLLECTION, reading_of, reads_tenant, unknown_collection
+from services.gateway.routes.store_access import in_thread, object_url, page_path, store_of
 from services.gateway.schemas import problems
 from services.storage.catalogue.collection import Index, Row, Shard, index_name, load_shard, parse_envelope, read_index
 from services.storage.catalogue.entry import valid_key
@@ -103,7 +103,7 @@ def row_cache(store: Store) -> LoadTenantRows:
 
 @router.get(
     "/collections/{name}",
-    dependencies=[needs(Scope.READ)],
+    dependencies=[READS_COLLECTION],
     responses={200: {"content": {"application/json": {}}}, **problems(404, 422, 503)},
 )
 async def get_collection(name: Name, request: Request) -> Response:
@@ -116,12 +116,13 @@ async def get_collection(name: Name, request: Request) -> Response:
     try:
         text, signatures = await in_thread(lambda: parse_envelope(store.get(index_name(name)), name))
     except FileNotFoundError:
-        raise _unknown(name) from None
+        raise unknown_collection(name) from None
     # `base` needs no signature: clients check everything that they read below it by its hash.
     document = {"signed": text, "signatures": signatures, "base": _objects_url(request)}
     body = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
     etag = hashlib.sha256(body).hexdigest()[:32]
-    headers = {"ETag": f'"{etag}"', "Cache-Control": NO_CACHE, **ANY_ORIGIN}
+    reading = reading_of(request)
+    headers = {"ETag": f'"{etag}"', "Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
     if etag_matches(request.headers.get("if-none-match"), etag):
         return Response(status_code=304, headers=headers)
     return Response(body, headers=headers, media_type="application/json")
@@ -130,7 +131,7 @@ async def get_collection(name: Name, request: Request) -> Response:
 @router.get(
     "/collections/{name}/assets",
     response_model=RowPage,
-    dependencies=[needs(Scope.READ)],
+    dependencies=[READS_COLLECTION],
     responses=problems(404, 422, 503),
 )
 async def search_collection(
@@ -161,7 +162,7 @@ async def search_collection(
 @router.get(
     "/collections/{name}/assets/{key}",
     response_model=PlaceView,
-    dependencies=[needs(Scope.READ)],
+    dependencies=[READS_COLLECTION],
     responses=problems(404, 410, 422, 503),
 )
 async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceView:
@@ -177,7 +178,9 @@ async def get_collection_asset(name: Name, key: Key, request: Request) -> PlaceV
     shard, row = found
     if row.removed:
         hints = (f"POST /v1/assets/{key}/restore restores it",)
-        raise Problem(410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=dict(ANY_ORIGIN))
+        raise Problem(
+            410, "ASSET_REMOVED", f"asset {key} was removed", hints=hints, headers=reading_of(request).cors_headers
+        )
     asset = _row_view(request, row)
     return PlaceView(collection=name, version=version, shard=object_url(request, shard.name), asset=asset)
 
@@ -199,11 +202,11 @@ async def _read(request: Request, name: str, take: Callable[[Index], _T]) -> _T:
     try:
         return await in_thread(lambda: retry_if_shard_missing(attempt))
     except FileNotFoundError:
-        raise _unknown(name) from None
+        raise unknown_collection(name) from None
 
 
 def _load_rows_of(request: Request) -> LoadRows:
-    return partial(request.app.state.load_rows, caller_of(request).tenant)
+    return partial(request.app.state.load_rows, reads_tenant(request))
 
 
 def _matching_rows(index: Index, rows: LoadRows, label: str, after: str, limit: int) -> list[Row]:
@@ -224,15 +227,10 @@ def _row_view(request: Request, row: Row) -> RowView:
         manifest=object_url(request, row.manifest_name),
         manifest_sha256=row.manifest,
         preview=object_url(request, row.preview_name) if row.preview else "",
-        self=f"/v1/assets/{row.key}",
-        view=f"/view/{row.key}",
+        self=page_path(request, f"/v1/assets/{row.key}"),
+        view=page_path(request, f"/view/{row.key}"),
     )
 
 
 def _objects_url(request: Request) -> str:
     return object_url(request, "x").removesuffix("x")
-
-
-def _unknown(name: str) -> Problem:
-    hints = ("check the name", "publishing its first asset creates it")
-    return Problem(404, "COLLECTION_UNKNOWN", f"there is no collection {name}", hints=hints)

@@ -18,7 +18,8 @@ from services.gateway.records.deletions import Deletion
 from services.gateway.records.export import export_blocks
 from services.gateway.records.tenant_data import Retention, TenantData
 from services.gateway.routes.access_rules import authentication_of, caller_of, needs
-from services.gateway.routes.assets import Key, check_key, unknown_asset
+from services.gateway.routes.assets import Key, check_key
+from services.gateway.routes.read_rules import unknown_asset
 from services.gateway.routes.store_access import in_thread, store_of, store_problems
 from services.gateway.schemas import StrictBody, TenantName, problems
 from services.storage.tenant_store import TENANT_PATTERN

@@ -11,13 +11,10 @@ import anyio.to_thread
 from fastapi import Request
 
 from services.gateway.errors import Problem
-from services.gateway.routes.access_rules import caller_of
+from services.gateway.routes.read_rules import reads_tenant
 from services.storage.catalogue.faults import CatalogueFault
 from services.storage.store import Store
-from services.storage.tenant_store import store_of_tenant
-
-ANY_ORIGIN = {"Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": "ETag, Content-Range, Accept-Ranges"}
-"""CORS headers of answers that pages of any origin may read."""
+from services.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
 
 _T = TypeVar("_T")
 
@@ -47,14 +44,20 @@ def store_problems() -> Iterator[None]:
 
 
 def store_of(request: Request) -> Store:
-    """Return the store of the caller's tenant."""
-    return store_of_tenant(request.app.state.store, caller_of(request).tenant)
+    """Return the store of the tenant whose things a request reads or changes."""
+    return store_of_tenant(request.app.state.store, reads_tenant(request))
 
 
 def gateway_url(request: Request) -> str:
     """Return the URL by which clients reach this gateway, with a slash at the end."""
     public: str = request.app.state.settings.public_url
     return (public or str(request.base_url)).rstrip("/") + "/"
+
+
+def page_path(request: Request, path: str) -> str:
+    """Return the path of a page that shows something of the tenant whose things a request reads, for anybody."""
+    tenant = reads_tenant(request)
+    return path if tenant == DEFAULT_TENANT else f"{path}?tenant={tenant}"
 
 
 def object_url(request: Request, name: str) -> str:

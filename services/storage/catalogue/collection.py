@@ -29,6 +29,7 @@ from services.storage.catalogue.faults import (
     CatalogueFault,
 )
 from services.storage.catalogue.signing import PublicKey, Signature, Signer, check_signatures
+from services.storage.catalogue.visibility import Visibility, parse_visibility
 from services.storage.store import Store
 
 SCHEMA = 1
@@ -97,7 +98,8 @@ class Shard:
 class Index:
     """The signed content of a collection's index.
 
-    retired  sha256 of shards that the last few versions listed, oldest first
+    retired     sha256 of shards that the last few versions listed, oldest first
+    visibility  who may read the collection besides its tenant; None: the gateway's default
     """
 
     collection: str
@@ -105,6 +107,7 @@ class Index:
     updated: str
     shards: tuple[Shard, ...]
     retired: tuple[str, ...] = ()
+    visibility: Visibility | None = None
 
     def shard_number(self, key: str) -> int:
         """Return the index of the shard that has the row of a key, or into which it would be inserted."""
@@ -234,6 +237,7 @@ def _parse_index(text: str, name: str) -> Index:
             updated=str(document["updated"]),
             shards=tuple(_parse_shard(document["collection"], each) for each in document["shards"]),
             retired=tuple(map(str, document["retired"])),
+            visibility=parse_visibility(document.get("visibility")),
         )
     except (ValueError, KeyError, TypeError) as error:
         raise CatalogueFault(CATALOGUE_TRUNCATED, name, f"the signed text is not a catalogue: {error}") from None

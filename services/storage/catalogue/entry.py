@@ -10,6 +10,7 @@ from typing import Any
 
 from services.storage.bundle import Json
 from services.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
+from services.storage.catalogue.visibility import Visibility, parse_visibility
 from services.storage.store import Head, Store
 
 _KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -59,6 +60,11 @@ class Entry:
     def removed(self) -> bool:
         """Whether the asset was removed (hidden). Its files stay, so that it can be restored."""
         return bool(self.document.get("removed"))
+
+    @property
+    def visibility(self) -> Visibility | None:
+        """The asset's own visibility; None: that of its collections."""
+        return parse_visibility(self.document.get("visibility"))
 
     @property
     def collections(self) -> list[str]:

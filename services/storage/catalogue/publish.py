@@ -23,9 +23,11 @@ from services.storage.catalogue.entry import (
     entry_name,
     read_entry,
 )
+from services.storage.catalogue.proof import sign_proof
 from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.catalogue.unity_update import update_unity_catalogues
 from services.storage.catalogue.update import update_collections
+from services.storage.catalogue.visibility import Visibility
 from services.storage.store import Store
 
 SCHEMA = 1
@@ -65,12 +67,16 @@ class _StoredFile:
 
 @dataclass(frozen=True, slots=True)
 class _PublishRequest:
-    """The job for which a bundle is published, its fencing token, and the collection that will list the asset."""
+    """The job for which a bundle is published, its fencing token, the collection that will list the asset, the
+    visibility that it gets, and the keys that sign it.
+    """
 
     job: str
     fence: int
     collection: str
     allow_other_collections: bool
+    visibility: Visibility | None
+    keys: Keys
 
     def check_not_elsewhere(self, present: Entry | None) -> None:
         """Raises KeyElsewhere where the key is an asset of another collection, unless that is allowed."""
@@ -78,12 +84,29 @@ class _PublishRequest:
             where = f"in collection {present.collections[0]}, not in {self.collection}"
             raise KeyElsewhere(f"an asset with the key {present.key} exists already, {where}; choose another key")
 
+    def visibility_of(self, present: Entry | None) -> Visibility | None:
+        """Return the asset's visibility from this version on. A job sets it once: with its first version, so that what
+        its owner changes afterwards stays.
+        """
+        if present is None:
+            return self.visibility
+        has_published = self.job and any(each["job"] == self.job for each in present.versions)
+        return present.visibility if has_published or self.visibility is None else self.visibility
+
 
 class Publish(Protocol):
     """`publish` with the signing keys bound, and never listing an asset of another collection: for workers."""
 
     def __call__(
-        self, bundle: Bundle, store: Store, *, key: str, job: str, fence: int, collection: str
+        self,
+        bundle: Bundle,
+        store: Store,
+        *,
+        key: str,
+        job: str,
+        fence: int,
+        collection: str,
+        visibility: Visibility | None,
     ) -> PublishedAsset: ...
 
 
@@ -97,21 +120,27 @@ def publish(
     collection: str = DEFAULT_COLLECTION,
     keys: Keys = NO_KEYS,
     allow_other_collections: bool = True,
+    visibility: Visibility | None = None,
 ) -> PublishedAsset:
     """Publish a bundle under `key`, make it the current version, and list it in `collection`, signed with `keys`.
 
     Publishing the same (job, state, last) twice adds no version and returns the first; without a job the content is
     compared instead. A new version of a removed asset restores it.
     allow_other_collections  whether an asset of another collection may be listed in this one too
+    visibility               the asset's own from this version on; None: the one it has
     Raises StaleFence where the same job has published with a higher fence, KeyElsewhere, ValueError for an invalid key
     or collection, OSError (CatalogueFault too) where the store fails; after that, publish again.
     """
-    request = _PublishRequest(job, fence, check_collection(collection), allow_other_collections)
+    request = _PublishRequest(job, fence, check_collection(collection), allow_other_collections, visibility, keys)
     present = _entry_or_none(store, check_key(key))
     request.check_not_elsewhere(present)
     existing = _existing_version(present, bundle, job, fence)
-    is_listed = present is not None and collection in present.collections
-    if existing is not None and existing["fence"] >= fence and is_listed:
+    is_done = (
+        present is not None
+        and collection in present.collections
+        and request.visibility_of(present) == present.visibility
+    )
+    if existing is not None and existing["fence"] >= fence and is_done:
         asset = _published_asset(key, existing)
     else:
         files = [_put_content(store, key, file, data) for file, data in sorted(bundle.files.items())]
@@ -168,6 +197,9 @@ def _add_version(
             document = _entry_document(key, bundle, files, manifest, record, versions)
         present_collections = present.collections if present else []
         document["collections"] = list(dict.fromkeys((*present_collections, request.collection)))
+        document["visibility"] = request.visibility_of(present)
+        if request.keys.signers:
+            document["proof"] = sign_proof(key, document, request.keys.signers)
         put_mutable(store, entry_name(key), canonical_json(document), present.etag if present else None)
         return _published_asset(key, record)
 

@@ -11,8 +11,10 @@ import logging
 from collections.abc import Iterator
 
 from services.storage.bundle import content_type
+from services.storage.catalogue.collection import index_name, read_index
 from services.storage.catalogue.compare_and_swap import read_mutable, retry_on_conflict
 from services.storage.catalogue.entry import Entry, list_keys, read_entry
+from services.storage.catalogue.visibility import Visibility, lists
 from services.storage.store import NO_CACHE, ConditionFailed, Store
 from services.storage.unity.json_reader import read_json_catalogue
 from services.storage.unity.locations import build_listing, parse_assets
@@ -34,14 +36,37 @@ def update_unity_catalogues(store: Store, key: str) -> None:
         retry_on_conflict(lambda collection=collection: _replace(store, key, collection))  # type: ignore[misc]
 
 
+def rebuild_unity_catalogues(store: Store, collection: str) -> None:
+    """Write a collection's Unity catalogues anew from the catalogue entries: its visibility has changed."""
+
+    def attempt() -> None:
+        data, etag = read_mutable(store, catalogue_names(collection)[0].catalogue)
+        _write(store, collection, _read_assets(store, collection, None), data, etag)
+
+    retry_on_conflict(attempt)
+
+
 def _replace(store: Store, key: str, collection: str) -> None:
     """Make one attempt to write the catalogues. Raises ConditionFailed where somebody else wrote them meanwhile."""
-    first = catalogue_names(collection)[0].catalogue
-    data, etag = read_mutable(store, first)
+    data, etag = read_mutable(store, catalogue_names(collection)[0].catalogue)
     assets = {asset.key: asset for asset in _read_assets(store, collection, data)}
     assets.pop(key, None)
-    assets |= {asset.key: asset for asset in _unity_asset(read_entry(store, key))}
-    (_, table), *others = catalogue_files(Catalogue(collection, tuple(assets.values())), collection)
+    visibility = _visibility_of(store, collection)
+    assets |= {asset.key: asset for asset in _unity_asset(read_entry(store, key), visibility)}
+    _write(store, collection, tuple(assets.values()), data, etag)
+
+
+def _visibility_of(store: Store, collection: str) -> Visibility | None:
+    """Return the visibility of a collection whose index has just been written or verified; None where there is none."""
+    try:
+        return read_index(store.get(index_name(collection)), collection).visibility
+    except FileNotFoundError:
+        return None
+
+
+def _write(store: Store, collection: str, assets: tuple[Asset, ...], data: bytes | None, etag: str | None) -> None:
+    """Write the catalogues of these assets in place of `data`, which was read with `etag`. Raises ConditionFailed."""
+    (first, table), *others = catalogue_files(Catalogue(collection, assets), collection)
     if table != data:
         head = store.put(
             first,
@@ -73,7 +98,8 @@ def _read_assets(store: Store, collection: str, data: bytes | None) -> tuple[Ass
             return parse_assets(read_json_catalogue(data))
         except ValueError as fault:
             _log.warning("the Unity catalogue of collection %s cannot be read and is rebuilt: %s", collection, fault)
-    return tuple(asset for found in _entries_of(store, collection) for asset in _unity_asset(found))
+    visibility = _visibility_of(store, collection)
+    return tuple(asset for found in _entries_of(store, collection) for asset in _unity_asset(found, visibility))
 
 
 def _entries_of(store: Store, collection: str) -> Iterator[Entry]:
@@ -85,10 +111,12 @@ def _entries_of(store: Store, collection: str) -> Iterator[Entry]:
         after = page[-1]
 
 
-def _unity_asset(found: Entry) -> tuple[Asset, ...]:
-    """Return the asset as Unity's catalogues list it; () if it is removed, has no LODs, or Unity would misread it."""
+def _unity_asset(found: Entry, visibility: Visibility | None) -> tuple[Asset, ...]:
+    """Return the asset as the Unity catalogues of a collection of this visibility list it; () if they do not, it is
+    removed, has no LODs, or Unity would misread it.
+    """
     lods = found.document["lods"]
-    if found.removed or not lods:
+    if found.removed or not lods or not lists(visibility, found.visibility):
         return ()
     files = tuple(LodFile(lod["level"], lod["name"], lod["sha256"], lod["bytes"]) for lod in lods)
     asset = Asset(found.key, found.version, tuple(sorted(set(found.document.get("labels") or ()))), files)

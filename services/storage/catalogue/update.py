@@ -7,8 +7,9 @@ to succeed has seen the newest entry, and the next run completes one that was in
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from services.storage.bundle import sha256_hex
 from services.storage.catalogue.collection import (
@@ -28,7 +29,7 @@ from services.storage.catalogue.collection import (
     sign_index,
 )
 from services.storage.catalogue.compare_and_swap import now_iso, put_mutable, read_mutable, retry_on_conflict
-from services.storage.catalogue.entry import list_keys, read_entry
+from services.storage.catalogue.entry import Entry, list_keys, read_entry
 from services.storage.catalogue.faults import (
     CATALOGUE_TRUNCATED,
     SHARD_MISSING,
@@ -37,13 +38,15 @@ from services.storage.catalogue.faults import (
     CatalogueFault,
 )
 from services.storage.catalogue.signing import NO_KEYS, Keys
+from services.storage.catalogue.visibility import Visibility, lists
 from services.storage.store import ConditionFailed, Store
 
 _PAGE = 1000  # keys per list request, the most that S3 allows
 
 
 def update_collections(store: Store, key: str, keys: Keys = NO_KEYS) -> None:
-    """Update the asset's row in every collection that its catalogue entry names.
+    """Update the asset's row in every collection that its catalogue entry names, or take it out of those that others
+    may read and that may not list it.
 
     Writes nothing where nothing has changed. Raises FileNotFoundError where nothing was published under the key,
     CatalogueFault for a collection that is damaged, has no valid signature, or that this process cannot sign.
@@ -63,19 +66,40 @@ def rebuild(store: Store, collection: str, keys: Keys = NO_KEYS) -> Index:
     def attempt() -> Index:
         data, etag = read_mutable(store, index_name(collection))
         present = _index_or_none(data, collection)
-        rows = _all_rows(store, collection)
+        visibility = present.visibility if present else None
+        rows = _all_rows(store, collection, visibility)
         if not rows and data is None:
             raise FileNotFoundError(f"there is no collection {collection}, and no asset belongs to it")
         _check_unchanged(store, collection, etag)
         # Seconds since 1970 exceed any count of changes: so clients accept the new version even where the old count
         # was lost.
         version = max(present.version + 1 if present else 1, int(time.time()))
-        parts = [rows[start : start + SHARD_ROWS] for start in range(0, len(rows), SHARD_ROWS)]
-        retired = (*present.retired, *(shard.sha256 for shard in present.shards)) if present else ()
-        new_shards = _write_shards(store, collection, parts, version)
-        return _replace_index(
-            store, Index(collection, version, now_iso(), tuple(new_shards), retired), new_shards, keys, etag
-        )
+        return _replace_all(store, present or Index(collection, 0, "", ()), rows, version, keys, etag)
+
+    return retry_on_conflict(attempt)
+
+
+def change_visibility(store: Store, collection: str, visibility: Visibility | None, keys: Keys = NO_KEYS) -> Index:
+    """Set a collection's visibility, write its list anew and sign it.
+
+    Raises FileNotFoundError where there is no such collection, CatalogueFault as `update_collections`.
+    """
+
+    def attempt() -> Index:
+        data, etag = read_mutable(store, index_name(collection))
+        if data is None:
+            raise FileNotFoundError(f"there is no collection {collection}")
+        present = _read_current_index(data, collection, keys)
+        if present.visibility == visibility:
+            return present
+        rows = _all_rows(store, collection, visibility)
+        _check_unchanged(store, collection, etag)
+        # Others must not find by the index the earlier shards, which list what is private.
+        earlier = (*present.retired, *(shard.sha256 for shard in present.shards))
+        changed = replace(present, visibility=visibility, shards=(), retired=())
+        index = _replace_all(store, changed, rows, present.version + 1, keys, etag)
+        _delete(store, collection, earlier)
+        return index
 
     return retry_on_conflict(attempt)
 
@@ -85,7 +109,7 @@ def remove_row(store: Store, collection: str, key: str, keys: Keys = NO_KEYS) ->
 
     Idempotent. Raises CatalogueFault as `update_collections` does.
     """
-    _replace_row(store, collection, key, keys, lambda: None)
+    _replace_row(store, collection, key, keys, lambda _: [])
     _forget_retired(store, collection, keys)
 
 
@@ -103,32 +127,39 @@ def empty(store: Store, collection: str, keys: Keys = NO_KEYS) -> None:
         if data is not None and present is not None:
             _read_current_index(data, collection, keys)
         version = max(present.version + 1 if present else 1, int(time.time()))
-        _replace_index(store, Index(collection, version, now_iso(), ()), (), keys, etag)
+        visibility = present.visibility if present else None
+        _replace_index(store, Index(collection, version, now_iso(), (), (), visibility), (), keys, etag)
 
     retry_on_conflict(attempt)
 
 
 def _update_collection(store: Store, collection: str, key: str, keys: Keys) -> None:
-    _replace_row(store, collection, key, keys, lambda: row_of(read_entry(store, key)))
+    _replace_row(store, collection, key, keys, lambda visibility: _listed_rows([read_entry(store, key)], visibility))
 
 
-def _replace_row(store: Store, collection: str, key: str, keys: Keys, read_row: Callable[[], Row | None]) -> None:
-    """Write the asset's row in place of the one that the collection has. read_row: None: there shall be none"""
+def _replace_row(
+    store: Store, collection: str, key: str, keys: Keys, rows_for: Callable[[Visibility | None], list[Row]]
+) -> None:
+    """Write the asset's row in place of the one that the collection has.
+
+    rows_for  returns the row for a collection of this visibility, or nothing where there shall be none
+    """
 
     def attempt() -> None:
         data, etag = read_mutable(store, index_name(collection))
         present = _read_current_index(data, collection, keys)
-        row = read_row()
+        wanted = rows_for(present.visibility)
         number, rows = present.shard_number(key), _load_rows(store, present, key, etag)
         others = [each for each in rows if each.key != key]
-        new_rows = sorted([*others, row], key=lambda each: each.key) if row else others
-        if new_rows == list(rows):
+        new_rows = sorted([*others, *wanted], key=lambda each: each.key)
+        if data is not None and new_rows == list(rows):
             return
         _check_unchanged(store, collection, etag)
         new_shards = _write_shards(store, collection, _split_rows(new_rows), present.version + 1)
         replaced = [shard.sha256 for shard in present.shards[number : number + 1]]
         shards = (*present.shards[:number], *new_shards, *present.shards[number + 1 :])
-        index = Index(collection, present.version + 1, now_iso(), shards, (*present.retired, *replaced))
+        retired = (*present.retired, *replaced)
+        index = Index(collection, present.version + 1, now_iso(), shards, retired, present.visibility)
         _replace_index(store, index, new_shards, keys, etag)
 
     retry_on_conflict(attempt)
@@ -143,7 +174,7 @@ def _forget_retired(store: Store, collection: str, keys: Keys) -> None:
         if present.retired:
             for sha256 in present.retired:
                 store.delete(shard_name(collection, sha256))
-            index = Index(collection, present.version + 1, now_iso(), present.shards)
+            index = replace(present, version=present.version + 1, updated=now_iso(), retired=())
             _replace_index(store, index, (), keys, etag)
 
     retry_on_conflict(attempt)
@@ -206,18 +237,23 @@ def _load_rows(store: Store, present: Index, key: str, etag: str | None) -> tupl
         raise
 
 
-def _all_rows(store: Store, collection: str) -> list[Row]:
+def _all_rows(store: Store, collection: str, visibility: Visibility | None) -> list[Row]:
     rows: list[Row] = []
     after = ""
     while page := list_keys(store, after=after, limit=_PAGE):
         entries = (read_entry(store, key) for key in page)
-        rows += [row_of(each) for each in entries if collection in each.collections]
+        rows += _listed_rows((each for each in entries if collection in each.collections), visibility)
         after = page[-1]
     return sorted(rows, key=lambda row: row.key)
 
 
+def _listed_rows(entries: Iterable[Entry], visibility: Visibility | None) -> list[Row]:
+    """Return the rows of those assets that a collection of this visibility lists."""
+    return [row_of(each) for each in entries if lists(visibility, each.visibility)]
+
+
 def _split_rows(rows: Sequence[Row]) -> list[Sequence[Row]]:
-    """Split rows into two halves where they exceed one shard.
+    """Split rows into two halves where they exceed one shard; none are no shard.
 
     Shards are never merged: few rows ever go, and those of removed assets stay.
     """
@@ -237,6 +273,17 @@ def _write_shards(store: Store, collection: str, parts: Sequence[Sequence[Row]],
     return shards
 
 
+def _replace_all(
+    store: Store, present: Index, rows: Sequence[Row], version: int, keys: Keys, etag: str | None
+) -> Index:
+    """Write an index that lists these rows alone, in place of the present one."""
+    parts = [rows[start : start + SHARD_ROWS] for start in range(0, len(rows), SHARD_ROWS)]
+    new_shards = _write_shards(store, present.collection, parts, version)
+    retired = (*present.retired, *(shard.sha256 for shard in present.shards))
+    index = Index(present.collection, version, now_iso(), tuple(new_shards), retired, present.visibility)
+    return _replace_index(store, index, new_shards, keys, etag)
+
+
 def _replace_index(store: Store, index: Index, new_shards: Sequence[Shard], keys: Keys, etag: str | None) -> Index:
     """Write `index` in place of the one that was read with `etag`, deleting the oldest retired shards.
 
@@ -245,7 +292,7 @@ def _replace_index(store: Store, index: Index, new_shards: Sequence[Shard], keys
     over = max(0, len(index.retired) - RETIRED_SHARDS)
     # Deleted before the index forgets their names. That is safe: no index ever lists a retired shard again.
     _delete(store, index.collection, index.retired[:over])
-    index = Index(index.collection, index.version, index.updated, index.shards, index.retired[over:])
+    index = replace(index, retired=index.retired[over:])
     try:
         put_mutable(store, index_name(index.collection), sign_index(index, keys.signers), etag)
     except ConditionFailed:

@@ -9,7 +9,7 @@ import { showAccount } from '../shared/account.js';
 import { getJson, keyFrom, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 
-/** @import { CaptureReceipt, Cut, Job, JobRequest, Presets } from '../shared/types.d.ts' */
+/** @import { CaptureReceipt, Cut, Job, JobRequest, Presets, Visibility } from '../shared/types.d.ts' */
 
 document.body.dataset.started = 'yes';
 const page = {
@@ -18,6 +18,8 @@ const page = {
   cut: element('cut', HTMLSelectElement),
   fill: element('fill', HTMLSelectElement),
   longest: element('longest', HTMLInputElement),
+  sharing: element('sharing', HTMLElement),
+  visibility: element('visibility', HTMLSelectElement),
   cancel: element('cancel', HTMLButtonElement),
   receipt: element('receipt', HTMLElement),
   stripped: element('stripped', HTMLElement),
@@ -84,6 +86,7 @@ function jobRequest({ capture }, name) {
     longest_m: centimetres > 0 ? centimetres / 100 : null,
     fill: page.fill.value,
     box: chosenBox(),
+    visibility: /** @type {Visibility | ''} */ (page.visibility.value),
   };
 }
 
@@ -142,4 +145,4 @@ startFileChoice();
 offerPresets();
 offerToGoOn();
 resumeJob();
-showAccount();
+showAccount().then((session) => (page.sharing.hidden = session?.via !== 'session')); // without keys everybody sees everything

@@ -3,6 +3,7 @@ import { create } from '../shared/dom.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
 import { loadManifest } from '../shared/signed-catalogue.js';
 import { loadFile } from '../shared/verified-cache.js';
+import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { AssetFile, Collection, CollectionRow, Manifest } from '../shared/types.d.ts' */
 
@@ -48,7 +49,7 @@ export class Card {
     this.#collection = collection;
     this.#row = row;
     this.#facts = create('p', { className: 'facts', textContent: row.state });
-    const link = create('a', { href: `/view/${encodeURIComponent(row.key)}` });
+    const link = create('a', { href: ofShownTenant(`/view/${encodeURIComponent(row.key)}`) });
     link.append(this.#picture, create('span', { className: 'name', dir: 'auto', textContent: row.label }));
     this.element.dataset.key = row.key;
     this.element.append(link, this.#facts, ...createLabels(row, onLabel), createCheckbox(row, chosen, onChoose));

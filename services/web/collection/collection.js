@@ -7,6 +7,7 @@ import { formatCount } from '../shared/format.js';
 import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { withNewest } from '../shared/signed-catalogue.js';
+import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { SearchResult } from './search.js' */
 /** @import { CollectionRow } from '../shared/types.d.ts' */
@@ -171,7 +172,7 @@ function writeAddress() {
   const written = new URLSearchParams();
   if (query) written.set('q', query);
   if (pageNumber > 1) written.set('page', String(pageNumber));
-  history.replaceState(null, '', [location.pathname, written.toString()].filter(Boolean).join('?'));
+  history.replaceState(null, '', ofShownTenant([location.pathname, written.toString()].filter(Boolean).join('?')));
 }
 
 /** Listens to the search field, and to the buttons that turn the page. */
@@ -204,7 +205,7 @@ function choose(key, yes) {
   page.choice.hidden = count === 0;
   page.choiceCount.textContent = count < MOST_CHOSEN ? `${count} chosen` : `${count} chosen, which is as many as a headset draws`;
   page.open.textContent = count === 1 ? 'Open it' : 'Open together';
-  page.open.href = `/view?${new URLSearchParams([...chosenKeys].map((each) => ['key', each]))}`;
+  page.open.href = ofShownTenant(`/view?${new URLSearchParams([...chosenKeys].map((each) => ['key', each]))}`);
   return chosenKeys.has(key);
 }
 

@@ -1,6 +1,7 @@
 // The login page (/login): an access key or six digits for a session cookie; then back to the page that needed it.
 import { getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
+import { forgetAccounts } from '../shared/forget.js';
 import { addressAfterLogin } from '../shared/login-redirect.js';
 import { sentences, toProblem } from '../shared/problems.js';
 
@@ -27,6 +28,7 @@ async function logIn(url, body) {
   try {
     /** @type {Session} */
     const { tenant } = await postJson(url, body);
+    await forgetAccounts(tenant);
     Object.assign(document.body.dataset, { state: 'done', tenant });
     location.replace(addressAfterLogin(location.search));
   } catch (error) {

@@ -2,6 +2,7 @@
 import { page, showState } from './page-state.js';
 import { getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
+import { forgetAccounts } from '../shared/forget.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
 
@@ -15,6 +16,7 @@ export async function claim(token) {
   if (session?.via === 'session') await askToReplace(session);
   /** @type {Session} */
   const { tenant } = await postJson('/v1/pairings/claim', { token });
+  await forgetAccounts(tenant);
   showState('done', `This device is logged in as ${tenant}.`);
 }
 

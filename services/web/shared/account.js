@@ -1,24 +1,30 @@
 // The corner of every page that says who is logged in, with links to pair a device and to sign out.
 import { deleteAt, getJson } from './api.js';
 import { create, element } from './dom.js';
+import { forgetAccounts } from './forget.js';
 import { leadToLogin } from './login-redirect.js';
 
 /** @import { Session } from './types.d.ts' */
 
-/** Shows who is logged in. Shows nothing where no keys are asked for, and without the server. */
+/**
+ * Shows who is logged in. Shows nothing where no keys are asked for, and without the server.
+ * @returns {Promise<Session | null>} null without the server
+ */
 export async function showAccount() {
   const corner = element('account', HTMLElement);
   /** @type {Session | null} */
   const session = await getJson('/v1/session').catch(() => null);
-  if (!session || session.via === 'open') return;
+  if (!session || session.via === 'open') return session;
   corner.replaceChildren(...(session.via === 'anonymous' ? [createLogin()] : createAccount(session)));
   corner.hidden = false;
   document.body.dataset.tenant = session.via === 'anonymous' ? '' : session.tenant;
+  return session;
 }
 
 /** Signs out, and forgets what this browser keeps of the account. */
 async function signOut() {
   await deleteAt('/v1/session');
+  await forgetAccounts();
   location.assign('/login');
 }
 

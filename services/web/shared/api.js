@@ -3,6 +3,7 @@ import { deleteEntry, openCache, readEntry, writeEntry } from './cache-storage.j
 import { leadToLogin } from './login-redirect.js';
 import { fetchBytes } from './network.js';
 import { Problem, isConnectionProblem, noAnswer, offline } from './problems.js';
+import { ownName } from './whose.js';
 import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
 /** @import { AnchorPoints, AnchorsEvent, CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
@@ -68,7 +69,7 @@ export async function getJson(url) {
  * @throws {Problem} as `getJson`
  */
 export async function getCachedJson(url) {
-  const cache = await openCache(CATALOGUE);
+  const cache = await openCache(ownName(CATALOGUE));
   const copy = await readEntry(cache, url);
   const silenceMs = copy ? CACHED_COPY_MS : NETWORK_SILENCE_MS;
   try {

@@ -3,8 +3,9 @@
 import { getCachedJson } from './api.js';
 import { Problem } from './problems.js';
 import { loadFile } from './verified-cache.js';
+import { ofShownTenant, ownNameOfShown } from './whose.js';
 
-/** @import { AssetEntry, Collection, CollectionIndex, CollectionRow, Manifest, PublicKey, Shard, ShardDocument, SignedEnvelope } from './types.d.ts' */
+/** @import { AssetEntry, AssetProof, Collection, CollectionIndex, CollectionRow, Manifest, PublicKey, Shard, ShardDocument, SignedEnvelope } from './types.d.ts' */
 
 const KEYS = 'capture2vr:keys';
 const SEEN = 'capture2vr:seen:';
@@ -19,14 +20,40 @@ const HASH = /^[A-Za-z0-9_-]{43}$/; // a sha256 as rows have it: base64url witho
  * @throws {Problem} CATALOGUE_FORGED, CATALOGUE_OLDER, CATALOGUE_BEHIND, and what loading throws
  */
 export async function checkEntry(entry) {
-  if (!(await loadKeys()).length || !crypto.subtle) return entry;
-  const [name] = entry.collections ?? ['default'];
-  const { collection, row } = await withNewest(name, async (index) => ({ collection: index, row: await findRow(index, entry.key) }));
-  if (!row || row.state === 'removed' || toHex(row.manifest) !== entry.manifest.sha256) {
+  const keys = await loadKeys();
+  if (!keys.length || !crypto.subtle) return entry;
+  const [name] = entry.collections ?? ['default']; // none: the person may read none that lists it
+  const { collection, row } = name ? await withNewest(name, async (index) => ({ collection: index, row: await findRow(index, entry.key) })) : {};
+  if (!row && entry.proof) return checkProof(entry, entry.proof, keys);
+  if (!collection || !row || row.state === 'removed' || toHex(row.manifest) !== entry.manifest.sha256) {
     // A new version is in its entry a moment before it is in the collection.
     throw new Problem({ code: 'CATALOGUE_BEHIND', detail: 'This version is not in the signed catalogue yet.', hints: ['Wait a moment.'] });
   }
-  const manifest = await loadManifest(collection, row);
+  return withSignedHashes(entry, await loadManifest(collection, row));
+}
+
+/**
+ * Check an entry by the signature of its version alone: no collection that the person may read lists it.
+ * @param {AssetEntry} entry
+ * @param {SignedEnvelope} proof
+ * @param {PublicKey[]} keys
+ * @returns {Promise<AssetEntry>}
+ */
+async function checkProof(entry, proof, keys) {
+  if (!(await hasGoodSignature(proof, keys))) throw forged('This thing is not signed by whom it should be, so it is not shown.');
+  /** @type {AssetProof} */
+  const { asset, version, manifest } = JSON.parse(proof.signed);
+  if (asset !== entry.key || manifest !== entry.manifest.sha256) throw forged('The server answered with the signature of something else.');
+  rememberVersion(`${SEEN}asset:${asset}`, version);
+  return withSignedHashes(entry, decodeJson(await loadFile({ url: entry.manifest.url, sha256: manifest, file: 'manifest.json' })));
+}
+
+/**
+ * @param {AssetEntry} entry
+ * @param {Manifest} manifest
+ * @returns {AssetEntry} with the hashes of the manifest
+ */
+function withSignedHashes(entry, manifest) {
   const signed = new Map(manifest.files.map((file) => [file.name, file.sha256]));
   const files = (entry.files ?? []).filter(({ name: file }) => signed.has(file));
   const lods = entry.lods.map((lod) => ({ ...lod, sha256: signed.get(lod.name) ?? '' })); // a file without a hash is refused
@@ -42,7 +69,7 @@ export async function checkEntry(entry) {
 export async function loadCollection(name) {
   const keys = await loadKeys();
   /** @type {SignedEnvelope} */
-  const envelope = await getCachedJson(`/v1/collections/${encodeURIComponent(name)}`);
+  const envelope = await getCachedJson(ofShownTenant(`/v1/collections/${encodeURIComponent(name)}`));
   /** @type {CollectionIndex} */
   const index = keys.length && crypto.subtle ? await checkIndex(envelope, name, keys) : JSON.parse(envelope.signed);
   return { name, version: index.version, shards: index.shards, base: envelope.base };
@@ -132,13 +159,23 @@ async function checkIndex(envelope, name, keys) {
   /** @type {CollectionIndex} */
   const index = JSON.parse(envelope.signed);
   if (index.collection !== name) throw forged('The server answered with the catalogue of something else.');
-  const seen = Number(readItem(SEEN + name)) || 0;
-  if (index.version < seen) {
+  rememberVersion(SEEN + name, index.version);
+  return index;
+}
+
+/**
+ * Remember a version that was signed, for each tenant by itself.
+ * @param {string} item of the local storage
+ * @param {number} version
+ * @throws {Problem} CATALOGUE_OLDER where a newer one was seen
+ */
+function rememberVersion(item, version) {
+  const key = ownNameOfShown(item);
+  if (version < (Number(readItem(key)) || 0)) {
     const hints = ['Somebody may want to show you what was taken back. Tell whoever runs this server.'];
     throw new Problem({ code: 'CATALOGUE_OLDER', detail: 'The server shows an older catalogue than this device has seen.', hints });
   }
-  writeItem(SEEN + name, index.version);
-  return index;
+  writeItem(key, version);
 }
 
 /** @param {string} detail */

@@ -64,6 +64,19 @@ export interface AssetEntry {
   manifest: AssetFile;
   preview?: { url: string };
   collections?: string[];
+  visibility?: Visibility | null;
+  effective_visibility?: Visibility;
+  proof?: SignedEnvelope;
+}
+
+/** Who may read a thing besides its tenant. */
+export type Visibility = 'private' | 'unlisted' | 'public';
+
+/** What the `signed` text of an entry's `proof` says. `manifest`: its sha256. */
+export interface AssetProof {
+  asset: string;
+  version: number;
+  manifest: string;
 }
 
 /** Figures of a manifest's certificate. A manifest from an older worker has fewer. */
@@ -202,6 +215,7 @@ export interface JobRequest {
   longest_m: number | null;
   fill: string;
   box: [left: number, top: number, right: number, bottom: number] | null;
+  visibility: Visibility | '';
 }
 
 /** The thing in a photo: POST /v1/outlines. Closed lines of corners, as shares of the upright photo's sides. */

@@ -3,6 +3,7 @@
 import { checksum, deleteCache, openCache, readEntry, writeEntry } from './cache-storage.js';
 import { fetchBytes } from './network.js';
 import { Problem } from './problems.js';
+import { ownName } from './whose.js';
 
 const NAME = 'assets-1';
 
@@ -16,7 +17,7 @@ const NAME = 'assets-1';
  * @throws {Problem} ASSET_TAMPERED, ASSET_ABSENT, OFFLINE, NO_ANSWER
  */
 export async function loadFile(file) {
-  const cache = await openCache(NAME);
+  const cache = await openCache(ownName(NAME));
   const key = `/vault/${file.sha256}`;
   const copy = await readEntry(cache, key, file.sha256);
   if (copy) return copy.bytes;
@@ -85,6 +86,6 @@ async function hasHash(bytes, sha256) {
  */
 async function storeFile(cache, key, bytes) {
   if (!cache || (await writeEntry(cache, key, bytes, { 'Content-Type': 'application/octet-stream' }))) return;
-  await deleteCache(NAME);
-  await writeEntry(await openCache(NAME), key, bytes); // without success the next visit fetches it again
+  await deleteCache(ownName(NAME));
+  await writeEntry(await openCache(ownName(NAME)), key, bytes); // without success the next visit fetches it again
 }

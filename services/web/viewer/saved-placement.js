@@ -1,6 +1,8 @@
 // Saves where people put things in the browser's local storage. What is stored there may be old, full, or changed by hand.
 
-const STORAGE_KEY = 'capture2vr:placed';
+import { ownNameOfShown } from '../shared/whose.js';
+
+const STORAGE_KEY = ownNameOfShown('capture2vr:placed');
 const MOST = 200; // assets; the one that was moved longest ago is removed first
 const FAR_M = 20; // from the default place: farther away nobody would find it again
 /** @type {[smallest: number, largest: number]} */

@@ -19,6 +19,7 @@ import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { checkEntry } from '../shared/signed-catalogue.js';
 import { loadFile } from '../shared/verified-cache.js';
+import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { LoadedItem } from './scene-item.js' */
 /** @import { AssetEntry, Manifest } from '../shared/types.d.ts' */
@@ -107,7 +108,7 @@ function loadedItems() {
  */
 async function update(item) {
   /** @type {AssetEntry} */
-  const unchecked = await getCachedJson(`/v1/assets/${encodeURIComponent(item.key)}`);
+  const unchecked = await getCachedJson(ofShownTenant(`/v1/assets/${encodeURIComponent(item.key)}`));
   const before = item.entry;
   if (before && before.version === unchecked.version) return;
   const entry = await checkEntry(unchecked);
@@ -184,8 +185,11 @@ function showTexts() {
   showCaption(loaded, items.length, items.filter(hasFailed).length);
   showList(items, { selected, onSelect: (item) => allowMoving(true, item), onRemove: remove });
   showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
-  const collection = loaded.at(0)?.entry.collections?.[0] || 'default';
-  if (loaded.length > 0) page.collection.href = `/browse/${encodeURIComponent(collection)}`;
+  const [first] = loaded;
+  if (!first) return;
+  const [collection] = first.entry.collections ?? ['default'];
+  page.collection.hidden = !collection; // a visitor may read the thing, and none of its collections
+  page.collection.href = ofShownTenant(`/browse/${encodeURIComponent(collection ?? '')}`);
 }
 
 /**
@@ -197,7 +201,7 @@ function remove(item) {
   items = items.filter((each) => each !== item);
   item.remove();
   if (items.length === 0) return;
-  history.replaceState(null, '', `/view?${new URLSearchParams(items.map(({ key }) => ['key', key]))}`);
+  history.replaceState(null, '', ofShownTenant(`/view?${new URLSearchParams(items.map(({ key }) => ['key', key]))}`));
   placeAll();
   showTexts();
 }
@@ -305,7 +309,7 @@ page.move.addEventListener('click', () => allowMoving(page.move.getAttribute('ar
 page.reset.addEventListener('click', resetAll);
 page.retry.addEventListener('click', retry);
 page.address.textContent = location.href;
-page.qr.src = `/v1/assets/${encodeURIComponent(items[0]?.key ?? '')}/qr.svg`;
+page.qr.src = ofShownTenant(`/v1/assets/${encodeURIComponent(items[0]?.key ?? '')}/qr.svg`);
 page.qr.hidden = items.length !== 1; // the code of several would be that of the first
 registerServiceWorker();
 updates.poll();

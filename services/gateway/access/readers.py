@@ -1,0 +1,89 @@
+"""Who may read an asset or a collection besides its tenant: its visibility, cached for a few seconds.
+
+The cache bounds how long a change goes unnoticed by other gateways; the one that makes it forgets at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import anyio.to_thread
+from cachetools import TTLCache
+
+from services.gateway.access.authentication import CACHE_S
+from services.storage.catalogue.collection import index_name, read_index
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.visibility import Visibility, effective
+from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
+
+_CACHED = 20_000
+
+Kind = Literal["asset", "collection"]
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """An asset or a collection of a tenant."""
+
+    tenant: str
+    kind: Kind
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Readers:
+    """Who may read a thing besides its tenant.
+
+    visibility   the one that holds; None: the gateway's default
+    collections  those that list an asset
+    """
+
+    visibility: Visibility | None = None
+    collections: tuple[str, ...] = ()
+
+
+class ReadersCache:
+    """Looks up who may read things. Used on the event loop only."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._cached: TTLCache[Thing, Readers] = TTLCache(_CACHED, CACHE_S)
+
+    async def of(self, thing: Thing) -> Readers:
+        """Return who may read a thing. A missing or damaged one, or a store that fails, opens nothing to anybody."""
+        found = self._cached.get(thing)
+        if found is None:
+            look: Callable[[Thing], Readers] = self._of_asset if thing.kind == "asset" else self._of_collection
+            try:
+                found = await anyio.to_thread.run_sync(look, thing)
+            except (OSError, ValueError):  # CatalogueFault is an OSError; ValueError: no valid name
+                return Readers()
+            self._cached[thing] = found
+        return found
+
+    def forget_all(self, tenant: str) -> None:
+        """Look up a tenant's things anew: one was changed here, and others may depend on it."""
+        for thing in [each for each in self._cached if each.tenant == tenant]:
+            self._cached.pop(thing, None)
+
+    def _of_asset(self, thing: Thing) -> Readers:
+        store = store_of_tenant(self._store, thing.tenant)
+        entry = read_entry(store, thing.name)
+        if entry.visibility is not None:
+            return Readers(entry.visibility, tuple(entry.collections))
+        inherited = [_collection_visibility(store, name) for name in entry.collections]
+        return Readers(effective(None, inherited), tuple(entry.collections))
+
+    def _of_collection(self, thing: Thing) -> Readers:
+        return Readers(_collection_visibility(store_of_tenant(self._store, thing.tenant), thing.name))
+
+
+def _collection_visibility(store: Store, name: str) -> Visibility | None:
+    """Return a collection's visibility; None where it has none, or does not exist."""
+    try:
+        return read_index(store.get(index_name(name)), name).visibility
+    except FileNotFoundError:
+        return None

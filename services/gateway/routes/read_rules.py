@@ -1,0 +1,171 @@
+"""Access rules of routes that read one asset, collection or file: its tenant may, and others as its visibility and
+shares allow.
+
+The rule finds out whose thing a request names and refuses who may not read it; the handler then asks `reading_of`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import Depends, Query, Request
+
+from services.gateway.access.authentication import ANONYMOUS
+from services.gateway.access.caller import Caller, Scope
+from services.gateway.access.readers import Kind, Readers, ReadersCache, Thing
+from services.gateway.errors import Problem
+from services.gateway.routes.access_rules import Rule, authenticate, caller_of, missing_scope
+from services.storage.catalogue.visibility import Visibility, is_open
+from services.storage.store import NO_CACHE
+from services.storage.tenant_store import TENANT_PATTERN, tenant_of
+
+ANY_ORIGIN = {"Access-Control-Allow-Origin": "*", "Access-Control-Expose-Headers": "ETag, Content-Range, Accept-Ranges"}
+"""CORS headers of answers that pages of any origin may read."""
+_PRIVATE_FILE = "private, no-cache"  # kept by the browser alone, which asks before every use whether it still may
+
+TenantQuery = Annotated[
+    str,
+    Query(pattern=rf"^({TENANT_PATTERN})?$", description="Whose it is, for readers of others; empty: the caller's."),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a request reads. visibility: the one that holds; is_own: whether it is of the caller's own tenant"""
+
+    thing: Thing
+    visibility: Visibility
+    is_own: bool
+    collections: tuple[str, ...] = ()
+
+    @property
+    def cors_headers(self) -> dict[str, str]:
+        """The CORS headers of the answer: only of what is public may other sites' pages read anything."""
+        return dict(ANY_ORIGIN) if self.visibility is Visibility.PUBLIC else {}
+
+    def cache_control(self, control: str) -> str:
+        """Return the answer's Cache-Control: `control` where others may read it too."""
+        if is_open(self.visibility):
+            return control
+        return f"private, {NO_CACHE}" if control == NO_CACHE else _PRIVATE_FILE
+
+
+class _ReadRule(Rule):
+    """A dependency that authenticates the request and checks whether the caller may read what it names."""
+
+    def __init__(self, unknown: Callable[[str], Problem]) -> None:
+        super().__init__(frozenset({Scope.READ}))
+        self._unknown = unknown
+
+    async def _check(self, request: Request, thing_for: Callable[[str], Thing]) -> None:
+        """Check the caller against the thing, which `thing_for` returns for the caller's tenant. Raises Problem."""
+        caller, refusal = await _caller_or_refusal(request)
+        request.state.rate_limit = await request.app.state.limits.spend(caller)
+        thing = thing_for(caller.tenant)
+        readers: ReadersCache = request.app.state.readers
+        found = await readers.of(thing)
+        is_own = thing.tenant == caller.tenant and Scope.READ in caller.scopes
+        visibility = found.visibility or (Visibility.PUBLIC if caller.via == "open" else Visibility.PRIVATE)
+        if not is_own and not is_open(visibility):
+            raise refusal or self._refusal(caller, thing)
+        request.state.reading = Reading(thing, visibility, is_own, await _readable(readers, thing, found, is_own))
+
+    def _refusal(self, caller: Caller, thing: Thing) -> Problem:
+        """Return the problem for somebody who may not read a thing, whether it exists or not."""
+        if caller.via == "anonymous" or thing.tenant == caller.tenant:
+            return missing_scope(caller, self.scopes)
+        return self._unknown(thing.name)
+
+
+def reading_of(request: Request) -> Reading:
+    """Return what a request reads, whose route has one of the rules below."""
+    reading: Reading = request.state.reading
+    return reading
+
+
+def reads_tenant(request: Request) -> str:
+    """Return the tenant whose things a request reads or changes."""
+    reading: Reading | None = getattr(request.state, "reading", None)
+    return reading.thing.tenant if reading else caller_of(request).tenant
+
+
+def unknown_asset(key: str) -> Problem:
+    """Return the problem for an asset that there is not, or not for this caller."""
+    hints = ("check the key", "its first job may still be running")
+    return Problem(404, "ASSET_UNKNOWN", f"there is no asset {key}", hints=hints)
+
+
+def unknown_collection(name: str) -> Problem:
+    """Return the problem for a collection that there is not, or not for this caller."""
+    hints = ("check the name", "publishing its first asset creates it")
+    return Problem(404, "COLLECTION_UNKNOWN", f"there is no collection {name}", hints=hints)
+
+
+def unknown_file(_: str = "") -> Problem:
+    """Return the problem for a file that there is not, or not for this caller."""
+    hints = ("GET /v1/assets/{key} lists the URLs of an asset's files",)
+    return Problem(404, "FILE_UNKNOWN", "there is no such file", hints=hints)
+
+
+def thing_of_file(name: str) -> Thing:
+    """Return the asset or the collection that an object of the whole store belongs to.
+
+    Raises Problem FILE_UNKNOWN for one that no reader ever gets: captures show people's rooms, and of entries
+    /v1/assets returns the public part.
+    """
+    try:
+        tenant, own_name = tenant_of(name)
+    except ValueError:
+        raise unknown_file() from None
+    folder, _, rest = own_name.partition("/")
+    key, _, file = rest.partition("/")
+    if folder not in ("assets", "collections") or not file:
+        raise unknown_file()
+    return Thing(tenant, "asset" if folder == "assets" else "collection", key)
+
+
+async def _caller_or_refusal(request: Request) -> tuple[Caller, Problem | None]:
+    """Return the caller; for a key or a session that is refused nobody, and the refusal: public things are for all."""
+    try:
+        return await authenticate(request), None
+    except Problem as refusal:
+        request.state.caller = ANONYMOUS
+        return ANONYMOUS, refusal
+
+
+async def _readable(readers: ReadersCache, thing: Thing, found: Readers, is_own: bool) -> tuple[str, ...]:
+    """Return those of an asset's collections that the caller may read too."""
+    if is_own:
+        return found.collections
+    named = {name: await readers.of(Thing(thing.tenant, "collection", name)) for name in found.collections}
+    return tuple(name for name, each in named.items() if is_open(each.visibility))
+
+
+class _NamedRule(_ReadRule):
+    """Of a route whose path names an asset or a collection of the caller's tenant, or of the one in the query."""
+
+    def __init__(self, kind: Kind, parameter: str, unknown: Callable[[str], Problem]) -> None:
+        super().__init__(unknown)
+        self._kind = kind
+        self._parameter = parameter
+
+    async def __call__(self, request: Request, tenant: TenantQuery = "") -> None:
+        name = request.path_params[self._parameter]
+        await self._check(request, lambda own_tenant: Thing(tenant or own_tenant, self._kind, name))
+
+
+class _FileRule(_ReadRule):
+    """Of a route whose path names an object of the whole store, and with it the tenant."""
+
+    async def __call__(self, request: Request) -> None:
+        await self._check(request, lambda _: thing_of_file(request.path_params["name"]))
+
+
+READS_ASSET: Any = Depends(_NamedRule("asset", "key", unknown_asset))
+"""The dependency of a route that reads the asset `key`."""
+READS_COLLECTION: Any = Depends(_NamedRule("collection", "name", unknown_collection))
+"""The dependency of a route that reads the collection `name`."""
+READS_FILE: Any = Depends(_FileRule(unknown_file))
+"""The dependency of a route that reads the object `name` of the whole store."""

@@ -1,0 +1,95 @@
+"""PUT /v1/assets/{key}/visibility and the same of collections: set who may read them besides their tenant."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request
+from pydantic import BaseModel, Field
+
+from services.gateway.access.caller import Scope
+from services.gateway.access.readers import Kind, Readers, ReadersCache, Thing
+from services.gateway.errors import Problem
+from services.gateway.jobs.collection_choice import require_collection
+from services.gateway.routes.access_rules import caller_of, needs
+from services.gateway.routes.read_rules import unknown_asset, unknown_collection
+from services.gateway.routes.store_access import in_thread, page_path, store_of
+from services.gateway.schemas import StrictBody, problems
+from services.storage.catalogue.entry import valid_key
+from services.storage.catalogue.visibility import Visibility
+from services.storage.catalogue.visibility_update import set_asset_visibility, set_collection_visibility
+
+router = APIRouter(prefix="/v1", tags=["visibility"])
+
+Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
+Name = Annotated[str, Path(max_length=200, description="The collection's name.")]
+
+
+class VisibilityRequest(StrictBody):
+    """Who may read it besides its tenant. null: an asset has that of its collections, a collection the gateway's."""
+
+    visibility: Annotated[
+        Visibility | None,
+        Field(description="private: nobody; unlisted: whoever has its address; public: everybody, and it is listed."),
+    ]
+
+
+class VisibilityView(BaseModel):
+    """Who may read it. `visibility`: as set; `effective`: what holds; null is the gateway's default, which is public
+    as long as it asks nobody for a key, and private then. `view`: path of its page, for anybody.
+    """
+
+    visibility: Visibility | None
+    effective: Visibility | None
+    view: str
+
+
+@router.put(
+    "/assets/{key}/visibility",
+    response_model=VisibilityView,
+    dependencies=[needs(Scope.MANAGE)],
+    responses=problems(404, 415, 422, 503),
+)
+async def set_visibility_of_asset(key: Key, body: VisibilityRequest, request: Request) -> VisibilityView:
+    """Set an asset's visibility. Other gateways, and the CDN, follow within a minute."""
+    if not valid_key(key):
+        raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
+    store, keys = store_of(request), request.app.state.keys
+    try:
+        await in_thread(lambda: set_asset_visibility(store, key, body.visibility, keys))
+    except FileNotFoundError:
+        raise unknown_asset(key) from None
+    found = await _readers(request, "asset", key)
+    return VisibilityView(
+        visibility=body.visibility, effective=found.visibility, view=page_path(request, f"/view/{key}")
+    )
+
+
+@router.put(
+    "/collections/{name}/visibility",
+    response_model=VisibilityView,
+    dependencies=[needs(Scope.MANAGE)],
+    responses=problems(404, 415, 422, 503),
+)
+async def set_visibility_of_collection(name: Name, body: VisibilityRequest, request: Request) -> VisibilityView:
+    """Set a collection's visibility, which is also that of its assets without one of their own. One that others may
+    read lists only what is public.
+    """
+    require_collection(name, "check the name in the URL")
+    store, keys = store_of(request), request.app.state.keys
+    try:
+        await in_thread(lambda: set_collection_visibility(store, name, body.visibility, keys))
+    except FileNotFoundError:
+        raise unknown_collection(name) from None
+    found = await _readers(request, "collection", name)
+    return VisibilityView(
+        visibility=body.visibility, effective=found.visibility, view=page_path(request, f"/browse/{name}")
+    )
+
+
+async def _readers(request: Request, kind: Kind, name: str) -> Readers:
+    """Return who may read a thing that was changed just now."""
+    readers: ReadersCache = request.app.state.readers
+    tenant = caller_of(request).tenant
+    readers.forget_all(tenant)
+    return await readers.of(Thing(tenant, kind, name))

@@ -1,0 +1,35 @@
+// Whose things a page shows, and for whom: the tenant in the page's address, and the one that is logged in.
+
+const TENANT_COOKIE = /(?:^|;\s*)c2v_tenant=([a-z0-9-]+)/; // beside the session's cookie, which scripts cannot read
+
+/** The tenant in the page's address, whose things a visitor sees; '' on one's own pages. */
+const shownTenant = new URLSearchParams(location.search).get('tenant') ?? '';
+
+/**
+ * An address of the API or of a page, of the tenant whose things this page shows.
+ * @param {string} address
+ * @returns {string}
+ */
+export function ofShownTenant(address) {
+  return shownTenant ? `${address}${address.includes('?') ? '&' : '?'}tenant=${encodeURIComponent(shownTenant)}` : address;
+}
+
+/** The tenant that is logged in in this browser, as known without the server; '' where nobody is. */
+export const ownTenant = () => TENANT_COOKIE.exec(document.cookie)?.[1] ?? '';
+
+/**
+ * The name of a cache or of a stored item for who is logged in: another user of the same browser does not see what is in it.
+ * @param {string} name
+ * @returns {string}
+ */
+export function ownName(name) {
+  const tenant = ownTenant();
+  return tenant ? `${name}:${tenant}` : name;
+}
+
+/**
+ * The same, of the tenant whose things this page shows.
+ * @param {string} name
+ * @returns {string}
+ */
+export const ownNameOfShown = (name) => ownName(shownTenant ? `${name}@${shownTenant}` : name);
