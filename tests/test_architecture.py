@@ -59,6 +59,7 @@ def test_pages_import_what_they_share_and_never_each_other() -> None:
         "admin": {"admin", "shared"},
         "login": {"login", "shared"},
         "pair": {"pair", "shared"},
+        "share": {"share", "shared"},
         "graphics": {"graphics", "shared", "vendor"},
         "shared": {"shared"},
         "vendor": {"vendor"},

@@ -23,9 +23,11 @@ import services
 from services.gateway import errors
 from services.gateway.access.authentication import Authentication
 from services.gateway.access.caller import Scope
-from services.gateway.access.code_guesses import CodeGuesses
+from services.gateway.access.guesses import Guesses
 from services.gateway.access.limits import Limits
 from services.gateway.access.readers import ReadersCache
+from services.gateway.access.shares import ShareStore
+from services.gateway.access.sharing import Sharing
 from services.gateway.access.store import AccessStore
 from services.gateway.access.usage import Usage
 from services.gateway.connections import ConnectionLimits, LimitedProtocol
@@ -56,6 +58,7 @@ from services.gateway.routes import (
     jobs,
     pages,
     service,
+    shares,
     tenants,
     uploads,
     visibility,
@@ -78,7 +81,7 @@ from services.strict_settings import SettingsError
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _ROUTES = (
-    *(captures, uploads, jobs, assets, collections, files, visibility),
+    *(captures, uploads, jobs, assets, collections, files, visibility, shares),
     *(access, tenants, webhooks, data, health, service, pages),
 )
 _GRACE_S = 5  # for answers in progress when the gateway stops
@@ -90,8 +93,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    limits, usage, check_processes, code_guesses, readers, job_store, resumable, webhooks, outbox, deliveries,
-    dispatcher.
+    limits, usage, check_processes, code_guesses, password_guesses, readers, sharing, job_store, resumable, webhooks,
+    outbox, deliveries, dispatcher.
 
     Raises SettingsError where the workers' certificate or token cannot be used.
     """
@@ -121,7 +124,9 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     app.state.limits = Limits(settings, app.state.authentication)
     app.state.check_processes = CheckProcesses()
     app.state.usage = Usage(app.state.authentication, store)
-    app.state.code_guesses = CodeGuesses()
+    app.state.code_guesses = Guesses("code")
+    app.state.password_guesses = Guesses("password")
+    app.state.sharing = Sharing(app.state.authentication)
     app.state.audit = AuditLog()
     app.state.readers = ReadersCache(store)
     for module in _ROUTES:
@@ -175,6 +180,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         stack.callback(app.state.check_processes.close)
         authentication: Authentication = app.state.authentication
         authentication.connect(AccessStore(engine))
+        app.state.sharing.connect(ShareStore(engine))
         stack.push_async_callback(authentication.close)
         app.state.audit_store = AuditStore(engine)
         app.state.audit.connect(app.state.audit_store)
@@ -205,6 +211,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             app.state.usage,
             job_store,
             DeletionStore(engine),
+            app.state.sharing.store,
             app.state.outbox,
             app.state.deliveries,
             resumable.database,

@@ -20,6 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from services.gateway.access.api_key import KEY_PATTERN, mask_keys
 from services.gateway.access.limits import Limits
+from services.gateway.access.sharing import mask_shares
 from services.gateway.connections import MAX_HEAD_BYTES, head_too_large
 from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
@@ -147,7 +148,7 @@ class RequestMiddleware:
         except ClientDisconnect:
             exchange.status = exchange.status or _CLIENT_CLOSED
         except Exception:
-            _log.exception("%s %s failed", scope["method"], mask_keys(scope["path"]))
+            _log.exception("%s %s failed", scope["method"], mask_shares(mask_keys(scope["path"])))
             if exchange.status:  # the answer has been started: all that is left is to break the connection
                 raise
             await internal_error(identity).response()(scope, receive, send_with_headers)
@@ -164,7 +165,7 @@ class RequestMiddleware:
         self._metrics.observe_response(
             scope["method"], route, exchange.status, seconds, exchange.received, exchange.streamed
         )
-        path = mask_keys(scope["path"])
+        path = mask_shares(mask_keys(scope["path"]))
         extra = {
             "method": scope["method"],
             "path": path,

@@ -38,6 +38,8 @@ _PARAMETERS = {
     "/v1/api-keys": {"key": "api_key"},
     "/v1/pairings": {"pairing": "pairing"},
     "/v1/tenants": {"name": "tenant"},
+    "/v1/shares": {"share": "share"},
+    "/s": {"token": "share_token"},
     "/v1/webhooks": {"webhook": "webhook", "message": "message"},
     "/view": {"key": "asset"},
     "/browse": {"name": "collection"},
@@ -55,6 +57,8 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/assets/{key}/restore": None,
     "put /v1/assets/{key}/visibility": {"visibility": "public"},
     "put /v1/collections/{name}/visibility": {"visibility": "public"},
+    "post /v1/shares": {"asset": "{asset}"},
+    "post /v1/shares/open": {"token": "no token"},
     "post /v1/session": {"key": "c2v_bob_" + "x" * 43},
     "post /v1/pairings": {"scopes": ["read"]},
     "post /v1/pairings/claim": {"code": "000000"},
@@ -71,7 +75,7 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/webhooks/{webhook}/test": None,
     "post /v1/webhooks/{webhook}/messages/{message}/redeliver": None,
 }
-"""Bodies of what has one; "{capture}" is a tenant's capture."""
+"""Bodies of what has one; "{capture}" is a tenant's capture, "{asset}" its asset."""
 _HEADERS: Mapping[str, Mapping[str, str]] = {
     "/v1/uploads": {"Tus-Resumable": "1.0.0", "Upload-Length": "3", "Upload-Offset": "0"},
 }
@@ -80,7 +84,7 @@ _WITHOUT_KEY = {  # what anyone may ask
     "get /", "get /admin", "get /login", "get /pair", "get /view", "get /view/{key}", "get /browse/{name}",
     "get /web/shell.json",
     "get /livez", "get /readyz", "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session",
-    "post /v1/pairings/claim",
+    "post /v1/pairings/claim", "get /s/{token}", "post /v1/shares/open",
 }  # fmt: skip
 
 
@@ -98,6 +102,8 @@ class Ids:
     webhook: str
     message: str
     upload: str
+    share: str
+    share_token: str
     tenant: str = "ada"
     level: str = "0"
 
@@ -126,7 +132,8 @@ class Operation:
         if self.method in ("post", "put"):
             body = _BODIES[self.name]
             if isinstance(body, dict):
-                body = {name: ids.capture if value == "{capture}" else value for name, value in body.items()}
+                named = {"{capture}": ids.capture, "{asset}": ids.asset}
+                body = {name: named.get(str(value), value) for name, value in body.items()}
         query = {"key": ids.asset} if self.template == "/view" else {}
         headers = next((each for begin, each in _HEADERS.items() if path.startswith(begin)), {})
         return await client.request(self.method, path, json=body, params=query, headers=headers)
@@ -155,7 +162,9 @@ async def ids_of(site: TwoTenants, client: httpx.AsyncClient, tenant: str, store
     message = (await client.post(f"/v1/webhooks/{hook}/test")).json()["id"]
     created = await client.post("/v1/uploads", headers=_HEADERS["/v1/uploads"])
     upload = created.headers["Location"].rpartition("/")[2]
-    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message, upload)
+    share = (await client.post("/v1/shares", json={"asset": key})).json()
+    links = (share["id"], share["url"].rpartition("/")[2])
+    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message, upload, *links)
 
 
 def nothing() -> Ids:
@@ -171,6 +180,8 @@ def nothing() -> Ids:
         webhook="hook_" + "0" * 16,
         message="msg_" + "0" * 40,
         upload="upl_" + "0" * 32,
+        share="shr_" + "0" * 24,
+        share_token="shr_" + "0" * 24 + "." + "0" * 43,
         tenant="nobody",
     )
 
@@ -200,7 +211,7 @@ async def _walk(key: str, folder: Path) -> None:
         for operation in operations(document):
             if operation.template.endswith("/events"):
                 continue  # follows a job to its end: `test_events_of_another_tenant`
-            has_ids = "{" in operation.template or "{capture}" in str(_BODIES.get(operation.name))
+            has_ids = "{" in operation.template or _names_a_thing(_BODIES.get(operation.name))
             foreign = await operation.ask(site.bob, ada)
             if has_ids and operation.name not in _WITHOUT_KEY:
                 scopes = document["paths"][operation.template][operation.method]["x-scopes"]
@@ -215,6 +226,10 @@ async def _walk(key: str, folder: Path) -> None:
             if "{" in operation.template and not operation.template.endswith("/events"):
                 own = await operation.ask(site.ada, ada)
                 assert own.status_code != 404, f"{operation.name}: the walk has asked for nothing that exists"
+
+
+def _names_a_thing(body: Any) -> bool:
+    return isinstance(body, dict) and any(value in ("{capture}", "{asset}") for value in body.values())
 
 
 async def everything_of(client: httpx.AsyncClient, ids: Ids) -> list[str]:

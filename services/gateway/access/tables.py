@@ -1,4 +1,4 @@
-"""Database tables of tenants and what they use, keys, pairings and secrets, as the migrations have made them."""
+"""Database tables of tenants, their usage, keys, pairings, shares and secrets, as the migrations have made them."""
 
 from __future__ import annotations
 
@@ -50,6 +50,24 @@ pairings = sa.Table(
     sa.Column("expires", sa.Double, nullable=False),
     sa.Column("key_expires", sa.Double),
     sa.Column("key", sa.ForeignKey("api_keys.id")),
+)
+
+shares = sa.Table(
+    "shares",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("tenant", sa.ForeignKey("tenants.name"), nullable=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("name", sa.String(100), nullable=False),
+    sa.Column("mode", sa.String(16), nullable=False),
+    sa.Column("label", sa.String(200), nullable=False),
+    sa.Column("password", sa.String(200), nullable=False),
+    sa.Column("created", sa.Double, nullable=False),
+    sa.Column("expires", sa.Double),
+    sa.Column("revoked", sa.Double),
+    sa.Column("opened", sa.Integer, nullable=False),
+    sa.Column("last_opened", sa.Double),
+    sa.Index("ix_shares_tenant_id", "tenant", "id"),
 )
 
 secrets = sa.Table(

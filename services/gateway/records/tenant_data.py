@@ -16,6 +16,8 @@ from typing import Any, TypeVar
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.gateway.access.authentication import Authentication
+from services.gateway.access.readers import Thing
+from services.gateway.access.shares import ShareStore
 from services.gateway.access.usage import Usage
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
@@ -64,6 +66,7 @@ class TenantData:
     usage: Usage
     job_store: AsyncJobStore
     deletions: DeletionStore
+    shares: ShareStore
     outbox: Outbox
     deliveries: Deliveries
     uploads: UploadStore
@@ -77,6 +80,7 @@ class TenantData:
         if using:
             raise _in_use("ASSET_IN_USE", f"the asset {key}", using)
         own = store_of_tenant(self.store, tenant)
+        await self._run(lambda: self.shares.revoke_all(tenant, Thing(tenant, "asset", key)))
         deleted = await asyncio.to_thread(delete_asset, own, key, self.keys)
         return await self._finish(tenant, "asset.deleted", receipt_of(f"asset {key}", deleted), {"key": key})
 
@@ -90,7 +94,8 @@ class TenantData:
         if using := await self.job_store.read(JobStore.unfinished, tenant):
             raise _in_use("DATA_IN_USE", "the data", using)
         own = store_of_tenant(self.store, tenant)
-        await self.authentication.run(lambda: self.uploads.remove_all(tenant, time.time()))
+        await self._run(lambda: self.uploads.remove_all(tenant, time.time()))
+        await self._run(lambda: self.shares.revoke_all(tenant))
         deleted, kept = await asyncio.to_thread(delete_everything, own, self.keys)
         jobs = await self.job_store.write(JobStore.delete_ended, tenant, before=time.time() + DAY_S)
         await self.authentication.run(lambda: self.outbox.delete_of(tenant))

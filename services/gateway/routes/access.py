@@ -372,10 +372,10 @@ def _key_fields(key: ApiKey) -> dict[str, Any]:
         "tenant": key.tenant,
         "label": key.label,
         "scopes": _sorted(key.scopes),
-        "created": _utc(key.created),
-        "expires": _utc_or_none(key.expires),
-        "last_used": _utc_or_none(key.last_used),
-        "revoked": _utc_or_none(key.revoked),
+        "created": utc(key.created),
+        "expires": utc_or_none(key.expires),
+        "last_used": utc_or_none(key.last_used),
+        "revoked": utc_or_none(key.revoked),
     }
 
 
@@ -384,7 +384,7 @@ def _pairing_fields(pairing: Pairing) -> dict[str, Any]:
         "id": pairing.id,
         "label": pairing.label,
         "scopes": _sorted(pairing.scopes),
-        "expires": _utc(pairing.expires),
+        "expires": utc(pairing.expires),
         "claimed": bool(pairing.key),
     }
 
@@ -393,9 +393,11 @@ def _sorted(scopes: Iterable[Scope]) -> list[Scope]:
     return [Scope(name) for name in scope_names(scopes)]
 
 
-def _utc(seconds: float) -> datetime:
+def utc(seconds: float) -> datetime:
+    """Convert seconds since the epoch."""
     return datetime.fromtimestamp(seconds, UTC)
 
 
-def _utc_or_none(seconds: float | None) -> datetime | None:
-    return None if seconds is None else _utc(seconds)
+def utc_or_none(seconds: float | None) -> datetime | None:
+    """Convert seconds since the epoch; None stays None."""
+    return None if seconds is None else utc(seconds)

@@ -171,7 +171,11 @@ def _document(found: Entry, reading: Reading) -> dict[str, Any]:
     needs: its versions with their jobs, and collections that the reader may not read.
     """
     document: dict[str, Any] = json.loads(json.dumps(found.document))
-    document |= {"effective_visibility": reading.visibility, "collections": list(reading.collections)}
+    document |= {
+        "effective_visibility": reading.visibility,
+        "collections": list(reading.collections),
+        "may_place": reading.may_place,
+    }
     if not reading.is_own:
         document.pop("versions")
     return document

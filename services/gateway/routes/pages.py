@@ -35,7 +35,8 @@ _WORKER_POLICY = "default-src 'none'; script-src 'self' 'unsafe-eval'"
 _IMMUTABLE = "public, max-age=31536000, immutable"
 _START_GUARD = re.compile(r'<script src="/web/shared/start-guard\.js"([^>]*)></script>')
 _SHELL_PAGES = {"/browse/default": "collection/collection.html", "/view/any": "viewer/view.html"}
-_ONLINE = {WEB / "admin", WEB / "capture", WEB / "login", WEB / "pair"}  # pages that need the server in any case
+# Pages that need the server in any case.
+_ONLINE = {WEB / name for name in ("admin", "capture", "login", "pair", "share")}
 _ONLINE_LIBRARY = "tus-js-client-"  # uploads
 _SHELL_SUFFIXES = {".css", ".js", ".svg", ".wasm"}
 _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest levels leave most of a headset's budget
@@ -64,6 +65,19 @@ async def pairing_page(request: Request) -> Response:
 async def admin_page(request: Request) -> Response:
     """The operator's page: tenants, keys, limits, queue, workers, stores, failures, disks. Its figures need a key."""
     return _page("admin/admin.html", request)
+
+
+@router.get("/s/{token}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404, 410)})
+async def share_page(token: str, request: Request) -> Response:
+    """The page of a share link: asks for a password where there is one, and leads to what is shared."""
+    status = 200
+    try:
+        await request.app.state.sharing.share_of(token)
+    except Problem as problem:
+        status = problem.status
+        if "text/html" not in request.headers.get("accept", ""):
+            raise
+    return _page("share/share.html", request, status)
 
 
 @router.get("/view", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404, 422)})
@@ -143,11 +157,11 @@ class WebFiles(StaticFiles):
         return response
 
 
-def _page(name: str, request: Request) -> Response:
+def _page(name: str, request: Request, status: int = 200) -> Response:
     html = _html(name)
     policy = _content_security_policy(html, _origins(request.app.state.store, request.app.state.settings))
     headers = {"Cache-Control": "no-cache", "Content-Security-Policy": policy}
-    return Response(html, media_type="text/html", headers=headers)
+    return Response(html, status, media_type="text/html", headers=headers)
 
 
 def _html(name: str) -> str:

@@ -15,6 +15,8 @@ from fastapi import Depends, Query, Request
 from services.gateway.access.authentication import ANONYMOUS
 from services.gateway.access.caller import Caller, Scope
 from services.gateway.access.readers import Kind, Readers, ReadersCache, Thing
+from services.gateway.access.shares import Share
+from services.gateway.access.sharing import SCHEME, Sharing, ended
 from services.gateway.errors import Problem
 from services.gateway.routes.access_rules import Rule, authenticate, caller_of, missing_scope
 from services.storage.catalogue.visibility import Visibility, is_open
@@ -33,12 +35,19 @@ TenantQuery = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a request reads. visibility: the one that holds; is_own: whether it is of the caller's own tenant"""
+    """What a request reads, and how.
+
+    visibility   the one that holds
+    is_own       whether it is of the caller's own tenant
+    collections  those that list an asset and that the caller may read
+    may_place    whether the viewer lets the caller move it about
+    """
 
     thing: Thing
     visibility: Visibility
     is_own: bool
     collections: tuple[str, ...] = ()
+    may_place: bool = True
 
     @property
     def cors_headers(self) -> dict[str, str]:
@@ -68,9 +77,27 @@ class _ReadRule(Rule):
         found = await readers.of(thing)
         is_own = thing.tenant == caller.tenant and Scope.READ in caller.scopes
         visibility = found.visibility or (Visibility.PUBLIC if caller.via == "open" else Visibility.PRIVATE)
+        share = None
         if not is_own and not is_open(visibility):
-            raise refusal or self._refusal(caller, thing)
-        request.state.reading = Reading(thing, visibility, is_own, await _readable(readers, thing, found, is_own))
+            share = await self._share_of(request, thing, found)
+            if share is None:
+                raise refusal or self._refusal(caller, thing)
+        collections = found.collections if is_own else await _readable(readers, thing, found, share)
+        may_place = share is None or share.mode == "place"
+        request.state.reading = Reading(thing, visibility, is_own, collections, may_place)
+
+    async def _share_of(self, request: Request, thing: Thing, found: Readers) -> Share | None:
+        """Return a share that opens the thing for this request. Raises Problem for one that did until it ended."""
+        sharing: Sharing = request.app.state.sharing
+        shown = await sharing.shown(request.headers.get("authorization"), request.cookies)
+        opening = [share for share in shown if await _opens(share, thing, found, request.app.state.readers)]
+        problems = [ended(share) for share in opening]
+        for share, problem in zip(opening, problems, strict=True):
+            if problem is None:
+                return share
+        if problems and problems[0]:
+            raise problems[0]
+        return None
 
     def _refusal(self, caller: Caller, thing: Thing) -> Problem:
         """Return the problem for somebody who may not read a thing, whether it exists or not."""
@@ -128,6 +155,8 @@ def thing_of_file(name: str) -> Thing:
 
 async def _caller_or_refusal(request: Request) -> tuple[Caller, Problem | None]:
     """Return the caller; for a key or a session that is refused nobody, and the refusal: public things are for all."""
+    if request.headers.get("authorization", "").lower().startswith(f"{SCHEME} "):
+        return ANONYMOUS, None
     try:
         return await authenticate(request), None
     except Problem as refusal:
@@ -135,12 +164,21 @@ async def _caller_or_refusal(request: Request) -> tuple[Caller, Problem | None]:
         return ANONYMOUS, refusal
 
 
-async def _readable(readers: ReadersCache, thing: Thing, found: Readers, is_own: bool) -> tuple[str, ...]:
-    """Return those of an asset's collections that the caller may read too."""
-    if is_own:
-        return found.collections
+async def _readable(readers: ReadersCache, thing: Thing, found: Readers, share: Share | None) -> tuple[str, ...]:
+    """Return those of an asset's collections that a visitor may read too."""
     named = {name: await readers.of(Thing(thing.tenant, "collection", name)) for name in found.collections}
-    return tuple(name for name, each in named.items() if is_open(each.visibility))
+    shared = share.thing.name if share and share.thing.kind == "collection" else ""
+    return tuple(name for name, each in named.items() if is_open(each.visibility) or name == shared)
+
+
+async def _opens(share: Share, thing: Thing, found: Readers, readers: ReadersCache) -> bool:
+    """Return whether a share is one of the thing, or of a collection that lists it."""
+    if share.thing == thing:
+        return True
+    if share.thing.tenant != thing.tenant or share.thing.kind != "collection" or thing.kind != "asset":
+        return False
+    # An open collection does not list what is private.
+    return share.thing.name in found.collections and not is_open((await readers.of(share.thing)).visibility)
 
 
 class _NamedRule(_ReadRule):

@@ -56,7 +56,11 @@ def gateway_url(request: Request) -> str:
 
 def page_path(request: Request, path: str) -> str:
     """Return the path of a page that shows something of the tenant whose things a request reads, for anybody."""
-    tenant = reads_tenant(request)
+    return path_of_tenant(reads_tenant(request), path)
+
+
+def path_of_tenant(tenant: str, path: str) -> str:
+    """Return the path of a page that shows something of a tenant, for anybody."""
     return path if tenant == DEFAULT_TENANT else f"{path}?tenant={tenant}"
 
 

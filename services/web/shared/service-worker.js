@@ -13,7 +13,7 @@ const LIST = '/web/shell.json'; // a ShellList; written last, so a cache that ha
 const VERSIONED = /-\d+\.\d+\.\d+\./; // a file whose name has its version never changes
 // Every asset has the same page and so has every collection: who has seen one can open another one's without the server.
 const PAGE = /^\/(view|browse)(\/[^/]+)?$/;
-const ONLINE = /^\/web\/((capture|login|pair)\/|vendor\/tus-js-client-)/; // files of pages that need the server in any case
+const ONLINE = /^\/web\/((admin|capture|login|pair|share)\/|vendor\/tus-js-client-)/; // files of pages that need the server in any case
 const AT_ONCE = 4; // downloads, beside those of the page that is being shown
 
 /** @type {Set<string>} */

@@ -32,6 +32,28 @@ export interface NewPairing extends Pairing {
   qr: string;
 }
 
+/** A share link: one of GET /v1/shares. `opened`: how often; `ended`: "", revoked or expired. */
+export interface Share {
+  id: string;
+  mode: 'read' | 'place';
+  has_password: boolean;
+  expires: string | null;
+  ended: string;
+  opened: number;
+  url: string;
+}
+
+/** GET /v1/shares. `next`: the value of `after` for the next page. */
+export interface SharePage {
+  shares: Share[];
+  next: string | null;
+}
+
+/** What a share link opens: POST /v1/shares/open. `view`: path of its page. */
+export interface OpenedShare {
+  view: string;
+}
+
 // ---- assets ---------------------------------------------------------------------------------------------------------
 
 export type AssetState = 'preview' | 'refined';
@@ -66,6 +88,7 @@ export interface AssetEntry {
   collections?: string[];
   visibility?: Visibility | null;
   effective_visibility?: Visibility;
+  may_place?: boolean;
   proof?: SignedEnvelope;
 }
 

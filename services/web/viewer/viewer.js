@@ -22,7 +22,7 @@ import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { LoadedItem } from './scene-item.js' */
-/** @import { AssetEntry, Manifest } from '../shared/types.d.ts' */
+/** @import { AssetEntry, Manifest, Session } from '../shared/types.d.ts' */
 
 const MOST = 24; // things in one scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
@@ -40,6 +40,7 @@ const page = {
   ar: element('enter-ar', HTMLButtonElement),
   qr: element('qr', HTMLImageElement),
   address: element('address', HTMLElement),
+  share: element('share', HTMLDetailsElement),
 };
 
 await pause(); // between two long tasks of the main thread: loading the modules, and creating the WebGL context
@@ -53,9 +54,9 @@ let items = keysFrom(location).map((key) => new SceneItem(key));
 /** @type {SceneItem | null} */
 let selected = null;
 
-const drag = new DragControls(camera, renderer.domElement, { items: loadedItems, onMove: savePlace, onSelect: select });
+const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onMove: savePlace, onSelect: select });
 const grabber = new Grabber(savePlace);
-const input = new XrInput(renderer, scene, { items: loadedItems, grabber, onReset: resetAll, showHands: () => document.body.dataset.mode === 'vr' });
+const input = new XrInput(renderer, scene, { items: movableItems, grabber, onReset: resetAll, showHands: () => document.body.dataset.mode === 'vr' });
 const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page.ar }, {
   height: () => Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
   onMode: showMode,
@@ -98,6 +99,11 @@ function keysFrom({ pathname, search }) {
 /** The items that are shown. */
 function loadedItems() {
   return items.filter(isLoaded);
+}
+
+/** The items that are shown and that the person may move. */
+function movableItems() {
+  return loadedItems().filter(({ entry }) => entry.may_place !== false);
 }
 
 // ---- what is shown ----------------------------------------------------------------------------------------------------
@@ -187,6 +193,7 @@ function showTexts() {
   showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
   const [first] = loaded;
   if (!first) return;
+  page.move.hidden = movableItems().length === 0;
   const [collection] = first.entry.collections ?? ['default'];
   page.collection.hidden = !collection; // a visitor may read the thing, and none of its collections
   page.collection.href = ofShownTenant(`/browse/${encodeURIComponent(collection ?? '')}`);
@@ -263,6 +270,18 @@ function showMode(mode) {
   redraw();
 }
 
+/**
+ * Offers to share the thing to somebody who manages it. The panel's module is loaded when it is opened.
+ * @param {Session | null} session
+ */
+function offerSharing(session) {
+  const [item] = items;
+  const isOwn = session?.via === 'session' && session.scopes.includes('manage') && ofShownTenant('') === '';
+  if (!isOwn || !item || items.length > 1) return;
+  page.share.hidden = false;
+  page.share.addEventListener('toggle', () => import('./sharing.js').then(({ showSharing }) => showSharing(item.key)), { once: true });
+}
+
 // ---- errors -----------------------------------------------------------------------------------------------------------
 
 /**
@@ -313,4 +332,4 @@ page.qr.src = ofShownTenant(`/v1/assets/${encodeURIComponent(items[0]?.key ?? ''
 page.qr.hidden = items.length !== 1; // the code of several would be that of the first
 registerServiceWorker();
 updates.poll();
-showAccount();
+showAccount().then(offerSharing);

@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.access import authentication, code_guesses
+from services.gateway.access import authentication, guesses
 from services.gateway.access.caller import Scope
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.tenants import bearer, make_key, two_tenants
@@ -275,7 +275,7 @@ class TestPairing:
             assert await code_of(answer) == (404, "PAIRING_UNKNOWN")
 
     async def test_codes_cannot_be_guessed_at_will(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(code_guesses, "_OF_ADDRESS", code_guesses.RateLimitItemPerMinute(3))
+        monkeypatch.setattr(guesses, "_OF_ADDRESS", guesses.RateLimitItemPerMinute(3))
         async with two_tenants(tmp_path, memory()) as site:
             pairing = (await site.ada.post("/v1/pairings", json=READ)).json()
             wrong = f"{(int(pairing['code']) + 1) % 10**6:06}"

@@ -1,0 +1,34 @@
+"""Limit how often six-digit codes, and passwords of shares, may be tried: per address, and in all."""
+
+from __future__ import annotations
+
+from limits import RateLimitItemPerMinute
+from limits.storage import MemoryStorage
+from limits.strategies import SlidingWindowCounterRateLimiter
+from starlette.requests import Request
+
+from services.gateway.errors import Problem
+
+_OF_ADDRESS = RateLimitItemPerMinute(5)
+# In the five minutes that a code lives, strangers together try one in seven thousand of all.
+_OF_ALL = RateLimitItemPerMinute(30)
+
+
+class Guesses:
+    """Counts the codes, or the passwords, that this process is asked about. what: "code" or "password" """
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._limiter = SlidingWindowCounterRateLimiter(MemoryStorage())
+
+    def spend(self, request: Request) -> None:
+        """Count a try. Raises Problem CODE_GUESSES_LIMITED, PASSWORD_GUESSES_LIMITED: too many within a minute."""
+        address = request.client.host if request.client else ""
+        if self._limiter.hit(_OF_ADDRESS, self._what, address) and self._limiter.hit(_OF_ALL, self._what):
+            return
+        detail = f"too many {self._what}s were tried within a minute"
+        hints = ("wait a minute",)
+        headers = {"Retry-After": "60"}
+        raise Problem(
+            429, f"{self._what.upper()}_GUESSES_LIMITED", detail, retryable=True, hints=hints, headers=headers
+        )

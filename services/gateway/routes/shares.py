@@ -1,0 +1,222 @@
+"""/v1/shares: share an asset or a collection by a link, list the links, revoke them, open one. /s/TOKEN: its page."""
+
+from __future__ import annotations
+
+import time
+from datetime import datetime
+from typing import Annotated, Any
+from urllib.parse import urljoin
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from pydantic import BaseModel, Field
+
+from services.gateway.access.caller import Scope
+from services.gateway.access.readers import Kind, Thing
+from services.gateway.access.shares import SHARE_ID, Mode, Share
+from services.gateway.access.sharing import COOKIE_PREFIX, Sharing
+from services.gateway.errors import Problem
+from services.gateway.qr_code import qr_svg
+from services.gateway.routes.access import Days, utc, utc_or_none
+from services.gateway.routes.access_rules import ANYONE, authentication_of, caller_of, needs
+from services.gateway.routes.read_rules import unknown_asset, unknown_collection
+from services.gateway.routes.store_access import gateway_url, in_thread, path_of_tenant, store_of
+from services.gateway.schemas import Label, StrictBody, problems
+from services.storage.catalogue.collection import index_name
+from services.storage.catalogue.entry import entry_name, valid_key
+
+router = APIRouter(prefix="/v1", tags=["shares"])
+
+_DAY_S = 86_400.0
+_DEFAULT_DAYS = 30
+
+ShareId = Annotated[str, Path(max_length=40, pattern=f"^{SHARE_ID}$", description="Id of a share.")]
+KeyOrEmpty = Annotated[str, Field(max_length=100)]
+
+
+class ShareRequest(StrictBody):
+    """What is shared: either `asset` or `collection`. mode `place`: its visitors may move it about, too. Without
+    `expires_days` (null) the link works until it is revoked.
+    """
+
+    asset: KeyOrEmpty = ""
+    collection: KeyOrEmpty = ""
+    mode: Mode = "read"
+    label: Label = ""
+    expires_days: Days | None = _DEFAULT_DAYS
+    password: Annotated[str, Field(max_length=200, description="Visitors have to type it; empty: none.")] = ""
+
+
+class ShareView(BaseModel):
+    """A share link: `url` is the link. `opened`: how often; `ended`: "", revoked or expired."""
+
+    id: str
+    kind: Kind
+    name: str
+    mode: Mode
+    label: str
+    has_password: bool
+    created: datetime
+    expires: datetime | None
+    revoked: datetime | None
+    ended: str
+    opened: int
+    last_opened: datetime | None
+    url: str
+
+
+class SharePage(BaseModel):
+    """A page of shares, oldest first. `next` is the value of `after` for the next page; null on the last page."""
+
+    shares: list[ShareView]
+    next: str | None
+
+
+class OpenRequest(StrictBody):
+    """The end of a share link, and the password that came with it."""
+
+    token: Annotated[str, Field(max_length=200)]
+    password: Annotated[str, Field(max_length=200)] = ""
+
+
+class OpenedShareView(BaseModel):
+    """What a link opens: `view` is the path of its page, `tenant` whose it is."""
+
+    tenant: str
+    kind: Kind
+    name: str
+    mode: Mode
+    label: str
+    view: str
+
+
+@router.post(
+    "/shares",
+    status_code=201,
+    response_model=ShareView,
+    dependencies=[needs(Scope.MANAGE)],
+    responses=problems(404, 415, 422, 503),
+)
+async def create_share(body: ShareRequest, request: Request) -> ShareView:
+    """Share an asset or a collection by a link, which needs no login."""
+    thing = await _existing_thing(body, request)
+    expires = time.time() + body.expires_days * _DAY_S if body.expires_days else None
+    store = _sharing(request).store
+    share = await authentication_of(request).run(
+        lambda: store.create(thing, mode=body.mode, label=body.label, expires=expires, password=body.password)
+    )
+    return await _view(share, request)
+
+
+@router.get("/shares", response_model=SharePage, dependencies=[needs(Scope.MANAGE)], responses=problems(422))
+async def list_shares(
+    request: Request,
+    asset: Annotated[str, Query(max_length=100, description="Only of this asset.")] = "",
+    collection: Annotated[str, Query(max_length=100, description="Only of this collection.")] = "",
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    after: Annotated[str, Query(pattern=f"^({SHARE_ID})?$", description="`next` of the previous page.")] = "",
+) -> SharePage:
+    """List share links, the oldest first, with those that have ended."""
+    store, tenant = _sharing(request).store, caller_of(request).tenant
+    kind: Kind | None = "asset" if asset else "collection" if collection else None
+    found = await authentication_of(request).run(
+        lambda: store.page(tenant, limit=limit + 1, after=after, kind=kind, name=asset or collection)
+    )
+    views = [await _view(share, request) for share in found[:limit]]
+    return SharePage(shares=views, next=views[-1].id if len(found) > limit else None)
+
+
+@router.get(
+    "/shares/{share}/qr.svg",
+    response_class=Response,
+    dependencies=[needs(Scope.MANAGE)],
+    responses={200: {"content": {"image/svg+xml": {}}}, **problems(404, 422)},
+)
+async def get_qr_code_of_share(share: ShareId, request: Request) -> Response:
+    """Get a share link as a QR code (SVG)."""
+    found = await authentication_of(request).run(lambda: _sharing(request).store.get(share))
+    if found is None or found.thing.tenant != caller_of(request).tenant:
+        raise _unknown(share)
+    return Response(qr_svg((await _view(found, request)).url), media_type="image/svg+xml")
+
+
+@router.delete(
+    "/shares/{share}", response_model=ShareView, dependencies=[needs(Scope.MANAGE)], responses=problems(404, 422)
+)
+async def revoke_share(share: ShareId, request: Request) -> ShareView:
+    """Revoke a share link: at once at this gateway, and within a minute everywhere, the CDN included."""
+    sharing, tenant = _sharing(request), caller_of(request).tenant
+    revoked = await authentication_of(request).run(lambda: sharing.store.revoke(share, tenant))
+    if revoked is None:
+        raise _unknown(share)
+    sharing.forget(revoked)
+    return await _view(revoked, request)
+
+
+@router.post(
+    "/shares/open",
+    response_model=OpenedShareView,
+    dependencies=[ANYONE],
+    responses=problems(401, 404, 410, 415, 422, 429),
+)
+async def open_share(body: OpenRequest, request: Request, response: Response) -> OpenedShareView:
+    """Open a share link: the browser gets a cookie for what it shares."""
+    if body.password:
+        request.app.state.password_guesses.spend(request)
+    share, cookie, seconds = await _sharing(request).open(body.token, body.password)
+    response.set_cookie(
+        COOKIE_PREFIX + share.id,
+        cookie,
+        max_age=seconds,
+        path="/",
+        secure=gateway_url(request).startswith("https:"),
+        httponly=True,
+        samesite="lax",
+    )
+    thing, page = share.thing, "view" if share.thing.kind == "asset" else "browse"
+    view = path_of_tenant(thing.tenant, f"/{page}/{thing.name}")
+    return OpenedShareView(
+        tenant=thing.tenant, kind=thing.kind, name=thing.name, mode=share.mode, label=share.label, view=view
+    )
+
+
+async def _existing_thing(body: ShareRequest, request: Request) -> Thing:
+    """Return what is to be shared. Raises Problem where there is no such thing."""
+    if bool(body.asset) == bool(body.collection):
+        hints = ("send one of them",)
+        raise Problem(422, "REQUEST_INVALID", "send either `asset` or `collection`", hints=hints)
+    name = body.asset or body.collection
+    store = store_of(request)
+    object_name = entry_name if body.asset else index_name
+    try:
+        if not valid_key(name):
+            raise FileNotFoundError(name)
+        await in_thread(lambda: store.head(object_name(name)))
+    except FileNotFoundError:
+        raise (unknown_asset if body.asset else unknown_collection)(name) from None
+    return Thing(caller_of(request).tenant, "asset" if body.asset else "collection", name)
+
+
+async def _view(share: Share, request: Request) -> ShareView:
+    token = await _sharing(request).token(share)
+    facts: dict[str, Any] = {name: getattr(share, name) for name in ("id", "mode", "label", "opened")}
+    return ShareView(
+        **facts,
+        kind=share.thing.kind,
+        name=share.thing.name,
+        has_password=bool(share.password),
+        created=utc(share.created),
+        expires=utc_or_none(share.expires),
+        revoked=utc_or_none(share.revoked),
+        ended=share.refusal(time.time()),
+        last_opened=utc_or_none(share.last_opened),
+        url=urljoin(gateway_url(request), f"s/{token}"),
+    )
+
+
+def _sharing(request: Request) -> Sharing:
+    sharing: Sharing = request.app.state.sharing
+    return sharing
+
+
+def _unknown(share: str) -> Problem:
+    return Problem(404, "SHARE_ID_UNKNOWN", f"there is no share {share}", hints=("GET /v1/shares lists them",))

@@ -1,0 +1,100 @@
+// The panel of the viewer's page for who manages a thing: who may see it, and its share links with QR codes, to be revoked.
+import { deleteAt, getJson, postJson, putJson } from '../shared/api.js';
+import { create, element } from '../shared/dom.js';
+import { sentences } from '../shared/problems.js';
+
+/** @import { AssetEntry, Share, SharePage, Visibility } from '../shared/types.d.ts' */
+
+const panel = {
+  visibility: element('visibility', HTMLSelectElement),
+  form: element('share-form', HTMLFormElement),
+  mode: element('share-mode', HTMLSelectElement),
+  days: element('share-days', HTMLSelectElement),
+  password: element('share-password', HTMLInputElement),
+  links: element('links', HTMLElement),
+  trouble: element('share-trouble', HTMLElement),
+};
+
+/**
+ * Shows the panel's content for an asset of one's own.
+ * @param {string} key
+ */
+export async function showSharing(key) {
+  const path = `/v1/assets/${encodeURIComponent(key)}`;
+  panel.visibility.addEventListener('change', () => attempt(() => putJson(`${path}/visibility`, { visibility: panel.visibility.value || null })));
+  panel.form.addEventListener('submit', (event) => {
+    event.preventDefault();
+    attempt(() => createLink(key));
+  });
+  await attempt(async () => {
+    /** @type {AssetEntry} */
+    const { visibility } = await getJson(path);
+    panel.visibility.value = visibility ?? '';
+    await showLinks(key);
+  });
+}
+
+/** @param {string} key */
+async function createLink(key) {
+  const days = Number(panel.days.value);
+  const body = { asset: key, mode: panel.mode.value, expires_days: days || null, password: panel.password.value };
+  await postJson('/v1/shares', body);
+  panel.password.value = '';
+  await showLinks(key);
+}
+
+/**
+ * Lists the links that work, the newest first.
+ * @param {string} key
+ */
+async function showLinks(key) {
+  /** @type {Share[]} */
+  const shares = [];
+  for (let after = /** @type {string | null} */ (''); after !== null;) {
+    /** @type {SharePage} */
+    const found = await getJson(`/v1/shares?${new URLSearchParams({ asset: key, limit: '200', after })}`);
+    shares.push(...found.shares.filter(({ ended }) => !ended));
+    after = found.next;
+  }
+  panel.links.replaceChildren(...shares.reverse().map((share) => createItem(share, key)));
+  document.body.dataset.links = String(shares.length);
+}
+
+/**
+ * @param {Share} share
+ * @param {string} key
+ */
+function createItem(share, key) {
+  const item = create('li');
+  const code = create('img', { alt: 'QR code of the link', width: 180, height: 180, src: `/v1/shares/${share.id}/qr.svg` });
+  const link = create('a', { href: share.url, textContent: share.url });
+  const facts = create('p', { className: 'quiet', textContent: factsOf(share) });
+  const revoke = create('button', { type: 'button', textContent: 'Revoke' });
+  revoke.addEventListener('click', () => attempt(async () => {
+    await deleteAt(`/v1/shares/${share.id}`);
+    await showLinks(key);
+  }));
+  item.append(code, link, facts, revoke);
+  return item;
+}
+
+/** @param {Share} share */
+function factsOf({ mode, expires, has_password: hasPassword, opened }) {
+  const end = expires ? `until ${new Date(expires).toLocaleDateString()}` : 'until it is revoked';
+  const may = mode === 'place' ? 'look and move' : 'look';
+  return [may, end, hasPassword ? 'with a password' : '', `opened ${opened} ${opened === 1 ? 'time' : 'times'}`].filter(Boolean).join(' · ');
+}
+
+/**
+ * Does something that the server may refuse, and says so where it does.
+ * @param {() => Promise<unknown>} action
+ */
+async function attempt(action) {
+  panel.trouble.hidden = true;
+  try {
+    await action();
+  } catch (error) {
+    panel.trouble.textContent = sentences(error);
+    panel.trouble.hidden = false;
+  }
+}
