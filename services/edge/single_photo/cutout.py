@@ -26,6 +26,7 @@ LONGEST = 320
 _OPAQUE = 128  # alpha from which on a pixel belongs to the thing
 _AROUND = 0.15  # of a rectangle's sides: how much is seen around it, to tell the background. 0.35 and 0.7 are worse
 _ALL = 0.98  # share of the photo above which a rectangle leaves nothing around it that could tell the background
+_LEAST_SIDE = 8  # pixels of what is looked at
 _BEND = 0.75  # pixels that an outline may be off the mask's, to have fewer corners
 
 Polygon = tuple[tuple[float, float], ...]
@@ -141,13 +142,20 @@ def _cut_by_alpha(photo: Photo, alpha: Bytes, box: PhotoBox | None) -> CutOut:
 
 
 def _load_area(photo: Photo, area: PhotoBox) -> Bytes:
-    """Load a part of the upright photo, its longer side `LONGEST` pixels where the photo has as many."""
+    """Load a part of the upright photo, its longer side `LONGEST` pixels where the photo has as many.
+
+    Raises CAPTURE_NO_OBJECT for a part of hardly any pixels.
+    """
     sides = photo.size if photo.turns % 2 == 0 else photo.size[::-1]
     shown = max(area.width * sides[0], area.height * sides[1])
     longest = min(max(sides), round(LONGEST * max(sides) / shown))
     upright = rotate_clockwise(photo.load(longest), photo.turns)
     rows, columns = _pixels(area, WHOLE, upright.shape)
-    return np.ascontiguousarray(upright[rows, columns])
+    part = np.ascontiguousarray(upright[rows, columns])
+    if min(part.shape[:2]) < _LEAST_SIDE:
+        seen = f"is {part.shape[1]} × {part.shape[0]} pixels where it is looked at, too few to see a thing"
+        raise no_object(photo.name, seen, "take a larger photo, or draw a larger rectangle")
+    return part
 
 
 def _pixels(box: PhotoBox, area: PhotoBox, shape: tuple[int, ...]) -> tuple[slice, slice]:

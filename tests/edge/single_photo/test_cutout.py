@@ -233,3 +233,11 @@ def test_real_photos_of_ordinary_scenes_are_not_refused(data_dir: Path) -> None:
 def test_the_narrowest_photo_has_a_saliency() -> None:
     """Of a strip whose superpixels are all neighbours, scipy's shortest ways take another method."""
     assert saliency(np.full((8, 4000, 3), 99, np.uint8)).shape == (8, 4000)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 1), (1, 500), (7, 400)])
+def test_a_photo_of_hardly_any_pixels_shows_nothing(width: int, height: int) -> None:
+    with pytest.raises(CaptureError) as caught:
+        cut_out(photo(np.full((height, width, 3), 99, np.uint8)))
+    assert caught.value.code == "CAPTURE_NO_OBJECT"
+    assert "too few" in str(caught.value)
