@@ -19,7 +19,9 @@ from services.edge.paper_field.networks import network_of
 from tests.bench import __main__ as benches
 from tests.bench import frame_times, heat_maps, paper_delivery, paper_figures, peer_extraction, published
 from tests.bench.heat_maps import Column, View
+from tests.bench.methods import Settings
 from tests.bench.paper_delivery import Way
+from tests.bench.peer_extraction_child import samples_of
 from tests.bench.published import BATCH, Cell, keep_mesh
 from tests.bench.records import fingerprint
 from tests.bench.shapes import DEFORMED, Row
@@ -189,6 +191,21 @@ def test_the_same_field_is_meshed_from_its_network_and_peers_that_are_missing_ar
     assert float(ours[7]) < 2e-3, "on the zero set"
     assert int(ours[9]) == 1
     assert any("DCUDF2 | 32 | no DCUDF2_FOLDER" in line for line in lines)
+
+
+def test_the_quick_field_is_trained_and_written(tmp_path: Path) -> None:
+    subject = peer_extraction.quick(
+        tmp_path / "quick.pt", Settings("paper", steps=3, batch=50, changes={"widths": (8,) * 6})
+    )
+    values, gradients = peer_extraction.NetworkField.read(subject.network)(subject.points[:50])
+    assert subject.name == "pleated skirt, 1,000: paper, six layers of 64, 3 steps"
+    assert (values >= 0).all()
+    assert np.allclose(np.linalg.norm(gradients, axis=1), 1, atol=1e-4)
+    assert len(subject.points) == 1_000
+
+
+def test_mind_gets_its_own_number_of_points_a_face_up_to_a_limit() -> None:
+    assert [samples_of(cells) for cells in (16, 64, 128, 256)] == [3_906, 62_500, 100_000, 100_000]
 
 
 def test_a_peer_that_dies_is_one_sentence(tmp_path: Path) -> None:

@@ -115,6 +115,12 @@ def test_furthest_points_spread_over_a_line() -> None:
     assert peer_ops.gather_operation(line.transpose(1, 2), chosen)[0, 0].tolist() == chosen[0].float().tolist()
 
 
+def test_padding_at_the_origin_is_chosen_first_or_never() -> None:
+    cloud = torch.tensor([[[1.0, 0, 0], [0, 0, 0], [0.9, 0, 0], [0.8, 0, 0]]])
+    assert peer_ops.furthest_point_sample(cloud, 3)[0].tolist() == [0, 3, 2]
+    assert peer_ops.furthest_point_sample(cloud.roll(-1, dims=1), 2)[0].tolist() == [0, 3]
+
+
 def test_weights_of_several_gpus_fit_a_network_on_one(tmp_path: Path) -> None:
     layer = torch.nn.Linear(2, 3)
     torch.save({f"module.{name}": values for name, values in layer.state_dict().items()}, tmp_path / "w.t7")

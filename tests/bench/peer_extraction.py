@@ -2,8 +2,9 @@
 
 DCUDF2 (MIT) and MIND (MIT, but it compiles in GCO and cc3d, which are not) run in an interpreter of their own, which
 PEERS_PYTHON names, from the clones that DCUDF2_FOLDER and MIND_FOLDER name; nothing of theirs is in this repository.
-The fields are networks that `published` trained, and the garment network that DCUDF2's repository carries, whose true
-surface is not published: there the mean value of the field on the mesh stands for the distance.
+The fields are networks that `published` trained, a small one that is trained on the spot, and the garment network that
+DCUDF2's repository carries, whose true surface is not published: there the mean value of the field on the mesh stands
+for the distance.
 """
 
 from __future__ import annotations
@@ -28,13 +29,20 @@ from services.edge.mesh.extract import extract
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.sampling import sample
 from services.edge.mesh.topology import component_count
+from services.edge.paper_field.network_config import NetworkConfig
+from services.edge.paper_field.network_fit import fit_network
 from services.edge.paper_field.networks import network_of
-from tests.bench.methods import peak_mb
+from services.edge.preset import load_preset
+from tests.bench.methods import Settings, peak_mb, shortened
 from tests.bench.peer_fields import run_child
-from tests.bench.published import Cell, add_state, cells, weights_reached
+from tests.bench.published import OBJECTS, Cell, add_state, cells, weights_reached
 from tests.support.mesh_metrics import chamfer_l1, welded
 
 PEERS = {"dcudf2": ("DCUDF2", "DCUDF2_FOLDER"), "mind": ("MIND", "MIND_FOLDER")}
+QUICK = "pleated skirt, 1,000: paper, six layers of 64"
+"""A network of the preset `paper`, small and trained on the spot, so that the peers end on a CPU."""
+
+_QUICK = Settings("paper", steps=1_000, batch=1_000, changes={"widths": (64,) * 6})
 GARMENT = "garment 564 of DCUDF2's repository"
 _PAD = 0.05  # around the points, as DCUDF2's own evaluation has it
 _CHUNK = 1 << 16
@@ -90,7 +98,7 @@ def main(arguments: list[str]) -> None:
 
 
 def subjects(scratch: Path, options: argparse.Namespace) -> Iterator[Subject]:
-    """The networks that have been trained so far, and the one that DCUDF2 publishes where its clone is."""
+    """The networks that have been trained so far, the quick one, and that of DCUDF2 where its clone is."""
     for cell in cells():
         name = f"{cell.row.label}: {cell.label}"
         reached = weights_reached(cell, options.state)
@@ -100,6 +108,8 @@ def subjects(scratch: Path, options: argparse.Namespace) -> Iterator[Subject]:
         step = write_network(cell, reached, network)
         truth = welded(cell.row.truth())
         yield Subject(f"{name}, {step:,} steps", network, cell.row.sampled(truth, 0), truth)
+    if options.fields in QUICK:
+        yield quick(scratch / "quick.pt")
     folder = os.environ.get("DCUDF2_FOLDER")
     if folder and options.fields in GARMENT:
         network = scratch / "garment.pt"
@@ -108,6 +118,18 @@ def subjects(scratch: Path, options: argparse.Namespace) -> Iterator[Subject]:
             sys.exit(f"{GARMENT}: {failed}")
         sys.path.insert(0, folder)  # the class of its network
         yield Subject(GARMENT, network, points_of(NetworkField.read(network)), None)
+
+
+def quick(network: Path, settings: Settings = _QUICK) -> Subject:
+    """Train the small network of QUICK and write it."""
+    row = next(row for row in OBJECTS if QUICK.startswith(row.label))
+    truth = welded(row.truth())
+    points = row.sampled(truth, 0)
+    config = load_preset(settings.method).fit
+    assert isinstance(config, NetworkConfig)
+    *_, last = fit_network(points, shortened(config, settings))
+    torch.save(last.field.network, network)
+    return Subject(f"{QUICK}, {settings.steps:,} steps", network, points, truth)
 
 
 def write_network(cell: Cell, weights: tuple[int, Path], target: Path) -> int:

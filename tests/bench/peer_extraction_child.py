@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 import torch
 
-SAMPLES = 100_000  # of MIND's points instead of its 1,000,000, each of which is queried 200 times
+SAMPLES, SAMPLED_CELLS = 1_000_000, 256  # MIND's points and cells; each point is queried 200 times, so
+MOST_SAMPLES = 100_000  # no more are taken than these, and on fewer cells as many a cell's face as it takes
 ITERATIONS = 150  # of DCUDF2, as in its own evaluation
 _GARMENT = {"d_in": 3, "d_out": 1, "d_hidden": 256, "n_layers": 8, "skip_in": [4], "multires": 8, "bias": 0.5}
 
@@ -73,8 +74,15 @@ def _mind(field: Any, resolution: int, low: Any, high: Any) -> Any:
     # Its viewer is imported and never shown.
     sys.modules.setdefault("polyscope", type(sys)("polyscope"))
     made = importlib.import_module("mind").MIND(field, resolution, bound_min=low, bound_max=high)
-    made.generate_pointcloud_mesh_op = functools.partial(made.generate_pointcloud_mesh_op, sample_num=SAMPLES)
+    made.generate_pointcloud_mesh_op = functools.partial(
+        made.generate_pointcloud_mesh_op, sample_num=samples_of(resolution)
+    )
     return made.run()
+
+
+def samples_of(cells: int) -> int:
+    """MIND's points for a number of cells along a side."""
+    return min(MOST_SAMPLES, round(SAMPLES * (cells / SAMPLED_CELLS) ** 2))
 
 
 EXTRACTIONS = {"dcudf2": _dcudf2, "mind": _mind}

@@ -207,7 +207,7 @@ def columns(row: Row, options: argparse.Namespace) -> list[Column]:
     truth, shown = welded(row.truth()), []
     for name, peer in PEERS.items():
         kept = _mesh_of(row, name, options)
-        title = f"{peer.name.split(' of ')[0]}, {peer.extraction} extraction"
+        title = f"{peer.name.split(' of ')[0]}\n{peer.extraction} extraction"
         mesh = heat_maps.coloured(kept_mesh(kept), truth) if kept.exists() else None
         shown.append(Column(title, row.label if mesh else "no mesh", mesh))
     return [*shown, Column("the truth", "", heat_maps.plain(truth))]

@@ -14,6 +14,8 @@ from typing import Any
 import torch
 from scipy.spatial import cKDTree
 
+_PADDING = 1e-3  # squared distance from the origin
+
 
 def knn_points(
     queries: torch.Tensor, points: torch.Tensor, K: int = 1, return_nn: bool = False, **_: Any
@@ -39,14 +41,18 @@ def knn_gather(values: torch.Tensor, idx: torch.Tensor) -> torch.Tensor:
 
 
 def furthest_point_sample(points: torch.Tensor, count: int) -> torch.Tensor:
-    """Indices (B,count) of points (B,N,3): from the first point on, always the point furthest from those chosen."""
+    """Indices (B,count) of points (B,N,3): from the first point on, always the point furthest from those chosen.
+
+    As in pointnet2's kernel, points within about .03 of the origin are taken for padding and never chosen, but first.
+    """
+    padding = points.square().sum(dim=-1) <= _PADDING
     chosen = torch.zeros(points.shape[0], count, dtype=torch.int32)
     batch = torch.arange(points.shape[0])
     nearest = torch.full(points.shape[:2], torch.inf)
     for step in range(1, count):
         last = points[batch, chosen[:, step - 1].long()]
         nearest = torch.minimum(nearest, (points - last[:, None]).square().sum(dim=-1))
-        chosen[:, step] = nearest.argmax(dim=1)
+        chosen[:, step] = nearest.masked_fill(padding, -1).argmax(dim=1)
     return chosen
 
 
