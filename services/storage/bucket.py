@@ -15,7 +15,8 @@ from services.strict_settings import SettingsError
 
 _log = logging.getLogger(__name__)
 
-PUBLIC_PREFIXES = ("assets/", "collections/")
+PUBLIC_PREFIXES = ("assets/", "collections/", "tenants/*/assets/", "tenants/*/collections/")
+"""Objects that the edge cache reads without credentials; who may read them through it, the gateway says."""
 
 
 def read_policy(bucket: str) -> str:

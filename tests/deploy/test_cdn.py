@@ -10,18 +10,26 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from itertools import takewhile
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 import pytest
 
 from services.cli.up import free_port
+from services.gateway.access.caller import ALL_SCOPES, Scope
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.visibility import Visibility
 from services.storage.s3 import S3Store
 from services.storage.store import NO_CACHE
+from services.storage.tenant_store import store_of_tenant
 from tests.conftest import missing
 from tests.referees.s3.server import S3Server
+from tests.support.patience import PATIENCE_S
 from tests.support.repository import ROOT
+from tests.support.sites import gateway_at
+from tests.support.tenants import bearer, make_key, publish_for
 
 pytestmark = pytest.mark.s3
 
@@ -70,9 +78,29 @@ def _nginx() -> str:
 
 @pytest.fixture(scope="module")
 def cdn(bucket: S3Store, s3_server: S3Server, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The edge cache of a gateway that asks for no keys."""
+    with gateway_at(tmp_path_factory.mktemp("open"), bucket) as gateway, edge_cache(s3_server, gateway) as url:
+        yield url
+
+
+@contextmanager
+def edge_cache(s3_server: S3Server, gateway: str) -> Iterator[str]:
     """nginx with the deployed configuration; only addresses and folders are this machine's."""
-    folder, port = tmp_path_factory.mktemp("nginx"), free_port()
-    origin = s3_server.endpoint.removeprefix("http://")
+    # Not pytest's folder, which every other pytest that starts closes to nginx's workers, another user.
+    with tempfile.TemporaryDirectory() as name:
+        folder, port = Path(name), free_port()
+        folder.chmod(0o777)
+        (folder / "nginx.conf").write_text(_configuration(s3_server, gateway, folder, port))
+        child = subprocess.Popen([_nginx(), "-c", folder / "nginx.conf", "-g", "daemon off;"])
+        try:
+            _wait_for(f"http://127.0.0.1:{port}/healthz")
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            child.terminate()
+            child.wait(10)
+
+
+def _configuration(s3_server: S3Server, gateway: str, folder: Path, port: int) -> str:
     conf = CONF.read_text()
     for deployed, here in [
         ("pid /tmp/nginx.pid", f"pid {folder}/nginx.pid"),
@@ -80,23 +108,13 @@ def cdn(bucket: S3Store, s3_server: S3Server, tmp_path_factory: pytest.TempPathF
         ("/dev/stdout", f"{folder}/access.log"),
         ("/dev/stderr", f"{folder}/error.log"),
         ("http://minio:9000", s3_server.endpoint),
-        ("http://gateway:8080", f"http://127.0.0.1:{free_port()}"),
-        ("Host minio:9000", f"Host {origin}"),
+        ("http://gateway:8080", gateway),
+        ("Host minio:9000", f"Host {s3_server.endpoint.removeprefix('http://')}"),
         ("listen 8080", f"listen 127.0.0.1:{port}"),
     ]:
         assert deployed in conf
         conf = conf.replace(deployed, here)
-    (folder / "nginx.conf").write_text(conf)
-    folder.chmod(0o777)  # nginx's workers are another user
-    for parent in takewhile(lambda parent: parent != Path(tempfile.gettempdir()), folder.parents):
-        parent.chmod(0o755)
-    child = subprocess.Popen([_nginx(), "-c", folder / "nginx.conf", "-g", "daemon off;"])
-    try:
-        _wait_for(f"http://127.0.0.1:{port}/healthz")
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        child.terminate()
-        child.wait(10)
+    return conf
 
 
 def _wait_for(url: str) -> None:
@@ -155,15 +173,12 @@ OUT_OF_ASSETS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("path", "status"), [*((path, 404) for path in ABSENT), *((path, 502) for path in OUT_OF_ASSETS)]
-)
-def test_what_is_absent_or_private_is_not_served(cdn: str, path: str, status: int) -> None:
+@pytest.mark.parametrize("path", [*ABSENT, *OUT_OF_ASSETS])
+def test_what_is_absent_or_private_is_not_served(cdn: str, path: str) -> None:
     url = httpx.URL(f"{cdn}/").copy_with(raw_path=f"/{path}".encode())
     with httpx.Client() as client:
         answer = client.send(httpx.Request("GET", url))
-    # A path that leaves the public folders is the gateway's to answer, and none runs here.
-    assert answer.status_code == status
+    assert answer.status_code == 404
     assert b"private" not in answer.content
 
 
@@ -174,3 +189,79 @@ def test_nobody_reads_captures_or_lists_the_bucket(bucket: S3Store, s3_server: S
     assert httpx.get(f"{home}/captures/private.zip").status_code == 403
     assert httpx.get(f"{home}?list-type=2").status_code == 403
     assert httpx.put(f"{home}/assets/thing/mine.glb", content=b"x").status_code == 403
+
+
+@dataclass(frozen=True, slots=True)
+class Guarded:
+    """The edge cache of a gateway that asks for keys; ada's and bob's keys, and the URL of a file of ada's dress."""
+
+    url: str
+    ada: dict[str, str]
+    bob: dict[str, str]
+    file: str
+
+    def status(self, **headers: str) -> int:
+        return httpx.get(self.file, headers=headers).status_code
+
+    def make(self, visibility: Visibility | None) -> None:
+        body = {"visibility": visibility}
+        httpx.put(f"{self.url}/v1/assets/dress/visibility", json=body, headers=self.ada).raise_for_status()
+
+    def await_status(self, status: int, within_s: float, **headers: str) -> None:
+        """Wait until the file is answered so, no longer than was promised and than a busy machine takes."""
+        deadline = time.monotonic() + within_s + PATIENCE_S
+        while self.status(**headers) != status:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+
+
+@pytest.fixture(scope="module")
+def guarded(bucket: S3Store, s3_server: S3Server, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+    """Ada has a dress."""
+    folder = tmp_path_factory.mktemp("guarded")
+    owner = ALL_SCOPES - {Scope.OPERATE}
+    ada, bob = (bearer(make_key(folder / "data", tenant, owner)) for tenant in ("ada", "bob"))
+    publish_for(bucket, "ada", "dress")
+    file = read_entry(store_of_tenant(bucket, "ada"), "dress").document["files"][0]["name"]
+    with gateway_at(folder, bucket) as gateway, edge_cache(s3_server, gateway) as url:
+        yield Guarded(url, ada, bob, f"{url}/tenants/ada/{file}")
+
+
+def test_a_private_file_is_its_tenants_also_from_the_cache(guarded: Guarded) -> None:
+    for cache in ("MISS", "HIT"):
+        answer = httpx.get(guarded.file, headers=guarded.ada)
+        assert (answer.status_code, answer.headers["X-Cache"]) == (200, cache)
+        assert answer.headers["Cache-Control"] == "private, no-cache"
+        assert "Access-Control-Allow-Origin" not in answer.headers
+        assert answer.headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    nobody, another = httpx.get(guarded.file), httpx.get(guarded.file, headers=guarded.bob)
+    assert (nobody.status_code, nobody.json()["code"]) == (401, "KEY_MISSING")
+    assert (another.status_code, another.json()["code"]) == (404, "FILE_UNKNOWN")
+    index = f"{guarded.url}/tenants/ada/collections/default/index.json"
+    assert [httpx.get(index, headers=headers).status_code for headers in (guarded.ada, guarded.bob, {})] == [
+        200,
+        404,
+        401,
+    ]
+
+
+def test_what_is_opened_and_closed_follows_within_a_minute(guarded: Guarded) -> None:
+    guarded.make(Visibility.PUBLIC)
+    guarded.await_status(200, 5)
+    answer = httpx.get(guarded.file)
+    assert answer.headers["Access-Control-Allow-Origin"] == "*"
+    assert "immutable" in answer.headers["Cache-Control"]
+    began = time.monotonic()
+    guarded.make(None)
+    guarded.await_status(401, 20)
+    assert "proxy_cache_valid 204 20s;" in CONF.read_text()
+    assert time.monotonic() - began < 20 + PATIENCE_S
+
+
+def test_a_revoked_share_is_refused_within_a_minute(guarded: Guarded) -> None:
+    made = httpx.post(f"{guarded.url}/v1/shares", json={"asset": "dress"}, headers=guarded.ada).json()
+    show = {"Authorization": f"Share {made['url'].rpartition('/')[2]}"}
+    assert guarded.status(**show) == 200
+    httpx.delete(f"{guarded.url}/v1/shares/{made['id']}", headers=guarded.ada).raise_for_status()
+    guarded.await_status(401, 20, **show)
+    assert guarded.status(**guarded.ada) == 200

@@ -15,6 +15,7 @@ from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
 from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.local import LocalStore
+from services.storage.store import Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +31,20 @@ class Site:
 def site_at(folder: Path, keys: Keys = NO_KEYS) -> Iterator[Site]:
     """A gateway on a free port; it stops on leaving."""
     store = LocalStore(folder / "store")
+    with gateway_at(folder, store, keys) as url:
+        yield Site(url, store, keys)
+
+
+@contextmanager
+def gateway_at(folder: Path, store: Store, keys: Keys = NO_KEYS) -> Iterator[str]:
+    """A gateway of any store; its URL."""
     app = create_app(GatewaySettings(data_dir=folder / "data", workers=("127.0.0.1:9",)), store, keys)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         server = uvicorn.Server(uvicorn.Config(app, log_config=None, ws="none", timeout_graceful_shutdown=1))
         thread = threading.Thread(target=server.run, args=([listening],))
         thread.start()
         try:
-            yield Site(f"http://127.0.0.1:{listening.getsockname()[1]}", store, keys)
+            yield f"http://127.0.0.1:{listening.getsockname()[1]}"
         finally:
             server.should_exit = True
             thread.join()

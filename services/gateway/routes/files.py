@@ -1,4 +1,7 @@
-"""/v1/files: serves the files of assets and catalogues, with range requests, where the store is a local folder."""
+"""/v1/files: serves the files of assets and catalogues, with range requests, where the store is a local folder.
+
+/v1/readable tells a proxy that serves them itself who may read them.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from fastapi.responses import StreamingResponse
 
 from services.gateway.errors import Problem
 from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
-from services.gateway.routes.read_rules import READS_FILE, Reading, reading_of, unknown_file
+from services.gateway.routes.read_rules import READS_FILE, READS_FOLDER, Reading, reading_of, unknown_file
 from services.gateway.routes.store_access import in_thread
 from services.gateway.schemas import problems
 from services.storage.local import LocalStore
@@ -52,6 +55,21 @@ async def get_file(name: str, request: Request) -> Response:
         request.app.state.metrics.observe_damage("file")
         raise _damaged_file(head.name, reading)
     return await _large_file(store, head, request)
+
+
+@router.get(
+    "/readable/{folder:path}",
+    status_code=204,
+    dependencies=[READS_FOLDER],
+    responses={204: {"headers": {"X-Visibility": {"schema": {"type": "string"}}}}, **problems(401)},
+)
+async def may_read_folder(folder: str, request: Request) -> Response:
+    """Tell a proxy whether this request may read an asset's or a collection's files: 204 and the visibility, or 401.
+
+    For nginx's auth_request. `folder` is `assets/KEY` or `collections/NAME`, of others behind `tenants/TENANT/`.
+    """
+    reading = reading_of(request)
+    return Response(status_code=204, headers={"X-Visibility": reading.visibility, "Cache-Control": "no-store"})
 
 
 async def _small_file(store: LocalStore, head: Head, request: Request) -> Response:

@@ -201,9 +201,24 @@ class _FileRule(_ReadRule):
         await self._check(request, lambda _: thing_of_file(request.path_params["name"]))
 
 
+class _FolderRule(_ReadRule):
+    """Of the route that a proxy asks before it answers by itself: every refusal is 401, which nginx passes on."""
+
+    async def __call__(self, request: Request) -> None:
+        try:
+            await self._check(request, lambda _: thing_of_file(f"{request.path_params['folder']}/x"))
+        except Problem as problem:
+            if problem.status == 429:
+                raise
+            headers = {"WWW-Authenticate": 'Bearer realm="capture2vr"'}
+            raise Problem(401, problem.code, problem.detail, hints=problem.hints, headers=headers) from None
+
+
 READS_ASSET: Any = Depends(_NamedRule("asset", "key", unknown_asset))
 """The dependency of a route that reads the asset `key`."""
 READS_COLLECTION: Any = Depends(_NamedRule("collection", "name", unknown_collection))
 """The dependency of a route that reads the collection `name`."""
 READS_FILE: Any = Depends(_FileRule(unknown_file))
 """The dependency of a route that reads the object `name` of the whole store."""
+READS_FOLDER: Any = Depends(_FolderRule(unknown_file))
+"""The dependency of a route that tells whether the objects in `folder` of the whole store may be read."""
