@@ -19,17 +19,16 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.cli.errors import BadInput, parse_answer, printable
 from services.cli.http import API_KEY_VARIABLE, client_of
+from services.cli.local_settings import local_settings
 from services.cli.progress import console, warn
 from services.gateway.access.api_key import ApiKey
 from services.gateway.access.caller import parse_scopes, scope_names
 from services.gateway.access.store import AccessStore
 from services.gateway.database import open_engine
-from services.gateway.settings import GatewaySettings
 from services.storage.tenant_store import DEFAULT_TENANT, check_tenant
 
 _DAY_S = 86_400.0
 _PAGE = 200
-_PLACES = ("GATEWAY_DATA_DIR", "GATEWAY_DATABASE_URL")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ def open_keys(data: Path, gateway: str) -> Iterator[KeyAdministration]:
             with client_of(gateway) as client:
                 yield _AtGateway(client)
         else:
-            engine = open_engine(_settings(data).database)
+            engine = open_engine(local_settings(data).database)
             try:
                 yield _InDatabase(AccessStore(engine))
             finally:
@@ -118,16 +117,6 @@ def _state(key: dict[str, Any]) -> str:
     if key["revoked"]:
         return f"revoked {key['revoked']}"
     return f"expires {key['expires']}" if key["expires"] else "good"
-
-
-def _settings(data: Path) -> GatewaySettings:
-    """Return the settings that name the database: the environment's, else for the data folder of `up` or a gateway."""
-    if any(os.environ.get(name) for name in _PLACES):
-        return GatewaySettings()
-    lone = data / "gateway.db"
-    folder = data if lone.exists() else data / "gateway"
-    folder.mkdir(parents=True, exist_ok=True)
-    return GatewaySettings(data_dir=folder)
 
 
 class _AtGateway:

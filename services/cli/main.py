@@ -11,8 +11,9 @@ import typer
 import services
 from services.cli.catalogue import app as catalogue
 from services.cli.errors import BadInput, printable
+from services.cli.gateway import app as gateway
 from services.cli.keys import app as keys
-from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Trusted, parse_box
+from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Open, Trusted, parse_box
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.strict_settings import SettingsError
 
@@ -23,12 +24,9 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(catalogue, name="catalogue")
+app.add_typer(gateway, name="gateway")
 app.add_typer(keys, name="keys")
 
-Open = Annotated[
-    bool,
-    typer.Option("--open", help="Let everybody who reaches the port in, without an access key, from anywhere."),
-]
 FillChoice = Literal["none", "unseen", "all"]
 CutChoice = Literal["auto", "object", "scene"]
 
@@ -235,14 +233,6 @@ def edge() -> None:
     from services.edge.__main__ import start
 
     raise typer.Exit(start())
-
-
-@app.command()
-def gateway(everybody: Open = False) -> None:
-    """Run a gateway alone, configured by the environment variables GATEWAY_* and STORAGE_*."""
-    from services.gateway.__main__ import start
-
-    raise typer.Exit(start(everybody=everybody))
 
 
 @app.command()

@@ -21,6 +21,10 @@ Trusted = Annotated[
         "STORAGE_TRUSTED_KEYS."
     ),
 ]
+Open = Annotated[
+    bool,
+    typer.Option("--open", help="Let everybody who reaches the port in, without an access key, from anywhere."),
+]
 Box = Annotated[
     str,
     typer.Option(

@@ -66,6 +66,7 @@ from services.gateway.routes import (
 )
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
 from services.gateway.settings import GatewaySettings, worker_credentials
+from services.gateway.snapshots import Snapshots
 from services.gateway.uploads.check_processes import CheckProcesses
 from services.gateway.webhooks.deliveries import Deliveries
 from services.gateway.webhooks.outbox import Outbox
@@ -197,6 +198,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             on_job_ended=app.state.metrics.observe_job,
         )
         app.state.job_store = job_store
+        app.state.snapshots = Snapshots(settings.database, settings.snapshots_dir, settings.snapshots)
         resumable = ResumableUploads(UploadStore(engine), settings.data_dir / "uploads", settings.upload_expires_s)
         stack.callback(resumable.close)
         app.state.resumable = resumable
@@ -222,6 +224,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             job_store.watch_other_gateways(),
             authentication.store_use(),
             app.state.deliveries.run(),
+            app.state.snapshots.run(),
             Expiry(resumable, app.state.store, app.state.usage.add).run(),
             app.state.data.keep_retention(),
         ):

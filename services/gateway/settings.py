@@ -50,6 +50,8 @@ class GatewaySettings(StrictSettings):
     limit_address_requests_per_minute: int = Field(default=3_000, ge=0)
     limit_address_connections: int = Field(default=512, ge=0)  # open ones; behind a proxy all are the proxy's
 
+    snapshots: int = Field(default=7, ge=0)  # of the SQLite database, one a day, that are kept in data_dir; 0: none
+
     lease_s: float = Field(default=10.0, gt=0)  # after so long without renewal another gateway takes the job over
     silence_s: float = Field(default=15.0, gt=0)  # three of the worker's heartbeats missed: the stream is dead
     attach_for_s: float = Field(default=10.0, ge=0)  # try so long to reattach to a lost run, then queue the job again
@@ -65,6 +67,11 @@ class GatewaySettings(StrictSettings):
     def database(self) -> str:
         """URL of the jobs database."""
         return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'gateway.db'}"
+
+    @property
+    def snapshots_dir(self) -> Path:
+        """Folder of the database's snapshots."""
+        return self.data_dir / "snapshots"
 
     @property
     def reached_host(self) -> str:

@@ -12,9 +12,11 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.gateway.access.caller import Scope
+from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.store import JobStore
 from services.gateway.routes.access_rules import ANYONE, authenticate, needs
 from services.gateway.schemas import Check, Readiness, problems
+from services.gateway.snapshots import Snapshots
 from services.gateway.worker_client import WorkerPool
 from services.storage.local import LocalStore
 from services.storage.store import Store
@@ -53,7 +55,7 @@ async def run_checks(request: Request) -> dict[str, Check]:
     names = ("store", "database", "disk", "workers")
     found = await asyncio.gather(
         _check(asyncio.to_thread(state.store.list, "catalog/", limit=1)),
-        _check(state.job_store.read(JobStore.check_writable)),
+        _database(state.job_store, state.snapshots),
         asyncio.to_thread(_disk, [state.settings.data_dir, *_folders(state.store)]),
         _workers(state.workers),
     )
@@ -91,6 +93,12 @@ async def _check(question: Awaitable[object]) -> Check:
     except Exception as error:  # noqa: BLE001 - whatever it is, the gateway is not ready; its type is reported
         return Check(ok=False, detail=type(error).__name__)
     return Check(ok=True, detail="answers")
+
+
+async def _database(job_store: AsyncJobStore, snapshots: Snapshots) -> Check:
+    if snapshots.fault:
+        return Check(ok=False, detail=f"damaged: {snapshots.fault}")
+    return await _check(job_store.read(JobStore.check_writable))
 
 
 def _folders(store: Store) -> list[Path]:

@@ -1,0 +1,88 @@
+"""Implementation of `capture2vr gateway check | restore`."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from pathlib import Path
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.cli.errors import BadInput
+from services.cli.local_settings import local_settings
+from services.cli.progress import console, warn
+from services.gateway.instance_lock import FolderInUse, lock_instance
+from services.gateway.restore import restore
+from services.gateway.settings import GatewaySettings
+from services.gateway.snapshots import DatabaseDamaged, check_file, snapshots_in, sqlite_file
+from services.storage.settings import StorageSettings, open_store
+from services.storage.store import Store
+
+
+def check_database(data: Path) -> bool:
+    """Check the database and its snapshots, print what was found, and return whether the database is whole.
+
+    Raises BadInput.
+    """
+    settings = _settings(data)
+    database = _database(settings)
+    whole = _say(database, "the database")
+    for snapshot in snapshots_in(settings.snapshots_dir):
+        _say(snapshot, "a snapshot")
+    if not whole:
+        console.print("stop the gateway and run `capture2vr gateway restore`")
+    return whole
+
+
+def restore_database(data: Path) -> None:
+    """Restore the database, and print what it was made of. Raises BadInput."""
+    settings = _settings(data)
+    database = _database(settings)
+    try:
+        with lock_instance(settings.data_dir):
+            done = restore(database, settings.snapshots_dir, _store(data))
+    except FolderInUse as error:
+        raise BadInput(str(error)) from None
+    except (sqlite3.Error, SQLAlchemyError) as error:
+        raise BadInput(f"{database} cannot be restored: {getattr(error, 'orig', None) or error}") from error
+    source = (
+        f"the snapshot {done.snapshot.name}" if done.snapshot else "an empty database, because there is no snapshot"
+    )
+    console.print(f"restored from {source}")
+    console.print(f"{done.rows:,} rows were read from the damaged file, which is kept as {done.kept.name}")
+    console.print(f"{done.jobs:,} jobs were added that only the store told of")
+    warn("what was deleted or revoked since the snapshot may be back: look at `capture2vr keys list`")
+
+
+def _say(file: Path, what: str) -> bool:
+    try:
+        check_file(file)
+    except DatabaseDamaged as damage:
+        console.print(f"{what} {file} is damaged: {damage}", soft_wrap=True, markup=False)
+        return False
+    console.print(f"{what} {file} is whole", soft_wrap=True, markup=False)
+    return True
+
+
+def _database(settings: GatewaySettings) -> Path:
+    database = sqlite_file(settings.database)
+    if database is None:
+        raise BadInput("the database is no SQLite file: use its own tools, such as pg_dump")
+    return database
+
+
+def _settings(data: Path) -> GatewaySettings:
+    try:
+        return local_settings(data)
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+
+
+def _store(data: Path) -> Store:
+    """Return the store of the STORAGE_* variables, or the one in the data folder of `capture2vr up`."""
+    if not any(name.startswith("STORAGE_") for name in os.environ):
+        os.environ["STORAGE_ROOT"] = str(data / "store")
+    try:
+        return open_store(StorageSettings())
+    except ValueError as error:
+        raise BadInput(str(error)) from error

@@ -1,0 +1,46 @@
+"""`capture2vr gateway`: run one gateway; `gateway check | restore`: look after its database."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Open
+
+app = typer.Typer(invoke_without_command=True)
+
+Data = Annotated[
+    Path, typer.Option("--data", help="Data folder of `capture2vr up`; GATEWAY_* variables name another database.")
+]
+_DATA = Path("capture2vr-data")
+
+
+@app.callback()
+def gateway(context: typer.Context, everybody: Open = False) -> None:
+    """Run a gateway alone, configured by the environment variables GATEWAY_* and STORAGE_*."""
+    if context.invoked_subcommand is None:
+        from services.gateway.__main__ import start
+
+        raise typer.Exit(start(everybody=everybody))
+
+
+@app.command()
+def check(data: Data = _DATA) -> None:
+    """Check the jobs' database and its snapshots. Exit code 1 if the database is damaged."""
+    from services.cli.database_work import check_database
+
+    if not check_database(data):
+        raise typer.Exit(1)
+
+
+@app.command()
+def restore(data: Data = _DATA) -> None:
+    """Restore a damaged database from the newest snapshot, from what can be read of it, and from the store.
+
+    Stop the gateway first. The damaged file is kept.
+    """
+    from services.cli.database_work import restore_database
+
+    restore_database(data)

@@ -1,0 +1,244 @@
+"""Restore a damaged SQLite database: the newest whole snapshot, rows that can be read, jobs that the store tells of.
+
+The damaged file is kept beside the new one.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from services.atomic_write import atomic_write
+from services.gateway.database import for_writing, open_engine
+from services.gateway.jobs.job import Job, Lease, Order, State
+from services.gateway.jobs.row_mapping import job_values, lease_values
+from services.gateway.jobs.tables import jobs, leases
+from services.gateway.snapshots import DatabaseDamaged, check_file, snapshots_in
+from services.storage.catalogue.entry import Entry, list_keys, read_entry
+from services.storage.catalogue.faults import CatalogueFault
+from services.storage.store import Store
+from services.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenant, valid_tenant
+
+_BESIDE = ("", "-wal", "-shm")  # suffixes of the files of one SQLite database
+_ROWS_AT_ONCE = 64
+_LEAST_ROW_BYTES = 40  # of any table; the numbers of rows go no higher than there is space for
+_MIGRATIONS = "alembic_version"
+_COLUMNS = 'SELECT name, type, "notnull" FROM pragma_table_info(?)'
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """A column of a table."""
+
+    name: str
+    type: str
+    required: bool
+
+    def takes(self, value: Any) -> bool:
+        """Whether the value is one that a gateway may have written."""
+        if value is None:
+            return not self.required
+        if self.type != "JSON":
+            return True
+        try:
+            json.loads(value)
+        except (ValueError, TypeError):
+            return False
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """What a restored database was made of.
+
+    snapshot  the newest whole one, or None; kept: the damaged file
+    rows      number of rows that were read from the damaged file
+    jobs      number of jobs that only the store told of
+    """
+
+    snapshot: Path | None
+    kept: Path
+    rows: int
+    jobs: int
+
+
+def restore(database: Path, snapshots: Path, store: Store) -> Restored:
+    """Replace a database by the newest whole snapshot, what can be read of the old file, and what the store tells.
+
+    No gateway may run. Raises OSError, sqlite3.Error.
+    """
+    snapshot = _newest_whole(snapshots)
+    kept = _set_aside(database)
+    if snapshot is not None:
+        with atomic_write(database) as fresh:
+            shutil.copyfile(snapshot, fresh)
+    engine = open_engine(f"sqlite:///{database.absolute()}")
+    try:
+        rows = _salvage(kept, database)
+        _complete_leases(engine)
+        return Restored(snapshot, kept, rows, _rebuild_jobs(engine, store))
+    finally:
+        engine.dispose()
+
+
+def _newest_whole(folder: Path) -> Path | None:
+    for snapshot in snapshots_in(folder):
+        with suppress(DatabaseDamaged):
+            check_file(snapshot)
+            return snapshot
+    return None
+
+
+def _set_aside(database: Path) -> Path:
+    """Rename the files of a database, and return the new name of the first."""
+    name = f"{database.stem}-damaged-{datetime.now(UTC):%Y%m%dT%H%M%SZ}{database.suffix}"
+    for suffix in _BESIDE:
+        old = database.with_name(database.name + suffix)
+        if old.exists():
+            old.rename(database.with_name(name + suffix))
+    return database.with_name(name)
+
+
+def _salvage(damaged: Path, database: Path) -> int:
+    """Copy the rows of a damaged database that can be read and are whole; return how many."""
+    if not damaged.exists():
+        return 0
+    with (
+        closing(sqlite3.connect(damaged)) as source,
+        closing(sqlite3.connect(database, isolation_level=None)) as target,
+    ):
+        source.row_factory = sqlite3.Row
+        target.execute("BEGIN")
+        last = damaged.stat().st_size // _LEAST_ROW_BYTES
+        count = sum(_copy(source, target, table, columns, last) for table, columns in _tables(target).items())
+        for table, row, *_ in target.execute("PRAGMA foreign_key_check").fetchall():
+            target.execute(f'DELETE FROM "{table}" WHERE rowid = ?', (row,))  # noqa: S608 - a name from our own schema
+        target.execute("COMMIT")
+    return count
+
+
+def _tables(database: sqlite3.Connection) -> dict[str, list[_Column]]:
+    """Return the columns of each table, but for the one of the migrations."""
+    names = database.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'")
+    return {
+        name: [_Column(*row) for row in database.execute(_COLUMNS, (name,))]
+        for (name,) in names.fetchall()
+        if name != _MIGRATIONS
+    }
+
+
+def _copy(source: sqlite3.Connection, target: sqlite3.Connection, table: str, columns: list[_Column], last: int) -> int:
+    """Copy the rows of a table that are whole. They are newer than the snapshot's, which they replace."""
+    count = 0
+    for row in _rows(source, table, last):
+        present = [column for column in columns if column.name in row.keys()]  # noqa: SIM118 - not of a mapping
+        if all(column.takes(row[column.name]) for column in present):
+            names, marks = ", ".join(f'"{column.name}"' for column in present), ", ".join("?" * len(present))
+            statement = f'INSERT OR REPLACE INTO "{table}" ({names}) VALUES ({marks})'  # noqa: S608 - our own schema
+            with suppress(sqlite3.IntegrityError):
+                count += target.execute(statement, [row[column.name] for column in present]).rowcount
+    return count
+
+
+def _rows(source: sqlite3.Connection, table: str, last: int) -> Iterator[sqlite3.Row]:
+    """Yield the rows of a table up to this row number that can be read; a page that cannot hides only its own."""
+    for start in range(0, last, _ROWS_AT_ONCE):
+        try:
+            yield from _between(source, table, start, start + _ROWS_AT_ONCE - 1)
+        except sqlite3.DatabaseError:
+            for number in range(start, start + _ROWS_AT_ONCE):
+                with suppress(sqlite3.DatabaseError):
+                    yield from _between(source, table, number, number)
+
+
+def _between(source: sqlite3.Connection, table: str, first: int, last: int) -> list[sqlite3.Row]:
+    query = f'SELECT * FROM "{table}" WHERE rowid BETWEEN ? AND ?'  # noqa: S608 - a name from our own schema
+    return source.execute(query, (first, last)).fetchall()
+
+
+def _complete_leases(engine: sa.Engine) -> None:
+    """Give each job whose lease was lost a new one, with a fencing token above all that workers have seen."""
+    with for_writing(engine).begin() as db:
+        without = db.execute(sa.select(jobs.c.id).where(jobs.c.id.not_in(sa.select(leases.c.job)))).scalars().all()
+        lease = asdict(Lease(fence=int(time.time())))
+        if without:
+            db.execute(leases.insert(), [{"job": job, **lease} for job in without])
+
+
+def _rebuild_jobs(engine: sa.Engine, store: Store) -> int:
+    """Add a finished job for each published version whose job the database does not know; return how many."""
+    count = 0
+    with for_writing(engine).begin() as db:
+        known = set(db.execute(sa.select(jobs.c.id)).scalars())
+        for tenant in _tenants(store):
+            for job in _published_jobs(store_of_tenant(store, tenant), tenant):
+                if job.id not in known:
+                    known.add(job.id)
+                    db.execute(jobs.insert().values(job_values(job)))
+                    db.execute(leases.insert().values(lease_values(job)))
+                    count += 1
+    return count
+
+
+def _tenants(store: Store) -> Iterator[str]:
+    """Yield the tenants that have objects on the store, the default one first."""
+    yield DEFAULT_TENANT
+    after = FOLDER
+    while heads := store.list(FOLDER, after=after, limit=1):
+        name = heads[0].name.removeprefix(FOLDER).partition("/")[0]
+        if valid_tenant(name) and name != DEFAULT_TENANT:
+            yield name
+        after = f"{FOLDER}{name}0"  # "0" sorts next after "/": skips all objects of this tenant
+
+
+def _published_jobs(store: Store, tenant: str) -> Iterator[Job]:
+    after = ""
+    while keys := list_keys(store, after=after):
+        for key in keys:
+            with suppress(FileNotFoundError, CatalogueFault):
+                yield from _jobs_of(read_entry(store, key), tenant)
+        after = keys[-1]
+
+
+def _jobs_of(entry: Entry, tenant: str) -> Iterator[Job]:
+    """Yield the jobs that published versions of an asset, as far as the store knows them; of each its last version."""
+    updated = datetime.fromisoformat(str(entry.document["updated"])).timestamp()
+    collection = entry.collections[0]
+    for version in {each["job"]: each for each in entry.versions if each.get("job")}.values():
+        asset = {
+            "key": entry.key,
+            "version": version["version"],
+            "state": version["state"],
+            "manifest": version["manifest"],
+            "collection": collection,
+        }
+        order = Order(capture="", preset="", asset_key=entry.key, collection=collection)
+        yield Job(
+            id=str(version["job"]),
+            order=order,
+            created=min(updated, _created(str(version["job"]), updated)),
+            updated=updated,
+            state=State.SUCCEEDED,
+            fraction=1.0,
+            asset=asset,
+            tenant=tenant,
+        )
+
+
+def _created(job: str, otherwise: float) -> float:
+    """Return the time in a job's id, in seconds since the epoch."""
+    try:
+        created = int(job.removeprefix("job_")[:12], 16) / 1000
+    except ValueError:
+        return otherwise
+    return created if 0 < created < time.time() else otherwise

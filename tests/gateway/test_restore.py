@@ -1,0 +1,184 @@
+"""A damaged database comes back: from a snapshot, from its own readable rows, from the store; nothing of it is lost."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from services.cli.database_work import check_database, restore_database
+from services.cli.errors import BadInput
+from services.gateway.access.caller import ALL_SCOPES
+from services.gateway.access.store import AccessStore
+from services.gateway.database import open_engine
+from services.gateway.instance_lock import lock_instance
+from services.gateway.jobs.job import Order, State
+from services.gateway.jobs.store import JobStore
+from services.gateway.restore import restore
+from services.gateway.snapshots import DatabaseDamaged, Snapshots, check_file, snapshots_in, take_snapshot
+from services.storage.catalogue.publish import publish
+from services.storage.memory import MemoryStore
+from services.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
+from tests.support.bundles import bundle
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    return tmp_path / "gateway.db"
+
+
+def add_jobs(database: Path, *keys: str) -> list[str]:
+    engine = open_engine(f"sqlite:///{database}")
+    try:
+        store = JobStore(engine)
+        return [store.create(DEFAULT_TENANT, Order(capture="cap_1", preset="draft", asset_key=key)).id for key in keys]
+    finally:
+        engine.dispose()
+
+
+def known_jobs(database: Path) -> dict[str, State]:
+    engine = open_engine(f"sqlite:///{database}")
+    try:
+        return {job.id: job.state for job in JobStore(engine).page(DEFAULT_TENANT, limit=200)}
+    finally:
+        engine.dispose()
+
+
+def spoil(database: Path, start: float, end: float) -> None:
+    """Overwrite a part of the file, from and to these shares of it, after its log has been written into it."""
+    with closing(sqlite3.connect(database)) as db:
+        db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    size = database.stat().st_size
+    with database.open("r+b") as file:
+        file.seek(int(size * start))
+        file.write(b"\xaa" * (int(size * end) - int(size * start)))
+
+
+def test_a_whole_file_is_whole_and_a_cut_one_is_not(database: Path) -> None:
+    add_jobs(database, *(f"key{number}" for number in range(50)))
+    check_file(database)
+    spoil(database, 0.5, 1.0)
+    with pytest.raises(DatabaseDamaged):
+        check_file(database)
+    database.write_bytes(b"no database" * 100)
+    with pytest.raises(DatabaseDamaged):
+        check_file(database)
+
+
+def test_snapshots_are_whole_and_the_newest_are_kept(database: Path, tmp_path: Path) -> None:
+    made = []
+    for day in range(4):
+        add_jobs(database, f"key{day}")
+        made.append(take_snapshot(database, tmp_path / "snapshots", 3, 1e9 + 86_400 * day))
+    assert snapshots_in(tmp_path / "snapshots") == made[:0:-1]
+    for snapshot in snapshots_in(tmp_path / "snapshots"):
+        check_file(snapshot)
+    assert len(known_jobs(made[-1])) == 4
+
+
+def test_a_damaged_database_takes_no_snapshots_place(database: Path, tmp_path: Path) -> None:
+    add_jobs(database, *(f"key{number}" for number in range(50)))
+    good = take_snapshot(database, tmp_path / "snapshots", 1, 1e9)
+    spoil(database, 0.4, 0.9)
+    snapshots = Snapshots(f"sqlite:///{database}", tmp_path / "snapshots", 1)
+    good_time = good.stat().st_mtime
+    os.utime(good, (good_time - 2 * 86_400, good_time - 2 * 86_400))
+    snapshots.take_if_due(database)
+    assert snapshots.fault
+    assert snapshots_in(tmp_path / "snapshots") == [good]
+
+
+def test_one_is_taken_a_day(database: Path, tmp_path: Path) -> None:
+    add_jobs(database, "a")
+    snapshots = Snapshots(f"sqlite:///{database}", tmp_path / "snapshots", 7)
+    assert snapshots.newest is None
+    for _ in range(3):
+        snapshots.take_if_due(database)
+    assert len(snapshots_in(tmp_path / "snapshots")) == 1
+    assert snapshots.newest is not None
+    assert time.time() - snapshots.newest < 3600
+
+
+def test_what_came_after_the_snapshot_is_read_from_the_damaged_file(database: Path, tmp_path: Path) -> None:
+    before = add_jobs(database, *(f"key{number}" for number in range(30)))
+    take_snapshot(database, tmp_path / "snapshots", 3, time.time())
+    after = add_jobs(database, *(f"later{number}" for number in range(100)))
+    spoil(database, 0.8, 0.9)
+    damaged = database.read_bytes()
+    done = restore(database, tmp_path / "snapshots", MemoryStore())
+    assert done.snapshot is not None
+    assert done.kept.read_bytes() == damaged
+    check_file(database)
+    found = known_jobs(database)
+    assert set(before) <= found.keys()
+    assert set(found) <= {*before, *after}
+    assert done.rows >= len(found.keys() & set(after)) > 0
+
+
+def test_a_file_that_is_no_database_any_more_is_replaced_by_the_snapshot(database: Path, tmp_path: Path) -> None:
+    jobs = add_jobs(database, "a", "b")
+    engine = open_engine(f"sqlite:///{database}")
+    access = AccessStore(engine)
+    access.ensure_tenant("ada")
+    key, _ = access.create_key("ada", ALL_SCOPES)
+    engine.dispose()
+    take_snapshot(database, tmp_path / "snapshots", 3, time.time())
+    database.write_bytes(b"\xaa" * 50_000)
+    done = restore(database, tmp_path / "snapshots", MemoryStore())
+    assert known_jobs(database).keys() == set(jobs)
+    engine = open_engine(f"sqlite:///{database}")
+    assert AccessStore(engine).key(key.id) is not None
+    engine.dispose()
+    assert done.rows == 0
+
+
+def test_without_a_snapshot_the_store_tells_what_was_published(database: Path, tmp_path: Path) -> None:
+    store = MemoryStore()
+    mine, adas = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b", "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3c"
+    publish(bundle(), store, key="dress", job=mine, fence=1)
+    publish(bundle(), store_of_tenant(store, "ada"), key="dress", job=adas, fence=1)
+    database.write_bytes(b"\xaa" * 50_000)
+    done = restore(database, tmp_path / "snapshots", store)
+    assert (done.snapshot, done.jobs) == (None, 2)
+    engine = open_engine(f"sqlite:///{database}")
+    try:
+        jobs = JobStore(engine)
+        for tenant, job in ((DEFAULT_TENANT, mine), ("ada", adas)):
+            (found,) = jobs.page(tenant, limit=10)
+            assert (found.id, found.state, found.order.asset_key) == (job, State.SUCCEEDED, "dress")
+            assert found.asset is not None
+            assert found.asset["version"] == 1
+    finally:
+        engine.dispose()
+    assert restore(database, tmp_path / "snapshots", store).jobs == 0, "they are in the database now"
+
+
+class TestCommands:
+    @pytest.fixture
+    def database(self, tmp_path: Path) -> Path:
+        (tmp_path / "data" / "gateway").mkdir(parents=True)
+        return tmp_path / "data" / "gateway" / "gateway.db"
+
+    def test_a_damaged_database_is_found_and_restored(self, database: Path, tmp_path: Path) -> None:
+        jobs = add_jobs(database, *(f"key{number}" for number in range(50)))
+        take_snapshot(database, database.parent / "snapshots", 3, time.time())
+        assert check_database(tmp_path / "data")
+        spoil(database, 0.5, 1.0)
+        assert not check_database(tmp_path / "data")
+        restore_database(tmp_path / "data")
+        assert check_database(tmp_path / "data")
+        assert known_jobs(database).keys() == set(jobs)
+
+    def test_no_gateway_may_run_meanwhile(self, database: Path, tmp_path: Path) -> None:
+        add_jobs(database, "a")
+        with lock_instance(database.parent), pytest.raises(BadInput, match="another gateway uses"):
+            restore_database(tmp_path / "data")
+        check_file(database)
+
+    def test_a_missing_database_is_named(self, database: Path, tmp_path: Path) -> None:
+        with pytest.raises(FileNotFoundError, match=r"gateway\.db"):
+            check_database(tmp_path / "data")
