@@ -23,6 +23,7 @@ class Site:
     endless  twice, without a length
     busy     not at all: 503
     live     as it is, below the folder that `turn/<folder>` named last; `turn/off` is 503
+    keyed    as `live`, to whom shows the key "Bearer good"; others get 401
     count    how often the rest was asked for, with the way in front
     """
 
@@ -37,7 +38,7 @@ class Site:
         file = self.root / {"healed": "v2", "once": "v2"}.get(folder, folder) / name
         return file.read_bytes() if file.is_file() else None
 
-    def answer(self, way: str, rest: str) -> tuple[int, bytes, int | None]:
+    def answer(self, way: str, rest: str, key: str) -> tuple[int, bytes, int | None]:
         """Status, body, and the length to announce."""
         if way == "count":
             return _whole(str(self.counts[rest]).encode())
@@ -45,8 +46,11 @@ class Site:
             self.live = rest
             return _whole(b"")
         self.counts[f"{way}/{rest}"] += 1
-        data = self.content(f"{self.live}/{rest}" if way == "live" else rest)
-        if way == "busy" or (way == "live" and self.live == "off"):
+        if way == "keyed" and key != "Bearer good":
+            return 401, b"", 0
+        is_live = way in ("live", "keyed")
+        data = self.content(f"{self.live}/{rest}" if is_live else rest)
+        if way == "busy" or (is_live and self.live == "off"):
             return 503, b"", 0
         return (404, b"", 0) if data is None else _spoilt(way, data)
 
@@ -74,7 +78,7 @@ def serving(root: Path) -> Iterator[str]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             _, way, rest = self.path.split("/", 2)
-            status, body, length = site.answer(way, rest)
+            status, body, length = site.answer(way, rest, self.headers.get("Authorization", ""))
             self.send_response(status)
             if length is not None:
                 self.send_header("Content-Length", str(length))

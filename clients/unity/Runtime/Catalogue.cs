@@ -1,10 +1,12 @@
 using System;
+using System.Collections.Generic;
 using System.IO;
 using System.Linq;
 using System.Threading.Tasks;
 using UnityEngine;
 using UnityEngine.AddressableAssets;
 using UnityEngine.AddressableAssets.Initialization;
+using UnityEngine.Networking;
 using UnityEngine.ResourceManagement.AsyncOperations;
 using UnityEngine.Scripting;
 
@@ -14,6 +16,8 @@ namespace Capture2vr
     [Preserve]
     public static class Catalogue
     {
+        private static readonly AccessHeaders Access = new AccessHeaders(); // first: what follows is made of it
+
         /// <summary>Bytes that assets may take on the device; set it before the catalogue is opened.</summary>
         public static long CacheBytes { get; set; } = 512L << 20;
 
@@ -47,8 +51,28 @@ namespace Capture2vr
         /// <summary>What the signed catalogue allows, or null where the app gave no keys.</summary>
         public static Trust Trust { get; private set; }
 
+        /// <summary>
+        /// HTTP headers for private assets, such as Authorization with an access key; sent to the server of the catalogue alone,
+        /// with its catalogues and its files.
+        /// </summary>
+        public static IReadOnlyDictionary<string, string> Headers
+        {
+            get => Access.Current;
+            set => Access.Current = value;
+        }
+
+        /// <summary>
+        /// Returns new headers when the server has refused the present ones, so that a key may expire while the app runs. Called
+        /// away from the main thread. Null where there is no way to get any.
+        /// </summary>
+        public static Func<Task<IReadOnlyDictionary<string, string>>> RefreshHeaders
+        {
+            get => Access.Renewal;
+            set => Access.Renewal = value;
+        }
+
         /// <summary>How files are fetched; to be replaced by apps with a way of their own, before the catalogue is opened.</summary>
-        public static Fetch Fetch { get; set; } = Http.Fetch;
+        public static Fetch Fetch { get; set; } = Access.Fetch;
 
         /// <summary>Name of the catalogue's file that the installed Addressables reads.</summary>
         public static string FileName
@@ -76,11 +100,13 @@ namespace Capture2vr
         public static async Task OpenAsync(string baseUrl, string collection = "default", params string[] keys)
         {
             BaseUrl = baseUrl;
+            Access.Server = BaseUrl;
+            Addressables.WebRequestOverride = SetHeaders;
             Prepare(collection, keys);
-            var loading = Addressables.LoadContentCatalogAsync($"{BaseUrl}/collections/{collection}/unity/{FileName}", false);
-            await loading.Task;
-            var fault = loading.Status == AsyncOperationStatus.Succeeded ? null : loading.OperationException;
-            Addressables.Release(loading);
+            var headers = Headers;
+            var fault = await Load(collection);
+            // Addressables does not tell a refusal from another fault.
+            if (fault != null && RefreshHeaders != null && await Access.RenewAsync(headers)) fault = await Load(collection);
             if (fault == null) return;
             throw new CaptureFault(CaptureFault.Unreachable, $"the catalogue of {collection} cannot be had: {fault.Message}",
                 "Check the connection", fault);
@@ -101,6 +127,21 @@ namespace Capture2vr
         {
             while (exception != null && !(exception is CaptureFault)) exception = exception.InnerException;
             return (CaptureFault)exception;
+        }
+
+        private static async Task<Exception> Load(string collection)
+        {
+            var loading = Addressables.LoadContentCatalogAsync($"{BaseUrl}/collections/{collection}/unity/{FileName}", false);
+            await loading.Task;
+            var fault = loading.Status == AsyncOperationStatus.Succeeded ? null : loading.OperationException;
+            Addressables.Release(loading);
+            return fault;
+        }
+
+        /// <summary>Addressables fetches the catalogues itself.</summary>
+        private static void SetHeaders(UnityWebRequest request)
+        {
+            foreach (var header in Access.For(request.url)) request.SetRequestHeader(header.Key, header.Value);
         }
 
         private static void Prepare(string collection, string[] keys)
@@ -134,6 +175,8 @@ namespace Capture2vr
             Cache = null;
             Versions = null;
             Trust = null;
+            Headers = null;
+            RefreshHeaders = null;
             _updating = null;
         }
     }

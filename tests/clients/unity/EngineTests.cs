@@ -425,6 +425,20 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task PrivateAssetsAreShownWithHeadersThatAreRenewed()
+    {
+        await Expect.Fault(CaptureFault.Unreachable, () => Open("keyed"));
+        Catalogue.RefreshHeaders = () => Task.FromResult<IReadOnlyDictionary<string, string>>(
+            new Dictionary<string, string> { { "Authorization", "Bearer good" } });
+        await Open("keyed", Key);
+        Expect.Equal(1, Catalogue.Headers.Count);
+        var asset = Asset();
+        await asset.ShowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        asset.Release();
+        NothingIsLeft();
+    }
+
     public static async Task AnUnknownKeyAndACatalogueOutOfReachAreNamed()
     {
         await Open();

@@ -44,6 +44,49 @@ public static class PlainTests
         foreach (var each in bad) Expect.Equal(null, Sha256.InName(each));
     }
 
+    // Headers.
+
+    private static IReadOnlyDictionary<string, string> Shown(string key) => new Dictionary<string, string> { { "Authorization", key } };
+
+    private static Task<IReadOnlyDictionary<string, string>> Good() => Task.FromResult(Shown("Bearer good"));
+
+    public static async Task APrivateFileIsForWhoShowsTheKey()
+    {
+        await Facts.Ask("turn/v2");
+        var url = $"{Facts.Server}/keyed/{Name}";
+        var access = new AccessHeaders { Server = Facts.Server };
+        await Expect.Fault(CaptureFault.AccessRefused, () => Cache(fetch: access.Fetch).Load(url, Sha, Size).Task);
+        access.Current = Shown("Bearer good");
+        Expect.Equal(Sha, Sha256.Of(File.ReadAllBytes(await Cache(fetch: access.Fetch).Load(url, Sha, Size).Task)));
+    }
+
+    public static async Task RefusedHeadersAreRenewedOnceForAll()
+    {
+        await Facts.Ask("turn/v2");
+        var asked = 0;
+        var access = new AccessHeaders { Server = Facts.Server, Current = Shown("Bearer old") };
+        access.Renewal = () =>
+        {
+            asked++;
+            return Good();
+        };
+        var url = $"{Facts.Server}/keyed/{Name}";
+        await Task.WhenAll(Enumerable.Range(0, 4).Select(_ => Cache(fetch: access.Fetch).Load(url, Sha, Size).Task));
+        Expect.Equal(1, asked);
+        access.Current = Shown("Bearer old");
+        access.Renewal = () => Task.FromResult(Shown("Bearer worse"));
+        await Expect.Fault(CaptureFault.AccessRefused, () => Cache(fetch: access.Fetch).Load(url, Sha, Size).Task);
+    }
+
+    public static void NoOtherServerGetsTheHeaders()
+    {
+        var access = new AccessHeaders { Server = "https://vr.example/v1/files", Current = Shown("Bearer good") };
+        Expect.Equal(1, access.For("https://vr.example/assets/a.glb").Count);
+        var others = new[] { "http://vr.example/a", "https://vr.example:8443/a", "https://vr.example.evil/a", "https://evil.example/", "", null };
+        foreach (var each in others) Expect.Equal(0, access.For(each).Count);
+        Expect.Equal(0, new AccessHeaders { Current = Shown("Bearer good") }.For("https://vr.example/a").Count);
+    }
+
     // The cache.
 
     public static async Task WhatWasLoadedOnceIsThereWithoutANetwork()

@@ -11,6 +11,8 @@ namespace Capture2vr
         public const string FileMissing = "FILE_MISSING";
         /// <summary>No answer, or one that is no success. Worth another try.</summary>
         public const string Unreachable = "UNREACHABLE";
+        /// <summary>The server wants to know who asks, and does not let this one in: Catalogue.Headers.</summary>
+        public const string AccessRefused = "ACCESS_REFUSED";
         /// <summary>The device cannot keep the file: its storage is full or closed.</summary>
         public const string StorageFailed = "STORAGE_FAILED";
         /// <summary>A location of the Addressables catalogue that this package did not expect.</summary>

@@ -1,4 +1,5 @@
 using System;
+using System.Collections.Generic;
 using System.IO;
 using System.Net;
 using System.Net.Http;
@@ -20,15 +21,20 @@ namespace Capture2vr
         private static readonly TimeSpan Silence = TimeSpan.FromSeconds(15);
         private const int PieceBytes = 1 << 16;
 
+        private static readonly IReadOnlyDictionary<string, string> NoHeaders = new Dictionary<string, string>();
+
         private static readonly HttpClient Client = new HttpClient { Timeout = Timeout.InfiniteTimeSpan };
 
-        public static async Task Fetch(string url, Stream into)
+        public static Task Fetch(string url, Stream into) => Fetch(url, into, NoHeaders);
+
+        /// <summary>Fetch with these headers. Throws CaptureFault ACCESS_REFUSED, too.</summary>
+        public static async Task Fetch(string url, Stream into, IReadOnlyDictionary<string, string> headers)
         {
             using (var patience = new CancellationTokenSource(Silence))
             {
                 try
                 {
-                    await Copy(url, into, patience).ConfigureAwait(false);
+                    await Copy(url, into, headers, patience).ConfigureAwait(false);
                 }
                 catch (OperationCanceledException fault)
                 {
@@ -45,9 +51,10 @@ namespace Capture2vr
             }
         }
 
-        private static async Task Copy(string url, Stream into, CancellationTokenSource patience)
+        private static async Task Copy(string url, Stream into, IReadOnlyDictionary<string, string> headers, CancellationTokenSource patience)
         {
             var request = new HttpRequestMessage(HttpMethod.Get, url);
+            foreach (var header in headers) request.Headers.TryAddWithoutValidation(header.Key, header.Value);
             var whole = HttpCompletionOption.ResponseHeadersRead;
             using (request)
             using (var response = await Client.SendAsync(request, whole, patience.Token).ConfigureAwait(false))
@@ -87,6 +94,10 @@ namespace Capture2vr
 
         private static void Check(string url, HttpStatusCode status)
         {
+            if (status == HttpStatusCode.Unauthorized || status == HttpStatusCode.Forbidden)
+            {
+                throw new CaptureFault(CaptureFault.AccessRefused, $"{url}: it answers {(int)status}", "It is private: log in");
+            }
             if (status == HttpStatusCode.NotFound || status == HttpStatusCode.Gone)
             {
                 throw new CaptureFault(CaptureFault.FileMissing, $"{url} is not there", "A newer version may have come");

@@ -9,6 +9,7 @@ using System.Text;
 using System.Text.RegularExpressions;
 using System.Threading.Tasks;
 using Capture2vr;
+using UnityEngine.Networking;
 using UnityEngine.ResourceManagement;
 using UnityEngine.ResourceManagement.AsyncOperations;
 using UnityEngine.ResourceManagement.ResourceLocations;
@@ -119,11 +120,15 @@ namespace UnityEngine.AddressableAssets
 
         private static string HashOf(string address) => address.Substring(0, address.LastIndexOf('.')) + ".hash";
 
+        public static Action<UnityWebRequest> WebRequestOverride { get; set; }
+
         private static async Task<string> Text(string address)
         {
+            var request = new UnityWebRequest { url = address };
+            WebRequestOverride?.Invoke(request);
             using (var memory = new MemoryStream())
             {
-                await Http.Fetch(address, memory);
+                await Http.Fetch(address, memory, request.Headers);
                 return Encoding.UTF8.GetString(memory.ToArray());
             }
         }
@@ -171,5 +176,17 @@ namespace UnityEngine.AddressableAssets
             if (ResourceManager.ResourceProviders.Any(each => each.GetType() == type)) return;
             ResourceManager.ResourceProviders.Add((IResourceProvider)Activator.CreateInstance(type));
         }
+    }
+}
+
+namespace UnityEngine.Networking
+{
+    public sealed class UnityWebRequest
+    {
+        public readonly Dictionary<string, string> Headers = new Dictionary<string, string>();
+
+        public string url { get; set; }
+
+        public void SetRequestHeader(string name, string value) => Headers[name] = value;
     }
 }

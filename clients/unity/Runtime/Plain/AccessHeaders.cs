@@ -1,0 +1,90 @@
+using System;
+using System.Collections.Generic;
+using System.IO;
+using System.Threading.Tasks;
+
+namespace Capture2vr
+{
+    /// <summary>
+    /// HTTP headers that tell a server who asks, for private assets: sent to the server of the catalogue and to no other,
+    /// and renewed where it refuses them. Used by several threads at once.
+    /// </summary>
+    public sealed class AccessHeaders
+    {
+        private static readonly IReadOnlyDictionary<string, string> None = new Dictionary<string, string>();
+
+        private readonly object _gate = new object();
+        private IReadOnlyDictionary<string, string> _current = None;
+        private Task<bool> _renewing;
+
+        /// <summary>The headers, such as Authorization. Null is none.</summary>
+        public IReadOnlyDictionary<string, string> Current
+        {
+            get
+            {
+                lock (_gate) return _current;
+            }
+            set
+            {
+                lock (_gate) _current = value ?? None;
+            }
+        }
+
+        /// <summary>Returns new headers, when the server has refused the present ones. Null where there is no way to get any.</summary>
+        public Func<Task<IReadOnlyDictionary<string, string>>> Renewal { get; set; }
+
+        /// <summary>Any address at the server that gets the headers.</summary>
+        public string Server { get; set; }
+
+        /// <summary>The headers of a request: none for another server than the catalogue's.</summary>
+        public IReadOnlyDictionary<string, string> For(string url)
+        {
+            return IsServers(url) ? Current : None;
+        }
+
+        /// <summary>
+        /// Ask for new headers after the server has refused some. Whoever asks while others do gets the same. False where there
+        /// are none.
+        /// </summary>
+        /// <param name="refused">those that were sent: where others are there by now, they count as new</param>
+        public Task<bool> RenewAsync(IReadOnlyDictionary<string, string> refused)
+        {
+            lock (_gate)
+            {
+                if (!ReferenceEquals(_current, refused)) return Task.FromResult(true);
+                if (Renewal == null) return Task.FromResult(false);
+                if (_renewing == null || _renewing.IsCompleted) _renewing = Renew();
+                return _renewing;
+            }
+        }
+
+        /// <summary>Fetch with the headers; a second time with new ones where the server refuses them.</summary>
+        public async Task Fetch(string url, Stream into)
+        {
+            var headers = For(url);
+            try
+            {
+                await Http.Fetch(url, into, headers).ConfigureAwait(false);
+                return;
+            }
+            catch (CaptureFault fault) when (fault.Code == CaptureFault.AccessRefused && IsServers(url))
+            {
+                if (!await RenewAsync(headers).ConfigureAwait(false)) throw;
+            }
+            await Http.Fetch(url, into, For(url)).ConfigureAwait(false);
+        }
+
+        private async Task<bool> Renew()
+        {
+            await Task.Yield(); // the app's code must not run inside the lock
+            Current = await Renewal().ConfigureAwait(false);
+            return true;
+        }
+
+        private bool IsServers(string url)
+        {
+            return Uri.TryCreate(Server, UriKind.Absolute, out var own) && Uri.TryCreate(url, UriKind.Absolute, out var asked)
+                && own.Scheme == asked.Scheme && own.Host == asked.Host && own.Port == asked.Port;
+        }
+    }
+}
