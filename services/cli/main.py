@@ -153,19 +153,22 @@ def push(
 
 @app.command()
 def pull(
-    key: Annotated[str, typer.Argument(help="Asset key.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")],
+    key: Annotated[str, typer.Argument(help="Asset key; not needed with the share link of an asset.")] = "",
     gateway: Gateway = DEFAULT_GATEWAY,
     collection: Collection = "",
     trusted: Trusted = None,
     cache: Annotated[
         Path | None, typer.Option(help="Cache folder. Default: $XDG_CACHE_HOME/capture2vr or ~/.cache/capture2vr.")
     ] = None,
+    share: Annotated[
+        str, typer.Option(help="A share link, https://…/s/…; its password, if any, in CAPTURE2VR_SHARE_PASSWORD.")
+    ] = "",
 ) -> None:
     """Download an asset from a gateway, checking the collection's signature and every hash. Files are cached."""
     from services.cli.pull import pull_asset
 
-    pull_asset(key, out, gateway, collection=collection, trusted=trusted or (), cache=cache)
+    pull_asset(key, out, gateway, collection=collection, trusted=trusted or (), cache=cache, share=share)
 
 
 @app.command()

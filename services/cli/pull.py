@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,8 @@ from services.cli.errors import INVALID_KEY, BadInput, parse_answer
 from services.cli.http import client_of
 from services.cli.progress import console, warn
 from services.cli.seen_version import SeenVersion
-from services.storage.catalogue.collection import Index, Row, Shard, read_index, read_shard
+from services.cli.share_link import SharedThing, open_link, split_link
+from services.storage.catalogue.collection import Row, Shard, read_index, read_shard
 from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
 from services.storage.catalogue.faults import (
     CATALOGUE_OLDER,
@@ -30,6 +31,7 @@ from services.storage.catalogue.faults import (
     SHARD_MISSING,
     CatalogueFault,
 )
+from services.storage.catalogue.proof import check_proof
 from services.storage.catalogue.reader import (
     DOCUMENT_BYTES,
     AssetFile,
@@ -50,15 +52,21 @@ class _CollectionSource:
     gateway: str
     collection: str
     verification_keys: tuple[PublicKey, ...]
+    tenant: str = ""
+
+    @property
+    def query(self) -> dict[str, str]:
+        """The query of requests: whose the collection is; none for one's own."""
+        return {"tenant": self.tenant} if self.tenant else {}
 
 
 @dataclass(frozen=True, slots=True)
 class _FoundAsset:
-    """An asset's row in the collection's index, and a client for the collection's objects."""
+    """An asset's row, a client for its objects, and what was signed: the collection or the asset, and which version."""
 
     objects: RemoteObjects
-    index: Index
     row: Row
+    signed: str
 
 
 def pull_asset(
@@ -69,22 +77,29 @@ def pull_asset(
     collection: str = "",
     trusted: Sequence[Path] = (),
     cache: Path | None = None,
+    share: str = "",
 ) -> dict[str, Any]:
     """Download the newest version of `key` into `out`, all of it or nothing, and return its manifest.
 
     collection  the one that lists the asset; "": the first that the gateway names
     trusted     files of public keys; none: those of the STORAGE_* variables
+    share       a share link, which names the gateway; one of an asset also names the key, which may then be ""
     Raises BadInput when the asset is missing, cannot be downloaded, or is not what was signed; `out` is then unchanged.
     """
-    if not valid_key(key):
+    gateway, token = split_link(share) if share else (gateway, "")
+    if not valid_key(key) and not (token and not key):
         raise BadInput(INVALID_KEY.format(key))
     if collection:
         check_collection(collection)
     verification_keys, cache = load_verification_keys(trusted), cache or default_cache()
     try:
         with client_of(gateway, follow_redirects=True) as client:
-            source = _CollectionSource(client, gateway, collection or _first_collection(client, key), verification_keys)
-            found = retry_if_shard_missing(lambda: _find(source, key))
+            source = _CollectionSource(client, gateway, collection, verification_keys)
+            if token:
+                found = _find_shared(source, open_link(client, token), key)
+            else:
+                source = replace(source, collection=collection or _first_collection(client, key))
+                found = retry_if_shard_missing(lambda: _find(source, key))
             manifest, asset_files = _manifest(found)
             origins = [fetch(found.objects, asset_file, cache) for asset_file in asset_files]
     except (httpx.RequestError, httpx.InvalidURL) as error:
@@ -114,9 +129,9 @@ def _find(source: _CollectionSource, key: str) -> _FoundAsset:
     """Find the asset's row in the collection's newest index. Raises CatalogueFault, also for an index older than one
     seen before.
     """
-    answer = source.client.get(f"/v1/collections/{source.collection}")
+    answer = source.client.get(f"/v1/collections/{source.collection}", params=source.query)
     objects = RemoteObjects(source.client, str(parse_answer(answer)["base"]))
-    last_seen = SeenVersion(source.gateway, source.collection)
+    last_seen = SeenVersion(source.gateway, "@".join(filter(None, (source.collection, source.tenant))))
     try:
         at_least = last_seen.version if source.verification_keys else 0
         index = read_index(answer.content, source.collection, source.verification_keys, at_least=at_least)
@@ -129,7 +144,35 @@ def _find(source: _CollectionSource, key: str) -> _FoundAsset:
         raise BadInput(f"there is no asset {key} in collection {source.collection}; `capture2vr ls` lists its assets")
     if found[1].removed:
         raise BadInput(f"asset {key} was removed; `capture2vr restore {key}` brings it back")
-    return _FoundAsset(objects, index, found[1])
+    return _FoundAsset(objects, found[1], f"collection {index.collection} version {index.version}")
+
+
+def _find_shared(source: _CollectionSource, shared: SharedThing, key: str) -> _FoundAsset:
+    """Find what a share link opened: its asset, or the one with this key in its collection. Raises BadInput."""
+    source = replace(source, tenant=shared.tenant)
+    if shared.kind == "collection":
+        check_collection(shared.name)
+        source = replace(source, collection=shared.name)
+        if not key:
+            raise BadInput(f"the link shares the collection {shared.name}: name one of its assets")
+        return retry_if_shard_missing(lambda: _find(source, key))
+    if key not in ("", shared.name) or not valid_key(shared.name):
+        raise BadInput(f"the link shares the asset {shared.name}, not {key}")
+    return _find_entry(source, shared.name)
+
+
+def _find_entry(source: _CollectionSource, key: str) -> _FoundAsset:
+    """Find an asset by its entry alone, whose version is signed by itself. Raises CatalogueFault."""
+    entry = parse_answer(source.client.get(f"/v1/assets/{key}", params=source.query))
+    last_seen = SeenVersion(source.gateway, f"asset {key}@{source.tenant}")
+    at_least = last_seen.version if source.verification_keys else 0
+    version = check_proof(key, entry, source.verification_keys, at_least=at_least)
+    if source.verification_keys:
+        last_seen.remember(version)
+    manifest = entry["manifest"]
+    row = Row(key, str(entry.get("label") or ""), (), version, str(entry["state"]), 0, str(manifest["sha256"]), "")
+    base = str(manifest["url"]).removesuffix(row.manifest_name)
+    return _FoundAsset(RemoteObjects(source.client, base), row, f"asset {key} version {version}")
 
 
 def _rows(objects: RemoteObjects, shard: Shard) -> tuple[Row, ...]:
@@ -192,7 +235,7 @@ def _add_hint(fault: CatalogueFault, last_seen: SeenVersion) -> CatalogueFault:
 def _print_result(
     source: _CollectionSource, found: _FoundAsset, asset_files: Sequence[AssetFile], origins: Sequence[str]
 ) -> None:
-    row, index = found.row, found.index
+    row = found.row
     table = Table(title=f"{row.key} version {row.version} ({row.state})")
     for column in ("file", "bytes", "sha256", "from"):
         table.add_column(column, justify="right" if column == "bytes" else "left", overflow="fold")
@@ -200,11 +243,9 @@ def _print_result(
         table.add_row(asset_file.file, f"{asset_file.size:,}", asset_file.sha256, origin)
     console.print(table)
     if source.verification_keys:
-        console.print(
-            f"collection {index.collection} version {index.version}: signature, version, sizes and hashes are correct"
-        )
+        console.print(f"{found.signed}: signature, version, sizes and hashes are correct")
     else:
         warn(
-            f"collection {index.collection} version {index.version}: sizes and hashes are correct; signature and "
+            f"{found.signed}: sizes and hashes are correct; signature and "
             "version were not checked: give a public key with --trusted or STORAGE_TRUSTED_KEYS"
         )
