@@ -1,9 +1,10 @@
-"""Implementation of `capture2vr gateway check | restore`."""
+"""Implementation of `capture2vr gateway check | restore | scrub`."""
 
 from __future__ import annotations
 
 import os
 import sqlite3
+import tempfile
 from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -13,6 +14,7 @@ from services.cli.local_settings import local_settings
 from services.cli.progress import console, warn
 from services.gateway.instance_lock import FolderInUse, lock_instance
 from services.gateway.restore import restore
+from services.gateway.scrub import Scrub
 from services.gateway.settings import GatewaySettings
 from services.gateway.snapshots import DatabaseDamaged, check_file, snapshots_in, sqlite_file
 from services.storage.settings import StorageSettings, open_store
@@ -54,6 +56,21 @@ def restore_database(data: Path) -> None:
     warn("what was deleted or revoked since the snapshot may be back: look at `capture2vr keys list`")
 
 
+def scrub_store(data: Path) -> bool:
+    """Check the hash of every file of every asset, print the damaged ones, and return whether all are whole.
+
+    Raises BadInput, OSError.
+    """
+    with tempfile.TemporaryDirectory(prefix="scrub-") as folder:
+        scrub = Scrub(_store(data), Path(folder) / "scrub.json", 0)
+        for _ in scrub.steps():
+            pass
+    for name in scrub.state.damaged:
+        console.print(f"damaged: {name}", soft_wrap=True, markup=False)
+    console.print(f"{scrub.state.checked:,} files were read, {len(scrub.state.damaged):,} are damaged")
+    return not scrub.state.damaged
+
+
 def _say(file: Path, what: str) -> bool:
     try:
         check_file(file)
@@ -80,9 +97,8 @@ def _settings(data: Path) -> GatewaySettings:
 
 def _store(data: Path) -> Store:
     """Return the store of the STORAGE_* variables, or the one in the data folder of `capture2vr up`."""
-    if not any(name.startswith("STORAGE_") for name in os.environ):
-        os.environ["STORAGE_ROOT"] = str(data / "store")
+    named = any(name.startswith("STORAGE_") for name in os.environ)
     try:
-        return open_store(StorageSettings())
+        return open_store(StorageSettings() if named else StorageSettings(root=data / "store"))
     except ValueError as error:
         raise BadInput(str(error)) from error

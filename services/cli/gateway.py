@@ -1,4 +1,4 @@
-"""`capture2vr gateway`: run one gateway; `gateway check | restore`: look after its database."""
+"""`capture2vr gateway`: run one gateway; `gateway check | restore | scrub`: look after its database and store."""
 
 from __future__ import annotations
 
@@ -44,3 +44,12 @@ def restore(data: Data = _DATA) -> None:
     from services.cli.database_work import restore_database
 
     restore_database(data)
+
+
+@app.command()
+def scrub(data: Data = _DATA) -> None:
+    """Read every file of every asset on the store and check its hash. Exit code 1 if one is damaged."""
+    from services.cli.database_work import scrub_store
+
+    if not scrub_store(data):
+        raise typer.Exit(1)

@@ -65,6 +65,7 @@ from services.gateway.routes import (
     webhooks,
 )
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
+from services.gateway.scrub import Scrub
 from services.gateway.settings import GatewaySettings, worker_credentials
 from services.gateway.snapshots import Snapshots
 from services.gateway.uploads.check_processes import CheckProcesses
@@ -75,6 +76,7 @@ from services.gateway.webhooks.store import WebhookStore
 from services.gateway.worker_client import WorkerPool
 from services.logs import configure
 from services.storage.catalogue.signing import NO_KEYS, Keys
+from services.storage.local import LocalStore
 from services.storage.store import Store
 from services.strict_settings import SettingsError
 
@@ -198,6 +200,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             on_job_ended=app.state.metrics.observe_job,
         )
         app.state.job_store = job_store
+        app.state.scrub = Scrub(app.state.store, settings.data_dir / "scrub.json", _scrub_days(app))
         app.state.snapshots = Snapshots(settings.database, settings.snapshots_dir, settings.snapshots)
         resumable = ResumableUploads(UploadStore(engine), settings.data_dir / "uploads", settings.upload_expires_s)
         stack.callback(resumable.close)
@@ -225,6 +228,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             authentication.store_use(),
             app.state.deliveries.run(),
             app.state.snapshots.run(),
+            app.state.scrub.run(),
             Expiry(resumable, app.state.store, app.state.usage.add).run(),
             app.state.data.keep_retention(),
         ):
@@ -232,6 +236,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             task.add_done_callback(_report_death)
             stack.push_async_callback(_stop, task)
         yield
+
+
+def _scrub_days(app: FastAPI) -> float:
+    """Return the days between two scrubs: 0 for a store that is no folder, which checks its disks itself."""
+    settings: GatewaySettings = app.state.settings
+    return settings.scrub_days if isinstance(app.state.store, LocalStore) else 0.0
 
 
 async def _stop(task: asyncio.Task[None]) -> None:

@@ -53,6 +53,12 @@ class Metrics:
             ["kind"],
             registry=registry,
         )
+        self._scrub_damaged = Gauge(
+            "capture2vr_scrub_damaged_files", "Files of assets that the last scrub found damaged", registry=registry
+        )
+        self._scrub_ended = Gauge(
+            "capture2vr_scrub_ended_seconds", "When the last scrub ended, since 1970; 0 for never", registry=registry
+        )
         self._lag_s = Histogram(
             "capture2vr_event_lag_seconds",
             "Event written to event sent",
@@ -91,6 +97,11 @@ class Metrics:
     def observe_damage(self, kind: str, count: int = 1) -> None:
         """Count damaged objects of the store that were met. kind: entry, receipt or file"""
         self._damaged.labels(kind).inc(count)
+
+    def show_scrub(self, damaged: int, ended: float) -> None:
+        """Show the result of the last scrub, and when it ended in seconds since the epoch."""
+        self._scrub_damaged.set(damaged)
+        self._scrub_ended.set(ended)
 
     def render(self, counts: Mapping[State, int], listeners: int) -> bytes:
         """Return the metrics in Prometheus' text format."""

@@ -51,6 +51,7 @@ class GatewaySettings(StrictSettings):
     limit_address_connections: int = Field(default=512, ge=0)  # open ones; behind a proxy all are the proxy's
 
     snapshots: int = Field(default=7, ge=0)  # of the SQLite database, one a day, that are kept in data_dir; 0: none
+    scrub_days: float = Field(default=7.0, ge=0)  # between two scrubs of a store that is a folder; 0: none
 
     lease_s: float = Field(default=10.0, gt=0)  # after so long without renewal another gateway takes the job over
     silence_s: float = Field(default=15.0, gt=0)  # three of the worker's heartbeats missed: the stream is dead

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
@@ -24,6 +25,8 @@ CONTENT_TYPES = {
     ".webp": "image/webp",
     ".zip": "application/zip",
 }
+
+_HASH = re.compile(r"\.([0-9a-f]{64})(\.[^./]*)?$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +50,12 @@ def content_name(file: str, sha256: str) -> str:
     """Add the content's hash to a file name: `lod0.glb` → `lod0.<sha256>.glb`. Such a name always means these bytes."""
     path = PurePosixPath(file)
     return f"{path.stem}.{sha256}{path.suffix}"
+
+
+def hash_in_name(name: str) -> str | None:
+    """Return the sha256 in an object's name that `content_name` has made; None for another name."""
+    found = _HASH.search(name)
+    return found[1] if found else None
 
 
 def content_type(file: str) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import pathlib
-import re
 from collections.abc import AsyncIterator
 
 import anyio
@@ -20,12 +19,12 @@ from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches
 from services.gateway.routes.read_rules import READS_FILE, READS_FOLDER, Reading, reading_of, unknown_file
 from services.gateway.routes.store_access import in_thread
 from services.gateway.schemas import problems
+from services.storage.bundle import hash_in_name
 from services.storage.local import LocalStore
 from services.storage.store import NO_CACHE, Head, Store
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 
-_HASH = re.compile(r"\.([0-9a-f]{64})(\.[^./]*)?$")
 _READ_BYTES = 256 << 10  # per read from the disk
 
 _log = logging.getLogger(__name__)
@@ -120,8 +119,7 @@ def _is_intact(head: Head) -> bool:
     """Whether an asset's file is still that of the hash in its name. A local store's etag is the content's hash, and
     is computed again for a file that has changed.
     """
-    named = _HASH.search(head.name)
-    return named is None or named[1] == head.etag
+    return hash_in_name(head.name) in (None, head.etag)
 
 
 def _damaged_file(name: str, reading: Reading) -> Problem:

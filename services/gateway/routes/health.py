@@ -16,6 +16,7 @@ from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.store import JobStore
 from services.gateway.routes.access_rules import ANYONE, authenticate, needs
 from services.gateway.schemas import Check, Readiness, problems
+from services.gateway.scrub import ScrubState
 from services.gateway.snapshots import Snapshots
 from services.gateway.worker_client import WorkerPool
 from services.storage.local import LocalStore
@@ -54,7 +55,7 @@ async def run_checks(request: Request) -> dict[str, Check]:
     state = request.app.state
     names = ("store", "database", "disk", "workers")
     found = await asyncio.gather(
-        _check(asyncio.to_thread(state.store.list, "catalog/", limit=1)),
+        _store(state.store, state.scrub.state),
         _database(state.job_store, state.snapshots),
         asyncio.to_thread(_disk, [state.settings.data_dir, *_folders(state.store)]),
         _workers(state.workers),
@@ -71,6 +72,8 @@ async def run_checks(request: Request) -> dict[str, Check]:
 async def metrics(request: Request) -> Response:
     """Get metrics in Prometheus' text format."""
     job_store = request.app.state.job_store
+    scrub: ScrubState = request.app.state.scrub.state
+    request.app.state.metrics.show_scrub(len(scrub.damaged), scrub.ended)
     page = request.app.state.metrics.render(
         await job_store.read(JobStore.count_by_state), job_store.notifier.listener_count
     )
@@ -93,6 +96,15 @@ async def _check(question: Awaitable[object]) -> Check:
     except Exception as error:  # noqa: BLE001 - whatever it is, the gateway is not ready; its type is reported
         return Check(ok=False, detail=type(error).__name__)
     return Check(ok=True, detail="answers")
+
+
+async def _store(store: Store, scrub: ScrubState) -> Check:
+    """Damaged files are told, but jobs can run with them, so the store is ready."""
+    found = await _check(asyncio.to_thread(store.list, "catalog/", limit=1))
+    if not found.ok or not scrub.damaged:
+        return found
+    detail = f"{found.detail}; {len(scrub.damaged)} files are damaged, the first is {scrub.damaged[0]}"
+    return Check(ok=True, detail=detail)
 
 
 async def _database(job_store: AsyncJobStore, snapshots: Snapshots) -> Check:

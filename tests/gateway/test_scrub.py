@@ -1,0 +1,86 @@
+"""The scrub finds files that are not what was published, whatever their size and time say; restarts do not stop it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from services.gateway import scrub
+from services.gateway.scrub import Scrub
+from services.storage.catalogue.publish import publish
+from services.storage.local import LocalStore
+from services.storage.tenant_store import store_of_tenant
+from tests.support.bundles import bundle
+from tests.support.in_process_gateway import gateway
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> LocalStore:
+    """Two assets, one of them a tenant's."""
+    made = LocalStore(tmp_path / "objects")
+    publish(bundle(content="boot"), made, key="boot")
+    publish(bundle(content="shoe"), store_of_tenant(made, "ada"), key="shoe")
+    return made
+
+
+def files(store: LocalStore) -> list[str]:
+    return [head.name for prefix in ("assets/", "tenants/ada/assets/") for head in store.list(prefix)]
+
+
+def rot(path: Path) -> None:
+    """Change a byte; size and time stay, as when a disk loses it."""
+    stat = path.stat()
+    data = bytearray(path.read_bytes())
+    data[0] ^= 1
+    with path.open("r+b") as file:
+        file.write(data)
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+
+
+def whole(store: LocalStore, progress: Path) -> Scrub:
+    made = Scrub(store, progress, 7)
+    for _ in made.steps():
+        pass
+    return made
+
+
+def test_whole_files_are_whole(store: LocalStore, tmp_path: Path) -> None:
+    done = whole(store, tmp_path / "scrub.json").state
+    assert (done.checked, done.damaged, done.after) == (len(files(store)), [], "")
+    assert done.ended
+
+
+def test_a_rotten_byte_is_found_in_every_tenants_files(store: LocalStore, tmp_path: Path) -> None:
+    rotten = [next(name for name in files(store) if name.startswith(prefix)) for prefix in ("assets/", "tenants/")]
+    for name in rotten:
+        rot(store.path(name))
+    assert whole(store, tmp_path / "scrub.json").state.damaged == rotten
+
+
+def test_it_goes_on_after_a_restart(store: LocalStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scrub, "_PAGE", 1)
+    first = Scrub(store, tmp_path / "scrub.json", 7).steps()
+    seen = [next(first), next(first)]
+    again = Scrub(store, tmp_path / "scrub.json", 7)
+    rest = list(again.steps())
+    assert {*seen, *rest} == set(files(store))
+    assert again.state.checked == len(files(store))
+    assert len(rest) < len(files(store))
+
+
+def test_damaged_progress_begins_anew(store: LocalStore, tmp_path: Path) -> None:
+    (tmp_path / "scrub.json").write_text("{")
+    assert whole(store, tmp_path / "scrub.json").state.checked == len(files(store))
+
+
+async def test_operators_are_told(store: LocalStore, tmp_path: Path) -> None:
+    rot(store.path(files(store)[0]))
+    (tmp_path / "gw").mkdir()
+    whole(store, tmp_path / "gw" / "scrub.json")
+    async with gateway(tmp_path / "gw", store) as client:
+        check = (await client.get("/readyz")).json()["checks"]["store"]
+        assert check["ok"]
+        assert "1 files are damaged" in check["detail"]
+        assert "capture2vr_scrub_damaged_files 1.0" in (await client.get("/metrics")).text
