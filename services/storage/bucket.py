@@ -1,7 +1,7 @@
 """`python -m services.storage.bucket`: create the S3 bucket; make `assets/` and `collections/` readable by everybody.
 
 Headsets read these two without credentials and check them by signature and hash. Captures, catalogue entries and
-aliases stay private.
+aliases stay private. With STORAGE_PRESIGN_S everything stays private, and the gateway presigns what somebody may read.
 """
 
 from __future__ import annotations
@@ -43,10 +43,15 @@ def main() -> None:
             _log.info("a local store needs no bucket")
             return
         store.create_bucket()
-        store.set_policy(read_policy(settings.bucket))
+        if settings.presign_s:
+            store.close_to_strangers()
+            store.let_pages_read()
+        else:
+            store.set_policy(read_policy(settings.bucket))
     except (OSError, SettingsError) as error:
         sys.exit(f"bucket: {error}")
-    _log.info("bucket %s is ready; anybody may read %s", settings.bucket, ", ".join(PUBLIC_PREFIXES))
+    readable = "nothing: the gateway presigns" if settings.presign_s else ", ".join(PUBLIC_PREFIXES)
+    _log.info("bucket %s is ready; whoever reaches it may read %s", settings.bucket, readable)
 
 
 if __name__ == "__main__":

@@ -36,6 +36,7 @@ class S3Store:
     endpoint         where this process reaches the service; "" for AWS
     public_endpoint  where clients reach the service. Default: endpoint
     base_url         where clients read objects, e.g. a CDN in front of the bucket. Default: public_endpoint/bucket
+    presign_s        seconds for which presigned URLs are good; 0: there are none, because others guard what is private
     """
 
     def __init__(
@@ -48,8 +49,12 @@ class S3Store:
         public_endpoint: str = "",
         region: str = "us-east-1",
         base_url: str = "",
+        presign_s: int = 0,
     ) -> None:
         self._bucket = bucket
+        self._presign_s = presign_s
+        # A signature covers the host that clients ask.
+        self._signing = _client(public_endpoint or endpoint, access_key, secret_key, region) if presign_s else None
         self._client = _client(endpoint, access_key, secret_key, region)
         service_url = (public_endpoint or endpoint).rstrip("/") or f"https://s3.{region}.amazonaws.com"
         self._base_url = base_url.rstrip("/") or f"{service_url}/{bucket}"
@@ -68,6 +73,22 @@ class S3Store:
         """Replace the bucket's policy (JSON): who may read what without credentials."""
         with _translate_errors(self._bucket):
             self._client.put_bucket_policy(Bucket=self._bucket, Policy=policy)
+
+    def let_pages_read(self) -> None:
+        """Let browsers hand objects to pages of any origin (CORS), where they may read the objects at all."""
+        rule = {
+            "AllowedOrigins": ["*"],
+            "AllowedMethods": ["GET", "HEAD"],
+            "AllowedHeaders": ["*"],
+            "ExposeHeaders": ["ETag", "Content-Length", "Content-Range"],
+        }
+        with _translate_errors(self._bucket):
+            self._client.put_bucket_cors(Bucket=self._bucket, CORSConfiguration={"CORSRules": [rule]})
+
+    def close_to_strangers(self) -> None:
+        """Delete the bucket's policy: nobody reads it without credentials or a presigned URL."""
+        with _translate_errors(self._bucket):
+            self._client.delete_bucket_policy(Bucket=self._bucket)
 
     def put(
         self,
@@ -147,6 +168,19 @@ class S3Store:
 
     def url(self, name: str) -> str:
         return f"{self._base_url}/{quote(check_name(name))}"
+
+    def presigned_url(self, name: str) -> str:
+        """Return a URL that reads the object for some minutes; browsers keep the answer as long, and no cache in
+        between. "" where presign_s is 0.
+        """
+        if self._signing is None:
+            return ""
+        asked = {
+            "Bucket": self._bucket,
+            "Key": check_name(name),
+            "ResponseCacheControl": f"private, max-age={self._presign_s}",
+        }
+        return str(self._signing.generate_presigned_url("get_object", Params=asked, ExpiresIn=self._presign_s))
 
     def _put_object(self, name: str, data: bytes | Path, arguments: dict[str, str]) -> dict[str, Any]:
         with data.open("rb") if isinstance(data, Path) else nullcontext(data) as body:

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, SecretStr
+from pydantic import AfterValidator, Field, SecretStr
 from pydantic_settings import SettingsConfigDict
 
 from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
@@ -28,6 +28,8 @@ class StorageSettings(StrictSettings):
 
     public_endpoint  URL under which clients reach the S3 service, where no base_url is set
     base_url         prefix of the objects' URLs that clients get: a CDN, or the gateway's /v1/files
+    presign_s        with S3: seconds for which the gateway lets clients read an object of a private bucket, by a signed
+                     URL; 0: clients read at base_url, and what stands there guards what is private
     collection       collection of assets for which nobody named one
     signing_key      files of private keys (PEM) that sign collections: one, two during a key rotation; none: unsigned
     trusted_keys     files of public keys (PEM) whose signatures are accepted, besides those of signing_key; with
@@ -43,6 +45,7 @@ class StorageSettings(StrictSettings):
     public_endpoint: str = ""
     bucket: str = "capture2vr"
     region: str = "us-east-1"
+    presign_s: Annotated[int, Field(ge=0, le=7 * 86_400)] = 0  # S3 signs for a week at most
     access_key: SecretStr = SecretStr("")
     secret_key: SecretStr = SecretStr("")
     collection: Annotated[str, AfterValidator(_check_collection_name)] = DEFAULT_COLLECTION
@@ -91,5 +94,6 @@ def _open_s3(settings: StorageSettings, access: str, secret: str) -> Store:
         endpoint=settings.endpoint,
         public_endpoint=settings.public_endpoint,
         region=settings.region,
-        base_url=settings.base_url,
+        base_url="/v1/files" if settings.presign_s else settings.base_url,
+        presign_s=settings.presign_s,
     )

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 # Values of Cache-Control.
 IMMUTABLE = "public, max-age=31536000, immutable"  # a year, the longest that caches honour: names contain their sha256
@@ -88,6 +88,15 @@ class Store(Protocol):
 
     def url(self, name: str) -> str:
         """Return the URL where clients read the object without credentials."""
+        ...
+
+
+@runtime_checkable
+class PresigningStore(Protocol):
+    """A store that can let clients read private objects for a short time."""
+
+    def presigned_url(self, name: str) -> str:
+        """Return a URL that reads the object for a short time without credentials; "" where `url` is for clients."""
         ...
 
 

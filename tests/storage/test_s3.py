@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import uuid
+from pathlib import Path
 
 import httpx
 import pytest
 
-from services.storage.bucket import read_policy
+from services.storage.bucket import main, read_policy
 from services.storage.s3 import S3Store
+from services.storage.settings import StorageSettings, open_store
 from services.storage.store import Store
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
+from tests.support.sites import gateway_at
+from tests.support.tenants import bearer, make_key, publish_for
 
 pytestmark = pytest.mark.s3
 TEXT = "text/plain"
@@ -78,3 +82,32 @@ def assert_every_call_raises(store: Store, error: type[Exception]) -> None:
 
 def test_creating_a_bucket_twice_is_no_error(s3_server: S3Server, bucket: str) -> None:
     s3_store(s3_server, bucket).create_bucket()
+
+
+def test_a_private_bucket_is_read_by_presigned_urls_alone(
+    s3_server: S3Server, bucket: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    settings = {"KIND": "s3", "ENDPOINT": s3_server.endpoint, "BUCKET": bucket, "PRESIGN_S": "60"}
+    settings |= {"ACCESS_KEY": s3_server.access_key, "SECRET_KEY": s3_server.secret_key}
+    for name, value in settings.items():
+        monkeypatch.setenv(f"STORAGE_{name}", value)
+    s3_store(s3_server, bucket).set_policy(read_policy(bucket))
+    for _ in range(2):
+        main()
+    store = open_store(StorageSettings())
+    assert isinstance(store, S3Store)
+    publish_for(store, "ada", "dress")
+    key = bearer(make_key(tmp_path / "data", "ada"))
+    with gateway_at(tmp_path, store) as url:
+        file = httpx.get(f"{url}/v1/assets/dress", headers=key).json()["files"][0]["url"]
+        name = file.removeprefix(f"{url}/v1/files/")
+        assert name.startswith("tenants/ada/assets/dress/")
+        assert httpx.get(f"{s3_server.endpoint}/{bucket}/{name}").status_code == 403
+        assert httpx.get(file, follow_redirects=True).status_code == 401
+        answer = httpx.get(file, headers={**key, "Origin": "https://vr.example"}, follow_redirects=True)
+        assert (answer.status_code, answer.content) == (200, store.get(name))
+        assert answer.headers["Cache-Control"] == "private, max-age=60"
+        assert answer.headers["Access-Control-Allow-Origin"] == "*"
+        assert answer.url.host == httpx.URL(s3_server.endpoint).host
+        policy = httpx.get(f"{url}/view/dress").headers["Content-Security-Policy"]
+        assert s3_server.endpoint in policy

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 
 import anyio
 from fastapi import APIRouter, Request, Response
-from fastapi.responses import StreamingResponse
+from fastapi.responses import RedirectResponse, StreamingResponse
 
 from services.gateway.errors import Problem
 from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
@@ -21,7 +21,7 @@ from services.gateway.routes.store_access import in_thread
 from services.gateway.schemas import problems
 from services.storage.bundle import hash_in_name
 from services.storage.local import LocalStore
-from services.storage.store import NO_CACHE, Head, Store
+from services.storage.store import NO_CACHE, Head, PresigningStore, Store
 
 router = APIRouter(prefix="/v1", tags=["assets"])
 
@@ -41,7 +41,7 @@ async def get_file(name: str, request: Request) -> Response:
     """Get a file of an asset, or a part of it with a Range header. Files under `assets/` never change."""
     store: Store = request.app.state.store
     if not isinstance(store, LocalStore):
-        raise unknown_file()
+        return _redirect(store, name)
     try:
         head = await in_thread(lambda: store.head(name))
     except (FileNotFoundError, ValueError):
@@ -54,6 +54,17 @@ async def get_file(name: str, request: Request) -> Response:
         request.app.state.metrics.observe_damage("file")
         raise _damaged_file(head.name, reading)
     return await _large_file(store, head, request)
+
+
+def _redirect(store: Store, name: str) -> Response:
+    """Send the client to the object for some minutes, where the bucket is private. Raises Problem FILE_UNKNOWN."""
+    try:
+        url = store.presigned_url(name) if isinstance(store, PresigningStore) else ""
+    except ValueError:
+        raise unknown_file() from None
+    if not url:
+        raise unknown_file()
+    return RedirectResponse(url, 307, {"Cache-Control": "private, no-store"})
 
 
 @router.get(

@@ -21,7 +21,7 @@ from services.gateway.routes.access_rules import ANYONE
 from services.gateway.schemas import problems
 from services.gateway.settings import GatewaySettings
 from services.storage.catalogue.entry import valid_key
-from services.storage.store import Store
+from services.storage.store import PresigningStore, Store
 
 router = APIRouter(tags=["pages"])
 
@@ -199,6 +199,7 @@ def _digest(script: str) -> str:
 
 
 def _origins(store: Store, settings: GatewaySettings) -> str:
-    """Return the origins that asset URLs may have: the CDN's, and this gateway's public URL."""
-    split = [urlsplit(url) for url in (store.url("assets/x"), settings.public_url)]
+    """Return the origins that asset URLs may have or lead to: the CDN's or the bucket's, this gateway's public URL."""
+    presigned = store.presigned_url("assets/x") if isinstance(store, PresigningStore) else ""
+    split = [urlsplit(url) for url in (store.url("assets/x"), presigned, settings.public_url)]
     return " ".join(dict.fromkeys(f"{parts.scheme}://{parts.netloc}" for parts in split if parts.netloc))

@@ -76,7 +76,8 @@ class _ReadRule(Rule):
         readers: ReadersCache = request.app.state.readers
         found = await readers.of(thing)
         is_own = thing.tenant == caller.tenant and Scope.READ in caller.scopes
-        visibility = found.visibility or (Visibility.PUBLIC if caller.via == "open" else Visibility.PRIVATE)
+        by_default = Visibility.PUBLIC if caller.via == "open" and is_own else Visibility.PRIVATE
+        visibility = found.visibility or by_default
         share = None
         if not is_own and not is_open(visibility):
             share = await self._share_of(request, thing, found)

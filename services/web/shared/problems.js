@@ -54,5 +54,11 @@ export function toProblem(error) {
  */
 export function sentences(error) {
   const { message, hints } = toProblem(error);
-  return [message, ...hints].join(' ');
+  return [message, ...hints].map(asSentence).join(' ');
 }
+
+/**
+ * A text with a capital letter and a full stop: the server's are parts of sentences.
+ * @param {string} text
+ */
+const asSentence = (text) => text.charAt(0).toUpperCase() + text.slice(1) + (/[.!?…]$/.test(text) ? '' : '.');

@@ -161,6 +161,15 @@ async def test_an_open_gateway_shows_all_to_everybody_as_before(tmp_path: Path) 
             assert "access-control-allow-origin" not in client_with_key.headers
 
 
+async def test_an_open_gateway_opens_no_other_tenants_things(tmp_path: Path) -> None:
+    store = LocalStore(tmp_path / "store")
+    publish_for(store, "ada", "dress")
+    make_key(tmp_path / "gw", "ada")
+    async with gateway(tmp_path / "gw", store, open=True) as client:
+        for path, code in ((ASSET, "ASSET_UNKNOWN"), (LIST, "COLLECTION_UNKNOWN")):
+            assert await code_of(await client.get(path, params=OF_ADA)) == (404, code)
+
+
 @pytest.mark.parametrize(
     ("path", "body", "code"),
     [

@@ -71,7 +71,7 @@ def test_a_link_is_opened_without_a_login_until_it_is_revoked(owner: Page, visit
     assert drawn(stage(visitor)) == 0
     visitor.goto(address)
     await_data(visitor, state="error", code="SHARE_REVOKED")
-    expect(visitor.locator("#said")).to_contain_text("ask whoever shared it for a new link")
+    expect(visitor.locator("#said")).to_contain_text("Ask whoever shared it for a new link.")
 
 
 def test_a_password_is_typed_and_things_may_be_moved(owner: Page, visitor: Page, guarded: GuardedSite) -> None:
