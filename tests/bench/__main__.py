@@ -25,7 +25,7 @@ BENCHES = {
     "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "service": "many people on one service: what keys cost, 10,000 tenants, turns in the queue, kills",
     "fuzz": "hostile files of every format: answers, CPU seconds, memory, what is left; resumable",
-    "uploads": "32 phones uploading 20 MB each: answers, gateway memory, latency of GET job",
+    "uploads": "32 phones of 20 MB each, plain and resumable: seconds, memory, latency; a film of 1 GB with 20 cuts",
 }
 ON_DEMAND = {
     "tables": "the paper's Tables 2 and 3 on the ShapeNet shapes, 3D scenes, DeepFashion3D that you have",

@@ -14,7 +14,7 @@ from services.storage.store import Store, list_all
 
 CHUNK_BYTES = 8 << 20
 """Bytes of a chunk: what a killed gateway can lose at most of what it received. S3 takes 0.1 s for so many."""
-_BATCH_BYTES = 256 << 10  # as batches come from a request
+_READ_BYTES = 2 << 20  # at once: 32 uploads that are finished hold 64 MB
 
 
 def chunk_name(upload: str, chunk: Chunk) -> str:
@@ -25,22 +25,27 @@ def chunk_name(upload: str, chunk: Chunk) -> str:
 async def read_chunks(store: Store, upload: str, chunks: Sequence[Chunk]) -> AsyncIterator[bytes]:
     """Yield the bytes of an upload in batches. Raises Problem UPLOAD_DAMAGED, STORE_UNAVAILABLE."""
     for chunk in chunks:
-        try:
-            data = await asyncio.to_thread(store.get, chunk_name(upload, chunk))
-        except FileNotFoundError:
-            raise _damaged() from None
-        except OSError as error:
-            raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
-        if len(data) != chunk.length:
-            raise _damaged()
-        for start in range(0, len(data), _BATCH_BYTES):
-            yield data[start : start + _BATCH_BYTES]
+        for start in range(0, chunk.length, _READ_BYTES):
+            length = min(_READ_BYTES, chunk.length - start)
+            yield await asyncio.to_thread(_read, store, chunk_name(upload, chunk), start, length)
 
 
 def delete_chunks(store: Store, upload: str) -> None:
     """Delete all objects of an upload, also those that were never acknowledged. Raises OSError."""
     for head in list_all(store, _prefix(upload)):
         store.delete(head.name)
+
+
+def _read(store: Store, name: str, start: int, length: int) -> bytes:
+    try:
+        data = store.get(name, start=start, length=length)
+    except FileNotFoundError:
+        raise _damaged() from None
+    except OSError as error:
+        raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
+    if len(data) != length:
+        raise _damaged()
+    return data
 
 
 def _prefix(upload: str) -> str:

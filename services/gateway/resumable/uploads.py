@@ -27,7 +27,7 @@ from services.gateway.resumable.store import LEASE_S, Chunk, Upload, UploadStore
 from services.gateway.uploads.receive import UploadBody
 from services.storage.store import Store
 
-_THREADS = 8  # that write chunks: mostly waiting for the disk or the network
+_THREADS = 3  # that write chunks: more would take the cores from other requests, and send no faster
 _FORM_FIELDS = ("name", "collection")
 
 _log = logging.getLogger(__name__)
