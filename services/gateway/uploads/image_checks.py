@@ -16,7 +16,8 @@ from services.gateway.uploads.sniff import Kind
 
 MAX_PIXELS = 100_000_000  # 300 MB decoded; phones' largest sensors have 200 megapixels, binned to 12 or 50
 _MAX_DECODED_PIXELS = 24_000_000  # larger images are not decoded fully: 72 MB each, on two threads
-_MAX_DECODED_BYTES = 400_000_000  # of a PNG: 100 megapixels with alpha, or 50 of 16 bits
+# Of a PNG: 66 megapixels, 50 with alpha, or 33 of 16 bits. Decoders keep two pictures, for animations.
+_MAX_DECODED_BYTES = 200_000_000
 _MAX_SCANS = 100  # of a JPEG; encoders write about ten
 # Of a JPEG, pixels × scans: its decoder visits all pixels in each scan, which takes 15 ms for 24 megapixels. 100
 # megapixels in 12 scans are fine.
@@ -43,7 +44,7 @@ def check_image(kind: Kind, path: Path, data: Buffer) -> None:
         limit = f"{MAX_PIXELS // 1_000_000} megapixels"
         raise TooLargeError(f"the image has {width:,} × {height:,} pixels; at most {limit} are allowed")
     if kind is Kind.PNG:
-        if (decoded := png.raw_bytes(data)) > _MAX_DECODED_BYTES:
+        if (decoded := max(png.raw_bytes(data), 3 * width * height)) > _MAX_DECODED_BYTES:
             limit = f"{_MAX_DECODED_BYTES // 1_000_000} MB"
             raise TooLargeError(f"the image's pixels take {decoded // 1_000_000:,} MB; at most {limit} are allowed")
         png.check_pixels(data)
