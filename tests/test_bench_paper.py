@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +29,21 @@ from tests.bench.shapes import DEFORMED, Row
 from tests.support import scenes, surfaces
 from tests.support.mesh_metrics import distances_to
 
+# As DCUDF2's network is laid out: its encoding is a local function.
+FIELDS = """
+import torch
+from models.embedder import get_embedder
+class UDFNetwork(torch.nn.Module):
+    def __init__(self, multires, **_):
+        super().__init__()
+        self.embed_fn_fine = get_embedder(multires)[0]
+        self.out = torch.nn.Linear(3, 1, bias=False)
+    def load_state_dict(self, stored):
+        super().load_state_dict(stored)
+        self.out = torch.nn.utils.weight_norm(self.out)
+    def forward(self, x):
+        return self.out(self.embed_fn_fine(x))
+"""
 DISK = Row("disk", partial(surfaces.disk), points=300, resolution=24)
 CELL = Cell(DISK, "paper", NetworkConfig(batch=BATCH, steps=40_000))
 BLUE, RED = (30, 70, 210), (255, 25, 15)
@@ -202,6 +218,25 @@ def test_the_quick_field_is_trained_and_written(tmp_path: Path) -> None:
     assert (values >= 0).all()
     assert np.allclose(np.linalg.norm(gradients, axis=1), 1, atol=1e-4)
     assert len(subject.points) == 1_000
+
+
+def test_the_garment_network_of_a_clone_is_written_and_read_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = tmp_path / "models"
+    checkpoints = tmp_path / "experiment" / "out_cloth_batch" / "564" / "checkpoints"
+    for folder in (models, checkpoints):
+        folder.mkdir(parents=True)
+    (models / "embedder.py").write_text("def get_embedder(count):\n    return (lambda x: x * count), 3\n")
+    (models / "fields.py").write_text(FIELDS)
+    torch.save({"udf_network_fine": {"out.weight": torch.ones(1, 3)}}, checkpoints / "ckpt_080000.pth")
+    monkeypatch.delenv("PEERS_PYTHON", raising=False)
+    assert peer_extraction._child("dump", str(tmp_path), Path("-"), tmp_path / "garment.pt", Path("-")) == ""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    values, _ = peer_extraction.NetworkField.read(tmp_path / "garment.pt")(np.array([[0, -0.5, 0], [0.25, 0, 0]]))
+    for name in ("models", "models.fields", "models.embedder"):
+        monkeypatch.delitem(sys.modules, name)
+    assert values.tolist() == [4, 2], "eight frequencies, and never negative"
 
 
 def test_mind_gets_its_own_number_of_points_a_face_up_to_a_limit() -> None:

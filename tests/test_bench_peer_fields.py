@@ -175,6 +175,14 @@ def test_a_process_that_takes_too_long_is_one_sentence() -> None:
     assert peer_fields.run_child("http.server", ["0"], timeout_s=0.2) == "not done after 0 s"
 
 
+def test_a_process_that_is_killed_names_the_signal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "python"
+    program.write_text("#!/bin/sh\necho a warning >&2\nkill -SEGV $$\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PEERS_PYTHON", str(program))
+    assert peer_fields.run_child("any", []) == "killed by SIGSEGV"
+
+
 def test_the_bench_is_listed() -> None:
     assert "peer-fields" in benches.ON_DEMAND
 

@@ -100,6 +100,21 @@ class Clamped(torch.nn.Module):
         return values
 
 
+class Embedding:
+    """The positional encoding of DCUDF2's network, which is a local function there and cannot be stored."""
+
+    def __init__(self, frequencies: int) -> None:
+        self._frequencies = frequencies
+        self._embed = importlib.import_module("models.embedder").get_embedder(frequencies)[0]
+
+    def __call__(self, points: torch.Tensor) -> torch.Tensor:
+        embedded: torch.Tensor = self._embed(points)
+        return embedded
+
+    def __reduce__(self) -> tuple[type[Embedding], tuple[int]]:
+        return type(self), (self._frequencies,)
+
+
 def _dump(folder: Path, target: Path) -> None:
     """Write the garment network that DCUDF2's repository carries, its weights without their norms."""
     # As it is imported elsewhere: what is stored names the module of its class.
@@ -110,6 +125,7 @@ def _dump(folder: Path, target: Path) -> None:
     for layer in network.children():
         if isinstance(layer, torch.nn.Linear):
             torch.nn.utils.remove_weight_norm(layer)
+    network.embed_fn_fine = module.Embedding(_GARMENT["multires"])
     torch.save(module.Clamped(network), target)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -153,6 +154,8 @@ def run_child(module: str, arguments: list[str], timeout_s: float | None = None)
         done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, cwd=ROOT, check=False)
     except subprocess.TimeoutExpired:
         return f"not done after {timeout_s:.0f} s"
+    if done.returncode < 0:
+        return f"killed by {signal.Signals(-done.returncode).name}"
     said = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]
     return said[-1].replace("|", "/")[:120] if done.returncode else ""
 
