@@ -105,6 +105,12 @@ class AccessStore:
         with self._engine.begin() as db:
             return dict(db.execute(sa.select(tenants.c.retention).where(tenants.c.name == tenant)).scalar() or {})
 
+    def retentions(self) -> dict[str, dict[str, int]]:
+        """Return what `retention` returns, of every tenant for which something was set."""
+        select = sa.select(tenants.c.name, tenants.c.retention).where(tenants.c.retention.is_not(None))
+        with self._engine.begin() as db:
+            return {row.name: dict(row.retention) for row in db.execute(select) if row.retention}
+
     def set_retention(self, tenant: str, days: Mapping[str, int]) -> None:
         """Set after how many days what of a tenant is deleted, in place of what held before."""
         with self._writer.begin() as db:

@@ -113,12 +113,8 @@ class TenantData:
 
     async def apply_retention(self, now: float) -> None:
         """Delete what every tenant wants to keep no longer. Raises OSError, SQLAlchemyError."""
-        after, access = "", self.authentication.store
-        while page := await self._run(lambda after=after: access.list_tenants(limit=_PAGE, after=after)):  # type: ignore[misc]
-            for tenant in page:
-                days = await self._run(lambda name=tenant.name: access.retention(name))  # type: ignore[misc]
-                await self._apply(tenant.name, Retention(**days), now)
-            after = page[-1].name
+        for tenant, days in (await self._run(self.authentication.store.retentions)).items():
+            await self._apply(tenant, Retention(**days), now)
 
     async def _apply(self, tenant: str, retention: Retention, now: float) -> None:
         own = store_of_tenant(self.store, tenant)
