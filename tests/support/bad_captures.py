@@ -187,8 +187,8 @@ BAD: dict[str, Bad] = {
         "depth/00001.png",
         recording(lambda folder: (folder / "depth/00001.png").write_bytes(private_pictures.huge_png(60_000, 60_000))),
     ),
-    "a depth image that unpacks to 200 MB": Bad(
-        "CAPTURE_BAD_INTRINSICS",
+    "a depth image that unpacks to more than 200 MB": Bad(
+        "IMAGE_TOO_LARGE",
         "depth/00001.png",
         recording(lambda folder: (folder / "depth/00001.png").write_bytes(_dark_png(9_900))),
     ),

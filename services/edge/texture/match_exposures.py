@@ -23,6 +23,7 @@ _DARK, _BRIGHT = 0.01, 0.9  # linear light that is compared: darker or brighter 
 _TONE = 0.5  # power of light that is about proportional to tones: they have the same noise, bright and dark
 _TIE = 0.1  # weight of the points beside a photo: they decide only what the photos leave open
 _ROBUST = 2.0  # residuals of more than so many standard deviations count less (Cauchy)
+_LEAST_SPREAD = 0.002  # of residuals, in tones: what 8 bits leave. The points' tie stays where a photo has no neighbour
 _ROUNDS = 6  # of least squares, each with weights by the residuals of the one before
 _MOST_GAIN = 3.0  # and least 1/3: a photo that differs more shows something else
 _DAMPING = 1e-9  # share of the matrix' trace, added to its diagonal: a photo that sees nothing has gain 1
@@ -43,8 +44,8 @@ def match_exposures(shown: Floats, quality: Floats, known: Floats) -> Floats:
     seen = seen[chosen]
     if not len(chosen):
         return np.ones(shown.shape[1:], np.float32)
-    weight = np.column_stack([np.where(seen, quality, 0), np.full(len(seen), _TIE, np.float32)])
-    y = np.log(np.maximum(np.concatenate([shown, known[:, None]], axis=1), _DARK)).astype(np.float32)
+    weight = np.column_stack([np.where(seen, quality, 0), np.full(len(seen), _TIE)])
+    y = np.log(np.maximum(np.concatenate([shown, known[:, None]], axis=1), _DARK)).astype(np.float64)
     gains = np.stack([_log_gains(y[..., band], weight, seen) for band in range(shown.shape[2])], axis=1)
     return np.exp(np.clip(gains, -np.log(_MOST_GAIN), np.log(_MOST_GAIN))).astype(np.float32)
 
@@ -62,12 +63,12 @@ def _log_gains(y: Floats, weight: Floats, seen: Bools) -> Floats:
     size = np.exp(_TONE * y[:, -1:])
     weight = weight * size**2
     trusted = weight
-    gains = np.zeros(y.shape[1], np.float32)
+    gains = np.zeros(y.shape[1])
     for _ in range(_ROUNDS):
         gains[:-1] = _least_squares(y, trusted)
         corrected = y + gains
         residual = size * (corrected - _means(corrected, trusted)[:, None])
-        spread = 1.4826 * float(np.median(np.abs(residual[:, :-1][seen]))) + 1e-6
+        spread = max(1.4826 * float(np.median(np.abs(residual[:, :-1][seen]))), _LEAST_SPREAD)
         trusted = weight / (1 + np.square(residual / (_ROBUST * spread)))
     used = np.flatnonzero(seen.any(axis=0))
     usual = [float(np.median(y[seen[:, number], -1] - y[seen[:, number], number])) for number in used]
@@ -84,7 +85,7 @@ def _means(y: Floats, weight: Floats) -> Floats:
 def _least_squares(y: Floats, weight: Floats) -> Floats:
     """(N,) g that minimise Σ w r², the last column's g being 0: the normal equations without the a_p."""
     share = weight / weight.sum(axis=1, keepdims=True)
-    matrix = np.diag(weight.sum(axis=0)).astype(np.float64) - weight.T @ share
+    matrix = np.diag(weight.sum(axis=0)) - weight.T @ share
     right = -np.einsum("pn,pn->n", weight, y - _means(y, weight)[:, None])
     matrix[np.diag_indices(len(matrix))] += _DAMPING * np.trace(matrix)
     return np.asarray(np.linalg.solve(matrix[:-1, :-1], right[:-1]))

@@ -58,3 +58,13 @@ def test_a_photo_that_shares_nothing_is_matched_to_the_points_and_one_that_sees_
     found = match_exposures(seen_with(gains, light, quality), quality, light)
     np.testing.assert_allclose(found, np.where(np.arange(PHOTOS)[:, None] == 3, 1, gains), rtol=1e-3)
     np.testing.assert_array_equal(match_exposures(np.zeros((5, 2, 3)), np.zeros((5, 2)), np.ones((5, 3))), 1)
+
+
+@given(seed=st.integers(0, 10_000), gain=st.floats(0.6, 1.6), noise=st.floats(0, 0.5))
+def test_a_single_photo_gets_its_median_gain(seed: int, gain: float, noise: float) -> None:
+    """It has nobody to agree with, so its weight against the points must not grow without bound."""
+    rng = np.random.default_rng(seed)
+    light = rng.uniform(0.15, 0.3, (PLACES, 3))
+    shown = light[:, None] / gain * np.exp(noise * rng.standard_normal((PLACES, 1, 3)))
+    found = match_exposures(shown.astype(np.float32), np.ones((PLACES, 1), np.float32), light.astype(np.float32))
+    np.testing.assert_allclose(found, gain, rtol=0.1)
