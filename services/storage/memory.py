@@ -26,6 +26,7 @@ class MemoryStore:
         cache_control: str = IMMUTABLE,
         if_match: str | None = None,
         if_absent: bool = False,
+        link: bool = False,
     ) -> Head:
         content = data.read_bytes() if isinstance(data, Path) else bytes(data)
         etag = hashlib.sha256(content).hexdigest()

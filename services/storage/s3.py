@@ -99,6 +99,7 @@ class S3Store:
         cache_control: str = IMMUTABLE,
         if_match: str | None = None,
         if_absent: bool = False,
+        link: bool = False,
     ) -> Head:
         headers = {"ContentType": content_type, "CacheControl": cache_control}
         size = data.stat().st_size if isinstance(data, Path) else len(data)

@@ -62,8 +62,13 @@ class Store(Protocol):
         cache_control: str = IMMUTABLE,
         if_match: str | None = None,
         if_absent: bool = False,
+        link: bool = False,
     ) -> Head:
-        """Write an object. Raises ConditionFailed unless its etag is `if_match`, or it does not exist (`if_absent`)."""
+        """Write an object. Raises ConditionFailed unless its etag is `if_match`, or it does not exist (`if_absent`).
+
+        link  nobody will change the file at `data` any more, only delete it: a store may keep a hard link to it instead
+              of a copy
+        """
         ...
 
     def get(self, name: str, *, start: int = 0, length: int | None = None) -> bytes:

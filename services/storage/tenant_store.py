@@ -72,6 +72,7 @@ class PrefixStore:
         cache_control: str = IMMUTABLE,
         if_match: str | None = None,
         if_absent: bool = False,
+        link: bool = False,
     ) -> Head:
         head = self._store.put(
             self._full(name),
@@ -80,6 +81,7 @@ class PrefixStore:
             cache_control=cache_control,
             if_match=if_match,
             if_absent=if_absent,
+            link=link,
         )
         return self._own(head)
 

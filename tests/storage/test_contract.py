@@ -67,6 +67,17 @@ def test_a_file_goes_in_and_comes_out(store: Store, tmp_path: Path) -> None:
     assert target.read_bytes() == source.read_bytes()
 
 
+def test_a_file_that_may_be_linked_can_be_deleted(store: Store, tmp_path: Path) -> None:
+    source = tmp_path / "in"
+    source.write_bytes(b"1" * 1_000)
+    store.put("a", b"before", content_type=TEXT)
+    linked = store.put("a", source, content_type=TEXT, link=True)
+    copied = store.put("b", source, content_type=TEXT)
+    source.unlink()
+    assert store.get("a") == b"1" * 1_000
+    assert store.head("a").etag == linked.etag == copied.etag
+
+
 def test_a_big_file_goes_in_parts(store: Store, tmp_path: Path) -> None:
     source, target = tmp_path / "in", tmp_path / "out"
     source.write_bytes(bytes(range(256)) * (33 * 4096) + b"tail")  # 33 MiB and a bit: three parts on S3

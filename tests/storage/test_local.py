@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import shutil
@@ -69,9 +70,29 @@ def test_what_a_dead_process_left_is_removed_when_it_is_old(store: LocalStore) -
     assert [file.name for file in (store.root / ".tmp").iterdir()] == ["young"]
 
 
-def test_a_failed_put_leaves_nothing(store: LocalStore, tmp_path: Path) -> None:
+def test_a_file_is_linked_where_that_is_allowed_and_its_disk_can(
+    store: LocalStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "in"
+    source.write_bytes(b"1")
+    for name, link in (("copied", False), ("linked", True), ("linked", True)):
+        store.put(name, source, content_type=TEXT, link=link)
+        assert store.path(name).samefile(source) is link
+
+    def other_disk(*_: object) -> None:
+        raise OSError(errno.EXDEV, "Invalid cross-device link")
+
+    monkeypatch.setattr(Path, "hardlink_to", other_disk)
+    store.put("linked", source, content_type=TEXT, link=True)
+    assert not store.path("linked").samefile(source)
+    assert store.get("linked") == b"1"
+    assert list((store.root / ".tmp").iterdir()) == []
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_a_failed_put_leaves_nothing(store: LocalStore, tmp_path: Path, link: bool) -> None:
     with pytest.raises(FileNotFoundError):
-        store.put("a", tmp_path / "absent", content_type=TEXT)
+        store.put("a", tmp_path / "absent", content_type=TEXT, link=link)
     assert list((store.root / ".tmp").iterdir()) == []
     assert store.list("") == []
 

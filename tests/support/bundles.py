@@ -55,12 +55,19 @@ class CrashingStore:
         cache_control: str = IMMUTABLE,
         if_match: str | None = None,
         if_absent: bool = False,
+        link: bool = False,
     ) -> Head:
         self._left -= 1
         if self._left == 0 and not self._after:
             raise Crash(name)
         head = self._inner.put(
-            name, data, content_type=content_type, cache_control=cache_control, if_match=if_match, if_absent=if_absent
+            name,
+            data,
+            content_type=content_type,
+            cache_control=cache_control,
+            if_match=if_match,
+            if_absent=if_absent,
+            link=link,
         )
         if self._left == 0:
             raise Crash(name)

@@ -30,9 +30,12 @@ def new_capture() -> str:
 
 
 def put_private(store: Store, name: str, data: bytes | Path, content_type: str) -> None:
-    """Write an object that only this service reads. Raises Problem STORE_UNAVAILABLE, OSError on a full disk."""
+    """Write an object that only this service reads; a file is not to be changed afterwards.
+
+    Raises Problem STORE_UNAVAILABLE, OSError on a full disk.
+    """
     try:
-        store.put(name, data, content_type=content_type, cache_control="private, no-store")
+        store.put(name, data, content_type=content_type, cache_control="private, no-store", link=True)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise

@@ -6,7 +6,6 @@ import asyncio
 import errno
 import logging
 import secrets
-import tempfile
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +13,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.requests import ClientDisconnect
@@ -159,9 +158,9 @@ class ResumableUploads:
         """Run a call of the object store or a write to the disk on a thread."""
         return await asyncio.get_running_loop().run_in_executor(self._chunks, work)
 
-    def spool(self) -> Any:
-        """Open a temporary file for a chunk."""
-        return tempfile.NamedTemporaryFile(prefix="chunk-", dir=self._staging)
+    def new_spool(self) -> Path:
+        """Return the path of a new temporary file for a chunk."""
+        return self._staging / f"chunk-{secrets.token_hex(8)}"
 
     async def _renew(self, upload: str, finisher: str) -> None:
         while True:
@@ -182,8 +181,8 @@ class _Receiver:
         self._part = part
         self._store = store
         self._end = upload.received  # of what is in chunks on the store
-        self._spool = uploads.spool()
-        self._spooled = 0
+        self._spool = uploads.new_spool()
+        self._spooled = 0  # bytes
         self._held: list[Chunk] = []  # on the store, but not acknowledged yet
         self._hasher = part.checksum.hasher() if part.checksum else None
 
@@ -217,12 +216,13 @@ class _Receiver:
 
     async def close(self) -> None:
         """Remove the temporary file, and chunks that were not acknowledged."""
-        self._spool.close()
+        self._spool.unlink(missing_ok=True)
         for chunk in self._held:
             await self._uploads.on_thread(partial(self._store.delete, chunk_name(self._upload.id, chunk)))
 
     def _write(self, batch: bytes) -> None:
-        self._spool.write(batch)
+        with self._spool.open("ab") as file:
+            file.write(batch)
         self._spooled += len(batch)
         if self._hasher is not None:
             self._hasher.update(batch)
@@ -240,10 +240,8 @@ class _Receiver:
             await self._acknowledge()
 
     def _put(self, chunk: Chunk) -> None:
-        self._spool.flush()
-        put_private(self._store, chunk_name(self._upload.id, chunk), Path(self._spool.name), MEDIA_TYPE)
-        self._spool.seek(0)
-        self._spool.truncate()
+        put_private(self._store, chunk_name(self._upload.id, chunk), self._spool, MEDIA_TYPE)
+        self._spool.unlink()  # the store may have a link to it: the next chunk is another file
 
     async def _acknowledge(self) -> None:
         """Acknowledge the chunks that are held. Raises Problem UPLOAD_LOCKED."""
