@@ -14,6 +14,7 @@ from services.cli.errors import BadInput, printable
 from services.cli.gateway import app as gateway
 from services.cli.keys import app as keys
 from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Open, Trusted, parse_box
+from services.cli.shares import app as shares
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.strict_settings import SettingsError
 
@@ -26,6 +27,7 @@ app = typer.Typer(
 app.add_typer(catalogue, name="catalogue")
 app.add_typer(gateway, name="gateway")
 app.add_typer(keys, name="keys")
+app.add_typer(shares, name="shares")
 
 FillChoice = Literal["none", "unseen", "all"]
 CutChoice = Literal["auto", "object", "scene"]
