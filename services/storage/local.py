@@ -108,16 +108,15 @@ class LocalStore:
         return _head(name, stat, meta)
 
     def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
-        names = sorted(name for name in self._names(prefix) if name.startswith(prefix) and name > after)
         heads: list[Head] = []
-        for name in names:
-            if len(heads) == limit:
-                break
+        for name in self._names(prefix, after):
             try:
                 head = self.head(name)
             except FileNotFoundError:
                 continue  # deleted since the folder was read
             heads.append(Head(head.name, head.size, head.etag, "", "", head.modified))
+            if len(heads) == limit:
+                break
         return heads
 
     def delete(self, name: str) -> None:
@@ -190,17 +189,18 @@ class LocalStore:
             self._write_meta(name, meta)
         return meta
 
-    def _names(self, prefix: str) -> Iterator[str]:
-        """Yield object names that may begin with `prefix`, walking only the deepest folder that the prefix names."""
+    def _names(self, prefix: str, after: str) -> Iterator[str]:
+        """Yield the names of objects that begin with `prefix` and sort behind `after`, in order.
+
+        Only folders that have such names are read, one when it is come to: a page of a store of millions costs as much
+        as one of a few.
+        """
         top = prefix.rpartition("/")[0]
         try:
             start = self.path(top) if top else self.root
         except ValueError:
             return  # no object has such a name
-        for folder, folders, files in os.walk(start):
-            folders[:] = [each for each in folders if not each.startswith(".")]
-            relative = Path(folder).relative_to(self.root)
-            yield from ((relative / file).as_posix() for file in files if not file.startswith("."))
+        yield from _names_in(start, f"{top}/" if top else "", prefix, after)
 
     def _remove_abandoned(self) -> None:
         for file in (self.root / ".tmp").iterdir():
@@ -209,6 +209,26 @@ class LocalStore:
                     file.unlink()
             except FileNotFoundError:
                 continue  # another process was faster
+
+
+def _names_in(folder: Path, named: str, prefix: str, after: str) -> Iterator[str]:
+    """Yield the names below a folder, whose own name is `named`, as `LocalStore._names` does."""
+    try:
+        with os.scandir(folder) as entries:
+            # A folder's slash is sorted with its name: "a-b" stands before "a/b", and "a0" behind it.
+            found = sorted(
+                f"{named}{entry.name}{'/' if entry.is_dir(follow_symlinks=False) else ''}"
+                for entry in entries
+                if entry.name[0] != "."
+            )
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    for name in found:
+        if not name.endswith("/"):
+            if name.startswith(prefix) and name > after:
+                yield name
+        elif (name.startswith(prefix) or prefix.startswith(name)) and (name > after or after.startswith(name)):
+            yield from _names_in(folder / name[len(named) :], name, prefix, after)
 
 
 def _head(name: str, stat: os.stat_result, meta: _Meta) -> Head:

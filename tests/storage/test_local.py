@@ -9,10 +9,13 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from services.storage.bundle import sha256_hex
 from services.storage.local import LocalStore
@@ -87,6 +90,49 @@ def test_a_file_is_linked_where_that_is_allowed_and_its_disk_can(
     assert not store.path("linked").samefile(source)
     assert store.get("linked") == b"1"
     assert list((store.root / ".tmp").iterdir()) == []
+
+
+NAMES = st.lists(st.sampled_from(["a", "b", "a-b", "a.b", "ab", "A", "0", "b0"]), min_size=1, max_size=3).map("/".join)
+
+
+def _placed(root: Path, names: set[str]) -> list[str]:
+    """Write these names' files, but for those whose folder is a file already; sorted."""
+    placed = []
+    for name in sorted(names):
+        if not any(f"{each}/" == name[: len(each) + 1] for each in placed):
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).write_bytes(b"1")
+            placed.append(name)
+    return placed
+
+
+@given(
+    names=st.sets(NAMES),
+    prefix=st.one_of(st.just(""), NAMES, NAMES.map("{}/".format)),
+    after=st.one_of(st.just(""), NAMES),
+)
+def test_a_listing_is_the_sorted_names_with_the_prefix_behind_the_last(
+    names: set[str], prefix: str, after: str
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        store = LocalStore(Path(folder))
+        placed = _placed(store.root, names)
+        expected = [name for name in placed if name.startswith(prefix) and name > after]
+        assert [head.name for head in store.list(prefix, after=after)] == expected
+        assert [head.name for head in store.list(prefix, after=after, limit=2)] == expected[:2]
+
+
+def test_a_page_reads_only_the_folders_it_needs(store: LocalStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number in range(50):
+        store.put(f"tenants/t{number:02}/a/1", b"1", content_type=TEXT)
+    read: list[str] = []
+    scandir = os.scandir
+    monkeypatch.setattr(os, "scandir", lambda folder: read.append(str(folder)) or scandir(folder))
+    assert [head.name for head in store.list("", after="tenants/t30/a/0", limit=2)] == [
+        "tenants/t30/a/1",
+        "tenants/t31/a/1",
+    ]
+    assert len(read) == 6  # the root, tenants, and two of each tenant
 
 
 @pytest.mark.parametrize("link", [False, True])
