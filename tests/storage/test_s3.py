@@ -109,5 +109,9 @@ def test_a_private_bucket_is_read_by_presigned_urls_alone(
         assert answer.headers["Cache-Control"] == "private, max-age=60"
         assert answer.headers["Access-Control-Allow-Origin"] == "*"
         assert answer.url.host == httpx.URL(s3_server.endpoint).host
+        head = httpx.head(file, headers=key)
+        assert (head.status_code, head.headers["Content-Length"]) == (200, str(len(answer.content)))
+        assert head.headers["ETag"] == answer.headers["ETag"]
+        assert httpx.head(f"{file}x", headers=key).status_code == 404
         policy = httpx.get(f"{url}/view/dress").headers["Content-Security-Policy"]
         assert s3_server.endpoint in policy

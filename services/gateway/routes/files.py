@@ -41,7 +41,9 @@ async def get_file(name: str, request: Request) -> Response:
     """Get a file of an asset, or a part of it with a Range header. Files under `assets/` never change."""
     store: Store = request.app.state.store
     if not isinstance(store, LocalStore):
-        return _redirect(store, name)
+        redirect = _redirect(store, name)
+        # A presigned URL is good for GET alone.
+        return await _headers_alone(store, name, request) if request.method == "HEAD" else redirect
     try:
         head = await in_thread(lambda: store.head(name))
     except (FileNotFoundError, ValueError):
@@ -65,6 +67,16 @@ def _redirect(store: Store, name: str) -> Response:
     if not url:
         raise unknown_file()
     return RedirectResponse(url, 307, {"Cache-Control": "private, no-store"})
+
+
+async def _headers_alone(store: Store, name: str, request: Request) -> Response:
+    """Answer HEAD for an object that is read elsewhere. Raises Problem FILE_UNKNOWN."""
+    try:
+        head = await in_thread(lambda: store.head(name))
+    except FileNotFoundError:
+        raise unknown_file() from None
+    headers = {**_file_headers(head, head.etag, request), "Accept-Ranges": "bytes", "Content-Length": str(head.size)}
+    return Response(headers=headers, media_type=head.content_type)
 
 
 @router.get(

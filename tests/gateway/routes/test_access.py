@@ -209,7 +209,10 @@ class TestSessions:
         async with gateway(tmp_path / "gw", memory()) as client:
             good = (await client.post("/v1/session", json={"key": secret})).cookies["c2v_session"]
             client.cookies.clear()
-            for bad in (good[:-1] + ("a" if good[-1] != "a" else "b"), "x" + good, "nonsense", good.split(".")[0]):
+            told, _, signature = good.rpartition(".")
+            # The first letter: two bits of the last one are no part of the signature.
+            altered = f"{told}.{'a' if signature[0] != 'a' else 'b'}{signature[1:]}"
+            for bad in (altered, "x" + good, "nonsense", good.split(".")[0]):
                 answer = await client.get("/v1/jobs", headers={"Cookie": f"c2v_session={bad}"})
                 assert await code_of(answer) == (401, "SESSION_INVALID")
             assert (await client.get("/livez")).status_code == 200
