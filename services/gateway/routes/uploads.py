@@ -149,6 +149,8 @@ async def continue_upload(upload: UploadId, request: Request) -> Response:
         raise Problem(409, "UPLOAD_OFFSET", detail, hints=("go on from Upload-Offset",), headers=answer)
     if found.received < found.length:
         found = await _append(request, found)
+    elif await _has_body(request):
+        raise too_long(found)
     return Response(status_code=204, headers=protocol.state_headers(found))
 
 
@@ -217,6 +219,14 @@ async def _make_capture(request: Request, upload: Upload, store: Store, box: Pho
         size = await in_thread(lambda: read_receipt(store, lambda receipt: int(receipt["bytes"]), held.capture))
         await usage.add(caller.tenant, size - held.length)
     return held
+
+
+async def _has_body(request: Request) -> bool:
+    """Whether a request's body has any bytes. Raises ClientDisconnect."""
+    async for block in request.stream():
+        if block:
+            return True
+    return False
 
 
 async def _append(request: Request, upload: Upload) -> Upload:

@@ -15,7 +15,7 @@ from typing import Any
 import httpx
 import pytest
 from fastapi import FastAPI
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.gateway.app import create_app
@@ -106,6 +106,7 @@ _STEPS = st.lists(
 
 
 @settings(max_examples=25)
+@example(size=60, steps=[("whole", 1.0, 0, "sha1"), ("too long", 0.0, 1, "sha1")], kind="memory")
 @given(size=st.integers(60, 2_500_000), steps=_STEPS, kind=st.sampled_from(["memory", "local"]))
 def test_whatever_is_cut_the_bytes_are_those_that_were_sent(
     size: int, steps: list[tuple[str, float, int, str]], kind: str, tmp_path_factory: pytest.TempPathFactory
@@ -119,6 +120,7 @@ async def _send_in_steps(folder: Path, store: Store, size: int, steps: list[tupl
     data = cloud(size)
     async with site(folder, store, gateways=2) as found:
         upload = await created(found.client, size, filename="scan.ply", name="Scan")
+        quiet = True  # a gateway may still be storing a part that was cut, whatever is sent after it
         for kind, share, gateway, algorithm in steps:
             client = found.clients[gateway]
             before = await offset_of(client, upload)
@@ -126,9 +128,10 @@ async def _send_in_steps(folder: Path, store: Store, size: int, steps: list[tupl
             await _send_part(client, upload, before, part, (kind, algorithm))
             after = await offset_of(found.clients[1 - gateway], upload)
             assert before <= after <= size, "what was acknowledged stays"
-            if kind in ("wrong checksum", "wrong offset"):
+            quiet = quiet and not kind.startswith("cut")
+            if quiet and kind in ("wrong checksum", "wrong offset"):
                 assert after == before
-            if kind == "checksum":
+            if quiet and kind == "checksum":
                 assert after == before + len(part)
         receipt = await _complete(found, upload, data)
         assert found.files(receipt) == {"scan.ply": data}
@@ -146,8 +149,10 @@ async def _send_part(client: httpx.AsyncClient, upload: str, offset: int, part: 
     elif kind == "cut with checksum":
         await cut(client, upload, offset, part, len(part) // 2, proof)
     elif kind == "checksum":
-        while (answer := await patch(client, upload, await offset_of(client, upload), part, proof)).status_code != 204:
+        while (answer := await patch(client, upload, offset, part, proof)).status_code != 204:
             assert answer.status_code in (409, 423), answer.text
+            if await offset_of(client, upload) != offset:
+                break
     elif kind == "wrong checksum":
         answer = await patch(client, upload, offset, part, {"Upload-Checksum": checksum(algorithm, part + b"x")})
         assert not part or code(answer) in ((460, "UPLOAD_CHECKSUM"), (423, "UPLOAD_LOCKED"), (409, "UPLOAD_OFFSET"))
