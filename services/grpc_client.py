@@ -86,14 +86,19 @@ class GrpcClient:
         address: str,
         credentials: ClientCredentials = NO_CREDENTIALS,
         *,
+        name: str = "",
         silence_s: float = SILENCE_S,
         run_s: float = RUN_S,
     ) -> None:
-        """silence_s: longest time between two messages of a stream; run_s: deadline of a whole run."""
+        """silence_s: longest time between two messages of a stream; run_s: deadline of a whole run.
+
+        name  what the worker's certificate must be for, where that is not the host of `address`
+        """
         self.address = address
         self._silence_s = silence_s
         self._run_s = run_s
-        self._channel = credentials.aio_channel(address, _CHANNEL_OPTIONS)
+        named = (("grpc.ssl_target_name_override", name),) if name else ()
+        self._channel = credentials.aio_channel(address, (*_CHANNEL_OPTIONS, *named))
         self._stub: Any = edge_pb2_grpc.EdgeReconstructionStub(self._channel)  # type: ignore[no-untyped-call]
 
     async def worker(self, timeout_s: float, *, wait_for_ready: bool = False) -> pb.Worker:

@@ -8,7 +8,7 @@ import logging
 import signal
 import socket
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -34,7 +34,7 @@ from services.gateway.connections import ConnectionLimits, LimitedProtocol
 from services.gateway.database import open_engine
 from services.gateway.dispatch.dispatcher import Dispatcher
 from services.gateway.dispatch.run_supervisor import Dependencies
-from services.gateway.instance_lock import FolderInUse, lock_instance
+from services.gateway.instance_lock import FolderInUse, Instance, lock_instance, lock_replica
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
@@ -173,10 +173,10 @@ def _add_openapi(app: FastAPI) -> None:
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    settings: GatewaySettings = app.state.settings
     workers: WorkerPool = app.state.workers
     async with AsyncExitStack() as stack:
-        holder = stack.enter_context(lock_instance(settings.data_dir))
+        instance = stack.enter_context(_lock(app.state.settings))
+        settings = app.state.settings = app.state.settings.model_copy(update={"data_dir": instance.folder})
         engine = open_engine(settings.database)
         stack.callback(engine.dispose)
         app.state.check_processes.start()
@@ -221,7 +221,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             app.state.deliveries,
             resumable.database,
         )
-        app.state.dispatcher = Dispatcher(dependencies, holder=holder, lease_s=settings.lease_s)
+        app.state.dispatcher = Dispatcher(dependencies, holder=instance.id, lease_s=settings.lease_s)
         for background in (
             app.state.dispatcher.run(),
             job_store.watch_other_gateways(),
@@ -236,6 +236,11 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             task.add_done_callback(_report_death)
             stack.push_async_callback(_stop, task)
         yield
+
+
+def _lock(settings: GatewaySettings) -> AbstractContextManager[Instance]:
+    """Lock the data folder: for this gateway alone, or beside others that share a database server."""
+    return (lock_instance if settings.database.startswith("sqlite") else lock_replica)(settings.data_dir)
 
 
 def _scrub_days(app: FastAPI) -> float:
@@ -261,7 +266,7 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     configure(settings.log_level)
     try:
         app = create_app(settings, store, keys)
-        with lock_instance(settings.data_dir):
+        with _lock(settings):
             refuse_without_keys(settings)
         listening = _listen(settings)
     # ImportError: the database's driver is not installed

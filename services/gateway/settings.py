@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
+from services.gateway.worker_addresses import check_worker_address
 from services.grpc_security import ClientCredentials, read_client_credentials
 from services.strict_settings import LOOPBACK, CommaList, StrictSettings
 
@@ -22,7 +23,7 @@ class GatewaySettings(StrictSettings):
     published_host: str = ""
     open: bool = False  # let everybody in without an access key, also from other machines
     data_dir: Path = Path("capture2vr-data")  # jobs database and staged uploads
-    workers: CommaList = ("127.0.0.1:50051",)
+    workers: CommaList = ("127.0.0.1:50051",)  # dns:///HOST:PORT: all addresses behind a name
     edge_ca: Path | None = None  # CA certificates (PEM) that verify the workers' certificates; none: gRPC without TLS
     edge_token: SecretStr = SecretStr("")  # the workers' EDGE_TOKEN; needs edge_ca
     public_url: str = ""  # URL by which phones and headsets reach this gateway; empty: the one of the request
@@ -63,6 +64,11 @@ class GatewaySettings(StrictSettings):
     max_attempts: int = Field(default=5, ge=1)  # runs of one job that may end with a lost worker
     # Used until a worker has reported its presets; the first is the default.
     presets: CommaList = ("auto", "draft", "standard", "fine", "scene")
+
+    @field_validator("workers")
+    @classmethod
+    def _check_workers(cls, workers: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(map(check_worker_address, workers))
 
     @property
     def database(self) -> str:

@@ -9,13 +9,15 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import AsyncGenerator, Sequence
-from contextlib import aclosing
+from collections import Counter
+from collections.abc import AsyncGenerator, Iterator, Sequence
+from contextlib import aclosing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import grpc
 
+import services
 from services.edge.api import edge_pb2 as pb
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job
@@ -29,6 +31,7 @@ from services.gateway.jobs.reports import (
     VersionPublished,
 )
 from services.gateway.jobs.state_machine import problem_of
+from services.gateway.worker_addresses import WorkerAddresses, target_and_name
 from services.gateway.worker_types import (
     RunKnown,
     RunUnknown,
@@ -71,7 +74,10 @@ class Inspection:
 
 
 class WorkerPool:
-    """The workers named in the settings, each with one gRPC channel that is opened at first use."""
+    """The workers named in the settings, each with one gRPC channel that is opened at first use.
+
+    A worker that its name no longer resolves to gets no new jobs; its channel is closed when the last run on it ended.
+    """
 
     def __init__(
         self,
@@ -82,17 +88,29 @@ class WorkerPool:
         credentials: ClientCredentials = NO_CREDENTIALS,
     ) -> None:
         """silence_s: a stream without a message for so long counts as dead; job_timeout_s: deadline of a whole run"""
-        self.addresses = tuple(addresses)
+        self._addresses = WorkerAddresses(addresses)
         self._presets_by_worker: dict[str, tuple[WorkerPreset, ...]] = {}
         self._silence_s = silence_s
         self._job_timeout_s = job_timeout_s
         self._credentials = credentials
         self._clients: dict[str, GrpcClient] = {}
-        self._faults: dict[str, grpc.StatusCode] = {}
+        self._calls: Counter[str] = Counter()  # long calls that go on, by address
+        self._faults: dict[str, grpc.StatusCode | str] = {}
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """Addresses of all workers, as far as they are known."""
+        return self._addresses.current
+
+    @property
+    def unresolved(self) -> tuple[str, ...]:
+        """Names in the settings that resolve to no address."""
+        return self._addresses.unresolved
 
     @property
     def presets(self) -> dict[str, WorkerPreset]:
-        """Presets of all workers that have ever answered, by name. Includes workers that are away: they may come back.
+        """Presets of all known workers that have ever answered, by name, of those that are away too: they may come
+        back.
 
         Where several workers offer a preset, the one with the largest memory_bytes is returned.
         """
@@ -106,11 +124,14 @@ class WorkerPool:
     async def poll(self) -> tuple[WorkerStatus, ...]:
         """Ask all workers for their status, and remember their presets.
 
-        Returns those that answer within a second, in the settings' order.
+        Returns those that answer within a second, in the settings' order. Not all are compatible.
         """
+        await self._addresses.refresh()
+        await self._close_unused()
         answers = await asyncio.gather(*map(self._status, self.addresses))
         found = tuple(status for status in answers if status is not None)
-        self._presets_by_worker.update({status.address: status.presets for status in found})
+        usable = [status for status in found if status.is_compatible]
+        self._presets_by_worker.update({status.address: status.presets for status in usable})
         return found
 
     async def inspect(self, archive: Path, box: PhotoBox | None = None) -> Inspection | None:
@@ -118,9 +139,11 @@ class WorkerPool:
 
         box  rectangle around the thing in a single photo
         """
-        for status in sorted(await self.poll(), key=lambda status: (status.draining, -status.free_slots)):
+        usable = [status for status in await self.poll() if status.is_compatible]
+        for status in sorted(usable, key=lambda status: (status.draining, -status.free_slots)):
             try:
-                return await self._inspect(status.address, archive, box)
+                with self._calling(status.address) as client:
+                    return await _inspect(client, archive, box)
             except (WorkerBusy, WorkerLost):
                 continue
         return None
@@ -132,39 +155,42 @@ class WorkerPool:
 
         Raises WorkerBusy, WorkerLost, RunKnown, Problem, and whatever reading `data` raises.
         """
-        async with aclosing(_reports(self._client(address).reconstruct(_header(job, size), data))) as reports:
-            async for report in reports:
-                yield report
+        with self._calling(address) as client:
+            async with aclosing(_reports(client.reconstruct(_header(job, size), data))) as reports:
+                async for report in reports:
+                    yield report
 
     async def follow(self, address: str, job: Job, after_seq: int, give_up_s: float) -> AsyncGenerator[Report, None]:
         """Yield a run's reports after number `after_seq`, up to `RunFailed` or `RunFinished`, reconnecting if needed.
 
         Raises RunUnknown, and WorkerLost, WorkerBusy or WorkerUnreachable when nothing was received for `give_up_s`.
         """
-        events = self._client(address).follow(job.id, job.token, after_seq, give_up_s=give_up_s)
-        async with aclosing(_reports(events)) as reports:
-            async for report in reports:
-                yield report
+        with self._calling(address) as client:
+            events = client.follow(job.id, job.token, after_seq, give_up_s=give_up_s)
+            async with aclosing(_reports(events)) as reports:
+                async for report in reports:
+                    yield report
 
     async def cancel(self, address: str, job: Job) -> bool:
         """Cancel a run, and return whether the worker had it. Raises WorkerLost."""
-        try:
-            return await self._client(address).cancel(job.id, job.token, CANCEL_S)
-        except grpc.aio.AioRpcError as error:
-            raise WorkerLost(f"{address}: {error.details()}") from None
+        with self._calling(address) as client:
+            try:
+                return await client.cancel(job.id, job.token, CANCEL_S)
+            except grpc.aio.AioRpcError as error:
+                raise WorkerLost(f"{address}: {error.details()}") from None
 
     async def close(self) -> None:
         """Close the channels, which ends open streams."""
+        await self._addresses.close()
         await asyncio.gather(*(client.close() for client in self._clients.values()))
 
     async def _status(self, address: str) -> WorkerStatus | None:
         try:
             worker = await self._client(address).worker(POLL_S)
         except grpc.aio.AioRpcError as error:
-            self._log_fault(address, error)
+            self._log_fault(address, error.code(), f"does not answer: {error.code().name}: {error.details()}")
             return None
-        self._faults.pop(address, None)
-        return WorkerStatus(
+        status = WorkerStatus(
             address,
             worker.version,
             worker.device,
@@ -177,30 +203,59 @@ class WorkerPool:
             worker.queued,
             worker.draining,
             frozenset(worker.jobs),
+            worker.memory_bytes,
         )
+        if status.is_compatible:
+            self._faults.pop(address, None)
+        else:
+            ours = services.__version__
+            why = f"is of version {status.version}, and this gateway of {ours}: it gets no jobs; update the older one"
+            self._log_fault(address, status.version, why)
+        return status
 
-    def _log_fault(self, address: str, error: grpc.aio.AioRpcError) -> None:
-        """Log once why a worker does not answer; otherwise a wrong token or certificate would look like absence."""
-        if self._faults.get(address) != error.code():
-            self._faults[address] = error.code()
-            _log.warning("worker %s does not answer: %s: %s", address, error.code().name, error.details())
+    def _log_fault(self, address: str, fault: grpc.StatusCode | str, why: str) -> None:
+        """Log once why a worker gets no jobs; otherwise a wrong token or certificate would look like absence."""
+        if self._faults.get(address) != fault:
+            self._faults[address] = fault
+            _log.warning("worker %s %s", address, why)
 
-    async def _inspect(self, address: str, archive: Path, box: PhotoBox | None) -> Inspection:
-        header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size, box=_wire_box(box))
+    @contextmanager
+    def _calling(self, address: str) -> Iterator[GrpcClient]:
+        """The client of a worker, for a call during which its channel must stay."""
+        self._calls[address] += 1
         try:
-            answer = await self._client(address).inspect(header, file_chunks(archive), INSPECT_S)
-        except grpc.aio.AioRpcError as error:
-            raise _to_exception(error.code(), error.details() or error.code().name) from None
-        failure = problem_of(_failed(0, answer.failure)) if answer.HasField("failure") else None
-        outline = tuple(tuple(zip(line.xy[::2], line.xy[1::2], strict=True)) for line in answer.outline)
-        warnings = tuple(answer.warnings)
-        return Inspection(answer.kind, answer.format, answer.frames, answer.points, warnings, failure, outline)
+            yield self._client(address)
+        finally:
+            self._calls[address] -= 1
+
+    async def _close_unused(self) -> None:
+        """Close the channels of workers that are gone by their names, once no call uses them."""
+        gone = [each for each in self._clients if each not in self.addresses and not self._calls[each]]
+        clients = [self._clients.pop(address) for address in gone]
+        for address in gone:
+            self._presets_by_worker.pop(address, None)
+            self._faults.pop(address, None)
+        await asyncio.gather(*(client.close() for client in clients))
 
     def _client(self, address: str) -> GrpcClient:
         if address not in self._clients:
-            client = GrpcClient(address, self._credentials, silence_s=self._silence_s, run_s=self._job_timeout_s)
-            self._clients[address] = client
+            target, name = target_and_name(address)
+            self._clients[address] = GrpcClient(
+                target, self._credentials, name=name, silence_s=self._silence_s, run_s=self._job_timeout_s
+            )
         return self._clients[address]
+
+
+async def _inspect(client: GrpcClient, archive: Path, box: PhotoBox | None) -> Inspection:
+    header = pb.Header(job=archive.stem, capture_bytes=archive.stat().st_size, box=_wire_box(box))
+    try:
+        answer = await client.inspect(header, file_chunks(archive), INSPECT_S)
+    except grpc.aio.AioRpcError as error:
+        raise _to_exception(error.code(), error.details() or error.code().name) from None
+    failure = problem_of(_failed(0, answer.failure)) if answer.HasField("failure") else None
+    outline = tuple(tuple(zip(line.xy[::2], line.xy[1::2], strict=True)) for line in answer.outline)
+    warnings = tuple(answer.warnings)
+    return Inspection(answer.kind, answer.format, answer.frames, answer.points, warnings, failure, outline)
 
 
 def _header(job: Job, size: int) -> pb.Header:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import services
+
 
 class WorkerBusy(Exception):  # noqa: N818 - it reads as what it is
     """The worker accepts no jobs now: its queue is full, or it is shutting down. Ask another worker, or ask later."""
@@ -45,7 +47,11 @@ class WorkerPreset:
 
 @dataclass(frozen=True, slots=True)
 class WorkerStatus:
-    """Status that a worker reports. jobs: ids of its queued and running jobs"""
+    """Status that a worker reports.
+
+    memory_bytes  what all its jobs together may take
+    jobs          ids of its queued and running jobs
+    """
 
     address: str
     version: str
@@ -56,7 +62,20 @@ class WorkerStatus:
     queued: int
     draining: bool
     jobs: frozenset[str]
+    memory_bytes: int = 0
+
+    @property
+    def is_compatible(self) -> bool:
+        """Whether the worker is of this gateway's release series (major.minor), and understands all of a job.
+
+        An older one could, say, publish openly what a job wants private, because it does not know the field.
+        """
+        return _series(self.version) == _series(services.__version__)
 
     def offers(self, preset: str) -> bool:
         """Return whether the worker offers this preset."""
         return any(preset == each.name for each in self.presets)
+
+
+def _series(version: str) -> list[str]:
+    return version.split(".")[:2]

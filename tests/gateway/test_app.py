@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.gateway.instance_lock import FolderInUse, lock_instance
+from services.gateway.instance_lock import FolderInUse, lock_instance, lock_replica
 from services.gateway.routes.pages import WEB
 from services.gateway.settings import GatewaySettings
 from services.strict_settings import SettingsError
@@ -123,10 +123,32 @@ async def test_other_origins_call_only_when_they_are_named(tmp_path: Path) -> No
 
 
 def test_a_folder_has_one_gateway_and_keeps_its_name(tmp_path: Path) -> None:
-    with lock_instance(tmp_path) as name, pytest.raises(FolderInUse, match="another gateway"), lock_instance(tmp_path):
+    with lock_instance(tmp_path) as first, pytest.raises(FolderInUse, match="another gateway"), lock_instance(tmp_path):
         pass
     with lock_instance(tmp_path) as again:
-        assert again == name
+        assert again == first
+
+
+def test_replicas_with_one_data_folder_have_a_folder_each(tmp_path: Path) -> None:
+    with lock_replica(tmp_path) as first:
+        with lock_replica(tmp_path) as second, lock_replica(tmp_path) as third:
+            assert first.folder == tmp_path
+            assert (second.folder, third.folder) == (tmp_path / "replica-2", tmp_path / "replica-3")
+            assert len({first.id, second.id, third.id}) == 3
+        with lock_replica(tmp_path) as again:
+            assert again == second
+
+
+async def test_gateways_on_postgres_share_a_data_folder(tmp_path: Path, empty_postgres: str) -> None:
+    store = memory()
+    async with (
+        worker(Making(store), tmp_path / "edge") as port,
+        gateway(tmp_path / "gw", store, port, database_url=empty_postgres) as one,
+        gateway(tmp_path / "gw", store, port, database_url=empty_postgres) as other,
+    ):
+        job = await start(one, capture(store))
+        assert (await ended(other, job))["state"] == "SUCCEEDED"
+    assert (tmp_path / "gw" / "replica-2" / "gateway.id").exists()
 
 
 def test_settings_name_their_faults(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,7 +46,8 @@ async def worker(work: Making, scratch: Path, *, port: int = 0, **settings: Any)
 async def gateway(data_dir: Path, store: Store, *ports: int, **settings: Any) -> AsyncIterator[httpx.AsyncClient]:
     """A gateway that listens on a real socket; a client of it. Leaves runs alone when it goes, as a restart does."""
     workers = tuple(f"127.0.0.1:{port}" for port in ports) or ("127.0.0.1:9",)
-    app = create_app(GatewaySettings(data_dir=data_dir, workers=workers, port=0, **{**SHORT, **settings}), store)
+    told = {**SHORT, "workers": workers, **settings}
+    app = create_app(GatewaySettings(data_dir=data_dir, port=0, **told), store)
     async with listening(app) as url, httpx.AsyncClient(base_url=url, timeout=PATIENCE_S) as client:
         yield client
 

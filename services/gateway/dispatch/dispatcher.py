@@ -107,7 +107,8 @@ class Dispatcher:
             }
             return worker.free_slots - len(own_runs - worker.jobs)
 
-        ready = [worker for worker in workers if not worker.draining and free(worker) > 0]
+        usable = [worker for worker in workers if worker.is_compatible and not worker.draining]
+        ready = [worker for worker in usable if free(worker) > 0]
         return sorted(ready, key=lambda worker: (worker.queued, -free(worker)))
 
     async def _renew(self) -> None:

@@ -124,6 +124,9 @@ def _disk(folders: list[Path]) -> Check:
 
 async def _workers(workers: WorkerPool) -> Check:
     found = await workers.poll()
-    free = sum(worker.free_slots for worker in found if not worker.draining)
-    detail = f"{len(found)} of {len(workers.addresses)} workers answer, {free} slots are free"
-    return Check(ok=bool(found), detail=detail)
+    usable = [worker for worker in found if worker.is_compatible]
+    free = sum(worker.free_slots for worker in usable if not worker.draining)
+    details = [f"{len(found)} of {len(workers.addresses)} workers answer", f"{free} slots are free"]
+    details += [f"{worker.address} is of version {worker.version}" for worker in found if worker not in usable]
+    details += [f"{name} resolves to no address" for name in workers.unresolved]
+    return Check(ok=bool(usable), detail=", ".join(details))

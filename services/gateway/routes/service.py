@@ -29,7 +29,9 @@ _FAILURES = 20
 
 
 class WorkerView(BaseModel):
-    """A worker that answers. `device` is where it trains, `slots` how many jobs it runs at once."""
+    """A worker that answers. `device` is where it trains, `slots` how many jobs it runs at once, `memory_bytes` what
+    they may take together. One of another release series than the gateway's is not `compatible`, and gets no jobs.
+    """
 
     address: str
     version: str
@@ -39,6 +41,8 @@ class WorkerView(BaseModel):
     free_slots: int
     queued: int
     draining: bool
+    memory_bytes: int
+    compatible: bool
 
 
 class DiskView(BaseModel):
@@ -105,9 +109,9 @@ async def get_service(request: Request) -> ServiceView:
 
 
 def _worker_view(found: WorkerStatus) -> WorkerView:
-    names = ("address", "version", "device", "slots", "free_slots", "queued", "draining")
+    names = ("address", "version", "device", "slots", "free_slots", "queued", "draining", "memory_bytes")
     presets = [preset.name for preset in found.presets]
-    return WorkerView(presets=presets, **{name: getattr(found, name) for name in names})
+    return WorkerView(presets=presets, compatible=found.is_compatible, **{name: getattr(found, name) for name in names})
 
 
 def _silent(pool: WorkerPool, answering: tuple[WorkerStatus, ...]) -> list[str]:

@@ -36,7 +36,8 @@ function show(service) {
 /** @param {WorkerState} worker */
 function workerRow(worker) {
   const slots = { number: `${worker.free_slots} of ${worker.slots}` };
-  return [worker.address, worker.draining ? 'stopping' : 'answers', worker.version, worker.device, slots, { number: formatCount(worker.queued) }];
+  const state = worker.draining ? 'stopping' : 'answers';
+  return [worker.address, worker.compatible ? state : { bad: 'other version' }, worker.version, worker.device, slots, { number: formatCount(worker.queued) }];
 }
 
 /** @param {string} address */

@@ -348,6 +348,8 @@ export interface WorkerState {
   free_slots: number;
   queued: number;
   draining: boolean;
+  memory_bytes: number;
+  compatible: boolean;
 }
 
 /** State of the service: GET /v1/service. */
