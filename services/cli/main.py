@@ -10,6 +10,7 @@ import typer
 
 import services
 from services.cli.catalogue import app as catalogue
+from services.cli.deploy import app as deploy
 from services.cli.errors import BadInput, printable
 from services.cli.gateway import app as gateway
 from services.cli.keys import app as keys
@@ -25,6 +26,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(catalogue, name="catalogue")
+app.add_typer(deploy, name="deploy")
 app.add_typer(gateway, name="gateway")
 app.add_typer(keys, name="keys")
 app.add_typer(shares, name="shares")

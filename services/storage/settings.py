@@ -16,6 +16,9 @@ from services.storage.local import LocalStore
 from services.storage.store import Store
 from services.strict_settings import CommaList, SettingsError, StrictSettings
 
+PLACEHOLDER_SECRET = "change-me-please"  # noqa: S105 - it is refused wherever it would protect anything
+"""STORAGE_SECRET_KEY of docker-compose.yml where nobody has set one. Everybody knows it."""
+
 
 def _check_collection_name(name: str) -> str:
     if not valid_key(name):

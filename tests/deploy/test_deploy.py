@@ -13,10 +13,11 @@ from typing import Any
 
 import pytest
 
+from services.cli.deploy_work import Address, initialise
 from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
 from services.gateway.settings import GatewaySettings, worker_credentials
 from services.grpc_security import NO_CREDENTIALS
-from services.storage.settings import StorageSettings, open_keys
+from services.storage.settings import PLACEHOLDER_SECRET, StorageSettings, open_keys
 from services.strict_settings import StrictSettings
 from tests.conftest import missing
 from tests.support.repository import ROOT
@@ -198,6 +199,34 @@ def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:
         "!LICENSE",
         "!services",
     }
+
+
+@pytest.mark.docker
+def test_compose_reads_the_env_of_deploy_init(compose: list[str], tmp_path: Path) -> None:
+    shutil.copy(ROOT / "docker-compose.yml", tmp_path)
+    initialise(tmp_path, Address("0.0.0.0", 9090, "https://capture.example"), force=False)
+    there = [word.replace(str(ROOT), str(tmp_path)) for word in compose]
+    services = _config(there, "gpu")["services"]
+    assert services["cdn"]["ports"][0]["host_ip"] == "0.0.0.0"
+    gateway, store = services["gateway"]["environment"], services["minio"]["environment"]
+    assert gateway["STORAGE_BASE_URL"] == gateway["GATEWAY_PUBLIC_URL"] == "https://capture.example"
+    assert gateway["STORAGE_SECRET_KEY"] == store["MINIO_ROOT_PASSWORD"] != PLACEHOLDER_SECRET
+    for name in ("edge", "edge-gpu"):
+        worker = services[name]["environment"]
+        assert worker["EDGE_TOKEN"] == gateway["GATEWAY_EDGE_TOKEN"] != ""
+        assert worker["STORAGE_SIGNING_KEY"] == gateway["STORAGE_SIGNING_KEY"] != ""
+        mounted = Path(_keys_of(services[name])["source"])
+        for file in (worker["EDGE_TLS_CERT"], worker["EDGE_TLS_KEY"], gateway["GATEWAY_EDGE_CA"]):
+            assert (mounted / Path(file).relative_to("/keys")).is_file()
+
+
+def test_secrets_are_ignored_by_git() -> None:
+    assert {".env", ".env.*", "/keys/"} <= set((ROOT / ".gitignore").read_text().splitlines())
+
+
+@pytest.mark.docker
+def test_the_placeholder_is_the_one_that_public_gateways_refuse(compose: list[str]) -> None:
+    assert _config(compose)["services"]["gateway"]["environment"]["STORAGE_SECRET_KEY"] == PLACEHOLDER_SECRET
 
 
 @pytest.mark.docker
