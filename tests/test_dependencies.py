@@ -37,7 +37,6 @@ RUNTIME = tuple(SERVICES)
 # Declared, and imported by none of our files.
 LOADED_BY_OTHERS = {
     "httptools",  # uvicorn parses HTTP with it where it is installed, and else in Python
-    "psycopg",  # SQLAlchemy loads it where GATEWAY_DATABASE_URL names it
 }
 
 PERMISSIVE = {
@@ -111,7 +110,7 @@ def _imported(files: Iterable[Path]) -> dict[str, set[str]]:
     ("service", "extras"),
     [
         ("storage", ["storage"]),
-        ("gateway", ["gateway"]),
+        ("gateway", ["gateway", "postgres"]),
         ("edge", ["edge", "fast", "learned-matching"]),
         ("cli", list(RUNTIME)),
     ],

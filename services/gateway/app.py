@@ -36,6 +36,7 @@ from services.gateway.dispatch.dispatcher import Dispatcher
 from services.gateway.dispatch.run_supervisor import Dependencies
 from services.gateway.instance_lock import FolderInUse, Instance, lock_instance, lock_replica
 from services.gateway.jobs.async_store import AsyncJobStore
+from services.gateway.jobs.other_gateways import OtherGateways
 from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
 from services.gateway.metrics import Metrics
@@ -222,9 +223,10 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             resumable.database,
         )
         app.state.dispatcher = Dispatcher(dependencies, holder=instance.id, lease_s=settings.lease_s)
+        others = OtherGateways(job_store, wake=app.state.dispatcher.wake, cancel=app.state.dispatcher.cancel)
         for background in (
             app.state.dispatcher.run(),
-            job_store.watch_other_gateways(),
+            others.watch(),
             authentication.store_use(),
             app.state.deliveries.run(),
             app.state.snapshots.run(),

@@ -85,6 +85,21 @@ def test_the_gpu_worker_exists_only_in_its_profile(compose: list[str]) -> None:
 
 
 @pytest.mark.docker
+def test_postgres_exists_only_in_its_profile_and_is_reached_by_gateways_alone(compose: list[str]) -> None:
+    plain = _config(compose)["services"]
+    assert "postgres" not in plain
+    assert plain["gateway"]["environment"]["GATEWAY_DATABASE_URL"] == ""
+    url = "postgresql://capture2vr:secret@postgres/capture2vr"
+    named = {"POSTGRES_PASSWORD": "secret", "GATEWAY_DATABASE_URL": url}
+    services = _config(compose, "postgres", **named)["services"]
+    assert services["gateway"]["environment"]["GATEWAY_DATABASE_URL"] == url
+    database = services["postgres"]
+    assert (database["read_only"], database["cap_drop"], list(database["networks"])) == (True, ["ALL"], ["inside"])
+    assert "ports" not in database
+    assert [name for name, service in services.items() if "secret" in json.dumps(service)] == ["gateway", "postgres"]
+
+
+@pytest.mark.docker
 def test_each_worker_has_the_torch_of_its_device(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
     assert "args" not in services["edge"]["build"], "the Dockerfile's own default is the CPU build"

@@ -29,6 +29,15 @@ def test_the_migrations_make_the_tables_that_the_code_expects(url: str) -> None:
     engine.dispose()
 
 
+def test_a_postgres_url_needs_no_driver(empty_postgres: str) -> None:
+    """As other programs write it; what it says of timeouts is left as it is."""
+    for scheme in ("postgres", "postgresql"):
+        url = f"{scheme}{empty_postgres.removeprefix('postgresql+psycopg')}?connect_timeout=77"
+        engine = open_engine(url)
+        assert (engine.dialect.driver, engine.url.query["connect_timeout"]) == ("psycopg", "77")
+        engine.dispose()
+
+
 def make_first_schema(url: str) -> None:
     """A database as the gateway made it before there were migrations, with a job and its idempotency key."""
     engine = sa.create_engine(url)

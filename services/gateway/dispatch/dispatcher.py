@@ -16,7 +16,8 @@ from services.gateway.jobs.state_machine import Change, lease_to_worker, take_ov
 from services.gateway.jobs.store import JobStore
 from services.gateway.worker_types import WorkerStatus
 
-_POLL_S = 0.5  # between checks of the queue without a wake-up: retry pauses end, workers come back
+_POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway may queue jobs, workers come back
+_ANNOUNCED_POLL_S = 30.0  # where the database notifies of queued jobs; only a safety net
 _RENEWALS = 3  # per lease period: two may fail before the lease is lost
 
 _log = logging.getLogger(__name__)
@@ -35,6 +36,7 @@ class Dispatcher:
         self._lease_s = lease_s
         self._supervisors: dict[str, tuple[RunSupervisor, asyncio.Task[None]]] = {}
         self._wake = asyncio.Event()
+        self._idle_s = _ANNOUNCED_POLL_S if dependencies.job_store.blocking.announces else _POLL_S
 
     def wake(self) -> None:
         """Check the queue now: there is a new job or a free slot."""
@@ -50,8 +52,8 @@ class Dispatcher:
         try:
             await self._recover_own_runs()
             async with asyncio.TaskGroup() as group:
-                group.create_task(self._repeat(self._lease_s / _RENEWALS, self._renew, asyncio.Event()))
-                group.create_task(self._repeat(_POLL_S, self._dispatch, self._wake))
+                group.create_task(self._repeat(self._renew, asyncio.Event()))
+                group.create_task(self._repeat(self._dispatch, self._wake))
         finally:
             tasks = [task for _, task in self._supervisors.values()]
             for task in tasks:
@@ -68,12 +70,16 @@ class Dispatcher:
                 _log.exception("the jobs database failed; trying again")
                 await asyncio.sleep(_POLL_S)
 
-    async def _repeat(self, seconds: float, do: Callable[[], Awaitable[None]], wake: asyncio.Event) -> None:
-        """Call `do` every `seconds`, and at once when `wake` is set. Exceptions are logged; the loop goes on."""
+    async def _repeat(self, do: Callable[[], Awaitable[float]], wake: asyncio.Event) -> None:
+        """Call `do` again after the seconds that it returns, and at once when `wake` is set.
+
+        Exceptions are logged; the loop goes on.
+        """
         while True:
             wake.clear()
+            seconds = _POLL_S
             try:
-                await do()
+                seconds = await do()
             except Exception:  # noqa: BLE001 - whatever failed, the dispatcher must go on
                 _log.exception("the dispatcher failed; trying again")
             try:
@@ -81,10 +87,15 @@ class Dispatcher:
             except TimeoutError:
                 continue
 
-    async def _dispatch(self) -> None:
-        """Lease queued jobs to workers until the queue or the free slots are used up."""
-        if not await self._dependencies.job_store.read(JobStore.has_waiting, time.time()):
-            return
+    async def _dispatch(self) -> float:
+        """Lease queued jobs to workers until the queue or the free slots are used up.
+
+        Returns the seconds until the queue is to be checked again without a wake-up.
+        """
+        now = time.time()
+        start = await self._dependencies.job_store.read(JobStore.next_start, now)
+        if start is None or start > now:
+            return self._idle_s if start is None else min(start - now, self._idle_s)
         workers = await self._dependencies.workers.poll()
         while ready := self._free_workers(workers):
             now = time.time()
@@ -92,8 +103,9 @@ class Dispatcher:
             transition = partial(_lease_to_first, ready, holder=self._holder, now=now, lease_s=self._lease_s)
             job = await self._dependencies.job_store.write(JobStore.claim, now, presets, transition)
             if job is None:
-                return
+                break
             self._start(job, running=False)
+        return _POLL_S
 
     def _free_workers(self, workers: Sequence[WorkerStatus]) -> list[WorkerStatus]:
         """Return the workers with a free slot, shortest queue first.
@@ -111,8 +123,11 @@ class Dispatcher:
         ready = [worker for worker in usable if free(worker) > 0]
         return sorted(ready, key=lambda worker: (worker.queued, -free(worker)))
 
-    async def _renew(self) -> None:
-        """Renew this gateway's leases, drop lost ones, pass on cancellations, take over orphaned runs of others."""
+    async def _renew(self) -> float:
+        """Renew this gateway's leases, drop lost ones, pass on cancellations, take over orphaned runs of others.
+
+        Returns the seconds until the next renewal.
+        """
         own_runs = dict(self._supervisors)
         if own_runs:
             until = time.time() + self._lease_s
@@ -124,6 +139,7 @@ class Dispatcher:
             for job in cancelled_jobs:
                 self.cancel(job)
         await self._take_over("")
+        return self._lease_s / _RENEWALS
 
     async def _take_over(self, holder: str) -> None:
         """Take over running jobs whose lease has expired, and all those whose lease belongs to `holder`."""

@@ -7,12 +7,9 @@ threads read. Uploads use other threads, so that a request about a job never wai
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Concatenate, ParamSpec, TypeVar
-
-from sqlalchemy.exc import SQLAlchemyError
 
 from services.gateway.jobs.job import Job
 from services.gateway.jobs.notifier import JobNotifier
@@ -23,9 +20,6 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _READERS = 4
-_POLL_S = 1.0  # between checks for changes that another gateway on the same database wrote
-
-_log = logging.getLogger(__name__)
 
 
 class AsyncJobStore:
@@ -56,19 +50,6 @@ class AsyncJobStore:
     async def change(self, job: str, transition: Callable[[Job], Change]) -> Job:
         """Apply a state transition to a job, and notify its listeners."""
         return await self.write(JobStore.change, job, transition)
-
-    async def watch_other_gateways(self) -> None:
-        """Notify listeners of changes that other processes wrote: one cheap query per second for all listeners."""
-        last = await self.read(JobStore.newest_event_id)
-        while True:
-            await asyncio.sleep(_POLL_S)
-            try:
-                last, touched = await self.read(JobStore.jobs_changed_since, last)
-            except SQLAlchemyError:
-                _log.exception("the jobs database cannot be read; trying again")
-                continue
-            for job in touched:
-                self.notifier.notify(job)
 
     def close(self) -> None:
         """Wait for calls in progress, then end the threads."""

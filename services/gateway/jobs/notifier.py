@@ -31,6 +31,11 @@ class JobNotifier:
         for news in self._listeners.get(job, ()):
             news.set()
 
+    def notify_all(self) -> None:
+        """Wake all listeners, of every job."""
+        for job in tuple(self._listeners):
+            self.notify(job)
+
     @property
     def listener_count(self) -> int:
         """Number of listeners, over all jobs."""

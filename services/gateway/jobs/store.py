@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import secrets
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
@@ -19,6 +20,7 @@ from sqlalchemy.exc import IntegrityError
 from services.gateway.database import brief_wait, for_writing, upsert
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
+from services.gateway.jobs.postgres_notify import announce
 from services.gateway.jobs.row_mapping import (
     WHOLE_JOB,
     event_from_row,
@@ -58,7 +60,18 @@ class JobStore:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._writer = for_writing(engine)
+        self.origin = secrets.token_hex(8)  # in the notifications of what is written here
         self._locks = engine.dialect.name != "sqlite"  # SQLite has only one writer at a time: no row locks needed
+
+    @property
+    def engine(self) -> Engine:
+        """The database."""
+        return self._engine
+
+    @property
+    def announces(self) -> bool:
+        """Whether the database notifies other gateways of what is written."""
+        return self._engine.dialect.name == "postgresql"
 
     def create(
         self, tenant: str, order: Order, *, key: str = "", body_sha256: str = "", at_once: int = 0, per_day: int = 0
@@ -73,7 +86,7 @@ class JobStore:
                 known = _find_by_key(db, tenant, key, body_sha256)
                 if known is None:
                     _check_limits(db, tenant, at_once, per_day)
-                return known or _insert(db, tenant, order, key, body_sha256)
+                return known or self._insert(db, tenant, order, key, body_sha256)
         except IntegrityError:  # another process used the key between our query and our insert
             with self._engine.begin() as db:
                 known = _find_by_key(db, tenant, key, body_sha256)
@@ -159,12 +172,16 @@ class JobStore:
         """Apply a transition to a job and store the result; nothing if it raises. Raises Problem JOB_UNKNOWN."""
         with self._writer.begin() as db:
             select = WHOLE_JOB.with_for_update() if self._locks else WHOLE_JOB
-            return _write(db, transition(_get(db, select, job)))
+            return self._write(db, transition(_get(db, select, job)))
 
-    def has_waiting(self, now: float) -> bool:
-        """Return whether a queued job may start now."""
+    def next_start(self, now: float) -> float | None:
+        """Return when a queued job may start: `now` or earlier if one may already; None where none is queued."""
+        queued = sa.select(leases.c.not_before).join(jobs).where(jobs.c.state == State.QUEUED.value)
+        paused = queued.order_by(leases.c.not_before).limit(1)
         with self._engine.begin() as db:
-            return db.execute(_ready_jobs(now).limit(1)).first() is not None
+            # The queue may be long, and then some job is ready: the first one found is enough.
+            ready: float | None = db.execute(queued.where(leases.c.not_before <= now).limit(1)).scalar()
+            return ready if ready is not None else db.execute(paused).scalar()
 
     def claim(self, now: float, presets: Collection[str], transition: Callable[[Job], Change]) -> Job | None:
         """Apply a transition to the next queued job of these presets that may start; None when there is none.
@@ -179,7 +196,7 @@ class JobStore:
                 row = db.execute(select.with_for_update(skip_locked=True) if self._locks else select).first()
                 if row is not None:  # else another gateway has just taken the tenant's last job
                     _note_turn(db, tenant, now)
-                    return _write(db, transition(job_from_row(row)))
+                    return self._write(db, transition(job_from_row(row)))
         return None
 
     def claim_orphan(
@@ -197,7 +214,7 @@ class JobStore:
             select = select.with_for_update(skip_locked=True)
         with self._writer.begin() as db:
             row = db.execute(select).first()
-            return _write(db, transition(job_from_row(row))) if row else None
+            return self._write(db, transition(job_from_row(row))) if row else None
 
     def renew(self, holder: str, until: float, running: Sequence[tuple[str, int]]) -> tuple[set[str], set[str]]:
         """Renew the leases of these (job, fence). Returns the jobs whose leases are lost, and those to be cancelled."""
@@ -224,6 +241,17 @@ class JobStore:
         with self._engine.begin() as db:
             rows = db.execute(select).all()
         return max((number for number, _ in rows), default=after), {job for _, job in rows}
+
+    def _insert(self, db: Connection, tenant: str, order: Order, key: str, body_sha256: str) -> Job:
+        job = _insert_rows(db, tenant, order, key, body_sha256)
+        announce(db, self.origin, job)
+        return job
+
+    def _write(self, db: Connection, change: Change) -> Job:
+        job = _update_rows(db, change)
+        if change.events:
+            announce(db, self.origin, job)
+        return job
 
 
 def _ready_jobs(now: float) -> sa.Select[Any]:
@@ -306,7 +334,7 @@ def _stored_key(tenant: str, key: str) -> str:
     return key if tenant == DEFAULT_TENANT else f"{tenant} {key}"
 
 
-def _insert(db: Connection, tenant: str, order: Order, key: str, body_sha256: str) -> Job:
+def _insert_rows(db: Connection, tenant: str, order: Order, key: str, body_sha256: str) -> Job:
     now = time.time()
     change = create_job(new_job_id(now), order, tenant=tenant, now=now)
     db.execute(jobs.insert().values(job_values(change.job)))
@@ -319,7 +347,7 @@ def _insert(db: Connection, tenant: str, order: Order, key: str, body_sha256: st
     return change.job
 
 
-def _write(db: Connection, change: Change) -> Job:
+def _update_rows(db: Connection, change: Change) -> Job:
     job = change.job
     db.execute(jobs.update().where(jobs.c.id == job.id).values(job_values(job)))
     db.execute(leases.update().where(leases.c.job == job.id).values(lease_values(job)))

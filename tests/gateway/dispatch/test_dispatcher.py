@@ -147,10 +147,10 @@ async def test_a_capture_that_vanished_fails_the_job(tmp_path: Path, unused_tcp_
     assert (done["state"], done["error"]["code"]) == ("FAILED", "CAPTURE_UNKNOWN")
 
 
-async def test_two_gateways_share_a_database_and_one_takes_over_from_the_other(tmp_path: Path) -> None:
+async def test_two_gateways_share_a_database_and_one_takes_over_from_the_other(tmp_path: Path, url: str) -> None:
     store = memory()
     work = Making(store)
-    shared = {"database_url": f"sqlite:///{tmp_path / 'jobs.db'}"}
+    shared = {"database_url": url}
     async with (
         worker(work, tmp_path / "edge") as port,
         gateway(tmp_path / "survivor", store, port, **shared) as survivor,
@@ -166,9 +166,9 @@ async def test_two_gateways_share_a_database_and_one_takes_over_from_the_other(t
     assert [kind for _, kind, _ in story].count("published") == 2
 
 
-async def test_a_cancellation_reaches_the_gateway_that_runs_the_job(tmp_path: Path) -> None:
+async def test_a_cancellation_reaches_the_gateway_that_runs_the_job(tmp_path: Path, url: str) -> None:
     store = memory()
-    shared = {"database_url": f"sqlite:///{tmp_path / 'jobs.db'}"}
+    shared = {"database_url": url}
     async with (
         worker(Making(store), tmp_path / "edge") as port,
         gateway(tmp_path / "runs", store, port, **shared) as runs,

@@ -1,0 +1,64 @@
+"""Follows what other gateways on the same database write: by NOTIFY on Postgres, by polling on SQLite."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.gateway.jobs.async_store import AsyncJobStore
+from services.gateway.jobs.job import State
+from services.gateway.jobs.postgres_notify import listen
+from services.gateway.jobs.store import JobStore
+
+_POLL_S = 1.0  # SQLite: between checks for changes that another gateway wrote
+
+_log = logging.getLogger(__name__)
+
+
+class OtherGateways:
+    """Notifies this gateway's listeners of changes that other gateways wrote, and its dispatcher of the queue's.
+
+    wake    called when a job waits that another gateway has queued
+    cancel  called with a running job that another gateway was asked to cancel
+    """
+
+    def __init__(self, job_store: AsyncJobStore, *, wake: Callable[[], None], cancel: Callable[[str], None]) -> None:
+        self._job_store = job_store
+        self._wake = wake
+        self._cancel = cancel
+
+    async def watch(self) -> None:
+        """Notify until cancelled."""
+        store = self._job_store.blocking
+        if store.announces:
+            await listen(store.engine, store.origin, on_change=self._on_change, on_connected=self._on_connected)
+        else:
+            await self._poll()
+
+    def _on_change(self, job: str, state: State) -> None:
+        self._job_store.notifier.notify(job)
+        if state is State.QUEUED:
+            self._wake()
+        elif state is State.CANCELLING:
+            self._cancel(job)
+
+    def _on_connected(self) -> None:
+        """Have everybody look again: what was committed while nobody listened was not told."""
+        self._job_store.notifier.notify_all()
+        self._wake()
+
+    async def _poll(self) -> None:
+        """One cheap query per second for all listeners; the dispatcher looks at the queue by itself."""
+        last = await self._job_store.read(JobStore.newest_event_id)
+        while True:
+            await asyncio.sleep(_POLL_S)
+            try:
+                last, touched = await self._job_store.read(JobStore.jobs_changed_since, last)
+            except SQLAlchemyError:
+                _log.exception("the jobs database cannot be read; trying again")
+                continue
+            for job in touched:
+                self._job_store.notifier.notify(job)
