@@ -7,6 +7,7 @@ import json
 import logging
 import signal
 import socket
+import time
 from collections.abc import AsyncIterator
 from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager, suppress
 from functools import partial
@@ -306,10 +307,14 @@ def server_config(app: FastAPI, settings: GatewaySettings) -> uvicorn.Config:
 def refuse_without_keys(settings: GatewaySettings) -> None:
     """Raises SettingsError for a gateway that others could reach and nobody has to show a key to, unless that was told.
 
-    Opens the database, and brings its schema up to date.
+    Opens the database, brings its schema up to date, and stores the operator's key of the settings.
     """
     engine = open_engine(settings.database)
     try:
+        if secret := settings.operator_key.get_secret_value():
+            stored = AccessStore(engine).ensure_key(secret, "GATEWAY_OPERATOR_KEY")
+            if why := stored.refusal(time.time()):
+                _log.warning("GATEWAY_OPERATOR_KEY: %s is %s, and stays so; name another one", stored.id, why)
         if settings.is_public and not settings.open and not AccessStore(engine).has_keys():
             raise SettingsError(
                 f"other machines can reach {settings.reached_host}, and there are no access keys: create one with "

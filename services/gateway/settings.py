@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
+from services.gateway.access.api_key import KEY_PATTERN
 from services.gateway.worker_addresses import check_worker_address
 from services.grpc_security import ClientCredentials, read_client_credentials
 from services.strict_settings import LOOPBACK, CommaList, StrictSettings
@@ -22,6 +23,9 @@ class GatewaySettings(StrictSettings):
     # Where others reach the port, if that is not `host`: in a container, the address on which the port is published.
     published_host: str = ""
     open: bool = False  # let everybody in without an access key, also from other machines
+    # An access key with every scope that is created at the start where it is not known yet: for installations that have
+    # their secrets before their database. Once revoked, it stays so.
+    operator_key: SecretStr = SecretStr("")
     data_dir: Path = Path("capture2vr-data")  # jobs database and staged uploads
     workers: CommaList = ("127.0.0.1:50051",)  # dns:///HOST:PORT: all addresses behind a name
     edge_ca: Path | None = None  # CA certificates (PEM) that verify the workers' certificates; none: gRPC without TLS
@@ -69,6 +73,13 @@ class GatewaySettings(StrictSettings):
     @classmethod
     def _check_workers(cls, workers: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(map(check_worker_address, workers))
+
+    @field_validator("operator_key")
+    @classmethod
+    def _check_operator_key(cls, key: SecretStr) -> SecretStr:
+        if key.get_secret_value() and not KEY_PATTERN.fullmatch(key.get_secret_value()):
+            raise ValueError("a key is c2v_TENANT_ and 43 of A-Z a-z 0-9 _ -, as `capture2vr keys create` makes them")
+        return key
 
     @property
     def database(self) -> str:

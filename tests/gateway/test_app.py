@@ -35,6 +35,14 @@ async def test_ready_means_that_a_job_would_be_done(tmp_path: Path) -> None:
         assert (await client.get("/readyz")).json()["ready"] is True
 
 
+async def test_checks_can_be_left_out_of_readiness(tmp_path: Path) -> None:
+    async with gateway(tmp_path / "gw", memory()) as client:
+        answer = await client.get("/readyz?exclude=workers")
+        assert (answer.status_code, answer.json()["ready"]) == (200, True)
+        assert answer.json()["checks"]["workers"]["ok"] is False
+        assert (await client.get("/readyz?exclude=workrs")).status_code == 422
+
+
 async def test_presets_are_those_of_the_workers(tmp_path: Path) -> None:
     store = memory()
     async with gateway(tmp_path / "gw", store, presets=("fast", "best")) as client:

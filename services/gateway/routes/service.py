@@ -14,6 +14,7 @@ from pydantic import BaseModel
 import services
 from services.gateway.access.caller import Scope
 from services.gateway.jobs.job import Job, State
+from services.gateway.jobs.state_machine import RUNNING_STATES
 from services.gateway.jobs.store import JobStore
 from services.gateway.routes.access_rules import authentication_of, needs
 from services.gateway.routes.health import run_checks
@@ -81,6 +82,24 @@ class ServiceView(BaseModel):
     failures: list[FailureView]
 
 
+class QueueView(BaseModel):
+    """Number of jobs that wait, that run, and of both together; `waiting_s`: for how long the oldest has waited."""
+
+    queued: int
+    running: int
+    unfinished: int
+    waiting_s: float
+
+
+@router.get("/queue", response_model=QueueView, dependencies=[needs(Scope.OPERATE)])
+async def get_queue(request: Request) -> QueueView:
+    """Get the length of the queue, by which an autoscaler adds and removes workers: one query, nobody is asked."""
+    jobs = request.app.state.job_store
+    counts, oldest = await asyncio.gather(jobs.read(JobStore.count_by_state), jobs.read(JobStore.oldest_queued))
+    queued, running = counts[State.QUEUED], sum(counts[state] for state in RUNNING_STATES)
+    return QueueView(queued=queued, running=running, unfinished=queued + running, waiting_s=_waiting(oldest))
+
+
 @router.get("/service", response_model=ServiceView, dependencies=[needs(Scope.OPERATE)])
 async def get_service(request: Request) -> ServiceView:
     """Get the state of queue, workers, stores and disks, and the jobs that failed last."""
@@ -100,12 +119,16 @@ async def get_service(request: Request) -> ServiceView:
         ready=all(check.ok for check in checks.values()),
         checks=checks,
         jobs=counts,
-        waiting_s=max(0.0, time.time() - oldest) if oldest is not None else 0.0,
+        waiting_s=_waiting(oldest),
         workers=[_worker_view(each) for each in workers],
         silent_workers=_silent(pool, workers),
         disks=disks,
         failures=[_failure_view(job) for job in failures],
     )
+
+
+def _waiting(oldest: float | None) -> float:
+    return max(0.0, time.time() - oldest) if oldest is not None else 0.0
 
 
 def _worker_view(found: WorkerStatus) -> WorkerView:

@@ -11,7 +11,7 @@ import pytest
 import sqlalchemy as sa
 
 from services.gateway.access import store as module
-from services.gateway.access.api_key import KEY_PATTERN, hash_of
+from services.gateway.access.api_key import KEY_PATTERN, hash_of, new_secret
 from services.gateway.access.caller import Scope
 from services.gateway.access.store import AccessStore
 from services.gateway.database import metadata, open_engine
@@ -35,6 +35,20 @@ def test_a_key_comes_back_in_every_field(store: AccessStore) -> None:
     assert secret.startswith("c2v_ada_")
     assert store.key_by_hash(hash_of(secret)) == store.key(key.id) == key
     assert key.scopes == {Scope.READ, Scope.CAPTURE}
+
+
+def test_a_key_of_the_settings_is_stored_once(store: AccessStore) -> None:
+    secret = new_secret("eve")
+    made = store.ensure_key(secret, "first")
+    assert (made.tenant, made.label, made.scopes) == ("eve", "first", frozenset(Scope))
+    assert store.key_by_hash(hash_of(secret)) == store.ensure_key(secret, "second") == made
+    store.revoke_key(made.id, None)
+    assert store.ensure_key(secret, "first").refusal(time.time()) == "revoked"
+    with ThreadPoolExecutor(8) as pool:
+        other = new_secret("ada")
+        assert len({each.id for each in pool.map(lambda _: store.ensure_key(other, ""), range(8))}) == 1
+    with pytest.raises(ValueError, match="this is no access key"):
+        store.ensure_key("c2v_eve_short", "")
 
 
 def test_a_secret_is_stored_nowhere(store: AccessStore, url: str) -> None:

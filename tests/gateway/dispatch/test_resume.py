@@ -1,4 +1,5 @@
-"""A worker that leaves in the middle of a training, by SIGTERM and by kill -9: the job goes on from its checkpoint."""
+"""A worker that leaves in the middle of a training, by SIGTERM and by kill -9: the job goes on from its checkpoint, on
+another worker that shares the scratch folder, as an eviction in a cluster has it."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ import itertools
 import re
 import signal
 import zipfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -34,26 +36,30 @@ pool = 5000
 """
 
 
-async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: int) -> None:
+async def test_a_training_goes_on_elsewhere_where_it_was(
+    tmp_path: Path, unused_tcp_port_factory: Callable[[], int]
+) -> None:
     (tmp_path / "presets").mkdir()
     (tmp_path / "presets" / "brief.toml").write_text(_PRESET)
     store = LocalStore(tmp_path / "objects")
     with zipfile.ZipFile(tmp_path / "capture.zip", "w") as packed:
         packed.writestr("dome.ply", hemisphere_ply())
     store.put("captures/cap_dome.zip", (tmp_path / "capture.zip").read_bytes(), content_type="application/zip")
-    edge = ServiceProcess(
+    ports = unused_tcp_port_factory(), unused_tcp_port_factory()
+    begin = partial(
+        ServiceProcess,
         "tests.support.hasty_worker",
         tmp_path / "edge.log",
         "edge",
-        EDGE_PORT=unused_tcp_port,
         EDGE_SCRATCH=tmp_path / "scratch",
         EDGE_PRESETS=tmp_path / "presets",
         EDGE_DRAIN_S=0.1,
         STORAGE_ROOT=store.root,
         OMP_NUM_THREADS=1,
     )
+    edges = [begin(EDGE_PORT=ports[0])]
     try:
-        async with gateway(tmp_path / "gw", store, unused_tcp_port, attach_for_s=60.0) as client:
+        async with gateway(tmp_path / "gw", store, *ports, attach_for_s=2.0) as client:
             await in_process_gateway.until(partial(_is_ready, client))
             job = await start(client, "cap_dome", "dome", preset="brief")
             kept = tmp_path / "scratch" / "checkpoints" / job
@@ -61,13 +67,15 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
                 for _ in range(2):  # a run loses no more than it did since the last one: less than half of it
                     await in_process_gateway.until(partial(_newer, kept, _written(kept)))
                 assert read_entry(store, "dome").state == "preview"
-                edge.end(number)
+                edges.append(begin(EDGE_PORT=ports[len(edges) % 2]))
+                await in_process_gateway.until(partial(_answer, client, 2))
+                edges[-2].end(number)
                 assert _written(kept), "the checkpoint has gone with the worker"
-                edge.start()
             done = await ended(client, job, within_s=3 * PATIENCE_S)
             story = await events(client, job)
     finally:
-        edge.kill()
+        for edge in edges:
+            edge.kill()
     assert (done["state"], done["error"]) == ("SUCCEEDED", None)
     assert done["attempts"] == 2, "being handed back is no attempt, being killed is one"
     firsts = [made for made in read_entry(store, "dome").versions if not made["last"]]
@@ -83,6 +91,10 @@ async def test_a_training_goes_on_where_it_was(tmp_path: Path, unused_tcp_port: 
 
 async def _is_ready(client: httpx.AsyncClient) -> bool:
     return (await client.get("/readyz")).is_success
+
+
+async def _answer(client: httpx.AsyncClient, workers: int) -> bool:
+    return len((await client.get("/v1/service")).json()["workers"]) == workers
 
 
 async def _newer(folder: Path, before: float) -> bool:

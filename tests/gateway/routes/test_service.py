@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 from services.storage.local import LocalStore
-from tests.support.in_process_gateway import Making, capture, ended, gateway, memory, start, worker
+from tests.support.in_process_gateway import Making, capture, ended, gateway, job_when, memory, start, worker
 
 
 async def test_workers_queue_and_failures(tmp_path: Path) -> None:
@@ -29,6 +29,22 @@ async def test_workers_queue_and_failures(tmp_path: Path) -> None:
     assert (failure["job"], failure["tenant"], failure["asset_key"]) == (failed, "default", "vase")
     assert failure["code"] == "CAPTURE_DEGENERATE"
     assert failure["detail"]
+
+
+async def test_the_length_of_the_queue(tmp_path: Path) -> None:
+    store = memory()
+    work = Making(store)
+    async with worker(work, tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        first = await start(client, capture(store, wait=1), "vase")
+        await job_when(client, first, lambda job: job["stage"] == "FITTING")
+        second = await start(client, capture(store, "cap_2"), "dress")
+        told = (await client.get("/v1/queue")).json()
+        assert (told["queued"], told["running"], told["unfinished"]) == (1, 1, 2)
+        assert told["waiting_s"] > 0
+        work.release.set()
+        for job in (first, second):
+            await ended(client, job)
+        assert (await client.get("/v1/queue")).json() == {"queued": 0, "running": 0, "unfinished": 0, "waiting_s": 0.0}
 
 
 async def test_a_job_that_no_worker_takes_waits(tmp_path: Path) -> None:
