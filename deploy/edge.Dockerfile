@@ -7,9 +7,20 @@ RUN apt-get update && apt-get install -y --no-install-recommends g++ && rm -rf /
 ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
+RUN python -m venv /venv
+# First and alone, from that index alone: where it cannot be reached, pip would go on with the CUDA build after minutes of retries.
+RUN if [ -n "$TORCH_INDEX" ]; then \
+      /venv/bin/pip install --no-cache-dir --retries 1 --timeout 60 --no-deps -c constraints.txt --index-url "$TORCH_INDEX" torch || \
+      { echo "PyTorch cannot be had from TORCH_INDEX=$TORCH_INDEX: name a mirror of it (docker compose: TORCH_CPU_INDEX), or" \
+             "leave it empty for pip's own index, whose PyTorch brings 2.3 GB of CUDA" >&2; exit 1; }; \
+    fi
 COPY services ./services
-RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir -c constraints.txt \
+RUN /venv/bin/pip install --no-cache-dir -c constraints.txt \
     ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} '.[edge,storage,fast]'
+COPY deploy/slim.sh ./
+# Libraries that were made smaller still load.
+RUN sh slim.sh /venv && \
+    /venv/bin/python -c 'import av, boto3, cv2, grpc, meshoptimizer, pillow_heif, pycolmap, scipy.spatial, skimage.measure, torch'
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home capture2vr

@@ -2,6 +2,7 @@
 
 Headsets read these two without credentials and check them by signature and hash. Captures, catalogue entries and
 aliases stay private. With STORAGE_PRESIGN_S everything stays private, and the gateway presigns what somebody may read.
+A service that is still starting is waited for.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
+import time
 
+from services.storage.s3 import S3Store
 from services.storage.settings import StorageSettings, open_store
 from services.strict_settings import SettingsError
 
@@ -17,6 +20,11 @@ _log = logging.getLogger(__name__)
 
 PUBLIC_PREFIXES = ("assets/", "collections/", "tenants/*/assets/", "tenants/*/collections/")
 """Objects that the edge cache reads without credentials; who may read them through it, the gateway says."""
+
+WAIT_S = 120.0
+"""Seconds that a service gets to start: the RADOS Gateway takes up to a minute on a busy machine."""
+
+_PAUSE_S = 1.0
 
 
 def read_policy(bucket: str) -> str:
@@ -31,10 +39,25 @@ def read_policy(bucket: str) -> str:
     return json.dumps({"Version": "2012-10-17", "Statement": [statement]})
 
 
+def _create_bucket(store: S3Store) -> None:
+    """Create the bucket; try again while the service does not answer or has an error. Raises OSError after WAIT_S."""
+    deadline, has_told = time.monotonic() + WAIT_S, False
+    while True:
+        try:
+            return store.create_bucket()
+        except PermissionError:  # waiting does not make a key right
+            raise
+        except OSError as error:
+            if time.monotonic() > deadline:
+                raise
+            if not has_told:
+                _log.info("waiting for the store: %s", error)
+            has_told = True
+        time.sleep(_PAUSE_S)
+
+
 def main() -> None:
     """Create the bucket and set its policy. Idempotent: run it before the services at every start."""
-    from services.storage.s3 import S3Store
-
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     try:
         settings = StorageSettings()
@@ -42,7 +65,7 @@ def main() -> None:
         if not isinstance(store, S3Store):
             _log.info("a local store needs no bucket")
             return
-        store.create_bucket()
+        _create_bucket(store)
         if settings.presign_s:
             store.close_to_strangers()
             store.let_pages_read()

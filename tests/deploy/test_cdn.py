@@ -66,7 +66,8 @@ def bucket(s3_server: S3Server) -> S3Store:
     return store
 
 
-def _nginx() -> str:
+def find_nginx() -> str:
+    """Path of nginx, which is installed where it is missing and this process may."""
     if shutil.which("nginx") is None and os.geteuid() == 0:
         install = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "nginx-core"]
         subprocess.run(install, env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"}, capture_output=True)
@@ -91,9 +92,9 @@ def edge_cache(s3_server: S3Server, gateway: str) -> Iterator[str]:
         folder, port = Path(name), free_port()
         folder.chmod(0o777)
         (folder / "nginx.conf").write_text(_configuration(s3_server, gateway, folder, port))
-        child = subprocess.Popen([_nginx(), "-c", folder / "nginx.conf", "-g", "daemon off;"])
+        child = subprocess.Popen([find_nginx(), "-c", folder / "nginx.conf", "-g", "daemon off;"])
         try:
-            _wait_for(f"http://127.0.0.1:{port}/healthz")
+            wait_for(f"http://127.0.0.1:{port}/healthz")
             yield f"http://127.0.0.1:{port}"
         finally:
             child.terminate()
@@ -117,7 +118,8 @@ def _configuration(s3_server: S3Server, gateway: str, folder: Path, port: int) -
     return conf
 
 
-def _wait_for(url: str) -> None:
+def wait_for(url: str) -> None:
+    """Wait until a URL is answered well."""
     for _ in range(100):
         try:
             if httpx.get(url).is_success:

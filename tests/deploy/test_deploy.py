@@ -69,11 +69,28 @@ def test_only_the_cache_is_published_and_only_on_loopback(compose: list[str]) ->
 
 
 @pytest.mark.docker
-def test_our_containers_are_read_only_without_capabilities(compose: list[str]) -> None:
-    services = _config(compose, "gpu")["services"]
-    for name in ("gateway", "edge", "edge-gpu", "bucket", "cdn"):
-        assert services[name]["read_only"] is True, name
-        assert services[name]["cap_drop"] == ["ALL"], name
+def test_containers_are_read_only_without_capabilities(compose: list[str]) -> None:
+    services = _config(compose, "gpu", "postgres")["services"]
+    assert services.keys() >= {"gateway", "edge", "edge-gpu", "minio", "bucket", "cdn"}
+    for name, service in services.items():
+        assert service["read_only"] is True, name
+        assert service["cap_drop"] == ["ALL"], name
+        assert service["security_opt"] == ["no-new-privileges:true"], name
+
+
+@pytest.mark.docker
+def test_no_container_takes_the_whole_machine_or_disk(compose: list[str]) -> None:
+    """CPUs have a limit only where one is set: more than a machine has is an error of Docker's."""
+    for name, service in _config(compose, "gpu", "postgres")["services"].items():
+        assert 0 < int(service["mem_limit"]) <= 16 << 30, name
+        assert 0 < service["pids_limit"] <= 4096, name
+        assert float(service.get("cpus", 0)) == 0, name
+        assert service["logging"]["driver"] == "json-file", name
+        assert service["logging"]["options"] == {"max-size": "10m", "max-file": "5"}, name
+    limits = {"LIMIT_EDGE_MEMORY": "3g", "LIMIT_EDGE_CPUS": "1.5", "LIMIT_PIDS": "99", "LOG_SIZE": "1m"}
+    edge = _config(compose, **limits)["services"]["edge"]
+    assert (int(edge["mem_limit"]), float(edge["cpus"]), edge["pids_limit"]) == (3 << 30, 1.5, 99)
+    assert edge["logging"]["options"]["max-size"] == "1m"
 
 
 @pytest.mark.docker
@@ -102,30 +119,61 @@ def test_postgres_exists_only_in_its_profile_and_is_reached_by_gateways_alone(co
 @pytest.mark.docker
 def test_each_worker_has_the_torch_of_its_device(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
-    assert "args" not in services["edge"]["build"], "the Dockerfile's own default is the CPU build"
+    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", _edge_stages()[0], re.MULTILINE)
+    assert services["edge"]["build"]["args"] == {"TORCH_INDEX": default}, "the CPU build"
     assert services["edge-gpu"]["build"]["args"] == {"TORCH_INDEX": ""}, "empty, not absent: it replaces that default"
     assert services["edge-gpu"]["image"] != services["edge"]["image"]
-    named = _config(compose, "gpu", TORCH_INDEX="https://example.org/cuda")["services"]["edge-gpu"]["build"]["args"]
-    assert named == {"TORCH_INDEX": "https://example.org/cuda"}
+    indexes = {"TORCH_INDEX": "https://example.org/cuda", "TORCH_CPU_INDEX": "https://example.org/cpu"}
+    named = _config(compose, "gpu", **indexes)["services"]
+    assert named["edge-gpu"]["build"]["args"] == {"TORCH_INDEX": "https://example.org/cuda"}
+    assert named["edge"]["build"]["args"] == {"TORCH_INDEX": "https://example.org/cpu"}
 
 
-@pytest.mark.parametrize(
-    ("index", "flags"),
-    [
-        (None, ["--extra-index-url", "https://download.pytorch.org/whl/cpu"]),
-        ("", []),
-        ("https://example.org/cuda", ["--extra-index-url", "https://example.org/cuda"]),
-    ],
-)
-def test_the_worker_image_takes_torch_from_the_index_that_is_named(index: str | None, flags: list[str]) -> None:
+@pytest.mark.parametrize("index", [None, "", "https://example.org/cuda"])
+def test_the_worker_image_takes_torch_from_the_index_that_is_named(index: str | None) -> None:
     """None: nobody names one. pip's place is taken by a program that prints what it is asked for."""
-    build, _ = _edge_stages()
-    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", build, re.MULTILINE)
-    (install,) = re.findall(r"/venv/bin/(pip install .*)", build)
-    script = f"pip() {{ printf '%s\\n' \"$@\"; }}; {install}"
-    environment = {"PATH": os.environ["PATH"], "TORCH_INDEX": default if index is None else index}
-    asked = subprocess.run(["sh", "-euc", script], capture_output=True, text=True, check=True, env=environment).stdout
-    assert asked.splitlines() == ["install", "--no-cache-dir", "-c", "constraints.txt", *flags, ".[edge,storage,fast]"]
+    (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", _edge_stages()[0], re.MULTILINE)
+    named = default if index is None else index
+    ended = _install_in_edge_image("printf '%s ' \"$@\"; echo", named)
+    asked = [line.split() for line in ended.stdout.splitlines()]
+    if named:
+        first = asked.pop(0)
+        assert first[first.index("--index-url") + 1 :] == [named, "torch"]
+        assert "--no-deps" in first
+    flags = ["--extra-index-url", named] if named else []
+    assert asked == [["install", "--no-cache-dir", "-c", "constraints.txt", *flags, ".[edge,storage,fast]"]]
+
+
+def test_an_index_without_torch_ends_the_build_at_once_with_a_sentence() -> None:
+    ended = _install_in_edge_image("false", "https://example.org/none")
+    assert ended.returncode == 1
+    assert "PyTorch cannot be had from TORCH_INDEX=https://example.org/none" in ended.stderr
+    assert "TORCH_CPU_INDEX" in ended.stderr
+
+
+def _install_in_edge_image(pip: str, index: str) -> subprocess.CompletedProcess[str]:
+    """Run the build's pip instructions one after the other, with a shell function in the place of pip."""
+    steps = [step for step in re.findall(r"^RUN (.*)$", _edge_stages()[0], re.MULTILINE) if "pip install" in step]
+    script = "\n".join([f"pip() {{ {pip}; }}", *(step.replace("/venv/bin/pip", "pip") for step in steps)])
+    environment = {"PATH": os.environ["PATH"], "TORCH_INDEX": index}
+    return subprocess.run(["sh", "-euc", script], capture_output=True, text=True, env=environment)
+
+
+def test_the_images_share_their_base() -> None:
+    texts = [path.read_text() for path in (ROOT / "deploy").glob("*.Dockerfile")]
+    assert {base for text in texts for base in re.findall(r"^FROM (\S+)", text, re.MULTILINE)} == {"python:3.11-slim"}
+
+
+def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> None:
+    """slim.sh on a small tree: tests, headers and pip go, code and its data stay."""
+    site = tmp_path / "lib" / "python3.11" / "site-packages"
+    gone = ["numpy/tests/test_a.py", "torch/include/a.h", "pip/a.py", "a/b.pyi", "botocore/data/ec2/1/service.json"]
+    kept = ["numpy/testing/a.py", "torch/lib/a.py", "botocore/data/s3/1/service.json", "botocore/data/endpoints.json"]
+    for name in (*gone, *kept):
+        (site / name).parent.mkdir(parents=True, exist_ok=True)
+        (site / name).write_text("")
+    subprocess.run(["sh", ROOT / "deploy" / "slim.sh", tmp_path], check=True)
+    assert sorted(path.relative_to(site).as_posix() for path in site.rglob("*") if path.is_file()) == sorted(kept)
 
 
 def test_the_worker_image_has_a_compiler_only_while_it_is_built() -> None:
@@ -213,6 +261,7 @@ def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:
         "!README.md",
         "!LICENSE",
         "!services",
+        "!deploy/slim.sh",
     }
 
 
@@ -248,6 +297,45 @@ def test_the_placeholder_is_the_one_that_public_gateways_refuse(compose: list[st
 def test_links_follow_the_port(compose: list[str]) -> None:
     environment = _config(compose, PORT="9999")["services"]["gateway"]["environment"]
     assert environment["GATEWAY_PUBLIC_URL"] == environment["STORAGE_BASE_URL"] == "http://127.0.0.1:9999"
+
+
+@pytest.mark.docker
+def test_the_workers_are_all_that_have_the_name_of_the_service(compose: list[str]) -> None:
+    services = _config(compose)["services"]
+    assert services["gateway"]["environment"]["GATEWAY_WORKERS"] == "dns:///edge:50051"
+    for name in ("gateway", "edge"):  # either would keep a service from being scaled
+        assert not {"container_name", "ports"} & services[name].keys()
+
+
+@pytest.mark.docker
+def test_the_store_can_be_another_service(compose: list[str]) -> None:
+    endpoint = "https://s3.example"
+    named = {
+        "MINIO_REPLICAS": "0",
+        "STORAGE_ENDPOINT": endpoint,
+        "STORAGE_PRESIGN_S": "300",
+        "STORAGE_BUCKET": "things",
+    }
+    config = _config(compose, "gpu", NETWORK_INTERNAL="false", **named)
+    assert config["services"]["minio"]["deploy"]["replicas"] == 0
+    assert not config["networks"]["inside"].get("internal", False)
+    for name in ("gateway", "edge", "edge-gpu", "bucket"):
+        given = config["services"][name]["environment"]
+        assert (given["STORAGE_ENDPOINT"], given["STORAGE_PRESIGN_S"], given["STORAGE_BUCKET"]) == (
+            endpoint,
+            "300",
+            "things",
+        )
+    assert _config(compose)["networks"]["inside"]["internal"] is True
+
+
+@pytest.mark.docker
+def test_nothing_waits_for_the_stores_own_health_check(compose: list[str]) -> None:
+    services = _config(compose)["services"]
+    assert services["bucket"]["depends_on"]["minio"]["condition"] == "service_started"
+    for name in ("gateway", "edge"):
+        assert services[name]["depends_on"]["bucket"]["condition"] == "service_completed_successfully"
+    assert "healthcheck" not in services["minio"]
 
 
 @pytest.mark.docker

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import uuid
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from services.storage.settings import StorageSettings, open_store
 from services.storage.store import Store
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
+from tests.support.lines import line_to
 from tests.support.sites import gateway_at
 from tests.support.tenants import bearer, make_key, publish_for
 
@@ -82,6 +86,33 @@ def assert_every_call_raises(store: Store, error: type[Exception]) -> None:
 
 def test_creating_a_bucket_twice_is_no_error(s3_server: S3Server, bucket: str) -> None:
     s3_store(s3_server, bucket).create_bucket()
+
+
+def test_a_store_that_starts_later_is_waited_for(s3_server: S3Server, bucket: str) -> None:
+    """Nobody listens at first; the line is mended once the program says that it waits."""
+    line = line_to(s3_server.endpoint)
+    line.cut()
+    settings = {"KIND": "s3", "ENDPOINT": line.url, "BUCKET": bucket}
+    settings |= {"ACCESS_KEY": s3_server.access_key, "SECRET_KEY": s3_server.secret_key}
+    environment = {**os.environ, **{f"STORAGE_{name}": value for name, value in settings.items()}}
+    command = [sys.executable, "-m", "services.storage.bucket"]
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stderr is not None
+        assert "waiting for the store" in program.stderr.readline()
+        line.mend()
+        assert "is ready" in program.stderr.read()
+    line.cut()
+    assert program.returncode == 0
+
+
+def test_wrong_credentials_are_told_at_once(s3_server: S3Server, bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    s3_store(s3_server, bucket)
+    settings = {"KIND": "s3", "ENDPOINT": s3_server.endpoint, "BUCKET": bucket}
+    for name, value in (settings | {"ACCESS_KEY": "nobody", "SECRET_KEY": "wrong"}).items():
+        monkeypatch.setenv(f"STORAGE_{name}", value)
+    monkeypatch.setattr("services.storage.bucket.time.sleep", pytest.fail)
+    with pytest.raises(SystemExit, match="STORAGE_ACCESS_KEY"):
+        main()
 
 
 def test_a_private_bucket_is_read_by_presigned_urls_alone(
