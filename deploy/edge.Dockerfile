@@ -18,9 +18,12 @@ COPY services ./services
 RUN /venv/bin/pip install --no-cache-dir -c constraints.txt \
     ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} '.[edge,storage,fast]'
 COPY deploy/slim.sh ./
-# Libraries that were made smaller still load.
+# Libraries that were made smaller still load. Some have no wheel for ARM.
 RUN sh slim.sh /venv && \
-    /venv/bin/python -c 'import av, boto3, cv2, grpc, meshoptimizer, pillow_heif, pycolmap, scipy.spatial, skimage.measure, torch'
+    /venv/bin/python -c 'import av, boto3, cv2, grpc, meshoptimizer, pillow_heif, pycolmap, scipy.spatial, skimage.measure, torch' && \
+    for name in embreex.rtcore pye57 xatlas; do \
+      [ ! -d "$(echo /venv/lib/python3*/site-packages)/${name%%.*}" ] || /venv/bin/python -c "import $name" || exit 1; \
+    done
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home capture2vr

@@ -12,4 +12,5 @@ rm -f ../../../bin/pip*
 # boto3 asks these for credentials; its other services are 20 MB of descriptions.
 [ ! -d botocore/data ] ||
   find botocore/data -mindepth 1 -maxdepth 1 -type d ! -name s3 ! -name sts ! -name 'sso*' ! -name signin -exec rm -rf {} +
-find . -type f -name '*.so*' -exec strip --strip-unneeded {} +
+# OpenBLAS as NumPy and SciPy carry it does not load any more without its symbols.
+find . -type f -name '*.so*' ! -path './numpy.libs/*' ! -path './scipy.libs/*' -exec strip --strip-unneeded {} +

@@ -8,15 +8,14 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
+
+from services.edge.worker.control_group import own_control_group
 
 _POLL_S = 0.2
 """Seconds between two reports of a job that waits: a cancellation must take effect within two seconds."""
 
 _SHARE = 0.6
 """Share of the machine's memory for fits: the rest is for the jobs' captures, previews and meshes, and the system."""
-
-_CGROUP = Path("/sys/fs/cgroup/memory.max")
 
 
 class MemoryBudget:
@@ -74,13 +73,4 @@ class MemoryBudget:
 def machine_bytes() -> int:
     """Bytes that fits may take: a share of this machine's memory, or of the container's limit where that is less."""
     physical = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return int(_SHARE * min(physical, _container_bytes() or physical))
-
-
-def _container_bytes() -> int:
-    """The container's memory limit in bytes (cgroup version 2); 0 where there is none."""
-    try:
-        limit = _CGROUP.read_text().strip()
-    except OSError:
-        return 0
-    return int(limit) if limit.isdecimal() else 0
+    return int(_SHARE * min(physical, own_control_group().limit_bytes or physical))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
 from services.edge.errors import Cancelled
 from services.edge.worker import memory_budget as memory_module
+from services.edge.worker.control_group import ControlGroup
 from services.edge.worker.memory_budget import MemoryBudget, machine_bytes
 
 
@@ -93,8 +95,9 @@ def test_a_large_job_is_not_overtaken_for_ever() -> None:
     assert order == ["large", "small"]
 
 
-def test_a_share_of_the_machine_is_for_fits(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
+def test_a_share_of_the_machine_is_for_fits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     whole = machine_bytes()
     assert whole > 1 << 28
-    monkeypatch.setattr(memory_module, "_container_bytes", lambda: 1 << 30)
+    (tmp_path / "memory.max").write_text(f"{1 << 30}\n")
+    monkeypatch.setattr(memory_module, "own_control_group", lambda: ControlGroup((tmp_path,)))
     assert machine_bytes() == int(0.6 * (1 << 30)) <= whole
