@@ -27,7 +27,7 @@ TOP_ROOMS = {
         "preset": ("preset", "preset_choice"),
     },
     "gateway": {
-        SHARED: ("errors",),
+        SHARED: ("errors", "database_faults"),
         "app": ("__main__", "app", "middleware", "instance_lock"),
         "schemas": ("schemas", "settings", "metrics"),
         "worker_client": ("worker_client", "worker_types"),

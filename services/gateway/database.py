@@ -23,6 +23,7 @@ _FIRST = "0001"  # the schema of databases that are older than the migrations
 _LOCK = 0x63327672  # Postgres: key of the lock that one gateway holds while it migrates; any number, only ours
 _CHECK_MS = 1_000  # wait of a health check
 _POSTGRES = {
+    "client_encoding": "utf8",  # whatever PGCLIENTENCODING says
     "connect_timeout": "5",
     # A server that vanished without a word is noticed after 15 s instead of a quarter of an hour.
     "keepalives_idle": "5",
@@ -36,13 +37,16 @@ _BUSY_MS = 10_000  # wait for the lock: other processes hold it for a synced com
 def open_engine(url: str) -> Engine:
     """Open the database and bring its schema up to date.
 
-    Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used, SchemaNewer for one of a newer gateway.
+    Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used: SchemaNewer for one of a newer gateway, WrongEncoding.
     """
-    engine = sa.create_engine(_completed(url), pool_pre_ping=not url.startswith("sqlite"))
+    # psycopg would prepare statements after some uses, and Postgres then plan them for no state of a job in particular.
+    options = {} if url.startswith("sqlite") else {"prepare_threshold": None}
+    engine = sa.create_engine(_completed(url), pool_pre_ping=not url.startswith("sqlite"), connect_args=options)
     if engine.dialect.name == "sqlite":
         sa.event.listen(engine, "connect", _prepare)
         sa.event.listen(engine, "begin", _begin)
     try:
+        _check_encoding(engine)
         _migrate(engine)
     except BaseException:
         engine.dispose()
@@ -62,6 +66,24 @@ def _completed(url: str) -> sa.URL:
 
 class SchemaNewer(sa.exc.SQLAlchemyError):
     """The database was migrated by a newer version of the gateway."""
+
+
+class WrongEncoding(sa.exc.SQLAlchemyError):
+    """The database cannot store all text."""
+
+
+def _check_encoding(engine: Engine) -> None:
+    """Raises WrongEncoding for a Postgres database that is not in UTF-8: it returns text as bytes, or refuses it."""
+    if engine.dialect.name != "postgresql":
+        return
+    with engine.connect() as db:
+        encoding = db.execute(sa.text("SHOW server_encoding")).scalar_one()
+    if encoding != "UTF8":
+        raise WrongEncoding(
+            f"the jobs database '{engine.url.database}' has the encoding {encoding}, and names are stored in UTF-8: "
+            "make another with CREATE DATABASE name ENCODING 'UTF8' TEMPLATE template0, and name it in "
+            "GATEWAY_DATABASE_URL"
+        )
 
 
 def for_writing(engine: Engine) -> Engine:

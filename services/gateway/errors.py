@@ -13,8 +13,11 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import TimeoutError as NoConnection
 from starlette.exceptions import HTTPException
+
+from services.gateway.database_faults import Fault, fault_of
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -100,6 +103,7 @@ def install_handlers(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
     app.add_exception_handler(DBAPIError, _on_database_error)
+    app.add_exception_handler(NoConnection, _on_database_error)
 
 
 async def _on_problem(_: Request, error: Exception) -> JSONResponse:
@@ -126,18 +130,26 @@ async def _on_invalid_request(request: Request, error: Exception) -> JSONRespons
 
 
 async def _on_database_error(request: Request, error: Exception) -> JSONResponse:
-    """Answer for a jobs database that is locked, full or damaged. Nothing was written: a transaction is all or none."""
-    assert isinstance(error, DBAPIError)
-    _log.error("%s %s: the jobs database failed: %s", request.method, request.url.path, error.orig)
-    if "is full" in str(error.orig).lower() or "no space" in str(error.orig).lower():
-        return storage_full().response()
-    return Problem(
-        503,
-        "DATABASE_UNAVAILABLE",
-        "the jobs database is busy or cannot be used",
-        retryable=True,
-        headers={"Retry-After": str(RETRY_S)},
-    ).response()
+    """Answer for a jobs database that is away, locked, full, read-only or damaged.
+
+    A transaction is all or none. A client that does not know whether it was committed asks again with its
+    Idempotency-Key.
+    """
+    assert isinstance(error, SQLAlchemyError)
+    _log.error("%s %s: the jobs database failed: %s", request.method, request.url.path, error.__cause__ or error)
+    match fault_of(error):
+        case Fault.FULL:
+            return storage_full().response()
+        case Fault.READ_ONLY:
+            detail, hints = "the jobs database is read-only: nothing can be changed now", ("try again later",)
+            return _database_problem("DATABASE_READ_ONLY", detail, hints).response()
+        case Fault.UNUSABLE:
+            detail = "the jobs database is busy or cannot be used"
+            return _database_problem("DATABASE_UNAVAILABLE", detail).response()
+
+
+def _database_problem(code: str, detail: str, hints: tuple[str, ...] = ()) -> Problem:
+    return Problem(503, code, detail, retryable=True, hints=hints, headers={"Retry-After": str(RETRY_S)})
 
 
 def storage_full() -> Problem:

@@ -12,6 +12,7 @@ import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
+import services.gateway.app  # noqa: F401 - with it come all tables
 from services.gateway.access.store import AccessStore
 from services.gateway.database import SchemaNewer, metadata, open_engine
 from services.gateway.jobs.job import Order
@@ -77,6 +78,8 @@ def test_jobs_of_before_the_tenants_are_the_default_tenants(url: str) -> None:
     assert jobs.get("default", _JOB).order == _ORDER
     assert jobs.find_by_key("default", "k", "sha") == jobs.get("default", _JOB)
     assert jobs.page("ada", limit=5) == []
+    with engine.connect() as db:  # which the queue's index holds
+        assert db.exec_driver_sql("SELECT state, preset FROM jobs").all() == [("QUEUED", "draft")]
     assert not AccessStore(engine).has_keys()
     engine.dispose()
 

@@ -22,28 +22,58 @@ def programs() -> Path | None:
     return found[-1].parent if found else None
 
 
-@contextmanager
-def running(programs: Path) -> Iterator[str]:
-    """The URL of an empty database, for SQLAlchemy. Postgres refuses to run as root, so root lends it a user."""
-    user = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
-    folder, port = Path(tempfile.mkdtemp(prefix="pg-")), free_port()
-    try:
-        if user:
+class PostgresServer:
+    """A server with a cluster of its own in a folder. Postgres refuses to run as root, so root lends it a user."""
+
+    def __init__(self, programs: Path, folder: Path) -> None:
+        self._programs, self._folder, self._port = programs, folder, free_port()
+        self._user = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []
+        if self._user:
             shutil.chown(folder, "postgres")
-        data = folder / "data"
-        initialise = [*user, programs / "initdb", "-D", data, "-A", "trust", "-U", "test", "-N"]
-        subprocess.run(initialise, check=True, capture_output=True, cwd=folder)
-        flags = ["-D", data, "-p", str(port), "-k", folder, "-h", "127.0.0.1"]
-        with (folder / "log").open("wb") as log:
-            server = subprocess.Popen([*user, programs / "postgres", *flags], stdout=log, stderr=log, cwd=folder)
+        text = ["-E", "UTF8", "--locale", "C"]  # the machine's own locale may be none
+        initialise = [programs / "initdb", "-D", folder / "data", "-A", "trust", "-U", "test", "-N", *text]
+        subprocess.run([*self._user, *initialise], check=True, capture_output=True, cwd=folder)
+
+    @property
+    def url(self) -> str:
+        """The URL of a database, for SQLAlchemy."""
+        return f"postgresql+psycopg://test@127.0.0.1:{self._port}/postgres"
+
+    def start(self) -> None:
+        """Start the server, and wait until it answers."""
+        flags = ["-D", self._folder / "data", "-p", str(self._port), "-k", self._folder, "-h", "127.0.0.1"]
+        with (self._folder / "log").open("ab") as log:
+            command = [*self._user, self._programs / "postgres", *flags]
+            self._running = subprocess.Popen(command, stdout=log, stderr=log, cwd=self._folder)
+        _wait([self._programs / "pg_isready", "-h", "127.0.0.1", "-p", str(self._port)], self._folder / "log")
+
+    def stop(self) -> None:
+        """Stop the server. Connections are cut, and what was not committed is rolled back."""
+        stop = [self._programs / "pg_ctl", "stop", "-D", self._folder / "data", "-m", "fast"]
+        subprocess.run([*self._user, *stop], check=True, capture_output=True, cwd=self._folder)
+        self._running.wait(_START_S)
+
+
+@contextmanager
+def running_server(programs: Path) -> Iterator[PostgresServer]:
+    """A server that a test may stop and start again."""
+    folder = Path(tempfile.mkdtemp(prefix="pg-"))
+    try:
+        server = PostgresServer(programs, folder)
+        server.start()
         try:
-            _wait([programs / "pg_isready", "-h", "127.0.0.1", "-p", str(port)], folder / "log")
-            yield f"postgresql+psycopg://test@127.0.0.1:{port}/postgres"
+            yield server
         finally:
-            server.terminate()
-            server.wait(_START_S)
+            server.stop()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def running(programs: Path) -> Iterator[str]:
+    """The URL of an empty database, for SQLAlchemy."""
+    with running_server(programs) as server:
+        yield server.url
 
 
 def _wait(is_ready: list[str | Path], log: Path) -> None:

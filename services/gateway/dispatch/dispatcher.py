@@ -18,6 +18,7 @@ from services.gateway.worker_types import WorkerStatus
 
 _POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway may queue jobs, workers come back
 _ANNOUNCED_POLL_S = 30.0  # where the database notifies of queued jobs; only a safety net
+_DATABASE_FAILED = "the jobs database cannot be used; trying again: %s"
 _RENEWALS = 3  # per lease period: two may fail before the lease is lost
 
 _log = logging.getLogger(__name__)
@@ -66,8 +67,8 @@ class Dispatcher:
         while True:
             try:
                 return await self._take_over(self._holder)
-            except SQLAlchemyError:
-                _log.exception("the jobs database failed; trying again")
+            except SQLAlchemyError as error:
+                _log.warning(_DATABASE_FAILED, error.__cause__ or error)
                 await asyncio.sleep(_POLL_S)
 
     async def _repeat(self, do: Callable[[], Awaitable[float]], wake: asyncio.Event) -> None:
@@ -80,6 +81,8 @@ class Dispatcher:
             seconds = _POLL_S
             try:
                 seconds = await do()
+            except SQLAlchemyError as error:
+                _log.warning(_DATABASE_FAILED, error.__cause__ or error)
             except Exception:  # noqa: BLE001 - whatever failed, the dispatcher must go on
                 _log.exception("the dispatcher failed; trying again")
             try:

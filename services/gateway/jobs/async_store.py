@@ -7,10 +7,14 @@ threads read. Uploads use other threads, so that a request about a job never wai
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Concatenate, ParamSpec, TypeVar
 
+from sqlalchemy.exc import DBAPIError
+
+from services.gateway.database_faults import Fault, fault_of
 from services.gateway.jobs.job import Job
 from services.gateway.jobs.notifier import JobNotifier
 from services.gateway.jobs.state_machine import Change
@@ -20,6 +24,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _READERS = 4
+_FULL_S = 60.0  # for which a database counts as full; then the next change tells, as nothing else of it does
 
 
 class AsyncJobStore:
@@ -30,11 +35,17 @@ class AsyncJobStore:
         self._readers = ThreadPoolExecutor(_READERS, "jobs-read")
         self._writer = ThreadPoolExecutor(1, "jobs-write")
         self.notifier = JobNotifier()
+        self._full_until = 0.0
 
     @property
     def blocking(self) -> JobStore:
         """The store itself, for work that is on a thread already."""
         return self._store
+
+    @property
+    def is_full(self) -> bool:
+        """Whether a change was refused for want of space within the last minute, and none has been stored since."""
+        return time.monotonic() < self._full_until
 
     async def read(self, what: Callable[Concatenate[JobStore, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Call a reading method of the store."""
@@ -42,8 +53,14 @@ class AsyncJobStore:
 
     async def write(self, what: Callable[Concatenate[JobStore, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Call a writing method of the store; if it returns a Job, notify the job's listeners."""
-        result = await _run_on(self._writer, lambda: what(self._store, *args, **kwargs))
+        try:
+            result = await _run_on(self._writer, lambda: what(self._store, *args, **kwargs))
+        except DBAPIError as error:
+            if fault_of(error) is Fault.FULL:
+                self._full_until = time.monotonic() + _FULL_S
+            raise
         if isinstance(result, Job):
+            self._full_until = 0.0
             self.notifier.notify(result.id)
         return result
 

@@ -21,7 +21,7 @@ def job_from_row(row: sa.Row[Any]) -> Job:
     """Convert a row of WHOLE_JOB to a Job."""
     values = dict(row._mapping)
     lease = {name: values.pop(f"lease_{name}") for name in _LEASE_FIELDS}
-    del values["lease_job"]
+    del values["lease_job"], values["preset"]  # which is the order's
     return Job(
         **{
             **values,
@@ -42,7 +42,7 @@ def _order_of(stored: Mapping[str, Any]) -> Order:
 
 def job_values(job: Job) -> dict[str, Any]:
     """Return the job's column values for the table `jobs`."""
-    values = {column.name: getattr(job, column.name) for column in jobs.c}
+    values = {column.name: getattr(job, column.name) for column in jobs.c if column.computed is None}
     return {
         **values,
         "order": asdict(job.order),

@@ -21,6 +21,7 @@ from services.gateway.database import brief_wait, for_writing, upsert
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
 from services.gateway.jobs.postgres_notify import announce
+from services.gateway.jobs.queue_order import any_ready, by_oldest_job, first_start, oldest_ready, turns, waiting_queues
 from services.gateway.jobs.row_mapping import (
     WHOLE_JOB,
     event_from_row,
@@ -134,9 +135,9 @@ class JobStore:
             return [job_from_row(row) for row in db.execute(select)]
 
     def check_writable(self) -> None:
-        """Take the lock of a writer, and let it go. Raises sqlalchemy.exc.DBAPIError where that fails."""
+        """Write nothing, as a writer. Raises sqlalchemy.exc.DBAPIError where it is locked, read-only or away."""
         with self._writer.connect() as db, brief_wait(db), db.begin():
-            pass
+            db.execute(queue_turns.update().where(sa.false()).values(served=0.0))
 
     def load(self, tenant: str) -> tuple[int, int]:
         """Return how many jobs of a tenant have not ended, and how many it created within a day."""
@@ -175,13 +176,10 @@ class JobStore:
             return self._write(db, transition(_get(db, select, job)))
 
     def next_start(self, now: float) -> float | None:
-        """Return when a queued job may start: `now` or earlier if one may already; None where none is queued."""
-        queued = sa.select(leases.c.not_before).join(jobs).where(jobs.c.state == State.QUEUED.value)
-        paused = queued.order_by(leases.c.not_before).limit(1)
+        """Return when a queued job may start: `now` if one may already; None where none is queued."""
         with self._engine.begin() as db:
-            # The queue may be long, and then some job is ready: the first one found is enough.
-            ready: float | None = db.execute(queued.where(leases.c.not_before <= now).limit(1)).scalar()
-            return ready if ready is not None else db.execute(paused).scalar()
+            # A long queue has a job that is ready, and is not read to its end for it.
+            return now if db.execute(any_ready(now)).first() else db.execute(first_start()).scalar_one()
 
     def claim(self, now: float, presets: Collection[str], transition: Callable[[Job], Change]) -> Job | None:
         """Apply a transition to the next queued job of these presets that may start; None when there is none.
@@ -189,14 +187,15 @@ class JobStore:
         The tenants take turns: next is the oldest job of the tenant with the fewest running ones; of several tenants,
         of the one whose last turn is longest ago. So a tenant with one job waits for what runs already and no more.
         """
-        offered = jobs.c.order["preset"].as_string().in_(presets)
         with self._writer.begin() as db:
-            for tenant in _turns(db, now, offered):
-                select = _ready_jobs(now).where(jobs.c.tenant == tenant, offered).limit(1)
-                row = db.execute(select.with_for_update(skip_locked=True) if self._locks else select).first()
-                if row is not None:  # else another gateway has just taken the tenant's last job
-                    _note_turn(db, tenant, now)
-                    return self._write(db, transition(job_from_row(row)))
+            queues = waiting_queues(db, presets)
+            for tenant in turns(db, queues):
+                for preset in by_oldest_job(db, tenant, queues[tenant], now):
+                    select = oldest_ready(tenant, preset, now)
+                    job = db.execute(select.with_for_update(skip_locked=True) if self._locks else select).scalar()
+                    if job is not None:  # else all wait for their next attempt, or other gateways are just taking them
+                        upsert(db, queue_turns, {"tenant": tenant}, {"served": now})
+                        return self._write(db, transition(_get(db, WHOLE_JOB, job)))
         return None
 
     def claim_orphan(
@@ -252,28 +251,6 @@ class JobStore:
         if change.events:
             announce(db, self.origin, job)
         return job
-
-
-def _ready_jobs(now: float) -> sa.Select[Any]:
-    return WHOLE_JOB.where(jobs.c.state == State.QUEUED.value, leases.c.not_before <= now).order_by(jobs.c.id)
-
-
-def _turns(db: Connection, now: float, offered: sa.ColumnElement[bool]) -> list[str]:
-    """Return the tenants with jobs that may start, in the order of their turns."""
-    ready = sa.select(jobs.c.tenant).join(leases).distinct()
-    ready = ready.where(jobs.c.state == State.QUEUED.value, leases.c.not_before <= now, offered)
-    tenants = list(db.execute(ready).scalars())
-    if len(tenants) < 2:
-        return tenants
-    running = sa.select(jobs.c.tenant, sa.func.count()).where(jobs.c.state.in_(_RUNS)).group_by(jobs.c.tenant)
-    counts: dict[str, int] = {row[0]: row[1] for row in db.execute(running)}
-    turns = sa.select(queue_turns.c.tenant, queue_turns.c.served).where(queue_turns.c.tenant.in_(tenants))
-    served: dict[str, float] = {row.tenant: row.served for row in db.execute(turns)}
-    return sorted(tenants, key=lambda tenant: (counts.get(tenant, 0), served.get(tenant, 0.0), tenant))
-
-
-def _note_turn(db: Connection, tenant: str, now: float) -> None:
-    upsert(db, queue_turns, {"tenant": tenant}, {"served": now})
 
 
 def _check_limits(db: Connection, tenant: str, at_once: int, per_day: int) -> None:

@@ -13,7 +13,7 @@ jobs = sa.Table(
     # Ids begin with the time of creation, so their order is the order of the queue and of every listing.
     sa.Column("id", sa.String(64), primary_key=True),
     sa.Column("order", sa.JSON, nullable=False),
-    sa.Column("state", sa.String(16), nullable=False, index=True),
+    sa.Column("state", sa.String(16), nullable=False),
     sa.Column("stage", sa.String(32), nullable=False),
     sa.Column("fraction", sa.Double, nullable=False),
     sa.Column("elapsed_s", sa.Double, nullable=False),
@@ -28,7 +28,10 @@ jobs = sa.Table(
     sa.Column("updated", sa.Double, nullable=False),
     sa.Column("tenant", sa.String(32), nullable=False, server_default=DEFAULT_TENANT),
     sa.Column("token", sa.String(64), nullable=False, server_default=sa.text("''")),
+    sa.Column("preset", sa.Text, sa.Computed("\"order\" ->> 'preset'")),
     sa.Index("ix_jobs_tenant_id", "tenant", "id"),
+    # A claim looks here for the first queued job of each tenant, however long the queue.
+    sa.Index("ix_jobs_queue", "state", "preset", "tenant", "id"),
 )
 
 leases = sa.Table(

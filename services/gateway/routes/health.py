@@ -13,6 +13,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.gateway.access.caller import Scope
+from services.gateway.database_faults import Fault, fault_of
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.store import JobStore
 from services.gateway.routes.access_rules import ANYONE, authenticate, needs
@@ -96,6 +97,8 @@ async def _check(question: Awaitable[object]) -> Check:
             await question
     except TimeoutError:
         return Check(ok=False, detail=f"no answer within {_CHECK_S:g} s")
+    except SQLAlchemyError as error:
+        return Check(ok=False, detail=fault_of(error).value)
     except Exception as error:  # noqa: BLE001 - whatever it is, the gateway is not ready; its type is reported
         return Check(ok=False, detail=type(error).__name__)
     return Check(ok=True, detail="answers")
@@ -113,6 +116,8 @@ async def _store(store: Store, scrub: ScrubState) -> Check:
 async def _database(job_store: AsyncJobStore, snapshots: Snapshots) -> Check:
     if snapshots.fault:
         return Check(ok=False, detail=f"damaged: {snapshots.fault}")
+    if job_store.is_full:
+        return Check(ok=False, detail=Fault.FULL.value)
     return await _check(job_store.read(JobStore.check_writable))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import logging
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import replace
@@ -12,6 +13,7 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
+from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from services.gateway.access.caller import Scope
@@ -32,8 +34,11 @@ from services.storage.catalogue.entry import valid_key
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
+_log = logging.getLogger(__name__)
+
 _FOLLOWS = needs(Scope.CAPTURE, Scope.READ, Scope.MANAGE)
 _HEARTBEAT_S = 10.0  # longest silence on an event stream: proxies cut silent connections after 30 to 60 s
+_DATABASE_RETRY_S = 1.0  # between two looks of an event stream at a jobs database that is away
 _RECONNECT_MS = 1000  # how long browsers wait before they reconnect
 _SEND_TIMEOUT_S = 30.0  # a client that reads nothing for so long is considered gone
 
@@ -206,7 +211,12 @@ async def _event_stream(
     with job_store.notifier.listen(job_id) as news:
         while True:
             news.clear()
-            job, fresh = await job_store.read(JobStore.job_and_events, tenant, job_id, last_seq)
+            try:
+                job, fresh = await job_store.read(JobStore.job_and_events, tenant, job_id, last_seq)
+            except SQLAlchemyError as error:  # it may come back, and then the stream goes on
+                _log.warning("the events of %s wait for the jobs database: %s", job_id, error.__cause__ or error)
+                await asyncio.sleep(_DATABASE_RETRY_S)
+                continue
             for event in fresh:
                 yield _sse(event)
                 if not replaying:

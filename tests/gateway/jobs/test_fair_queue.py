@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from services.gateway.database import open_engine
 from services.gateway.jobs.job import Job, Order
 from services.gateway.jobs.reports import RunFinished, VersionPublished
-from services.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker
+from services.gateway.jobs.state_machine import Retry, apply_reports, lease_to_worker, requeue_refused
 from services.gateway.jobs.store import JobStore
 
 ORDER = Order("cap_1", "draft", "dress")
@@ -72,6 +73,26 @@ def test_a_tenant_that_runs_nothing_is_before_one_that_runs_some(store: JobStore
         store.create(tenant, ORDER)
     served = [job.tenant for _ in range(3) if (job := claim(store, clock))]
     assert served == ["a", "b", "big"]
+
+
+def test_the_oldest_job_that_may_start_is_first_whatever_its_preset(store: JobStore) -> None:
+    made = [
+        store.create("ada", replace(ORDER, preset=preset)) for preset in ("scene", "fine", "draft", "fine", "draft")
+    ]
+
+    def claimed(now: float, *presets: str) -> int | None:
+        lease = partial(lease_to_worker, holder="gw", worker="w:1", now=now, lease_s=10)
+        job = store.claim(now, presets, lease)
+        return next(number for number, each in enumerate(made) if each.id == job.id) if job else None
+
+    assert claimed(LATE, "draft", "fine") == 1
+    store.change(made[1].id, partial(requeue_refused, fence=1, now=LATE, pause_s=100))
+    assert store.next_start(LATE) == LATE
+    assert [claimed(LATE, "draft", "fine") for _ in range(4)] == [2, 3, 4, None], "the first waits for its next attempt"
+    assert claimed(LATE, "scene") == 0
+    assert store.next_start(LATE) == LATE + 100
+    assert claimed(LATE + 100, "draft", "fine") == 1
+    assert store.next_start(LATE) is None
 
 
 @settings(max_examples=15)
