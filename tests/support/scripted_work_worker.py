@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 
 from services.edge.worker.server import serve
 from services.edge.worker.settings import EdgeSettings
+from services.logs import configure
 from services.storage.settings import StorageSettings, open_store
 from tests.support.scripted_work import Making
 
 if __name__ == "__main__":
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")
+    configure("INFO")
     sys.exit(serve(EdgeSettings(), Making(open_store(StorageSettings()))))

@@ -30,6 +30,14 @@ class ServiceProcess:
         """As a power cut: no handler runs."""
         self.end(signal.SIGKILL)
 
+    @property
+    def is_running(self) -> bool:
+        return self._running.poll() is None
+
+    def wait(self) -> int:
+        """Wait until it has ended by itself; its exit status."""
+        return self._running.wait()
+
     def end(self, number: signal.Signals) -> None:
         """Send a signal that ends it, and wait until it has ended."""
         self._running.send_signal(number)

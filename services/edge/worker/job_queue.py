@@ -16,8 +16,10 @@ from services.edge.worker.event_log import Ending
 from services.edge.worker.failures import CANCELLED, DRAINING
 from services.edge.worker.job_request import ReconstructionRequest, RefusedError
 from services.edge.worker.job_run import JobRun, Work
+from services.edge.worker.metrics import WorkerMetrics
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.upload import receive
+from services.logs import log_fields
 
 _log = logging.getLogger(__name__)
 
@@ -57,8 +59,9 @@ class _PendingUpload:
 class JobQueue:
     """Receives jobs and runs them in `slots` threads, first in, first out. Used on the event loop only."""
 
-    def __init__(self, work: Work, scratch: Scratch, *, slots: int, queue: int) -> None:
+    def __init__(self, work: Work, scratch: Scratch, metrics: WorkerMetrics, *, slots: int, queue: int) -> None:
         self._work = work
+        self._metrics = metrics
         self._scratch = scratch
         self._checkpoints = scratch.checkpoints
         self._slots = slots
@@ -128,6 +131,7 @@ class JobQueue:
     async def drain(self, timeout_s: float, hurry: asyncio.Event) -> None:
         """Refuse new jobs and return those that wait; stop those still running after `timeout_s` or on `hurry`."""
         self.draining = True
+        self._show_load()
         for upload in self._uploads.values():
             upload.refuse(_draining())
         for run in tuple(self._waiting):
@@ -187,10 +191,16 @@ class JobQueue:
         while self._waiting and len(self._busy) < self._slots:
             run = self._waiting.popleft()
             self._busy.add(run)
-            _log.info("job %s starts: preset %s, key %s", run.request.job, run.request.preset, run.request.asset_key)
+            request = run.request
+            with log_fields(job=request.job):
+                _log.info("job %s starts: preset %s, key %s", request.job, request.preset, request.asset_key)
             self._start(run)
         if not self._waiting and not self._busy:
             self._idle.set()
+        self._show_load()
+
+    def _show_load(self) -> None:
+        self._metrics.show_load(busy=len(self._busy), queued=len(self._waiting), draining=self.draining)
 
     def _start(self, run: JobRun) -> None:
         run.start(
@@ -224,8 +234,11 @@ class JobQueue:
         if run.log.ending is not None:
             return
         run.log.end(ending)
+        self._metrics.observe_end(ending)
         self._busy.discard(run)
-        _log.info("job %s ended: %s", run.request.job, ending.code if isinstance(ending, pb.Failure) else "finished")
+        how = ending.code if isinstance(ending, pb.Failure) else "finished"
+        with log_fields(job=run.request.job):
+            _log.info("job %s ended: %s", run.request.job, how)
         self._ended.append(run)
         asyncio.get_running_loop().call_later(KEEP_ENDED_S, self._forget, run)
         if len(self._ended) > KEEP_ENDED:

@@ -18,6 +18,7 @@ from services.edge.worker.checkpoint_files import CheckpointFiles
 from services.edge.worker.event_log import Ending, EventLog, Update
 from services.edge.worker.failures import failure_of
 from services.edge.worker.job_request import ReconstructionRequest
+from services.logs import log_fields
 from services.photo_box import PhotoBox
 
 Report = Callable[[Update], None]
@@ -105,9 +106,10 @@ class JobRun:
         try:
             scratch.mkdir()
             checkpoint = self._checkpoints.take(self.request.job, self.request.fence)
-            return work.reconstruct(
-                self._archive, self.request, scratch, checkpoint, lambda update: self._report(loop, update)
-            )
+            with log_fields(job=self.request.job, tenant=self.request.tenant):
+                return work.reconstruct(
+                    self._archive, self.request, scratch, checkpoint, lambda update: self._report(loop, update)
+                )
         except Cancelled as cancelled:
             return self._stop_with or failure_of(cancelled, job=self.request.job, scratch=scratch)
         except BaseException as error:  # noqa: BLE001 - whatever ends this thread, the caller must get an ending

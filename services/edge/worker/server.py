@@ -7,7 +7,7 @@ import json
 import logging
 import signal
 from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, NoReturn
 
 import grpc
@@ -21,6 +21,7 @@ from services.edge.worker.inspections import Inspections
 from services.edge.worker.job_queue import JobQueue
 from services.edge.worker.job_request import ReconstructionRequest, RefusedError, checked_box
 from services.edge.worker.job_run import Work
+from services.edge.worker.metrics import WorkerMetrics
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.settings import EdgeSettings, server_security
 from services.edge.worker.upload import first_header
@@ -161,7 +162,11 @@ class EdgeServer:
 
     def __init__(self, settings: EdgeSettings, work: Work, scratch: Scratch) -> None:
         self._settings = settings
-        self._runs = JobQueue(work, scratch, slots=settings.slots, queue=settings.queue)
+        offer = work.offer
+        self.metrics = WorkerMetrics(
+            version=__version__, device=offer.device, slots=settings.slots, memory_bytes=offer.memory_bytes
+        )
+        self._runs = JobQueue(work, scratch, self.metrics, slots=settings.slots, queue=settings.queue)
         self._security = server_security(settings)
         interceptors = [TokenAuthentication(self._security.token)] if self._security.token else []
         self._server = grpc.aio.server(interceptors=interceptors, options=OPTIONS)
@@ -191,12 +196,28 @@ class EdgeServer:
 
 async def _serve(settings: EdgeSettings, work: Work, scratch: Scratch) -> None:
     server = EdgeServer(settings, work, scratch)
-    with _signals() as (stop, hurry):
+    with _signals() as (stop, hurry), _metrics(settings, server.metrics):
         _announce(settings, await server.start())
         await stop.wait()
         _log.info("draining: running jobs have %.0f s to finish", settings.drain_s)
         await server.drain(hurry)
     _log.info("drained")
+
+
+@contextmanager
+def _metrics(settings: EdgeSettings, metrics: WorkerMetrics) -> Iterator[None]:
+    """Serve the metrics during the block, where the settings have a port for them. Raises AddressError."""
+    if not settings.metrics_port:
+        yield
+        return
+    with ExitStack() as stack:
+        try:
+            port = stack.enter_context(metrics.serve(settings.host, settings.metrics_port))
+        except OSError as error:
+            why = f"EDGE_METRICS_PORT: cannot listen on {settings.host}:{settings.metrics_port}: {error.strerror}"
+            raise AddressError(why) from None
+        _log.info("metrics on http://%s:%d/metrics", settings.host, port)
+        yield
 
 
 def _add_reflection(server: grpc.aio.Server) -> None:

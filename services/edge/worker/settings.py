@@ -25,6 +25,7 @@ class EdgeSettings(StrictSettings):
         "127.0.0.1", min_length=1, description="Address to listen on: without a token, who reaches it may run jobs."
     )
     port: int = Field(50051, ge=0, le=65535, description="Port to listen on; 0: any free port, which is logged.")
+    metrics_port: int = Field(0, ge=0, le=65535, description="Port of GET /metrics (Prometheus); 0: none.")
     slots: int = Field(1, ge=1, le=64, description="Jobs computed at once.")
     queue: int = Field(8, ge=0, le=1000, description="Jobs that may wait for a slot; more are RESOURCE_EXHAUSTED.")
     scratch: Path = Field(

@@ -29,6 +29,7 @@ from services.gateway.jobs.state_machine import (
 from services.gateway.worker_client import WorkerPool
 from services.gateway.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerLost, WorkerUnreachable
 from services.grpc_client import CHUNK_BYTES
+from services.logs import log_fields
 from services.storage.store import Store
 from services.storage.tenant_store import store_of_tenant
 
@@ -67,13 +68,14 @@ class RunSupervisor:
 
     async def supervise(self, *, running: bool) -> None:
         """Start the run, or reattach if it is `running` already, and follow it to its end."""
-        try:
-            await self._supervise(running)
-        except LeaseLost as stale:
-            _log.info("job %s: %s", self.job.id, stale)
-        finally:
-            if self._canceller is not None:
-                self._canceller.cancel()
+        with log_fields(job=self.job.id, capture=self.job.order.capture, tenant=self.job.tenant):
+            try:
+                await self._supervise(running)
+            except LeaseLost as stale:
+                _log.info("job %s: %s", self.job.id, stale)
+            finally:
+                if self._canceller is not None:
+                    self._canceller.cancel()
 
     def cancel(self) -> None:
         """Ask the worker to stop the run, repeatedly, until it has stopped."""
