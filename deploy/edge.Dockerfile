@@ -16,7 +16,7 @@ RUN if [ -n "$TORCH_INDEX" ]; then \
     fi
 COPY services ./services
 RUN /venv/bin/pip install --no-cache-dir -c constraints.txt \
-    ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} '.[edge,storage,fast]'
+    ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} '.[edge,storage,fast,traces]'
 COPY deploy/slim.sh ./
 # Libraries that were made smaller still load. Some have no wheel for ARM.
 RUN sh slim.sh /venv && \

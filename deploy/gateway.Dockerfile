@@ -5,7 +5,7 @@ RUN apt-get update && apt-get install -y --no-install-recommends binutils && rm 
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY services ./services
-RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir -c constraints.txt '.[gateway,storage,postgres]'
+RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir -c constraints.txt '.[gateway,storage,postgres,traces]'
 COPY deploy/slim.sh ./
 # Libraries that were made smaller still load.
 RUN sh slim.sh /venv && /venv/bin/python -c 'import boto3, cryptography.x509, fastapi, grpc, pillow_heif, psycopg, sqlalchemy'

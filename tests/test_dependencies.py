@@ -28,6 +28,7 @@ SERVICES = {
     "storage": "storage",
     "gateway": "gateway",
     "postgres": "gateway",
+    "traces": "gateway",
     "edge": "edge",
     "fast": "edge",
     "learned-matching": "edge",
@@ -110,8 +111,8 @@ def _imported(files: Iterable[Path]) -> dict[str, set[str]]:
     ("service", "extras"),
     [
         ("storage", ["storage"]),
-        ("gateway", ["gateway", "postgres"]),
-        ("edge", ["edge", "fast", "learned-matching"]),
+        ("gateway", ["gateway", "postgres", "traces"]),
+        ("edge", ["edge", "fast", "learned-matching", "traces"]),
         ("cli", list(RUNTIME)),
     ],
 )

@@ -81,6 +81,7 @@ from services.storage.catalogue.signing import NO_KEYS, Keys
 from services.storage.local import LocalStore
 from services.storage.store import Store
 from services.strict_settings import SettingsError
+from services.traces import start_tracing
 
 # What pages of other origins may send and read, beside what uploads need.
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
@@ -268,6 +269,7 @@ def serve(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) -> int:
     """Serve until SIGTERM or SIGINT, and return the exit status: 0, or 1 when the gateway could not start."""
     configure(settings.log_level)
     try:
+        start_tracing("capture2vr-gateway")
         app = create_app(settings, store, keys)
         with _lock(settings):
             refuse_without_keys(settings)

@@ -276,6 +276,7 @@ def _header(job: Job, size: int) -> pb.Header:
         tenant=job.tenant,
         token=job.token,
         visibility=order.visibility,
+        capture=order.capture,
     )
 
 

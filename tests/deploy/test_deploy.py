@@ -141,7 +141,7 @@ def test_the_worker_image_takes_torch_from_the_index_that_is_named(index: str | 
         assert first[first.index("--index-url") + 1 :] == [named, "torch"]
         assert "--no-deps" in first
     flags = ["--extra-index-url", named] if named else []
-    assert asked == [["install", "--no-cache-dir", "-c", "constraints.txt", *flags, ".[edge,storage,fast]"]]
+    assert asked == [["install", "--no-cache-dir", "-c", "constraints.txt", *flags, ".[edge,storage,fast,traces]"]]
 
 
 def test_an_index_without_torch_ends_the_build_at_once_with_a_sentence() -> None:

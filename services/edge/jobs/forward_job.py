@@ -191,6 +191,7 @@ def _header(request: ReconstructionRequest, size: int) -> pb.Header:
         tenant=request.tenant,
         token=request.token,
         visibility=request.visibility or "",
+        capture=request.capture,
     )
 
 

@@ -61,6 +61,7 @@ class ReconstructionRequest:
     tenant      whose job it is: key and collection are the tenant's
     token       secret that Attach and Cancel must show; "": none
     visibility  the asset's, from its first version on; None: as it is, or as its collection
+    capture     id of the capture, for logs and traces; "": unknown
     """
 
     job: str
@@ -78,6 +79,7 @@ class ReconstructionRequest:
     tenant: str = DEFAULT_TENANT
     token: str = ""
     visibility: Visibility | None = None
+    capture: str = ""
 
     @classmethod
     def of(cls, header: pb.Header, offer: Capabilities) -> ReconstructionRequest:
@@ -90,6 +92,8 @@ class ReconstructionRequest:
         _require_name("KEY_INVALID", "asset_key", header.asset_key)
         if header.collection:
             _require_name("COLLECTION_INVALID", "collection", header.collection)
+        if header.capture:
+            _require_name("CAPTURE_INVALID", "capture", header.capture)
         if header.tenant and not valid_tenant(header.tenant):
             raise invalid("TENANT_INVALID", "tenant must be 1 to 32 of a-z 0-9 - and begin with a letter or digit")
         if header.target:
@@ -118,6 +122,7 @@ class ReconstructionRequest:
             visibility=_checked_choice("visibility", header.visibility, tuple(Visibility))
             if header.visibility
             else None,
+            capture=header.capture,
         )
 
 

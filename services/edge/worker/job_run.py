@@ -20,6 +20,7 @@ from services.edge.worker.failures import failure_of
 from services.edge.worker.job_request import ReconstructionRequest
 from services.logs import log_fields
 from services.photo_box import PhotoBox
+from services.traces import StageSpans, capture_span, stage_spans
 
 Report = Callable[[Update], None]
 """Callback with which the work reports progress, anchor points and published bundles, several times a second. Raises
@@ -74,6 +75,7 @@ class JobRun:
         self._checkpoints = checkpoints
         self._stop_with: pb.Failure | None = None
         self._last: tuple[pb.Progress, float] | None = None
+        self._stages = StageSpans()
 
     def start(self, work: Work, on_end: Callable[[Ending], None], cleanup: Callable[[], None]) -> None:
         """Run `work` on a new thread; at its end call `cleanup` on the thread, then `on_end` on the event loop.
@@ -106,9 +108,14 @@ class JobRun:
         try:
             scratch.mkdir()
             checkpoint = self._checkpoints.take(self.request.job, self.request.fence)
-            with log_fields(job=self.request.job, tenant=self.request.tenant):
+            request = self.request
+            with (
+                log_fields(job=request.job, tenant=request.tenant),
+                capture_span("reconstruct", request.capture, job=request.job, preset=request.preset),
+                stage_spans() as self._stages,
+            ):
                 return work.reconstruct(
-                    self._archive, self.request, scratch, checkpoint, lambda update: self._report(loop, update)
+                    self._archive, request, scratch, checkpoint, lambda update: self._report(loop, update)
                 )
         except Cancelled as cancelled:
             return self._stop_with or failure_of(cancelled, job=self.request.job, scratch=scratch)
@@ -119,8 +126,11 @@ class JobRun:
         """Post an update to the event loop, from the run's thread. Raises Cancelled or JobReturned after a stop."""
         if self._stop_with is not None:
             raise JobReturned if _is_retried(self._stop_with) else Cancelled
-        if isinstance(update, pb.Progress) and self._is_redundant(update):
-            return
+        if isinstance(update, pb.Progress):
+            if update.stage:
+                self._stages.enter(pb.Stage.Name(update.stage))
+            if self._is_redundant(update):
+                return
         _post(loop, self._record, update)
 
     def _record(self, update: Update) -> None:

@@ -28,6 +28,7 @@ from services.edge.worker.upload import first_header
 from services.grpc_client import KEEPALIVE, MESSAGE_LIMITS
 from services.grpc_security import ServerSecurity
 from services.strict_settings import SettingsError
+from services.traces import start_tracing
 
 _log = logging.getLogger(__name__)
 
@@ -142,6 +143,7 @@ def serve(settings: EdgeSettings, work: Work) -> int:
     """
     scratch = Scratch(settings.scratch)
     try:
+        start_tracing("capture2vr-edge")
         with scratch.claim():
             asyncio.run(_serve(settings, work, scratch))
     except (AddressError, SettingsError) as error:

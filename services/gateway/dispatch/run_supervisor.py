@@ -32,6 +32,7 @@ from services.grpc_client import CHUNK_BYTES
 from services.logs import log_fields
 from services.storage.store import Store
 from services.storage.tenant_store import store_of_tenant
+from services.traces import capture_span
 
 _BATCH_INTERVAL_S = 0.2  # between two writes about one run: people see five steps a second, the disk syncs as often
 _CANCEL_RETRY_S = 0.5  # a cancellation may arrive before the upload of the run that it should stop
@@ -68,7 +69,8 @@ class RunSupervisor:
 
     async def supervise(self, *, running: bool) -> None:
         """Start the run, or reattach if it is `running` already, and follow it to its end."""
-        with log_fields(job=self.job.id, capture=self.job.order.capture, tenant=self.job.tenant):
+        job = self.job
+        with log_fields(job=job.id, tenant=job.tenant), capture_span("run job", job.order.capture, job=job.id):
             try:
                 await self._supervise(running)
             except LeaseLost as stale:

@@ -32,6 +32,7 @@ from services.gateway.uploads.validate import FileReport
 from services.gateway.worker_client import Inspection, WorkerPool
 from services.photo_box import PhotoBox
 from services.storage.store import Store
+from services.traces import capture_span
 
 _WRITERS = 8  # threads: writing to disk is mostly waiting
 _COPIES = 3  # of an upload on the disk at worst: as received, unpacked, packed
@@ -86,9 +87,10 @@ class Uploads:
         check_size  raises Problem for a capture of so many bytes; called before anything is read, and when it is packed
         """
         check_size(body.size)
-        async with self._inspected(request, body, box) as (packed, inspection):
-            check_size(packed.archive.stat().st_size)
-            return await self._store_capture(store, _receipt(capture, packed, inspection), packed.archive)
+        with capture_span("receive capture", capture):
+            async with self._inspected(request, body, box) as (packed, inspection):
+                check_size(packed.archive.stat().st_size)
+                return await self._store_capture(store, _receipt(capture, packed, inspection), packed.archive)
 
     async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
         """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""

@@ -1,0 +1,232 @@
+"""The trace of a capture, as processes of their own send it to a collector: one id, from its upload to its end."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from services import traces
+from services.storage.local import LocalStore
+from services.strict_settings import SettingsError
+from services.traces import capture_span, stage_spans, trace_id
+from tests.support.in_process_gateway import ended, start, until
+from tests.support.patience import PATIENCE_S
+from tests.support.private_pictures import jpeg
+from tests.support.service_processes import ServiceProcess, killed_at_the_end
+
+pytest.importorskip("opentelemetry.sdk")
+
+
+class Collector(ThreadingHTTPServer):
+    """An OTLP collector: keeps (service, name, trace id, span id, parent's id, failed) of every span."""
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), _Receiver)
+        self.spans: list[tuple[str, str, str, str, str, bool]] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_address[1]}"
+
+    def names(self, capture: str) -> set[tuple[str, str]]:
+        return {(service, name) for service, name, trace, *_ in self.spans if trace == trace_id(capture)}
+
+
+class _Receiver(BaseHTTPRequestHandler):
+    def do_POST(self) -> None:
+        from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
+
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        if self.headers.get("Content-Encoding") == "gzip":
+            body = gzip.GzipFile(fileobj=io.BytesIO(body)).read()
+        assert self.path == "/v1/traces"
+        for resource in ExportTraceServiceRequest.FromString(body).resource_spans:
+            named = {each.key: each.value.string_value for each in resource.resource.attributes}
+            for scope in resource.scope_spans:
+                for span in scope.spans:
+                    ids = span.trace_id.hex(), span.span_id.hex(), span.parent_span_id.hex()
+                    assert isinstance(self.server, Collector)
+                    self.server.spans.append((named["service.name"], span.name, *ids, span.status.code == 2))
+        self.send_response(200)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - its name in the base class
+        pass
+
+
+@pytest.fixture
+def collector() -> Iterator[Collector]:
+    with Collector() as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+@contextmanager
+def product(
+    folder: Path, collector: Collector, ports: tuple[int, int]
+) -> Iterator[tuple[httpx.AsyncClient, Callable[[], None]]]:
+    """A gateway as a process of its own that sends traces, and what starts a worker of quick work beside it."""
+    shared = {
+        "STORAGE_ROOT": LocalStore(folder / "objects").root,
+        traces.ENDPOINT: collector.url,
+        "OTEL_BSP_SCHEDULE_DELAY": 100,
+    }
+    begin = partial(
+        ServiceProcess,
+        "tests.support.scripted_work_worker",
+        folder / "edge.log",
+        EDGE_PORT=ports[0],
+        EDGE_SCRATCH=folder / "scratch",
+        **shared,
+    )
+    gateway = ServiceProcess(
+        "services.gateway",
+        folder / "gateway.log",
+        GATEWAY_PORT=ports[1],
+        GATEWAY_DATA_DIR=folder / "gateway",
+        GATEWAY_WORKERS=f"127.0.0.1:{ports[0]}",
+        GATEWAY_PRESETS="draft,fine",
+        **shared,
+    )
+    with killed_at_the_end(gateway), ExitStack() as stack:
+        yield (
+            httpx.AsyncClient(base_url=f"http://127.0.0.1:{ports[1]}", timeout=PATIENCE_S),
+            lambda: stack.enter_context(killed_at_the_end(begin())),
+        )
+
+
+async def test_a_capture_has_one_trace_from_upload_to_publishing(
+    tmp_path: Path, collector: Collector, unused_tcp_port_factory: Callable[[], int]
+) -> None:
+    ports = unused_tcp_port_factory(), unused_tcp_port_factory()
+    with product(tmp_path, collector, ports) as (opened, start_worker):
+        async with opened as client:
+
+            async def is_live() -> bool:
+                try:
+                    return (await client.get("/livez")).is_success
+                except httpx.TransportError:
+                    return False
+
+            await until(is_live)
+            # Without a worker: the scripted one inspects no photos.
+            files = [("files", (f"{number}.jpg", jpeg())) for number in range(3)]
+            answer = await client.post("/v1/captures", files=files)
+            assert answer.status_code == 201, answer.text
+            uploaded = answer.json()["capture"]
+            LocalStore(tmp_path / "objects").put(
+                f"captures/{uploaded}.zip", json.dumps({"steps": 2}).encode(), content_type="application/zip"
+            )
+            start_worker()
+            job = await start(client, uploaded)
+            assert (await ended(client, job))["state"] == "SUCCEEDED"
+
+            async def is_told() -> bool:
+                return {("capture2vr-gateway", "run job"), ("capture2vr-edge", "reconstruct")} <= collector.names(
+                    uploaded
+                )
+
+            await until(is_told)
+    assert collector.names(uploaded) == {
+        ("capture2vr-gateway", "receive capture"),
+        ("capture2vr-gateway", "run job"),
+        ("capture2vr-edge", "reconstruct"),
+        ("capture2vr-edge", "FITTING"),
+    }
+    by_name = {name: span for _, name, _, *span in collector.spans}
+    assert by_name["FITTING"][1] == by_name["reconstruct"][0], "a stage lies within its run"
+    lines = [json.loads(line) for line in (tmp_path / "edge.log").read_text().splitlines()]
+    assert any(line.get("job") == job for line in lines)
+
+
+def test_without_a_collector_nothing_is_imported_or_done(fresh: Callable[[str], str]) -> None:
+    said = fresh(
+        "import sys\n"
+        "from services.traces import capture_span, stage_spans, start_tracing\n"
+        "start_tracing('x')\n"
+        "with capture_span('run', 'cap_1', job='j'), stage_spans() as stages:\n"
+        "    stages.enter('FITTING')\n"
+        "print([name for name in sys.modules if name.startswith('opentelemetry')])\n"
+    )
+    assert said == "[]"
+
+
+@pytest.fixture
+def fresh() -> Callable[[str], str]:
+    import os
+    import subprocess
+    import sys
+
+    from tests.support.repository import ROOT
+
+    def run(code: str) -> str:
+        bare = {name: value for name, value in os.environ.items() if name != traces.ENDPOINT}
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=bare)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    return run
+
+
+class TestInMemory:
+    @pytest.fixture
+    def spans(self) -> Iterator[Callable[[], list[Any]]]:
+        from opentelemetry.sdk.trace.export import SimpleSpanProcessor
+        from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
+
+        kept = InMemorySpanExporter()
+        provider = traces.trace_with(SimpleSpanProcessor(kept), "test")
+        yield lambda: list(kept.get_finished_spans())
+        traces.stop_tracing()
+        provider.shutdown()
+
+    def test_stages_follow_each_other_within_their_run(self, spans: Callable[[], list[Any]]) -> None:
+        with capture_span("run", "cap_1", job="job_1"), stage_spans() as stages:
+            for stage in ("FITTING", "FITTING", "PACKING", "FITTING"):
+                stages.enter(stage)
+        made = spans()
+        assert [span.name for span in made] == ["FITTING", "PACKING", "FITTING", "run"]
+        run = made[-1]
+        assert {span.parent.span_id for span in made[:-1]} == {run.context.span_id}
+        assert {format(span.context.trace_id, "032x") for span in made} == {trace_id("cap_1")}
+        assert run.attributes == {"capture2vr.capture": "cap_1", "capture2vr.job": "job_1"}
+
+    def test_a_failure_is_seen_and_passed_on(self, spans: Callable[[], list[Any]]) -> None:
+        def fail() -> None:
+            with capture_span("run", "cap_1"), stage_spans() as stages:
+                stages.enter("FITTING")
+                raise ValueError("no surface")
+
+        with pytest.raises(ValueError, match="no surface"):
+            fail()
+        stage, run = spans()
+        assert (stage.name, run.status.is_ok) == ("FITTING", False)
+        assert "no surface" in run.events[0].attributes["exception.message"]
+
+    def test_another_capture_is_another_trace(self, spans: Callable[[], list[Any]]) -> None:
+        for capture in ("cap_1", "cap_2", ""):
+            with capture_span("run", capture):
+                pass
+        assert len({span.context.trace_id for span in spans()}) == len(spans()) == 2
+
+
+def test_a_collector_without_the_packages_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(traces.ENDPOINT, "http://127.0.0.1:9")
+    monkeypatch.setitem(__import__("sys").modules, "opentelemetry.exporter.otlp.proto.http.trace_exporter", None)
+    with pytest.raises(SettingsError, match=r"OTEL_EXPORTER_OTLP_ENDPOINT needs OpenTelemetry: pip install"):
+        traces.start_tracing("x")
