@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -75,6 +77,11 @@ def test_pages_import_what_they_share_and_never_each_other() -> None:
 def test_the_drawing_of_the_rooms_is_what_the_imports_say() -> None:
     command = [sys.executable, str(ROOT / "docs" / "draw_rooms.py"), "--check"]
     assert subprocess.run(command, capture_output=True, text=True).stderr == ""
+
+
+def test_no_room_imports_itself_by_others() -> None:
+    module = runpy.run_path(str(ROOT / "docs" / "draw_rooms.py"))
+    tuple(TopologicalSorter(module["rooms_and_arrows"]()).static_order())  # raises CycleError
 
 
 def test_every_room_and_file_that_the_architecture_names_exists() -> None:

@@ -314,7 +314,10 @@ def refuse_without_keys(settings: GatewaySettings) -> None:
     engine = open_engine(settings.database)
     try:
         if secret := settings.operator_key.get_secret_value():
-            stored = AccessStore(engine).ensure_key(secret, "GATEWAY_OPERATOR_KEY")
+            try:
+                stored = AccessStore(engine).ensure_key(secret, "GATEWAY_OPERATOR_KEY")
+            except ValueError as error:
+                raise SettingsError(f"GATEWAY_OPERATOR_KEY: {error}") from None
             if why := stored.refusal(time.time()):
                 _log.warning("GATEWAY_OPERATOR_KEY: %s is %s, and stays so; name another one", stored.id, why)
         if settings.is_public and not settings.open and not AccessStore(engine).has_keys():

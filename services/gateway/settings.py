@@ -7,7 +7,6 @@ from pathlib import Path
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
-from services.gateway.access.api_key import KEY_PATTERN
 from services.gateway.worker_addresses import check_worker_address
 from services.grpc_security import ClientCredentials, read_client_credentials
 from services.strict_settings import LOOPBACK, CommaList, StrictSettings
@@ -73,13 +72,6 @@ class GatewaySettings(StrictSettings):
     @classmethod
     def _check_workers(cls, workers: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(map(check_worker_address, workers))
-
-    @field_validator("operator_key")
-    @classmethod
-    def _check_operator_key(cls, key: SecretStr) -> SecretStr:
-        if key.get_secret_value() and not KEY_PATTERN.fullmatch(key.get_secret_value()):
-            raise ValueError("a key is c2v_TENANT_ and 43 of A-Z a-z 0-9 _ -, as `capture2vr keys create` makes them")
-        return key
 
     @property
     def database(self) -> str:

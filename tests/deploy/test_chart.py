@@ -22,6 +22,7 @@ from services.gateway.access.api_key import new_secret
 from services.gateway.app import refuse_without_keys
 from services.gateway.settings import GatewaySettings
 from services.storage.settings import StorageSettings
+from services.strict_settings import SettingsError
 from tests.support.in_process_gateway import gateway, memory
 from tests.support.repository import ROOT
 
@@ -189,6 +190,8 @@ async def test_probes_and_scalers_ask_what_a_gateway_answers(tmp_path: Path) -> 
     told = {"operator_key": SecretStr(secret), "host": "0.0.0.0", "allowed_hosts": allowed}
     (tmp_path / "gw").mkdir()
     refuse_without_keys(GatewaySettings(data_dir=tmp_path / "gw", **told))
+    with pytest.raises(SettingsError, match="GATEWAY_OPERATOR_KEY: this is no access key"):
+        refuse_without_keys(GatewaySettings(data_dir=tmp_path / "gw", operator_key=SecretStr("c2v_short")))
     async with gateway(tmp_path / "gw", memory(), **told) as client:
         for probe in ("startupProbe", "livenessProbe", "readinessProbe"):
             assert (await client.get(container[probe]["httpGet"]["path"])).status_code == 200
