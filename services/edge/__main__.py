@@ -10,6 +10,8 @@ from services.edge.field.device import find_device
 from services.edge.jobs.available_presets import known_presets
 from services.edge.jobs.central_client import Central
 from services.edge.jobs.reconstruct_job import Reconstructor
+from services.edge.worker.control_group import own_control_group
+from services.edge.worker.guard import is_container_start, run_guarded
 from services.edge.worker.memory_budget import MemoryBudget, machine_bytes
 from services.edge.worker.server import serve
 from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
@@ -21,7 +23,27 @@ _VARIABLES = {"PRESET_INVALID": "EDGE_PRESETS", "KTX2_UNAVAILABLE": "EDGE_KTX2"}
 
 
 def start() -> int:
-    """Run a worker until SIGTERM has drained it; return the exit status. Raises SettingsError for a wrong setting."""
+    """Run a worker until SIGTERM has drained it; return the exit status. Raises SettingsError for a wrong setting.
+
+    In a container it runs in a child process, again whenever the kernel has killed it for want of memory.
+    """
+    if not is_container_start():
+        return _start(out_of_memory=False)
+    settings = EdgeSettings()
+    configure(settings.log_level)
+    return run_guarded(_start_or_say_why, own_control_group())
+
+
+def _start_or_say_why(out_of_memory: bool) -> int:
+    try:
+        return _start(out_of_memory=out_of_memory)
+    except SettingsError as error:
+        sys.stderr.write(f"edge: {error}\n")
+        return 2
+
+
+def _start(*, out_of_memory: bool) -> int:
+    """Run a worker in this process. out_of_memory: whether the kernel has killed the one before it for that"""
     try:
         settings, storage = EdgeSettings(), StorageSettings()
         store, publish = open_store(storage), open_publish(storage)
@@ -39,7 +61,7 @@ def start() -> int:
     central = Central(settings.central, credentials=credentials) if settings.central else None
     work = Reconstructor(store, presets, device, memory, central, publish, storage.collection, encode)
     work.warm_up()
-    return serve(settings, work)
+    return serve(settings, work, out_of_memory=out_of_memory)
 
 
 def main() -> int:

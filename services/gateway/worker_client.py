@@ -34,6 +34,7 @@ from services.gateway.jobs.state_machine import problem_of
 from services.gateway.worker_addresses import WorkerAddresses, target_and_name
 from services.gateway.worker_types import (
     RunKnown,
+    RunOutOfMemory,
     RunUnknown,
     WorkerBusy,
     WorkerLost,
@@ -353,7 +354,7 @@ def _to_exception(status: grpc.StatusCode | None, details: str) -> Exception:
         case grpc.StatusCode.ALREADY_EXISTS:
             return RunKnown(details)
         case grpc.StatusCode.NOT_FOUND | grpc.StatusCode.OUT_OF_RANGE:
-            return RunUnknown(details)
+            return RunOutOfMemory(details) if code == "OUT_OF_MEMORY" else RunUnknown(details)
         case grpc.StatusCode.INVALID_ARGUMENT:
             return Problem(422, code if code.isupper() else "WORKER_REFUSED", sentence or details)
         case _:

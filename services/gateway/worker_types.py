@@ -23,6 +23,10 @@ class RunUnknown(Exception):  # noqa: N818 - it reads as what it is
     """The worker does not know this run: start it again."""
 
 
+class RunOutOfMemory(RunUnknown):
+    """The kernel has killed the worker with this run for want of memory. It was started again."""
+
+
 class RunKnown(Exception):  # noqa: N818 - it reads as what it is
     """The worker has this run already: attach to it."""
 

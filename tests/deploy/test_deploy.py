@@ -167,8 +167,21 @@ def test_the_images_share_their_base() -> None:
 def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> None:
     """slim.sh on a small tree: tests, headers and pip go, code and its data stay."""
     site = tmp_path / "lib" / "python3.11" / "site-packages"
-    gone = ["numpy/tests/test_a.py", "torch/include/a.h", "pip/a.py", "a/b.pyi", "botocore/data/ec2/1/service.json"]
-    kept = ["numpy/testing/a.py", "torch/lib/a.py", "botocore/data/s3/1/service.json", "botocore/data/endpoints.json"]
+    gone = [
+        "numpy/tests/test_a.py",
+        "torch/include/a.h",
+        "torch/bin/protoc",
+        "pip/a.py",
+        "a/b.pxd",
+        "botocore/data/ec2/1/service.json",
+    ]
+    kept = [
+        "numpy/testing/a.py",
+        "skimage/a.pyi",
+        "torch/lib/a.py",
+        "botocore/data/s3/1/service.json",
+        "botocore/data/endpoints.json",
+    ]
     for name in (*gone, *kept):
         (site / name).parent.mkdir(parents=True, exist_ok=True)
         (site / name).write_text("")
@@ -316,8 +329,9 @@ def test_the_store_can_be_another_service(compose: list[str]) -> None:
         "STORAGE_PRESIGN_S": "300",
         "STORAGE_BUCKET": "things",
     }
-    config = _config(compose, "gpu", NETWORK_INTERNAL="false", **named)
+    config = _config(compose, "gpu", NETWORK_INTERNAL="false", MINIO_PULL="never", **named)
     assert config["services"]["minio"]["deploy"]["replicas"] == 0
+    assert config["services"]["minio"]["pull_policy"] == "never", "compose pulls images of no containers too"
     assert not config["networks"]["inside"].get("internal", False)
     for name in ("gateway", "edge", "edge-gpu", "bucket"):
         given = config["services"][name]["environment"]

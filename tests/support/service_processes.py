@@ -26,6 +26,11 @@ class ServiceProcess:
         with self._log.open("ab") as log:
             self._running = subprocess.Popen(self._command, cwd=ROOT, env=self._environment, stdout=log, stderr=log)
 
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._running.pid
+
     def kill(self) -> None:
         """As a power cut: no handler runs."""
         self.end(signal.SIGKILL)

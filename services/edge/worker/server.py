@@ -49,12 +49,18 @@ STREAM_END_S = 2.0
 
 Context = grpc.aio.ServicerContext[Any, Any]
 
+_JOB_UNKNOWN = "JOB_UNKNOWN: this worker does not know the job"
+_OUT_OF_MEMORY = "OUT_OF_MEMORY: this worker was killed because its jobs wanted more memory than it has, and lost them"
+
 
 class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
     """Implements the wire's five calls with a worker's `JobQueue` and `Inspections`."""
 
-    def __init__(self, settings: EdgeSettings, work: Work, runs: JobQueue, inspections: Inspections) -> None:
+    def __init__(
+        self, settings: EdgeSettings, work: Work, runs: JobQueue, inspections: Inspections, *, out_of_memory: bool
+    ) -> None:
         self._settings = settings
+        self._out_of_memory = out_of_memory
         self._work = work
         self._runs = runs
         self._inspections = inspections
@@ -82,7 +88,7 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
     async def Attach(self, request: pb.AttachRequest, context: Context) -> AsyncIterator[pb.Event]:  # noqa: N802
         run = self._runs.find(request.job, request.token)
         if run is None:
-            await context.abort(grpc.StatusCode.NOT_FOUND, "JOB_UNKNOWN: this worker does not know the job")
+            await context.abort(grpc.StatusCode.NOT_FOUND, _OUT_OF_MEMORY if self._out_of_memory else _JOB_UNKNOWN)
         if request.after_seq > run.log.last_seq:
             fault = f"this run has {run.log.last_seq} events so far, not {request.after_seq}"
             await context.abort(grpc.StatusCode.OUT_OF_RANGE, f"SEQ_UNKNOWN: {fault}")
@@ -136,16 +142,17 @@ async def _refuse(context: Context, refused: RefusedError, chunks: AsyncIterator
     await context.abort(refused.status, refused.details)
 
 
-def serve(settings: EdgeSettings, work: Work) -> int:
+def serve(settings: EdgeSettings, work: Work, *, out_of_memory: bool = False) -> int:
     """Serve until SIGTERM or SIGINT, then drain; return the exit status: 0, or 1 when the worker could not start.
 
     A second signal ends the drain at once.
+    out_of_memory  whether the kernel has killed the worker before this one for that: callers of its jobs are told
     """
     scratch = Scratch(settings.scratch)
     try:
         start_tracing("capture2vr-edge")
         with scratch.claim():
-            asyncio.run(_serve(settings, work, scratch))
+            asyncio.run(_serve(settings, work, scratch, out_of_memory=out_of_memory))
     except (AddressError, SettingsError) as error:
         _log.error("%s", error)
         return 1
@@ -162,7 +169,7 @@ class EdgeServer:
     Raises SettingsError where the settings' certificate, key or token cannot be used.
     """
 
-    def __init__(self, settings: EdgeSettings, work: Work, scratch: Scratch) -> None:
+    def __init__(self, settings: EdgeSettings, work: Work, scratch: Scratch, *, out_of_memory: bool = False) -> None:
         self._settings = settings
         offer = work.offer
         self.metrics = WorkerMetrics(
@@ -173,7 +180,8 @@ class EdgeServer:
         interceptors = [TokenAuthentication(self._security.token)] if self._security.token else []
         self._server = grpc.aio.server(interceptors=interceptors, options=OPTIONS)
         self._health = health.aio.HealthServicer()
-        servicer = EdgeServicer(settings, work, self._runs, Inspections(work, scratch))
+        inspections = Inspections(work, scratch)
+        servicer = EdgeServicer(settings, work, self._runs, inspections, out_of_memory=out_of_memory)
         edge_pb2_grpc.add_EdgeReconstructionServicer_to_server(servicer, self._server)  # type: ignore[no-untyped-call]
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)
         if settings.reflection:
@@ -196,8 +204,8 @@ class EdgeServer:
         await self._server.stop(STREAM_END_S)
 
 
-async def _serve(settings: EdgeSettings, work: Work, scratch: Scratch) -> None:
-    server = EdgeServer(settings, work, scratch)
+async def _serve(settings: EdgeSettings, work: Work, scratch: Scratch, *, out_of_memory: bool) -> None:
+    server = EdgeServer(settings, work, scratch, out_of_memory=out_of_memory)
     with _signals() as (stop, hurry), _metrics(settings, server.metrics):
         _announce(settings, await server.start())
         await stop.wait()

@@ -27,7 +27,14 @@ from services.gateway.jobs.state_machine import (
     requeue_refused,
 )
 from services.gateway.worker_client import WorkerPool
-from services.gateway.worker_types import RunKnown, RunUnknown, WorkerBusy, WorkerLost, WorkerUnreachable
+from services.gateway.worker_types import (
+    RunKnown,
+    RunOutOfMemory,
+    RunUnknown,
+    WorkerBusy,
+    WorkerLost,
+    WorkerUnreachable,
+)
 from services.grpc_client import CHUNK_BYTES
 from services.logs import log_fields
 from services.storage.store import Store
@@ -138,7 +145,7 @@ class RunSupervisor:
         except (RunUnknown, WorkerBusy, WorkerLost) as error:
             _log.warning("job %s: its run on %s is lost: %s", self.job.id, self.worker, error)
             if self._run_started:
-                await self._requeue_lost(_worker_lost(self.job))
+                await self._requeue_lost(_worker_lost(self.job, out_of_memory=isinstance(error, RunOutOfMemory)))
             else:
                 await self._requeue_refused()
 
@@ -193,12 +200,12 @@ def _refusal(job: Job, problem: Problem) -> RunFailed:
     return RunFailed(job.lease.run_seq + 1, problem.code, problem.detail, problem.file, problem.hints)
 
 
-def _worker_lost(job: Job) -> Problem:
-    return Problem(
-        503,
-        "WORKER_LOST",
-        f"the connection to the worker was lost {job.lease.attempts} times while it ran this job",
-        retryable=True,
-        stage=job.stage,
-        hints=("try again later", "send a smaller capture: one too large for the worker's memory also ends like this"),
-    )
+def _worker_lost(job: Job, *, out_of_memory: bool) -> Problem:
+    """The problem of a job whose worker is gone. out_of_memory: whether the kernel killed the worker for that"""
+    times = f"{job.lease.attempts} times while it ran this job"
+    detail = f"the connection to the worker was lost {times}"
+    hint = "send a smaller capture: one too large for the worker's memory also ends like this"
+    if out_of_memory:
+        detail = f"the worker was lost {times}, the last time because its memory did not suffice"
+        hint = "send a smaller capture, choose a coarser preset, or give the worker more memory"
+    return Problem(503, "WORKER_LOST", detail, retryable=True, stage=job.stage, hints=("try again later", hint))

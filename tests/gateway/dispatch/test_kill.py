@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import random
+import signal
 import time
 from collections.abc import Callable
 from datetime import datetime
@@ -17,6 +19,7 @@ import pytest
 from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
 from tests.support import in_process_gateway
+from tests.support.guarded_worker import children, count_kills
 from tests.support.in_process_gateway import capture
 from tests.support.patience import PATIENCE_S
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
@@ -105,6 +108,34 @@ async def test_a_job_that_kills_its_workers_fails_by_name(tmp_path: Path, unused
                 edge.start()
     assert (done["state"], done["attempts"], done["error"]["code"]) == ("FAILED", 2, "WORKER_LOST")
     assert done["error"]["retryable"]
+
+
+async def test_a_job_whose_worker_ran_out_of_memory_says_so(tmp_path: Path, unused_tcp_port: int) -> None:
+    """The guard is a real one; the test does what the kernel does: it counts the kill, and kills."""
+    store = LocalStore(tmp_path / "objects")
+    count_kills(tmp_path, 0)
+    edge = ServiceProcess(
+        "tests.support.guarded_worker",
+        tmp_path / "edge.log",
+        str(tmp_path),
+        EDGE_PORT=unused_tcp_port,
+        EDGE_SCRATCH=tmp_path / "scratch",
+        STORAGE_ROOT=store.root,
+    )
+    settings = {"max_attempts": 1, "attach_for_s": PATIENCE_S}
+    with killed_at_the_end(edge):
+        async with in_process_gateway.gateway(tmp_path / "gw", store, unused_tcp_port, **settings) as client:
+            job = await in_process_gateway.start(client, capture(store, wait=1))
+            within = {"within_s": PATIENCE_S}
+            await in_process_gateway.job_when(client, job, partial(_fails_or_runs, since=0.0), **within)
+            await asyncio.sleep(0.5)  # for the run to be heard of: one that was not is no attempt
+            count_kills(tmp_path, 1)
+            (child,) = children(edge.pid)
+            os.kill(child, signal.SIGKILL)
+            done = await in_process_gateway.job_when(client, job, lambda job: job["state"] == "FAILED", **within)
+    assert done["error"]["code"] == "WORKER_LOST"
+    assert "memory did not suffice" in done["error"]["detail"]
+    assert any("give the worker more memory" in hint for hint in done["error"]["hints"])
 
 
 def _fails_or_runs(job: dict[str, Any], since: float) -> bool:
