@@ -10,7 +10,7 @@ import asyncio
 import logging
 import math
 from collections import Counter
-from collections.abc import AsyncGenerator, Iterator, Sequence
+from collections.abc import AsyncGenerator, Collection, Iterator, Sequence
 from contextlib import aclosing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,14 +122,15 @@ class WorkerPool:
                 found[preset.name] = max(known, preset, key=lambda each: each.memory_bytes)
         return found
 
-    async def poll(self) -> tuple[WorkerStatus, ...]:
-        """Ask all workers for their status, and remember their presets.
+    async def poll(self, only: Collection[str] | None = None) -> tuple[WorkerStatus, ...]:
+        """Ask all workers for their status, or only those of these addresses, and remember their presets.
 
         Returns those that answer within a second, in the settings' order. Not all are compatible.
         """
         await self._addresses.refresh()
         await self._close_unused()
-        answers = await asyncio.gather(*map(self._status, self.addresses))
+        asked = [address for address in self.addresses if only is None or address in only]
+        answers = await asyncio.gather(*map(self._status, asked))
         found = tuple(status for status in answers if status is not None)
         usable = [status for status in found if status.is_compatible]
         self._presets_by_worker.update({status.address: status.presets for status in usable})

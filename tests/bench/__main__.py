@@ -24,6 +24,7 @@ BENCHES = {
     "visit": "the viewer in a browser on a throttled link: first mesh, bytes, longest task, three visits",
     "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "service": "many people on one service: what keys cost, 10,000 tenants, turns in the queue, kills",
+    "dispatch": "10,000 queued jobs, 4 gateways, 50 pretend workers, one Postgres: no job twice, milliseconds, CPU",
     "fuzz": "hostile files of every format: answers, CPU seconds, memory, what is left; resumable",
     "uploads": "32 phones of 20 MB each, plain and resumable: seconds, memory, latency; a film of 1 GB with 20 cuts",
 }

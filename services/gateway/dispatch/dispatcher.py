@@ -12,11 +12,12 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.gateway.dispatch.run_supervisor import Dependencies, RunSupervisor
 from services.gateway.jobs.job import Job
-from services.gateway.jobs.state_machine import Change, lease_to_worker, take_over
-from services.gateway.jobs.store import JobStore
+from services.gateway.jobs.state_machine import lease_to_worker, take_over
+from services.gateway.jobs.store import JobStore, Slot, SlotTaken
 from services.gateway.worker_types import WorkerStatus
 
-_POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway may queue jobs, workers come back
+_POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway may queue jobs
+_WORKERS_S = 2.0  # between polls of all workers while jobs wait: some come, or are freed by another gateway
 _ANNOUNCED_POLL_S = 30.0  # where the database notifies of queued jobs; only a safety net
 _DATABASE_FAILED = "the jobs database cannot be used; trying again: %s"
 _RENEWALS = 3  # per lease period: two may fail before the lease is lost
@@ -37,10 +38,13 @@ class Dispatcher:
         self._lease_s = lease_s
         self._supervisors: dict[str, tuple[RunSupervisor, asyncio.Task[None]]] = {}
         self._wake = asyncio.Event()
+        self._freed: set[str] = set()  # workers on which a run has ended since the queue was checked
+        self._poll_all_at = 0.0  # monotonic seconds
         self._idle_s = _ANNOUNCED_POLL_S if dependencies.job_store.blocking.announces else _POLL_S
 
     def wake(self) -> None:
-        """Check the queue now: there is a new job or a free slot."""
+        """Check the queue now: there is a new job."""
+        self._poll_all_at = 0.0
         self._wake.set()
 
     def cancel(self, job: str) -> None:
@@ -96,19 +100,39 @@ class Dispatcher:
         Returns the seconds until the queue is to be checked again without a wake-up.
         """
         now = time.time()
-        start = await self._dependencies.job_store.read(JobStore.next_start, now)
+        start = now if self._freed else await self._dependencies.job_store.read(JobStore.next_start, now)
         if start is None or start > now:
             return self._idle_s if start is None else min(start - now, self._idle_s)
-        workers = await self._dependencies.workers.poll()
-        while ready := self._free_workers(workers):
-            now = time.time()
-            presets = {preset.name for worker in ready for preset in worker.presets}
-            transition = partial(_lease_to_first, ready, holder=self._holder, now=now, lease_s=self._lease_s)
-            job = await self._dependencies.job_store.write(JobStore.claim, now, presets, transition)
+        workers = await self._poll()
+        taken: set[str] = set()
+        nothing_for: set[frozenset[str]] = set()  # presets without a job
+        while ready := [
+            worker
+            for worker in self._free_workers(workers)
+            if worker.address not in taken and _presets(worker) not in nothing_for
+        ]:
+            worker, now = ready[0], time.time()
+            lease = partial(lease_to_worker, holder=self._holder, worker=worker.address, now=now, lease_s=self._lease_s)
+            slot = Slot(worker.address, worker.slots)
+            try:
+                job = await self._dependencies.job_store.write(JobStore.claim, now, _presets(worker), lease, slot)
+            except SlotTaken:
+                taken.add(worker.address)
+                continue
             if job is None:
-                break
-            self._start(job, running=False)
-        return _POLL_S
+                nothing_for.add(_presets(worker))
+            else:
+                self._start(job, running=False)
+        return _WORKERS_S
+
+    async def _poll(self) -> Sequence[WorkerStatus]:
+        """Poll the workers on which a run has just ended; all of them for a new job, and now and then."""
+        freed, self._freed = self._freed, set()
+        now = time.monotonic()
+        if freed and now < self._poll_all_at:
+            return await self._dependencies.workers.poll(freed)
+        self._poll_all_at = now + _WORKERS_S
+        return await self._dependencies.workers.poll()
 
     def _free_workers(self, workers: Sequence[WorkerStatus]) -> list[WorkerStatus]:
         """Return the workers with a free slot, shortest queue first.
@@ -165,15 +189,14 @@ class Dispatcher:
             supervisor.cancel()
 
     def _on_run_ended(self, job: str, task: asyncio.Task[None]) -> None:
-        if self._supervisors.get(job, (None, None))[1] is task:
+        if (mine := self._supervisors.get(job)) is not None and mine[1] is task:
             del self._supervisors[job]
+            self._freed.add(mine[0].worker)
         if not task.cancelled() and (error := task.exception()):
             # Its lease expires, and the first gateway to notice takes the run over.
             _log.error("job %s: its run supervisor failed; it is taken over when its lease ends", job, exc_info=error)
-        self.wake()
+        self._wake.set()
 
 
-def _lease_to_first(ready: Sequence[WorkerStatus], job: Job, *, holder: str, now: float, lease_s: float) -> Change:
-    """Lease a job to the first of these workers that offers its preset; at least one does."""
-    worker = next(worker for worker in ready if worker.offers(job.order.preset))
-    return lease_to_worker(job, holder=holder, worker=worker.address, now=now, lease_s=lease_s)
+def _presets(worker: WorkerStatus) -> frozenset[str]:
+    return frozenset(preset.name for preset in worker.presets)

@@ -13,6 +13,7 @@ from services.gateway.jobs.job import State
 from services.gateway.jobs.postgres_notify import listen
 from services.gateway.jobs.store import JobStore
 
+_FIRST_REFUSAL_S = 0.1  # the gateway that queued a job mostly finds a slot for it; the others need not ask all workers
 _POLL_S = 1.0  # SQLite: between checks for changes that another gateway wrote
 
 _log = logging.getLogger(__name__)
@@ -38,11 +39,11 @@ class OtherGateways:
         else:
             await self._poll()
 
-    def _on_change(self, job: str, state: State) -> None:
+    def _on_change(self, job: str, news: str) -> None:
         self._job_store.notifier.notify(job)
-        if state is State.QUEUED:
-            self._wake()
-        elif state is State.CANCELLING:
+        if news == State.QUEUED:
+            asyncio.get_running_loop().call_later(_FIRST_REFUSAL_S, self._wake)
+        elif news == State.CANCELLING:
             self._cancel(job)
 
     def _on_connected(self) -> None:

@@ -8,8 +8,9 @@ What a lease says is asked by a subquery, not by a join: Postgres would merge al
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
@@ -22,29 +23,47 @@ from services.gateway.jobs.tables import jobs, leases, queue_turns
 _not_before = sa.select(leases.c.not_before).where(leases.c.job == jobs.c.id).scalar_subquery()
 _RUNS = [state.value for state in RUNNING_STATES]
 
-Queues = Mapping[str, Sequence[str]]
-"""Tenant -> presets of which it has queued jobs."""
+
+@dataclass(frozen=True, slots=True)
+class Queue:
+    """What waits of a tenant. presets: of its queued jobs; served: when it had its last turn, 0: never"""
+
+    presets: tuple[str, ...]
+    served: float
 
 
-def waiting_queues(db: Connection, presets: Collection[str]) -> Queues:
-    """Return the tenants with queued jobs of these presets, and which."""
-    found: defaultdict[str, list[str]] = defaultdict(list)
-    for preset in sorted(presets):
-        for (tenant,) in db.execute(_tenants_waiting(preset)):
-            found[tenant].append(preset)
+@dataclass(frozen=True, slots=True)
+class Running:
+    """How many jobs run, by tenant and by the address of the worker."""
+
+    by_tenant: Counter[str]
+    by_worker: Counter[str]
+
+
+def running_jobs(db: Connection) -> Running:
+    """Count the jobs that run."""
+    select = sa.select(jobs.c.tenant, leases.c.worker, sa.func.count()).join(leases)
+    found = Running(Counter(), Counter())
+    for tenant, worker, count in db.execute(
+        select.where(jobs.c.state.in_(_RUNS)).group_by(jobs.c.tenant, leases.c.worker)
+    ):
+        found.by_tenant[tenant] += count
+        found.by_worker[worker] += count
     return found
 
 
-def turns(db: Connection, queues: Queues) -> list[str]:
+def waiting_queues(db: Connection, presets: Collection[str]) -> dict[str, Queue]:
+    """Return the queue of each tenant that has queued jobs of these presets."""
+    found: dict[str, Queue] = {}
+    for tenant, preset, served in db.execute(_waiting(presets)):
+        before = found.get(tenant, Queue((), served or 0.0))
+        found[tenant] = Queue((*before.presets, preset), before.served)
+    return found
+
+
+def turns(queues: Mapping[str, Queue], running: Running) -> list[str]:
     """Return the tenants in turn: first who has the fewest running jobs, then whose last turn is longest ago."""
-    tenants = list(queues)
-    if len(tenants) < 2:
-        return tenants
-    running = sa.select(jobs.c.tenant, sa.func.count()).where(jobs.c.state.in_(_RUNS)).group_by(jobs.c.tenant)
-    counts: dict[str, int] = {row[0]: row[1] for row in db.execute(running)}
-    last = sa.select(queue_turns.c.tenant, queue_turns.c.served).where(queue_turns.c.tenant.in_(tenants))
-    served: dict[str, float] = {row.tenant: row.served for row in db.execute(last)}
-    return sorted(tenants, key=lambda tenant: (counts.get(tenant, 0), served.get(tenant, 0.0), tenant))
+    return sorted(queues, key=lambda tenant: (running.by_tenant[tenant], queues[tenant].served, tenant))
 
 
 def by_oldest_job(db: Connection, tenant: str, presets: Sequence[str], now: float) -> list[str]:
@@ -73,15 +92,32 @@ def first_start() -> sa.Select[float | None]:
     return sa.select(sa.func.min(_not_before)).where(jobs.c.state == State.QUEUED.value)
 
 
-def _tenants_waiting(preset: str) -> sa.Select[Any]:
-    """Select the tenants with queued jobs of a preset, from one to the next in the index ("loose index scan")."""
-    following = jobs.alias()
+def orphaned_jobs(now: float, holder: str, own_runs: Iterable[str]) -> sa.Select[str]:
+    """Select the id of a running job whose lease has expired, or belongs to `holder`; none of `own_runs`."""
+    lease = sa.select(sa.or_(leases.c.until < now, leases.c.holder == holder)).where(leases.c.job == jobs.c.id)
+    select = sa.select(jobs.c.id).where(
+        jobs.c.state.in_(_RUNS), lease.scalar_subquery(), jobs.c.id.not_in(list(own_runs))
+    )
+    # By id alone, Postgres would look for one among all jobs from the oldest, since few of them run.
+    return select.order_by(jobs.c.preset, jobs.c.tenant, jobs.c.id).limit(1)
 
-    def first(table: Any) -> sa.Select[Any]:
-        queued = (table.c.state == State.QUEUED.value, table.c.preset == preset)
-        return sa.select(sa.func.min(table.c.tenant)).where(*queued)
 
-    found = sa.select(first(jobs).scalar_subquery().label("tenant")).cte("waiting", recursive=True)
-    after = first(following).where(following.c.tenant > found.c.tenant).correlate(found).scalar_subquery()
-    found = found.union_all(sa.select(after).where(found.c.tenant.is_not(None)))
-    return sa.select(found.c.tenant).where(found.c.tenant.is_not(None))
+def _waiting(presets: Collection[str]) -> sa.Select[Any]:
+    """Select (tenant, preset, time of its last turn) of what waits, from one to the next in the index.
+
+    That is a "loose index scan", which neither database does by itself. The order by preset and tenant, which only this
+    index has, keeps Postgres from another one.
+    """
+    here, following = jobs.alias(), jobs.alias()
+    found = sa.select(_first_queued(jobs).label("job")).cte("waiting", recursive=True)
+    behind = sa.tuple_(following.c.preset, following.c.tenant) > sa.tuple_(here.c.preset, here.c.tenant)
+    step = sa.select(_first_queued(following, behind).correlate(here))
+    found = found.union_all(step.select_from(found.join(here, here.c.id == found.c.job)))
+    select = sa.select(jobs.c.tenant, jobs.c.preset, queue_turns.c.served).join(found, found.c.job == jobs.c.id)
+    return select.outerjoin(queue_turns, queue_turns.c.tenant == jobs.c.tenant).where(jobs.c.preset.in_(presets))
+
+
+def _first_queued(table: Any, *which: sa.ColumnElement[bool]) -> sa.ScalarSelect[str]:
+    """Select the id of the first of these queued jobs in the index."""
+    select = sa.select(table.c.id).where(table.c.state == State.QUEUED.value, *which)
+    return select.order_by(table.c.preset, table.c.tenant, table.c.id).limit(1).scalar_subquery()

@@ -11,6 +11,7 @@ import re
 import secrets
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
@@ -21,7 +22,16 @@ from services.gateway.database import brief_wait, for_writing, upsert
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
 from services.gateway.jobs.postgres_notify import announce
-from services.gateway.jobs.queue_order import any_ready, by_oldest_job, first_start, oldest_ready, turns, waiting_queues
+from services.gateway.jobs.queue_order import (
+    any_ready,
+    by_oldest_job,
+    first_start,
+    oldest_ready,
+    orphaned_jobs,
+    running_jobs,
+    turns,
+    waiting_queues,
+)
 from services.gateway.jobs.row_mapping import (
     WHOLE_JOB,
     event_from_row,
@@ -30,7 +40,7 @@ from services.gateway.jobs.row_mapping import (
     job_values,
     lease_values,
 )
-from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
+from services.gateway.jobs.state_machine import Change, create_job
 from services.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
 from services.gateway.jobs.webhook_events import webhook_event
 from services.gateway.webhooks.outbox import enqueue
@@ -39,9 +49,9 @@ from services.storage.tenant_store import DEFAULT_TENANT
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
 _DELETED_AT_ONCE = 500  # jobs per statement: SQLite takes at most 999 values
 _DAY_S = 86_400.0
+_SLOTS_LOCK = 0x6332766C  # Postgres: first key of the locks of workers' slots; any number, only ours
 _BUSY_RETRY_S = 30  # a job takes about a minute
 _TERMINAL = [state.value for state in TERMINAL]
-_RUNS = [state.value for state in RUNNING_STATES]
 
 
 JOB_ID = re.compile(r"job_[0-9a-f]{32}")
@@ -50,6 +60,18 @@ JOB_ID = re.compile(r"job_[0-9a-f]{32}")
 def new_job_id(now: float) -> str:
     """Make a job id that cannot be guessed and sorts by creation time: milliseconds, then 80 random bits."""
     return f"job_{int(now * 1000):012x}{os.urandom(10).hex()}"
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A slot of a worker that is said to be free. slots: how many the worker has"""
+
+    worker: str
+    slots: int
+
+
+class SlotTaken(Exception):  # noqa: N818 - it reads as what it is
+    """Another gateway has leased a job to the worker's last slot, or is just doing so."""
 
 
 class JobStore:
@@ -181,16 +203,26 @@ class JobStore:
             # A long queue has a job that is ready, and is not read to its end for it.
             return now if db.execute(any_ready(now)).first() else db.execute(first_start()).scalar_one()
 
-    def claim(self, now: float, presets: Collection[str], transition: Callable[[Job], Change]) -> Job | None:
+    def claim(
+        self, now: float, presets: Collection[str], transition: Callable[[Job], Change], slot: Slot | None = None
+    ) -> Job | None:
         """Apply a transition to the next queued job of these presets that may start; None when there is none.
 
         The tenants take turns: next is the oldest job of the tenant with the fewest running ones; of several tenants,
         of the one whose last turn is longest ago. So a tenant with one job waits for what runs already and no more.
+
+        slot  for which the job is: gateways that see the same free slot at the same time would all give it a job, and
+              all but one be refused by the worker. Raises SlotTaken.
         """
         with self._writer.begin() as db:
+            if slot is not None:
+                _lock_slot(db, slot)
+            running = running_jobs(db)
+            if slot is not None and running.by_worker[slot.worker] >= slot.slots:
+                raise SlotTaken(slot.worker)
             queues = waiting_queues(db, presets)
-            for tenant in turns(db, queues):
-                for preset in by_oldest_job(db, tenant, queues[tenant], now):
+            for tenant in turns(queues, running):
+                for preset in by_oldest_job(db, tenant, queues[tenant].presets, now):
                     select = oldest_ready(tenant, preset, now)
                     job = db.execute(select.with_for_update(skip_locked=True) if self._locks else select).scalar()
                     if job is not None:  # else all wait for their next attempt, or other gateways are just taking them
@@ -206,14 +238,16 @@ class JobStore:
         Its lease has expired, or belongs to `holder`, this gateway before its restart.
         own_runs: jobs that this process supervises
         """
-        orphaned = sa.or_(leases.c.until < now, leases.c.holder == holder)
-        select = WHOLE_JOB.where(jobs.c.state.in_(_RUNS), orphaned, jobs.c.id.not_in(list(own_runs)))
-        select = select.order_by(jobs.c.id).limit(1)
+        select = orphaned_jobs(now, holder, own_runs)
+        whole = WHOLE_JOB
         if self._locks:
-            select = select.with_for_update(skip_locked=True)
+            select, whole = select.with_for_update(skip_locked=True), whole.with_for_update()
         with self._writer.begin() as db:
-            row = db.execute(select).first()
-            return self._write(db, transition(job_from_row(row))) if row else None
+            found = db.execute(select).scalar()
+            job = _get(db, whole, found) if found is not None else None
+            if job is None or (job.lease.until >= now and job.lease.holder != holder):  # or it was just renewed
+                return None
+            return self._write(db, transition(job))
 
     def renew(self, holder: str, until: float, running: Sequence[tuple[str, int]]) -> tuple[set[str], set[str]]:
         """Renew the leases of these (job, fence). Returns the jobs whose leases are lost, and those to be cancelled."""
@@ -251,6 +285,14 @@ class JobStore:
         if change.events:
             announce(db, self.origin, job)
         return job
+
+
+def _lock_slot(db: Connection, slot: Slot) -> None:
+    """Keep other gateways off a worker until this transaction has ended. Raises SlotTaken. SQLite has one writer."""
+    if db.dialect.name == "postgresql":
+        lock = sa.func.pg_try_advisory_xact_lock(_SLOTS_LOCK, sa.func.hashtext(slot.worker))
+        if not db.execute(sa.select(lock)).scalar_one():
+            raise SlotTaken(slot.worker)
 
 
 def _check_limits(db: Connection, tenant: str, at_once: int, per_day: int) -> None:

@@ -14,11 +14,11 @@ from sqlalchemy.engine import Engine
 
 from services.gateway.database import open_engine
 from services.gateway.dispatch import dispatcher
-from services.gateway.jobs import postgres_notify
+from services.gateway.jobs import other_gateways, postgres_notify
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.job import Order
 from services.gateway.jobs.other_gateways import OtherGateways
-from services.gateway.jobs.state_machine import lease_to_worker, request_cancel
+from services.gateway.jobs.state_machine import lease_to_worker, request_cancel, requeue_refused
 from services.gateway.jobs.store import JobStore
 from services.storage.tenant_store import DEFAULT_TENANT as HOME
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, memory, start, worker
@@ -99,6 +99,27 @@ async def test_what_is_rolled_back_is_not_told(url: str, other: JobStore) -> Non
             other.create(HOME, ORDER)
             await _heard(mine.woken)  # what came later has been heard
             assert not news.is_set()
+
+
+async def test_a_job_that_waits_for_its_next_attempt_wakes_nobody(
+    url: str, other: JobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(other_gateways, "_FIRST_REFUSAL_S", 0.0)
+    async with listening(url) as mine:
+        await _heard(mine.woken)
+        job = other.create(HOME, ORDER).id
+        await _heard(mine.woken)
+        lease = partial(lease_to_worker, holder="other", worker="w:1", now=1e12, lease_s=10)
+        assert other.claim(1e12, ("draft",), lease) is not None
+        with mine.jobs.notifier.listen(job) as news:
+            other.change(job, partial(requeue_refused, fence=1, now=1e12, pause_s=60))
+            await _heard(news)
+        last = other.create(HOME, ORDER).id
+        with mine.jobs.notifier.listen(last) as news:
+            await _heard(mine.woken)
+            other.change(last, partial(request_cancel, now=1e12))
+            await _heard(news)
+        assert not mine.woken.is_set(), "of three changes one was a job for the queue"
 
 
 async def test_own_changes_are_not_heard_twice(url: str, other: JobStore) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 
@@ -24,7 +25,7 @@ from services.gateway.jobs.state_machine import (
     request_cancel,
     take_over,
 )
-from services.gateway.jobs.store import JobStore
+from services.gateway.jobs.store import JobStore, Slot, SlotTaken
 from services.storage.tenant_store import DEFAULT_TENANT
 
 ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object", box=(0.25, 0.125, 0.75, 1.0))
@@ -96,6 +97,38 @@ def test_a_job_is_claimed_by_one_of_many(store: JobStore, url: str) -> None:
     with ThreadPoolExecutor(4) as pool:
         got = [job for each in pool.map(claims, range(4)) for job in each]
     assert len(got) == len(set(got)) == 20
+
+
+def test_a_free_slot_is_leased_once(store: JobStore, url: str) -> None:
+    """Many gateways see the same two free slots at once; each slot gets one job, until that has ended."""
+    for _ in range(20):
+        store.create(HOME, ORDER)
+    gate = threading.Barrier(4)
+
+    def claims(_: int) -> list[str]:
+        engine = open_engine(url)
+        mine, got = JobStore(engine), []
+        gate.wait()
+        for _ in range(5):
+            with suppress(SlotTaken):
+                job = mine.claim(1e12, ("draft",), lease(), Slot("w:1", 2))
+                got += [job.id] if job else []
+        engine.dispose()
+        return got
+
+    with ThreadPoolExecutor(4) as pool:
+        got = [job for each in pool.map(claims, range(4)) for job in each]
+    assert len(got) <= 2
+    while len(got) < 2:  # they may have kept each other off
+        job = store.claim(1e12, ("draft",), lease(), Slot("w:1", 2))
+        assert job is not None
+        got.append(job.id)
+    assert store.count_by_state()[State.RUNNING] == len(set(got)) == 2
+    with pytest.raises(SlotTaken):
+        store.claim(1e12, ("draft",), lease(), Slot("w:1", 2))
+    done = [VersionPublished(1, "dress", 1, "refined", "m"), RunFinished(2, (), {})]
+    store.change(got[0], partial(apply_reports, fence=1, reports=done, now=1e12, retry=RETRY))
+    assert store.claim(1e12, ("draft",), lease(), Slot("w:1", 2)) is not None
 
 
 def test_an_idempotency_key_makes_one_job(store: JobStore) -> None:
