@@ -83,7 +83,7 @@ async def _headers_alone(store: Store, name: str, request: Request) -> Response:
     "/readable/{folder:path}",
     status_code=204,
     dependencies=[READS_FOLDER],
-    responses={204: {"headers": {"X-Visibility": {"schema": {"type": "string"}}}}, **problems(401)},
+    responses={204: {"headers": {"X-Visibility": {"schema": {"type": "string"}}}}, **problems(401, 404)},
 )
 async def may_read_folder(folder: str, request: Request) -> Response:
     """Tell a proxy whether this request may read an asset's or a collection's files: 204 and the visibility, or 401.

@@ -18,6 +18,7 @@ import pytest
 from fastapi import FastAPI
 from PIL import Image
 
+import services
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
 from services.gateway.app import create_app
@@ -350,7 +351,7 @@ class _Worker(edge_pb2_grpc.EdgeReconstructionServicer):
         self.headers: list[pb.Header] = []
 
     async def GetWorker(self, request: Any, context: Any) -> pb.Worker:  # noqa: N802 - the wire's name
-        return pb.Worker(version="1", slots=1, free_slots=1)
+        return pb.Worker(version=services.__version__, slots=1, free_slots=1)
 
     async def Inspect(self, chunks: AsyncIterator[pb.Chunk], context: Any) -> pb.Inspection:  # noqa: N802
         await context.send_initial_metadata(())  # admits the upload, as edge.proto has it
