@@ -7,8 +7,7 @@ import io
 import json
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from contextlib import ExitStack
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,11 @@ import httpx
 import pytest
 
 from services import traces
-from services.storage.local import LocalStore
 from services.strict_settings import SettingsError
 from services.traces import capture_span, stage_spans, trace_id
+from tests.support.fresh_process import run_fresh
+from tests.support.gateway_process import running
+from tests.support.in_process_gateway import capture as script_capture
 from tests.support.in_process_gateway import ended, start, until
 from tests.support.patience import PATIENCE_S
 from tests.support.private_pictures import jpeg
@@ -76,63 +77,28 @@ def collector() -> Iterator[Collector]:
         thread.join()
 
 
-@contextmanager
-def product(
-    folder: Path, collector: Collector, ports: tuple[int, int]
-) -> Iterator[tuple[httpx.AsyncClient, Callable[[], None]]]:
-    """A gateway as a process of its own that sends traces, and what starts a worker of quick work beside it."""
-    shared = {
-        "STORAGE_ROOT": LocalStore(folder / "objects").root,
-        traces.ENDPOINT: collector.url,
-        "OTEL_BSP_SCHEDULE_DELAY": 100,
-    }
-    begin = partial(
-        ServiceProcess,
-        "tests.support.scripted_work_worker",
-        folder / "edge.log",
-        EDGE_PORT=ports[0],
-        EDGE_SCRATCH=folder / "scratch",
-        **shared,
-    )
-    gateway = ServiceProcess(
-        "services.gateway",
-        folder / "gateway.log",
-        GATEWAY_PORT=ports[1],
-        GATEWAY_DATA_DIR=folder / "gateway",
-        GATEWAY_WORKERS=f"127.0.0.1:{ports[0]}",
-        GATEWAY_PRESETS="draft,fine",
-        **shared,
-    )
-    with killed_at_the_end(gateway), ExitStack() as stack:
-        yield (
-            httpx.AsyncClient(base_url=f"http://127.0.0.1:{ports[1]}", timeout=PATIENCE_S),
-            lambda: stack.enter_context(killed_at_the_end(begin())),
-        )
-
-
 async def test_a_capture_has_one_trace_from_upload_to_publishing(
-    tmp_path: Path, collector: Collector, unused_tcp_port_factory: Callable[[], int]
+    tmp_path: Path, collector: Collector, unused_tcp_port: int
 ) -> None:
-    ports = unused_tcp_port_factory(), unused_tcp_port_factory()
-    with product(tmp_path, collector, ports) as (opened, start_worker):
-        async with opened as client:
-
-            async def is_live() -> bool:
-                try:
-                    return (await client.get("/livez")).is_success
-                except httpx.TransportError:
-                    return False
-
-            await until(is_live)
+    sends = {traces.ENDPOINT: collector.url, "OTEL_BSP_SCHEDULE_DELAY": 100}
+    options = {"workers": f"127.0.0.1:{unused_tcp_port}", "GATEWAY_PRESETS": "draft,fine", **sends}
+    with running(tmp_path, **options) as gateway, ExitStack() as stack:
+        async with httpx.AsyncClient(base_url=gateway.url, timeout=PATIENCE_S) as client:
             # Without a worker: the scripted one inspects no photos.
             files = [("files", (f"{number}.jpg", jpeg())) for number in range(3)]
             answer = await client.post("/v1/captures", files=files)
             assert answer.status_code == 201, answer.text
             uploaded = answer.json()["capture"]
-            LocalStore(tmp_path / "objects").put(
-                f"captures/{uploaded}.zip", json.dumps({"steps": 2}).encode(), content_type="application/zip"
+            script_capture(gateway.store, uploaded, steps=2)
+            edge = ServiceProcess(
+                "tests.support.scripted_work_worker",
+                tmp_path / "edge.log",
+                EDGE_PORT=unused_tcp_port,
+                EDGE_SCRATCH=tmp_path / "scratch",
+                STORAGE_ROOT=gateway.store.root,
+                **sends,
             )
-            start_worker()
+            stack.enter_context(killed_at_the_end(edge))
             job = await start(client, uploaded)
             assert (await ended(client, job))["state"] == "SUCCEEDED"
 
@@ -154,33 +120,18 @@ async def test_a_capture_has_one_trace_from_upload_to_publishing(
     assert any(line.get("job") == job for line in lines)
 
 
-def test_without_a_collector_nothing_is_imported_or_done(fresh: Callable[[str], str]) -> None:
-    said = fresh(
+def test_without_a_collector_nothing_is_imported_or_done(tmp_path: Path) -> None:
+    said = run_fresh(
         "import sys\n"
         "from services.traces import capture_span, stage_spans, start_tracing\n"
         "start_tracing('x')\n"
         "with capture_span('run', 'cap_1', job='j'), stage_spans() as stages:\n"
         "    stages.enter('FITTING')\n"
-        "print([name for name in sys.modules if name.startswith('opentelemetry')])\n"
+        "print([name for name in sys.modules if name.startswith('opentelemetry')])\n",
+        extras=["gateway", "traces"],
+        cwd=tmp_path,
     )
-    assert said == "[]"
-
-
-@pytest.fixture
-def fresh() -> Callable[[str], str]:
-    import os
-    import subprocess
-    import sys
-
-    from tests.support.repository import ROOT
-
-    def run(code: str) -> str:
-        bare = {name: value for name, value in os.environ.items() if name != traces.ENDPOINT}
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=bare)
-        assert done.returncode == 0, done.stderr
-        return done.stdout.strip()
-
-    return run
+    assert said.strip() == "[]"
 
 
 class TestInMemory:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import Ktx2Encoder
@@ -31,12 +32,15 @@ def start() -> int:
         return _start(out_of_memory=False)
     settings = EdgeSettings()
     configure(settings.log_level)
-    return run_guarded(_start_or_say_why, own_control_group())
+    return run_guarded(
+        lambda out_of_memory: _or_say_why(lambda: _start(out_of_memory=out_of_memory)), own_control_group()
+    )
 
 
-def _start_or_say_why(out_of_memory: bool) -> int:
+def _or_say_why(run: Callable[[], int]) -> int:
+    """Return the exit status of `run`; for wrong settings write what is wrong to stderr, and return 2."""
     try:
-        return _start(out_of_memory=out_of_memory)
+        return run()
     except SettingsError as error:
         sys.stderr.write(f"edge: {error}\n")
         return 2
@@ -66,11 +70,7 @@ def _start(*, out_of_memory: bool) -> int:
 
 def main() -> int:
     """Run the worker; return the exit status: 0 after SIGTERM, 1 when it could not start, 2 for wrong settings."""
-    try:
-        return start()
-    except SettingsError as error:
-        sys.stderr.write(f"edge: {error}\n")
-        return 2
+    return _or_say_why(start)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import re
 import socket
 import time
@@ -45,7 +46,7 @@ class WorkerAddresses:
         self._found: dict[str, tuple[str, ...]] = {each: () for each in named if each.startswith(_DNS)}
         self._faults: dict[str, str] = {}
         self._lookup: asyncio.Task[None] | None = None
-        self._began = 0.0
+        self._began = -math.inf  # of the last lookup, monotonic seconds
 
     @property
     def current(self) -> tuple[str, ...]:
@@ -65,9 +66,9 @@ class WorkerAddresses:
         """Look all names up, where the last lookup was long enough ago; wait for its end, but not for long."""
         if not self._found:
             return
-        ended = self._lookup is None or self._lookup.done()
-        if ended and (self._lookup is None or time.monotonic() - self._began >= _EVERY_S):
-            self._began = time.monotonic()
+        now = time.monotonic()
+        if now - self._began >= _EVERY_S and (self._lookup is None or self._lookup.done()):
+            self._began = now
             self._lookup = asyncio.create_task(self._look_up_all())
         assert self._lookup is not None
         await asyncio.wait([self._lookup], timeout=_WAIT_S)

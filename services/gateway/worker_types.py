@@ -76,9 +76,10 @@ class WorkerStatus:
         """
         return _series(self.version) == _series(services.__version__)
 
-    def offers(self, preset: str) -> bool:
-        """Return whether the worker offers this preset."""
-        return any(preset == each.name for each in self.presets)
+    @property
+    def preset_names(self) -> frozenset[str]:
+        """Names of the presets that the worker offers."""
+        return frozenset(preset.name for preset in self.presets)
 
 
 def _series(version: str) -> list[str]:

@@ -13,13 +13,19 @@ from tests.referees.postgres import programs, running
 
 
 @pytest.fixture(scope="session")
-def postgres() -> Iterator[str]:
-    """The URL of a real Postgres."""
+def postgres_programs() -> Path:
+    """The folder of Postgres' programs; the test is skipped where there is none."""
     found = programs()
     if found is None:
         missing("a Postgres server")
     assert found is not None
-    with running(found) as url:
+    return found
+
+
+@pytest.fixture(scope="session")
+def postgres(postgres_programs: Path) -> Iterator[str]:
+    """The URL of a real Postgres."""
+    with running(postgres_programs) as url:
         yield url
 
 

@@ -16,8 +16,7 @@ import pytest
 import sqlalchemy as sa
 
 from services.gateway.database import WrongEncoding, open_engine
-from tests.conftest import missing
-from tests.referees.postgres import PostgresServer, programs, running_server
+from tests.referees.postgres import PostgresServer, running_server
 from tests.support.in_process_gateway import (
     Making,
     capture,
@@ -46,13 +45,9 @@ def operator(url: str) -> Iterator[sa.Connection]:
 
 
 @pytest.fixture
-def server() -> Iterator[PostgresServer]:
+def server(postgres_programs: Path) -> Iterator[PostgresServer]:
     """A server of this test alone."""
-    found = programs()
-    if found is None:
-        missing("a Postgres server")
-    assert found is not None
-    with running_server(found) as made:
+    with running_server(postgres_programs) as made:
         yield made
 
 
@@ -109,6 +104,7 @@ async def test_a_server_that_comes_back_finds_every_job_done_once(
         await job_when(client, runs, lambda found: found["fraction"] > 0)
         waits = await start(client, capture(store, "cap_2"), "hat")
         stream = asyncio.create_task(events(client, runs))
+        await until(lambda: _is_followed(client))
         await asyncio.to_thread(server.stop)
         order = {"capture": "cap_1", "asset_key": "shoe"}
         assert refusal(await client.get("/v1/jobs")) == (503, "DATABASE_UNAVAILABLE")
@@ -128,6 +124,11 @@ async def test_a_server_that_comes_back_finds_every_job_done_once(
     assert [number for number, _, _ in story if number] == list(range(1, story[-1][0] + 1)), "the stream went on"
     assert "a background task of the gateway ended" not in caplog.text
     assert caplog.text.count("no longer tells of changes") == 1, "told once, not every second"
+
+
+async def _is_followed(client: httpx.AsyncClient) -> bool:
+    """Whether a stream of events is open: one that is opened while the database is away is refused."""
+    return "capture2vr_event_listeners 1.0" in (await client.get("/metrics")).text
 
 
 async def _is_logged(caplog: pytest.LogCaptureFixture, text: str) -> bool:

@@ -1,11 +1,11 @@
-"""A gateway process without workers, which is killed and comes back, and what it has stored."""
+"""A gateway process, which is killed and comes back, and what it has stored."""
 
 from __future__ import annotations
 
 import hashlib
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,12 @@ from tests.support.service_processes import ServiceProcess, killed_at_the_end
 
 
 class GatewayProcess:
-    """A gateway process without workers."""
+    """A gateway process; without workers where none are named."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(
+        self, folder: Path, *, workers: str = "127.0.0.1:9", within: Sequence[str] = (), **variables: object
+    ) -> None:
+        """within: as of ServiceProcess; variables: further ones of its environment"""
         self.port = free_port()
         self.store = LocalStore(folder / "objects")
         self.process = ServiceProcess(
@@ -30,8 +33,10 @@ class GatewayProcess:
             folder / "gateway.log",
             GATEWAY_PORT=self.port,
             GATEWAY_DATA_DIR=folder / "data",
-            GATEWAY_WORKERS="127.0.0.1:9",
+            within=within,
+            GATEWAY_WORKERS=workers,
             STORAGE_ROOT=folder / "objects",
+            **variables,
         )
         self.url = f"http://127.0.0.1:{self.port}"
 
@@ -78,9 +83,9 @@ class GatewayProcess:
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[GatewayProcess]:
-    """A gateway that answers, until the end."""
-    gateway = GatewayProcess(folder)
+def running(folder: Path, **options: Any) -> Iterator[GatewayProcess]:
+    """A gateway that answers, until the end. options: as of GatewayProcess"""
+    gateway = GatewayProcess(folder, **options)
     with killed_at_the_end(gateway.process):
         gateway.wait_until_it_answers()
         yield gateway

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,8 +16,11 @@ from tests.support.repository import ROOT
 class ServiceProcess:
     """A service that is killed and comes back."""
 
-    def __init__(self, module: str, log: Path, *arguments: str, **variables: object) -> None:
-        self._command = [sys.executable, "-m", module, *arguments]
+    def __init__(
+        self, module: str, log: Path, *arguments: str, within: Sequence[str] = (), **variables: object
+    ) -> None:
+        """within: a command that runs another one, which it is given behind its own arguments"""
+        self._command = [*within, sys.executable, "-m", module, *arguments]
         self._log = log
         self._environment = {**os.environ, **{name: str(value) for name, value in variables.items()}}
         self.start()

@@ -89,6 +89,13 @@ securityContext:
 {{- end }}
 {{- end }}
 
+{{- /* All pools of workers with workerDefaults filled in, as YAML. */ -}}
+{{- define "capture2vr.pools" -}}
+{{- range $pool, $worker := .Values.workers }}
+{{ $pool }}: {{ mergeOverwrite (deepCopy $.Values.workerDefaults) ($worker | default dict) | toJson }}
+{{- end }}
+{{- end }}
+
 {{- define "capture2vr.pool" -}}
 {{ include "capture2vr.name" .root }}-{{ .pool }}
 {{- end }}

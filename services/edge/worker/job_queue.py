@@ -19,7 +19,6 @@ from services.edge.worker.job_run import JobRun, Work
 from services.edge.worker.metrics import WorkerMetrics
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.upload import receive
-from services.logs import log_fields
 
 _log = logging.getLogger(__name__)
 
@@ -191,9 +190,8 @@ class JobQueue:
         while self._waiting and len(self._busy) < self._slots:
             run = self._waiting.popleft()
             self._busy.add(run)
-            request = run.request
-            with log_fields(job=request.job):
-                _log.info("job %s starts: preset %s, key %s", request.job, request.preset, request.asset_key)
+            request, extra = run.request, {"job": run.request.job}
+            _log.info("job %s starts: preset %s, key %s", request.job, request.preset, request.asset_key, extra=extra)
             self._start(run)
         if not self._waiting and not self._busy:
             self._idle.set()
@@ -237,8 +235,7 @@ class JobQueue:
         self._metrics.observe_end(ending)
         self._busy.discard(run)
         how = ending.code if isinstance(ending, pb.Failure) else "finished"
-        with log_fields(job=run.request.job):
-            _log.info("job %s ended: %s", run.request.job, how)
+        _log.info("job %s ended: %s", run.request.job, how, extra={"job": run.request.job})
         self._ended.append(run)
         asyncio.get_running_loop().call_later(KEEP_ENDED_S, self._forget, run)
         if len(self._ended) > KEEP_ENDED:

@@ -75,7 +75,6 @@ class JobRun:
         self._checkpoints = checkpoints
         self._stop_with: pb.Failure | None = None
         self._last: tuple[pb.Progress, float] | None = None
-        self._stages = StageSpans()
 
     def start(self, work: Work, on_end: Callable[[Ending], None], cleanup: Callable[[], None]) -> None:
         """Run `work` on a new thread; at its end call `cleanup` on the thread, then `on_end` on the event loop.
@@ -112,23 +111,23 @@ class JobRun:
             with (
                 log_fields(job=request.job, tenant=request.tenant),
                 capture_span("reconstruct", request.capture, job=request.job, preset=request.preset),
-                stage_spans() as self._stages,
+                stage_spans() as stages,
             ):
                 return work.reconstruct(
-                    self._archive, request, scratch, checkpoint, lambda update: self._report(loop, update)
+                    self._archive, request, scratch, checkpoint, lambda update: self._report(loop, stages, update)
                 )
         except Cancelled as cancelled:
             return self._stop_with or failure_of(cancelled, job=self.request.job, scratch=scratch)
         except BaseException as error:  # noqa: BLE001 - whatever ends this thread, the caller must get an ending
             return failure_of(error, job=self.request.job, scratch=scratch)
 
-    def _report(self, loop: asyncio.AbstractEventLoop, update: Update) -> None:
+    def _report(self, loop: asyncio.AbstractEventLoop, stages: StageSpans, update: Update) -> None:
         """Post an update to the event loop, from the run's thread. Raises Cancelled or JobReturned after a stop."""
         if self._stop_with is not None:
             raise JobReturned if _is_retried(self._stop_with) else Cancelled
         if isinstance(update, pb.Progress):
             if update.stage:
-                self._stages.enter(pb.Stage.Name(update.stage))
+                stages.enter(pb.Stage.Name(update.stage))
             if self._is_redundant(update):
                 return
         _post(loop, self._record, update)

@@ -109,18 +109,18 @@ class Dispatcher:
         while ready := [
             worker
             for worker in self._free_workers(workers)
-            if worker.address not in taken and _presets(worker) not in nothing_for
+            if worker.address not in taken and worker.preset_names not in nothing_for
         ]:
             worker, now = ready[0], time.time()
             lease = partial(lease_to_worker, holder=self._holder, worker=worker.address, now=now, lease_s=self._lease_s)
             slot = Slot(worker.address, worker.slots)
             try:
-                job = await self._dependencies.job_store.write(JobStore.claim, now, _presets(worker), lease, slot)
+                job = await self._dependencies.job_store.write(JobStore.claim, now, worker.preset_names, lease, slot)
             except SlotTaken:
                 taken.add(worker.address)
                 continue
             if job is None:
-                nothing_for.add(_presets(worker))
+                nothing_for.add(worker.preset_names)
             else:
                 self._start(job, running=False)
         return _WORKERS_S
@@ -196,7 +196,3 @@ class Dispatcher:
             # Its lease expires, and the first gateway to notice takes the run over.
             _log.error("job %s: its run supervisor failed; it is taken over when its lease ends", job, exc_info=error)
         self._wake.set()
-
-
-def _presets(worker: WorkerStatus) -> frozenset[str]:
-    return frozenset(preset.name for preset in worker.presets)

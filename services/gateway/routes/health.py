@@ -135,6 +135,6 @@ async def _workers(workers: WorkerPool) -> Check:
     usable = [worker for worker in found if worker.is_compatible]
     free = sum(worker.free_slots for worker in usable if not worker.draining)
     details = [f"{len(found)} of {len(workers.addresses)} workers answer", f"{free} slots are free"]
-    details += [f"{worker.address} is of version {worker.version}" for worker in found if worker not in usable]
+    details += [f"{worker.address} is of version {worker.version}" for worker in found if not worker.is_compatible]
     details += [f"{name} resolves to no address" for name in workers.unresolved]
     return Check(ok=bool(usable), detail=", ".join(details))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import shutil
 import subprocess
-import sys
-from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import Callable
+from contextlib import AsyncExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +15,7 @@ import pytest
 from pydantic import SecretStr
 
 import services
-from services.cli.up import free_port
-from services.storage.local import LocalStore
+from tests.support.gateway_process import running
 from tests.support.in_process_gateway import (
     Making,
     capture,
@@ -31,7 +28,6 @@ from tests.support.in_process_gateway import (
     worker,
 )
 from tests.support.patience import PATIENCE_S
-from tests.support.repository import ROOT
 from tests.support.tls_certificates import TOKEN, Authority
 
 
@@ -149,33 +145,6 @@ async def test_a_worker_of_another_version_gets_no_job_and_is_named(
     ]
 
 
-@asynccontextmanager
-async def gateway_with_hosts(folder: Path, hosts: Path, store: LocalStore, workers: str) -> AsyncIterator[int]:
-    """A gateway as a process of its own, for which `hosts` is /etc/hosts; its port."""
-    port = free_port()
-    variables = {
-        "GATEWAY_PORT": port,
-        "GATEWAY_DATA_DIR": folder / "gateway",
-        "GATEWAY_WORKERS": workers,
-        "GATEWAY_PRESETS": "draft,fine",
-        "STORAGE_ROOT": store.root,
-    }
-    mount = f'mount --bind "{hosts}" /etc/hosts && exec "{sys.executable}" -m services.gateway'
-    with (folder / "gateway.log").open("ab") as log:
-        process = subprocess.Popen(
-            ["unshare", "--mount", "sh", "-c", mount],
-            cwd=ROOT,
-            env={**os.environ, **{name: str(value) for name, value in variables.items()}},
-            stdout=log,
-            stderr=log,
-        )
-    try:
-        yield port
-    finally:
-        process.terminate()
-        process.wait()
-
-
 def _may_mount() -> bool:
     unshare = shutil.which("unshare")
     return bool(unshare) and subprocess.run([str(unshare), "--mount", "true"], capture_output=True).returncode == 0
@@ -186,26 +155,22 @@ def _may_mount() -> bool:
 async def test_twelve_jobs_of_a_gateway_process_are_split_alike(
     tmp_path: Path, unused_tcp_port_factory: Callable[[], int]
 ) -> None:
-    store = LocalStore(tmp_path / "objects")
     edge_port = unused_tcp_port_factory()
     hosts = tmp_path / "hosts"
     addresses = ["127.0.0.2", "127.0.0.3", "127.0.0.4"]
     hosts.write_text("127.0.0.2 edge\n")
+    has_hosts = ("unshare", "--mount", "sh", "-c", 'mount --bind "$0" /etc/hosts && exec "$@"', str(hosts))
     async with AsyncExitStack() as stack:
+        options = {"workers": f"dns:///edge:{edge_port}", "within": has_hosts, "GATEWAY_PRESETS": "draft,fine"}
+        process = stack.enter_context(running(tmp_path, **options))
+        store = process.store
         works = [Making(store) for _ in addresses]
         for address, work in zip(addresses, works, strict=True):
             await stack.enter_async_context(worker(work, tmp_path / address, host=address, port=edge_port))
-        workers = f"dns:///edge:{edge_port}"
-        port = await stack.enter_async_context(gateway_with_hosts(tmp_path, hosts, store, workers))
-        client = await stack.enter_async_context(
-            httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE_S)
-        )
+        client = await stack.enter_async_context(httpx.AsyncClient(base_url=process.url, timeout=PATIENCE_S))
 
         async def sees(count: int) -> bool:
-            try:
-                return len(await workers_seen(client)) == count
-            except httpx.TransportError:  # it is starting
-                return False
+            return len(await workers_seen(client)) == count
 
         await until(lambda: sees(1))
         with hosts.open("w") as file:  # in place: a mounted file is not replaced
