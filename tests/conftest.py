@@ -25,6 +25,7 @@ _TOGETHER = {
     "web": "pages",
     "storage": "s3",
     "deploy/test_cdn.py": "s3",
+    "cli/test_backup.py": "s3",
     "release/test_release.py": "sbom",
     "release/test_sbom.py": "sbom",
     "test_dependencies.py": "sbom",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
 import tempfile
 from pathlib import Path
@@ -10,15 +9,13 @@ from pathlib import Path
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.cli.errors import BadInput
-from services.cli.local_settings import local_settings
+from services.cli.local_settings import local_settings, local_store
 from services.cli.progress import console, warn
 from services.gateway.instance_lock import FolderInUse, lock_instance
 from services.gateway.restore import restore
 from services.gateway.scrub import Scrub
 from services.gateway.settings import GatewaySettings
 from services.gateway.snapshots import DatabaseDamaged, check_file, snapshots_in, sqlite_file
-from services.storage.settings import StorageSettings, open_store
-from services.storage.store import Store
 
 
 def check_database(data: Path) -> bool:
@@ -26,7 +23,7 @@ def check_database(data: Path) -> bool:
 
     Raises BadInput.
     """
-    settings = _settings(data)
+    settings = local_settings(data)
     database = _database(settings)
     whole = _say(database, "the database")
     for snapshot in snapshots_in(settings.snapshots_dir):
@@ -38,11 +35,11 @@ def check_database(data: Path) -> bool:
 
 def restore_database(data: Path) -> None:
     """Restore the database, and print what it was made of. Raises BadInput."""
-    settings = _settings(data)
+    settings = local_settings(data)
     database = _database(settings)
     try:
         with lock_instance(settings.data_dir):
-            done = restore(database, settings.snapshots_dir, _store(data))
+            done = restore(database, settings.snapshots_dir, local_store(data))
     except FolderInUse as error:
         raise BadInput(str(error)) from None
     except (sqlite3.Error, SQLAlchemyError) as error:
@@ -62,7 +59,7 @@ def scrub_store(data: Path) -> bool:
     Raises BadInput, OSError.
     """
     with tempfile.TemporaryDirectory(prefix="scrub-") as folder:
-        scrub = Scrub(_store(data), Path(folder) / "scrub.json", 0)
+        scrub = Scrub(local_store(data), Path(folder) / "scrub.json", 0)
         for _ in scrub.steps():
             pass
     for name in scrub.state.damaged:
@@ -86,19 +83,3 @@ def _database(settings: GatewaySettings) -> Path:
     if database is None:
         raise BadInput("the database is no SQLite file: use its own tools, such as pg_dump")
     return database
-
-
-def _settings(data: Path) -> GatewaySettings:
-    try:
-        return local_settings(data)
-    except ValueError as error:
-        raise BadInput(str(error)) from error
-
-
-def _store(data: Path) -> Store:
-    """Return the store of the STORAGE_* variables, or the one in the data folder of `capture2vr up`."""
-    named = any(name.startswith("STORAGE_") for name in os.environ)
-    try:
-        return open_store(StorageSettings() if named else StorageSettings(root=data / "store"))
-    except ValueError as error:
-        raise BadInput(str(error)) from error

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 import services
+from services.cli.backup import app as backup
 from services.cli.catalogue import app as catalogue
 from services.cli.deploy import app as deploy
 from services.cli.errors import BadInput, printable
@@ -25,6 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(backup, name="backup")
 app.add_typer(catalogue, name="catalogue")
 app.add_typer(deploy, name="deploy")
 app.add_typer(gateway, name="gateway")

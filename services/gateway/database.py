@@ -39,18 +39,24 @@ def open_engine(url: str) -> Engine:
 
     Raises sqlalchemy.exc.SQLAlchemyError when it cannot be used: SchemaNewer for one of a newer gateway, WrongEncoding.
     """
+    engine = create_engine(url)
+    try:
+        check_encoding(engine)
+        _migrate(engine)
+    except BaseException:
+        engine.dispose()
+        raise
+    return engine
+
+
+def create_engine(url: str) -> Engine:
+    """Return the engine of a database, which connects at first use; its schema is left as it is."""
     # psycopg would prepare statements after some uses, and Postgres then plan them for no state of a job in particular.
     options = {} if url.startswith("sqlite") else {"prepare_threshold": None}
     engine = sa.create_engine(_completed(url), pool_pre_ping=not url.startswith("sqlite"), connect_args=options)
     if engine.dialect.name == "sqlite":
         sa.event.listen(engine, "connect", _prepare)
         sa.event.listen(engine, "begin", _begin)
-    try:
-        _check_encoding(engine)
-        _migrate(engine)
-    except BaseException:
-        engine.dispose()
-        raise
     return engine
 
 
@@ -72,7 +78,7 @@ class WrongEncoding(sa.exc.SQLAlchemyError):
     """The database cannot store all text."""
 
 
-def _check_encoding(engine: Engine) -> None:
+def check_encoding(engine: Engine) -> None:
     """Raises WrongEncoding for a Postgres database that is not in UTF-8: it returns text as bytes, or refuses it."""
     if engine.dialect.name != "postgresql":
         return
@@ -118,40 +124,65 @@ def brief_wait(db: Connection) -> Iterator[None]:
         raw.execute(f"PRAGMA busy_timeout={_BUSY_MS}")
 
 
-def _migrate(engine: Engine) -> None:
-    """Run the migrations that this database lacks, in one transaction; several gateways may start at once."""
-    # Here, because Alembic takes 0.2 s to import, and the command line imports this module for less.
+def newest_schema() -> str:
+    """Return the revision of the schema that this version works with."""
+    return str(_scripts().get_current_head())
+
+
+def schema_of(db: Connection) -> str | None:
+    """Return the revision of a database's schema; None where it has none, or one of before the migrations."""
     from alembic.runtime.migration import MigrationContext
-    from alembic.script import ScriptDirectory
 
-    scripts = ScriptDirectory(str(_MIGRATIONS), version_locations=[str(_MIGRATIONS)])
-    head = scripts.get_current_head()
-    with engine.connect() as db, db.begin():
-        if MigrationContext.configure(db).get_current_revision() == head:
-            return
-    with for_writing(engine).connect() as db, db.begin():
-        if db.dialect.name == "postgresql":
-            db.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
-        _upgrade(db, scripts, head)
+    return MigrationContext.configure(db).get_current_revision()
 
 
-def _upgrade(db: Connection, scripts: Any, head: str | None) -> None:
+def upgrade(db: Connection, revision: str) -> None:
+    """Run the migrations up to a revision that this database lacks, in the present transaction. Raises SchemaNewer."""
     from alembic.config import Config
     from alembic.runtime.environment import EnvironmentContext
     from alembic.runtime.migration import MigrationContext
     from alembic.util.exc import CommandError
 
-    present = MigrationContext.configure(db).get_current_revision()
+    scripts, present = _scripts(), schema_of(db)
     if present is None and sa.inspect(db).has_table("jobs"):
         MigrationContext.configure(db).stamp(scripts, _FIRST)
         present = _FIRST
     try:
-        steps = scripts._upgrade_revs(head, present)
+        steps = scripts._upgrade_revs(revision, present)
     except CommandError:
         raise SchemaNewer(f"the jobs database is of a newer gateway (schema {present}); install that version") from None
     with EnvironmentContext(Config(), scripts, fn=lambda *_: steps) as environment:
         environment.configure(connection=db)
         environment.run_migrations()
+
+
+def is_known_schema(revision: str) -> bool:
+    """Return whether this version knows a revision of the schema; else the revision is of a newer version."""
+    return any(revision == script.revision for script in _scripts().walk_revisions())
+
+
+def _migrate(engine: Engine) -> None:
+    """Run the migrations that this database lacks, in one transaction; several gateways may start at once."""
+    newest = newest_schema()
+    with engine.connect() as db, db.begin():
+        if schema_of(db) == newest:
+            return
+    with for_writing(engine).connect() as db, db.begin():
+        lock_schema(db)
+        upgrade(db, newest)
+
+
+def lock_schema(db: Connection) -> None:
+    """Keep other gateways from migrating until this transaction has ended. SQLite's one writer needs no lock."""
+    if db.dialect.name == "postgresql":
+        db.execute(sa.text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+
+
+def _scripts() -> Any:
+    # Here, because Alembic takes 0.2 s to import, and the command line imports this module for less.
+    from alembic.script import ScriptDirectory
+
+    return ScriptDirectory(str(_MIGRATIONS), version_locations=[str(_MIGRATIONS)])
 
 
 def _prepare(connection: Any, _: Any) -> None:

@@ -281,7 +281,7 @@ class JobStore:
         return job
 
     def _write(self, db: Connection, change: Change) -> Job:
-        job = _update_rows(db, change)
+        job = update_rows(db, change)
         if change.events:
             announce(db, self.origin, job)
         return job
@@ -366,7 +366,8 @@ def _insert_rows(db: Connection, tenant: str, order: Order, key: str, body_sha25
     return change.job
 
 
-def _update_rows(db: Connection, change: Change) -> Job:
+def update_rows(db: Connection, change: Change) -> Job:
+    """Write a changed job, its lease, its events and what webhooks are told of them; return the job."""
     job = change.job
     db.execute(jobs.update().where(jobs.c.id == job.id).values(job_values(job)))
     db.execute(leases.update().where(leases.c.job == job.id).values(lease_values(job)))

@@ -1,0 +1,408 @@
+"""`backup create | verify | restore`: a service is backed up while it runs, and restored on an empty machine."""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, redirect_stderr
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+import sqlalchemy as sa
+
+from services.cli.backup_folder import backups_in
+from services.cli.main import main
+from services.cli.sealed_keys import PASSPHRASE_VARIABLE
+from services.cli.up import free_port
+from services.gateway.database import open_engine
+from services.gateway.instance_lock import lock_instance
+from services.gateway.jobs.job import Order
+from services.gateway.jobs.store import JobStore
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.signing import generate_key
+from services.storage.local import LocalStore
+from services.storage.store import list_all
+from tests.conftest import missing
+from tests.referees.postgres import programs, running
+from tests.referees.s3.server import S3Server
+from tests.support.bundles import bundle
+from tests.support.clouds import write_ply
+from tests.support.patience import HANG_S, PATIENCE_S
+from tests.support.repository import ROOT
+from tests.support.service_processes import ServiceProcess, killed_at_the_end
+
+pytestmark = pytest.mark.slow
+
+PASSPHRASE = "a passphrase of a test"
+
+
+def capture2vr(environment: Mapping[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "services.cli", *map(str, arguments)]
+    variables = {**os.environ, **environment}
+    return subprocess.run(command, env=variables, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S)
+
+
+class Machine:
+    """A machine with a gateway and a worker; its database and store may be elsewhere."""
+
+    def __init__(self, folder: Path, **variables: object) -> None:
+        """variables: of both services; they name database and store where those are not in the folder"""
+        (folder / "gateway").mkdir(parents=True)
+        self.folder, self.keys = folder, folder / "keys"
+        self._edge_port, gateway_port = free_port(), free_port()
+        self.url = f"http://127.0.0.1:{gateway_port}"
+        own = {
+            "GATEWAY_DATA_DIR": folder / "gateway",
+            "GATEWAY_PORT": gateway_port,
+            "GATEWAY_WORKERS": f"127.0.0.1:{self._edge_port}",
+            "EDGE_PORT": self._edge_port,
+            "EDGE_SCRATCH": folder / "scratch",
+            "STORAGE_ROOT": folder / "objects",
+            "STORAGE_SIGNING_KEY": self.keys / "containers" / "signing",
+            "XDG_STATE_HOME": folder / "state",
+            PASSPHRASE_VARIABLE: PASSPHRASE,
+            "OMP_NUM_THREADS": 1,
+        }
+        self.environment = {name: str(value) for name, value in {**own, **variables}.items()}
+
+    def start(self, service: str) -> ServiceProcess:
+        return ServiceProcess(f"services.{service}", self.folder / f"{service}.log", **self.environment)
+
+    def run(self, *arguments: object) -> str:
+        """What a command says, that succeeds."""
+        done = capture2vr(self.environment, *arguments)
+        assert done.returncode == 0, done.stderr
+        return done.stdout + done.stderr
+
+    def wait(self, path: str, holds: str) -> None:
+        """Wait until the gateway answers so."""
+        deadline = time.monotonic() + HANG_S
+        while time.monotonic() < deadline:
+            try:
+                answer = httpx.get(self.url + path, headers=self.bearer, timeout=PATIENCE_S)
+                if answer.is_success and holds in answer.text:
+                    return
+            except httpx.TransportError:
+                pass
+            time.sleep(0.05)
+        raise AssertionError(f"{path}: {(self.folder / 'gateway.log').read_text()[-2000:]}")
+
+    @property
+    def bearer(self) -> dict[str, str]:
+        return {"Authorization": f"Bearer {self.environment.get('CAPTURE2VR_KEY', '')}"}
+
+    def pulled(self, key: str) -> dict[str, bytes]:
+        """The files of an asset, which `pull` has checked with the public key."""
+        out = self.folder / f"pulled-{key}"
+        trusted = ("--trusted", self.keys / "containers" / "signing.pub", "--cache", self.folder / "cache")
+        said = self.run("pull", key, "-o", out, "--gateway", self.url, *trusted)
+        assert "hashes are correct" in said
+        return {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def leaf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A narrow leaf of 500 points."""
+    xyz = np.random.default_rng(2).normal(size=(500, 3)) * [0.02, 0.0, 0.1]
+    return write_ply(tmp_path_factory.mktemp("leaf") / "leaf.ply", xyz)
+
+
+@pytest.fixture(params=["a folder", pytest.param("Postgres and S3", marks=pytest.mark.s3)])
+def places(request: pytest.FixtureRequest) -> Iterator[list[dict[str, object]]]:
+    """Where the database and the store of the old and of the new machine are."""
+    if request.param == "a folder":
+        yield [{}, {}]
+        return
+    server: S3Server = request.getfixturevalue("s3_server")
+    found = programs()
+    if found is None:
+        missing("a Postgres server")
+    assert found is not None
+    with ExitStack() as stack:
+        made: list[dict[str, object]] = []
+        for name in ("old", "new"):
+            made.append(
+                {
+                    "GATEWAY_DATABASE_URL": stack.enter_context(running(found)),
+                    "STORAGE_KIND": "s3",
+                    "STORAGE_BUCKET": f"backup-{name}",
+                    "STORAGE_ENDPOINT": server.endpoint,
+                    "STORAGE_ACCESS_KEY": server.access_key,
+                    "STORAGE_SECRET_KEY": server.secret_key,
+                }
+            )
+        yield made
+
+
+def test_all_comes_back_on_an_empty_machine(places: list[dict[str, object]], leaf: Path, tmp_path: Path) -> None:
+    old, backups = Machine(tmp_path / "old", **places[0]), tmp_path / "backups"
+    (old.keys / "containers").mkdir(parents=True)
+    generate_key(old.keys / "containers" / "signing")
+    make_bucket(old)
+    key = old.run("keys", "create", "--scope", "operate", "--scope", "capture", "--scope", "read").split()
+    old.environment["CAPTURE2VR_KEY"] = next(word for word in key if word.startswith("c2v_"))
+    gateway, edge = old.start("gateway"), old.start("edge")
+    with killed_at_the_end(gateway, edge):
+        old.wait("/readyz", "")
+        for name in ("leaf", "twig"):
+            old.run("push", leaf, "--key", name, "--preset", "draft", "--gateway", old.url)
+        edge.kill()
+        captures = httpx.get(f"{old.url}/v1/captures", headers=old.bearer).json()["captures"]
+        order = {"capture": captures[0]["capture"], "asset_key": "late", "preset": "draft"}
+        waiting = httpx.post(f"{old.url}/v1/jobs", json=order, headers=old.bearer).raise_for_status().json()["id"]
+        for _ in range(2):  # the second copies nothing again
+            said = old.run("backup", "create", backups, "--with-objects", "--keys", old.keys, "--keep", 1)
+        assert "1 older ones were removed" in said
+        assert "every file of it is whole" in old.run("backup", "verify", backups)
+        before = {name: old.pulled(name) for name in ("leaf", "twig")}
+    shutil.rmtree(old.folder)
+
+    new = Machine(tmp_path / "new", **places[1])
+    new.environment["CAPTURE2VR_KEY"] = old.environment["CAPTURE2VR_KEY"]
+    make_bucket(new)
+    said = new.run("backup", "restore", backups, "--keys", new.keys)
+    assert (new.keys / "containers" / "signing").stat().st_mode & 0o777 == 0o600
+    with killed_at_the_end(new.start("gateway"), new.start("edge")):
+        new.wait(f"/v1/jobs/{waiting}", '"SUCCEEDED"')
+        assert {name: new.pulled(name) for name in ("leaf", "twig")} == before
+        assert new.pulled("late").keys() == before["leaf"].keys()
+        new.run("push", leaf, "--key", "leaf", "--preset", "draft", "--gateway", new.url)
+        assert httpx.get(f"{new.url}/v1/assets/leaf", headers=new.bearer).json()["version"] == 2
+    trusted = ("--trusted", new.keys / "containers" / "signing.pub")
+    new.run("catalogue", "verify", "--store", "--all", *trusted)
+
+
+def make_bucket(machine: Machine) -> None:
+    command = [sys.executable, "-m", "services.storage.bucket"]
+    subprocess.run(command, env={**os.environ, **machine.environment}, check=True, capture_output=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A command that has ended in this process."""
+
+    returncode: object
+    stderr: str
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """The data folder of `up`, with a job and an asset."""
+    fill(tmp_path / "data", "dress")
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def backups(data: Path, tmp_path: Path) -> Path:
+    """A folder with a backup of everything."""
+    (tmp_path / "keys").mkdir()
+    generate_key(tmp_path / "keys" / "signing")
+    created = backup("create", tmp_path / "backups", "--with-objects", "--keys", tmp_path / "keys", "--data", data)
+    assert created.returncode == 0, created.stderr
+    return tmp_path / "backups"
+
+
+def fill(data: Path, key: str) -> None:
+    (data / "gateway").mkdir(parents=True, exist_ok=True)
+    engine = open_engine(f"sqlite:///{data / 'gateway' / 'gateway.db'}")
+    JobStore(engine).create("default", Order("cap_1", "draft", key))
+    engine.dispose()
+    publish(bundle(), LocalStore(data / "store"), key=key)
+
+
+def backup(*arguments: object, **environment: str) -> Ended:
+    """Run `capture2vr backup`; what fails says so in one sentence."""
+    stderr = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stderr(stderr):
+        patch.setattr(sys, "argv", ["capture2vr", "backup", *map(str, arguments)])
+        for name, value in {PASSPHRASE_VARIABLE: PASSPHRASE, **environment}.items():
+            patch.setenv(name, value)
+        with pytest.raises(SystemExit) as ended:
+            main()
+    done = Ended(ended.value.code or 0, stderr.getvalue())
+    if done.returncode == 2:
+        assert len([line for line in done.stderr.splitlines() if line.startswith("capture2vr: ")]) == 1
+    return done
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def newest(backups: Path) -> Path:
+    return backups / "backups" / backups_in(backups)[0]
+
+
+@pytest.mark.parametrize("part", ["backup.json", "database.zip", "objects.json.gz", "keys.sealed", "objects"])
+@pytest.mark.parametrize("damage", ["a byte is another one", "it is missing"])
+def test_damage_is_found_and_nothing_is_restored(backups: Path, part: str, damage: str, tmp_path: Path) -> None:
+    file = next((backups / "objects").rglob("*/*")) if part == "objects" else newest(backups) / part
+    if damage == "it is missing":
+        file.unlink()
+    else:
+        content = bytearray(file.read_bytes())
+        content[len(content) // 2] ^= 1
+        file.write_bytes(content)
+    verified = backup("verify", backups)
+    assert verified.returncode == (2 if part == "backup.json" else 1)
+    assert file.name in verified.stderr
+    restored = backup("restore", backups, "--data", tmp_path / "new")
+    assert restored.returncode == 2
+    assert file.name in restored.stderr
+    assert not (tmp_path / "new" / "store" / "catalog").exists()
+    assert not (tmp_path / "new" / "gateway" / "gateway.db").exists()
+
+
+def test_what_is_there_is_never_overwritten(backups: Path, data: Path, tmp_path: Path) -> None:
+    before = files(data / "store")
+    database = backup("restore", backups, "--data", data)
+    assert (database.returncode, "it has rows: 1 in jobs" in database.stderr) == (2, True)
+    fill(tmp_path / "other", "hat")
+    objects = backup("restore", backups, "--only", "objects", "--data", tmp_path / "other")
+    assert (objects.returncode, "the store is not empty: it has " in objects.stderr) == (2, True)
+    assert not list(list_all(LocalStore(tmp_path / "other" / "store"), "assets/dress"))
+    generate_key(tmp_path / "mine")
+    (tmp_path / "others").mkdir()
+    shutil.copy(tmp_path / "mine", tmp_path / "others" / "signing")
+    keys = backup("restore", backups, "--only", "keys", "--keys", tmp_path / "others", "--data", tmp_path / "x")
+    assert (keys.returncode, "it has signing already" in keys.stderr) == (2, True)
+    assert (tmp_path / "others" / "signing").read_bytes() == (tmp_path / "mine").read_bytes()
+    assert files(data / "store") == before
+
+
+def test_a_restore_that_was_killed_is_repeated(backups: Path, data: Path, tmp_path: Path) -> None:
+    """Objects and keys are written before the database: what is there of them is as in the backup."""
+    new = tmp_path / "new"
+    assert backup("restore", backups, "--only", "objects", "--data", new).returncode == 0
+    store = LocalStore(new / "store")
+    store.delete(next(head.name for head in list_all(store, "assets/")))
+    again = backup("restore", backups, "--keys", tmp_path / "keys", "--data", new)
+    assert again.returncode == 0, again.stderr
+    assert f"1 of {len(list(list_all(store, '')))} objects were written" in again.stderr
+    assert {head.name for head in list_all(store, "")} == {
+        head.name for head in list_all(LocalStore(data / "store"), "")
+    }
+
+
+def test_without_contents_the_store_is_compared(data: Path, tmp_path: Path) -> None:
+    assert backup("create", tmp_path / "b", "--data", data).returncode == 0
+    assert not list((tmp_path / "b" / "objects").iterdir())
+    new = tmp_path / "new"
+    shutil.copytree(data / "store", new / "store")
+    assert backup("restore", tmp_path / "b", "--data", new).returncode == 0
+    store = LocalStore(new / "store")
+    lost = next(head.name for head in list_all(store, "assets/"))
+    store.delete(lost)
+    found = backup("restore", tmp_path / "b", "--only", "objects", "--data", new)
+    assert (found.returncode, f"missing: {lost}" in found.stderr) == (1, True)
+
+
+def test_a_running_gateways_folder_is_not_restored_to(backups: Path, tmp_path: Path) -> None:
+    with lock_instance(tmp_path / "new" / "gateway"):
+        refused = backup("restore", backups, "--data", tmp_path / "new")
+    assert (refused.returncode, "another gateway uses" in refused.stderr) == (2, True)
+
+
+def test_a_newer_version_is_named(backups: Path, data: Path, tmp_path: Path) -> None:
+    engine = sa.create_engine(f"sqlite:///{data / 'gateway' / 'gateway.db'}")
+    with engine.begin() as db:
+        db.exec_driver_sql("UPDATE alembic_version SET version_num = '9999_later'")
+    engine.dispose()
+    assert backup("create", backups, "--with-objects", "--data", data).returncode == 0
+    refused = backup("restore", backups, "--data", tmp_path / "new")
+    assert (refused.returncode, "newer version of capture2vr (schema 9999_later" in refused.stderr) == (2, True)
+    older = backup("restore", backups, "--at", backups_in(backups)[-1], "--data", tmp_path / "new")
+    assert older.returncode == 0, older.stderr
+
+
+def test_keys_are_read_by_their_passphrase_alone(backups: Path, data: Path, tmp_path: Path) -> None:
+    secret = (tmp_path / "keys" / "signing").read_bytes()
+    assert not any(secret in content for content in files(backups).values())
+    assert all(path.stat().st_mode & 0o077 == 0 for path in backups.rglob("*") if path.name != "lock")
+    wrong = backup(
+        "restore",
+        backups,
+        "--keys",
+        tmp_path / "k",
+        "--data",
+        tmp_path / "new",
+        **{PASSPHRASE_VARIABLE: "another one."},
+    )
+    assert (wrong.returncode, "is not the passphrase" in wrong.stderr) == (2, True)
+    assert not (tmp_path / "new" / "store" / "catalog").exists()
+    none = backup("create", backups, "--keys", tmp_path / "keys", "--data", data, **{PASSPHRASE_VARIABLE: ""})
+    assert (none.returncode, f"set {PASSPHRASE_VARIABLE}" in none.stderr) == (2, True)
+    assert len(backups_in(backups)) == 1
+
+
+def test_old_backups_go_with_what_only_they_have(backups: Path, data: Path) -> None:
+    store = LocalStore(data / "store")
+    for head in list(list_all(store, "")):
+        store.delete(head.name)
+    publish(bundle(content="b"), store, key="hat")
+    assert backup("create", backups, "--with-objects", "--keep", 1, "--data", data).returncode == 0
+    (name,) = backups_in(backups)
+    lines = subprocess.run(["gzip", "-dc", newest(backups) / "objects.json.gz"], capture_output=True, check=True).stdout
+    wanted = {json.loads(line)["sha256"] for line in lines.splitlines()}
+    assert {path.name for path in (backups / "objects").rglob("*/*")} == wanted
+    assert backup("verify", backups, "--at", name).returncode == 0
+
+
+def test_what_a_killed_backup_left_is_removed(backups: Path, data: Path) -> None:
+    (backups / "backups" / ".part-20200101T000000.000000Z").mkdir()
+    (backups / "objects" / ".part-1").write_bytes(b"half")
+    assert backup("create", backups, "--with-objects", "--data", data).returncode == 0
+    assert not list(backups.rglob(".part-*"))
+    assert len(backups_in(backups)) == 2
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 256 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", folder], capture_output=True).returncode:
+        missing("the right to mount a small disk")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", folder], check=True)
+
+
+def test_a_full_disk_is_said_in_a_sentence(data: Path, small_disk: Path) -> None:
+    store = LocalStore(data / "store")
+    store.put("captures/cap_1.zip", os.urandom(300_000), content_type="application/zip")
+    full = backup("create", small_disk, "--with-objects", "--data", data)
+    assert (full.returncode, f"{small_disk}: No space left on device" in full.stderr) == (2, True)
+    assert backups_in(small_disk) == []
+    store.delete("captures/cap_1.zip")
+    assert backup("create", small_disk, "--with-objects", "--data", data).returncode == 0
+
+
+def test_what_cannot_be_done_is_said_in_a_sentence(data: Path, backups: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
+    with (backups / "lock").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        busy = backup("create", backups, "--data", data)
+    for done, said in (
+        (busy, "another backup is being written"),
+        (backup("create", tmp_path / "file", "--data", data), "file"),
+        (backup("create", tmp_path / "b", "--data", tmp_path / "nothing"), "there is no database"),
+        (backup("create", tmp_path / "b", "--keys", tmp_path / "nowhere", "--data", data), "there is no such folder"),
+        (backup("verify", tmp_path / "empty"), "has no backup"),
+        (backup("restore", backups, "--at", "2020", "--data", tmp_path / "new"), "has no backup 2020; it has 2"),
+        (backup("restore", backups, "--only", "keys", "--data", tmp_path / "new"), "needs --keys"),
+    ):
+        assert done.returncode == 2, done.stderr
+        assert said in done.stderr
