@@ -41,9 +41,7 @@ def hill_tree(
     files[name] = glb
     half = size_m / 2
     children = tuple(
-        hill_tree(
-            files, levels, low + half * np.array([i, j]), half, level + 1, (2 * place[0] + i, 2 * place[1] + j)
-        )
+        hill_tree(files, levels, low + half * np.array([i, j]), half, level + 1, (2 * place[0] + i, 2 * place[1] + j))
         for i in (0, 1)
         for j in (0, 1)
         if level + 1 < levels
@@ -77,7 +75,12 @@ def hill_bundle(levels: int = 3, size_m: float = 12.0) -> tuple[Bundle, TilesetN
         "bounds_m": [root.low_m.tolist(), root.high_m.tolist()],
         "size_m": size.tolist(),
         "lods": lods,
-        "tileset": {"file": TILESET_FILE, "tiles": tiles, "levels": levels, "triangles": 2 * CELLS**2 * 4 ** (levels - 1)},
+        "tileset": {
+            "file": TILESET_FILE,
+            "tiles": tiles,
+            "levels": levels,
+            "triangles": 2 * CELLS**2 * 4 ** (levels - 1),
+        },
         "quality": {},
         "warnings": [],
     }

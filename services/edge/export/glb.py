@@ -13,6 +13,7 @@ A texture is embedded as JPEG, or as KTX2 where there is one (KHR_texture_basisu
 from __future__ import annotations
 
 import json
+import math
 import struct
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -44,15 +45,19 @@ _STEP_M = 1e-4  # of the grid of positions: less than a scan can tell
 _BITS = (12, 16)  # fewest and most of a position
 
 
-def to_glb(asset: Mesh | TexturedMesh, packing: Packing = "float", *, unlit: bool = False) -> bytes:
+def to_glb(
+    asset: Mesh | TexturedMesh, packing: Packing = "float", *, unlit: bool = False, common_grid: bool = False
+) -> bytes:
     """Encode a mesh in the asset frame (metres, Y up) as .glb, with vertex colours or with its texture.
 
-    unlit  whether colours are shown as they were captured, whatever the light of the scene (KHR_materials_unlit)
+    unlit        whether colours are shown as they were captured, whatever the light of the scene (KHR_materials_unlit)
+    common_grid  whether positions are rounded to a grid that all meshes share, so that neighbouring tiles still meet at
+                 the vertices of their border
 
     Degenerate triangles and unused vertices are left out. Raises ValueError where no triangle with area is left.
     """
     drawn = _kept(_Drawn.of(asset, unlit))
-    return _floats(drawn) if packing == "float" else _compressed(drawn)
+    return _floats(drawn) if packing == "float" else _compressed(drawn, common_grid=common_grid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +111,8 @@ def _floats(drawn: _Drawn) -> bytes:
     return _file(drawn, TRUE, buffer, attributes, {"mesh": 0})
 
 
-def _compressed(drawn: _Drawn) -> bytes:
-    grid = _Grid.of(drawn.mesh.vertices.astype(np.float64))
+def _compressed(drawn: _Drawn, *, common_grid: bool) -> bytes:
+    grid = (_Grid.common if common_grid else _Grid.of)(drawn.mesh.vertices.astype(np.float64))
     drawn = _drawable(drawn.with_positions(grid.whole(drawn.mesh.vertices)))
     faces, was = meshopt.sent_order(drawn.mesh.faces)
     drawn = drawn.with_vertices(was, faces)
@@ -184,24 +189,46 @@ def _document(
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """Quantisation grid of positions: xyz = corner + step · whole, with one step for all axes, so that normals stay."""
+    """Quantisation grid of positions: xyz = step · (least + whole), with one step for all axes, so that normals stay.
 
-    corner: Floats
+    least  (3,) whole numbers: the grid goes through the origin
+    """
+
+    least: Floats
     step: float
 
     @classmethod
     def of(cls, vertices: Floats) -> _Grid:
         """The coarsest grid whose step is at most 0.1 mm, with 2^12 to 2^16 places along the longest side."""
-        corner, side = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+        side = float(np.ptp(vertices, axis=0).max())
         fewest, most = _BITS
-        bits = next((bits for bits in range(fewest, most) if side / (2**bits - 1) <= _STEP_M), most)
-        return cls(corner.astype(np.float32).astype(np.float64), max(side / (2**bits - 1), 1e-30))
+        bits = next((bits for bits in range(fewest, most) if side / _places(bits) <= _STEP_M), most)
+        return cls._through(vertices, max(side / _places(bits), 1e-30))
+
+    @classmethod
+    def common(cls, vertices: Floats) -> _Grid:
+        """The grid of step 0.1 mm for all meshes up to 6.5 m, and of 0.2, 0.4, 0.8 … mm for larger ones.
+
+        Of two such grids, the finer one has all places of the other.
+        """
+        needed = float(np.ptp(vertices, axis=0).max()) / _places(_BITS[1])
+        return cls._through(vertices, _STEP_M * 2.0 ** max(0, math.ceil(math.log2(max(needed, 1e-30) / _STEP_M))))
+
+    @classmethod
+    def _through(cls, vertices: Floats, step: float) -> _Grid:
+        return cls(np.floor(vertices.min(axis=0) / step), step)
 
     def whole(self, vertices: Floats) -> NDArray[np.int64]:
-        return np.rint((vertices - self.corner) / self.step).clip(0, 65535).astype(np.int64)
+        """Places (V,3), 0 to 65535. A position comes out the same from all grids of its step."""
+        return (np.rint(vertices / self.step) - self.least).clip(0, 65535).astype(np.int64)
 
     def node(self) -> dict[str, Any]:
-        return {"translation": self.corner.tolist(), "scale": [self.step] * 3}
+        return {"translation": (self.step * self.least).tolist(), "scale": [self.step] * 3}
+
+
+def _places(bits: int) -> int:
+    """Steps along a side that fit into so many bits, with two to spare for rounding at its ends."""
+    return 2**bits - 3
 
 
 def _container(document: dict[str, Any], binary: bytes) -> bytes:

@@ -204,6 +204,34 @@ def test_a_scan_like_mesh_takes_a_quarter_of_its_bytes() -> None:
     assert len(to_glb(replace(rough, rgb=smooth), "meshopt")) <= len(to_glb(rough)) / 4
 
 
+@settings(deadline=None, max_examples=60)
+@given(
+    side_m=st.floats(0.1, 300),
+    border_m=st.floats(-500, 500),
+    seed=st.integers(0, 99),
+)
+def test_neighbouring_tiles_still_meet_at_their_border(side_m: float, border_m: float, seed: int) -> None:
+    heights = np.random.default_rng(seed).uniform(0, side_m, (3, 20))
+    rows = border_m + side_m * np.array([-1, 0, 1])
+    columns = border_m / 3 + np.linspace(0, side_m, 20)
+
+    def strip(first: int) -> Mesh:
+        xyz = [[[rows[row], heights[row, i], columns[i]] for i in range(20)] for row in (first, first + 1)]
+        a, b = np.arange(19), np.arange(20, 39)
+        return Mesh(
+            np.reshape(xyz, (-1, 3)), np.concatenate([np.stack([a, a + 1, b], 1), np.stack([b, a + 1, b + 1], 1)])
+        )
+
+    left, right = (Glb.of(to_glb(strip(first), "meshopt", common_grid=True)) for first in (0, 1))
+
+    one, other = (float(glb.document["nodes"][0]["scale"][0]) for glb in (left, right))
+    gap, _ = cKDTree(left.positions).query(right.positions)
+    allowed = 1e-7 * abs(border_m) + (0 if one == other else 0.9 * max(one, other))
+    assert (gap <= allowed + 1e-9).sum() >= 20  # the vertices of the border
+    assert one <= max(1e-4, 2 * side_m / 65_000)
+    assert side_m > 6 or one == other == 1e-4
+
+
 def test_what_rounding_makes_flat_is_left_out() -> None:
     thin = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1e-7, 0]]), np.array([[0, 1, 2], [0, 1, 3]]))
     assert len(Glb.of(to_glb(thin)).faces) == 2

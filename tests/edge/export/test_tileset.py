@@ -37,7 +37,8 @@ def test_every_content_is_a_file_of_the_bundle_in_its_box() -> None:
         x, y, z = Glb.of(glb).positions.T  # Y up
         turned = np.stack([x, -z, y], 1)
         low, high = _low_high(tile)
-        assert np.all(turned >= low - 1e-6) and np.all(turned <= high + 1e-6)
+        assert np.all(turned >= low - 1e-6)
+        assert np.all(turned <= high + 1e-6)
 
 
 def test_boxes_and_errors_shrink_towards_the_leaves() -> None:
@@ -52,7 +53,8 @@ def test_boxes_and_errors_shrink_towards_the_leaves() -> None:
         assert tile["geometricError"] == 0 or tile["children"]
         for child in tile.get("children", ()):
             child_low, child_high = _low_high(child)
-            assert np.all(child_low >= low - 1e-6) and np.all(child_high <= high + 1e-6)
+            assert np.all(child_low >= low - 1e-6)
+            assert np.all(child_high <= high + 1e-6)
             assert child["geometricError"] <= tile["geometricError"]
 
 
@@ -62,7 +64,8 @@ def test_a_flat_tile_has_a_box_with_some_height() -> None:
     box = json.loads(tileset_json(flat))["root"]["boundingVolume"]["box"]
 
     assert box[:3] == [1, -2, 1]
-    assert box[3] == 1 and box[7] == 2 and box[11] > 0
+    assert (box[3], box[7]) == (1, 2)
+    assert box[11] > 0
 
 
 def test_a_node_without_content_names_none() -> None:
