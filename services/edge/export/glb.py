@@ -220,7 +220,8 @@ class _Grid:
 
     def whole(self, vertices: Floats) -> NDArray[np.int64]:
         """Places (V,3), 0 to 65535. A position comes out the same from all grids of its step."""
-        return (np.rint(vertices / self.step) - self.least).clip(0, 65535).astype(np.int64)
+        places: NDArray[np.int64] = (np.rint(vertices / self.step) - self.least).clip(0, 65535).astype(np.int64)
+        return places
 
     def node(self) -> dict[str, Any]:
         return {"translation": (self.step * self.least).tolist(), "scale": [self.step] * 3}
@@ -228,7 +229,7 @@ class _Grid:
 
 def _places(bits: int) -> int:
     """Steps along a side that fit into so many bits, with two to spare for rounding at its ends."""
-    return 2**bits - 3
+    return (1 << bits) - 3
 
 
 def _container(document: dict[str, Any], binary: bytes) -> bytes:
