@@ -62,6 +62,14 @@ async function loadNext() {
 }
 
 /**
+ * Create a loader that knows the extensions of the assets' files.
+ * @param {WebGLRenderer} renderer
+ */
+export function createGlbLoader(renderer) {
+  return new GLTFLoader().setMeshoptDecoder(meshDecoder()).register(ktx2(renderer));
+}
+
+/**
  * Decode a GLB file.
  * @param {ArrayBuffer} bytes
  * @param {WebGLRenderer} renderer
@@ -69,9 +77,8 @@ async function loadNext() {
  * @throws {Problem} NOT_DECODED, and what loading the KTX2 transcoder throws
  */
 async function decode(bytes, renderer) {
-  const loader = new GLTFLoader().setMeshoptDecoder(meshDecoder()).register(ktx2(renderer));
   try {
-    return (await withTimeLimit(loader.parseAsync(bytes, ''), DECODE_MS)).scene;
+    return (await withTimeLimit(createGlbLoader(renderer).parseAsync(bytes, ''), DECODE_MS)).scene;
   } catch (error) {
     console.error(error); // what the person reads says nothing of the file's faults
     throw error instanceof Problem ? error : undecodable();

@@ -43,7 +43,9 @@ export function startRenderLoop({ renderer, scene, camera }, { items, controls, 
     const inHeadset = renderer.xr.isPresenting;
     if (inHeadset) onHeadsetFrame(seconds);
     else if (controls.update()) redraw();
-    showLevels(items(), inHeadset ? renderer.xr.getCamera() : camera);
+    const eyes = inHeadset ? renderer.xr.getCamera() : camera;
+    showLevels(items(), eyes);
+    showTiles(items(), eyes);
     reportState(items(), renderer.info.memory);
     if (!inHeadset && now > drawUntil) return;
     renderer.render(scene, camera);
@@ -60,8 +62,26 @@ export function startRenderLoop({ renderer, scene, camera }, { items, controls, 
  */
 function showLevels(items, camera) {
   const eye = new THREE.Vector3().setFromMatrixPosition(camera.matrixWorld);
-  const things = items.map((item) => ({ share: item.viewShare(eye), lods: item.model.lods, now: item.model.shown }));
-  chooseLevels(things, SCENE_TRIANGLES).forEach((level, place) => items[place].model.want(level));
+  const whole = items.filter(({ tileset }) => !tileset);
+  const things = whole.map((item) => ({ share: item.viewShare(eye), lods: item.model.lods, now: item.model.shown }));
+  chooseLevels(things, SCENE_TRIANGLES).forEach((level, place) => whole[place].model.want(level));
+}
+
+/**
+ * Shows the tiles of large scenes. Until there are any, and for hit tests, there is the coarsest level of the whole.
+ * @param {LoadedItem[]} items
+ * @param {THREE.Camera} camera
+ */
+function showTiles(items, camera) {
+  for (const { tileset, model } of items) {
+    if (!tileset) continue;
+    tileset.update(camera);
+    model.want(model.lods.length - 1);
+    model.object.visible = !tileset.isShown;
+    setData('tiles', String(tileset.tileCount));
+    setData('triangles', String(tileset.triangles));
+    setData('bytes', String(tileset.bytes));
+  }
 }
 
 /**

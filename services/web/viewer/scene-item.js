@@ -5,9 +5,11 @@ import { Model } from '../graphics/model.js';
 import { dispose } from '../graphics/scene.js';
 
 /** @import { AssetEntry } from '../shared/types.d.ts' */
+/** @import { Tileset, TilesetOptions } from './tileset.js' */
 /** @typedef {SceneItem & { entry: AssetEntry, model: Model }} LoadedItem */
 
 const HALF_VIEW = Math.tan(Math.PI / 8); // half the height of a view of 45 degrees, one metre ahead
+const TILESET = 'tileset.json'; // of an asset's files, the one that lists the tiles of a large scene
 const NEAR_M = 0.01; // from inside a thing all of it counts as in view
 const DEFAULT_PLACEMENT = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
 
@@ -17,6 +19,8 @@ export class SceneItem {
   entry = null; // of the version that is shown
   /** @type {Model | null} */
   model = null;
+  /** @type {Tileset | null} */
+  tileset = null; // of a large scene
   /** @type {number[]} */
   loadedLevels = []; // of detail, in the order in which they came
   problem = ''; // the last message about this item
@@ -40,10 +44,10 @@ export class SceneItem {
    * Loads a version, then shows it in place of the one before. Throws what loading throws.
    * @param {AssetEntry} entry
    * @param {THREE.WebGLRenderer} renderer
-   * @param {{ prepare: (group: THREE.Group) => Promise<void>, onChange: () => void }} options prepare: of gpu-warmup.js;
-   *   onChange: is called for each level of detail that has come
+   * @param {{ prepare: (group: THREE.Group) => Promise<void>, onChange: () => void, onTileError: (error: Error, file: string) => void }} options
+   *   prepare: of gpu-warmup.js; onChange: is called for each level of detail and each tile that has come; onTileError: of a Tileset
    */
-  async show(entry, renderer, { prepare, onChange }) {
+  async show(entry, renderer, { prepare, onChange, onTileError }) {
     /** @type {number[]} */
     const loadedLevels = [];
     /** @param {number} level */
@@ -59,9 +63,32 @@ export class SceneItem {
       throw error;
     }
     this.showHints(null);
-    this.model?.dispose();
+    this.#dispose();
     Object.assign(this, { entry, model, loadedLevels });
     this.group.add(model.object);
+    await this.#showTiles(entry, renderer, { onChange, onError: onTileError });
+  }
+
+  /**
+   * Loads the tiles of a large scene, which replace the coarse mesh of the whole.
+   * @param {AssetEntry} entry
+   * @param {THREE.WebGLRenderer} renderer
+   * @param {TilesetOptions} options
+   */
+  async #showTiles(entry, renderer, options) {
+    const root = entry.files?.find(({ file }) => file === TILESET);
+    if (!root) return;
+    const { Tileset: Tiles } = await import('./tileset.js');
+    if (this.entry !== entry) return; // a newer version has come, or the item is gone
+    this.tileset = new Tiles(entry, root, renderer, options);
+    this.group.add(this.tileset.object);
+  }
+
+  /** Frees what the version holds that is shown. */
+  #dispose() {
+    this.model?.dispose();
+    this.tileset?.dispose();
+    this.tileset = null;
   }
 
   /**
@@ -80,8 +107,9 @@ export class SceneItem {
   /** Removes the item from the scene and frees its memory. */
   remove() {
     this.showHints(null);
-    this.model?.dispose();
+    this.#dispose();
     this.model = null;
+    this.entry = null;
     this.group.removeFromParent();
   }
 

@@ -119,7 +119,11 @@ async function update(item) {
   if (before && before.version === unchecked.version) return;
   const entry = await checkEntry(unchecked);
   if (!before) showHints(item, entry);
-  await item.show(entry, renderer, { prepare: (group) => prepare(stage, group), onChange: redraw });
+  await item.show(entry, renderer, {
+    prepare: (group) => prepare(stage, group),
+    onChange: redraw,
+    onTileError: (error, file) => showNotice(`A part of ${item.name} is shown coarser: ${file} could not be loaded. ${toProblem(error).message}`),
+  });
   if (!items.includes(item)) {
     item.remove(); // the person has removed it meanwhile
     return;
