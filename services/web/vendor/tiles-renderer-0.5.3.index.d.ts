@@ -16,7 +16,7 @@ export class TilesRenderer {
   root: Tile | null;
   visibleTiles: Set<Tile>;
   lruCache: { minBytesSize: number; maxBytesSize: number; cachedBytes: number };
-  downloadQueue: { maxJobs: number };
+  downloadQueue: { maxJobsPerOrigin: number };
   parseQueue: { maxJobs: number };
   addEventListener(kind: 'needs-update' | 'tiles-load-end' | 'load-root-tileset', listener: () => void): void;
   addEventListener(kind: 'tile-visibility-change', listener: (event: { scene: Object3D; tile: Tile; visible: boolean }) => void): void;

@@ -62,7 +62,7 @@ export function startRenderLoop({ renderer, scene, camera }, { items, controls, 
  */
 function showLevels(items, camera) {
   const eye = new THREE.Vector3().setFromMatrixPosition(camera.matrixWorld);
-  const whole = items.filter(({ tileset }) => !tileset);
+  const whole = items.filter(({ isTiled }) => !isTiled);
   const things = whole.map((item) => ({ share: item.viewShare(eye), lods: item.model.lods, now: item.model.shown }));
   chooseLevels(things, SCENE_TRIANGLES).forEach((level, place) => whole[place].model.want(level));
 }
@@ -73,10 +73,10 @@ function showLevels(items, camera) {
  * @param {THREE.Camera} camera
  */
 function showTiles(items, camera) {
-  for (const { tileset, model } of items) {
+  for (const { tileset, model, isTiled } of items) {
+    if (isTiled) model.want(model.lods.length - 1);
     if (!tileset) continue;
     tileset.update(camera);
-    model.want(model.lods.length - 1);
     model.object.visible = !tileset.isShown;
     setData('tiles', String(tileset.tileCount));
     setData('triangles', String(tileset.triangles));

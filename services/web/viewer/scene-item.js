@@ -4,7 +4,7 @@ import { deletePlacement, loadPlacement, savePlacement } from './saved-placement
 import { Model } from '../graphics/model.js';
 import { dispose } from '../graphics/scene.js';
 
-/** @import { AssetEntry } from '../shared/types.d.ts' */
+/** @import { AssetEntry, AssetFile } from '../shared/types.d.ts' */
 /** @import { Tileset, TilesetOptions } from './tileset.js' */
 /** @typedef {SceneItem & { entry: AssetEntry, model: Model }} LoadedItem */
 
@@ -20,7 +20,8 @@ export class SceneItem {
   /** @type {Model | null} */
   model = null;
   /** @type {Tileset | null} */
-  tileset = null; // of a large scene
+  tileset = null; // of a large scene, once its module is loaded
+  isTiled = false; // whether it is such a scene, and its finer levels of detail are not needed
   /** @type {number[]} */
   loadedLevels = []; // of detail, in the order in which they came
   problem = ''; // the last message about this item
@@ -64,24 +65,33 @@ export class SceneItem {
     }
     this.showHints(null);
     this.#dispose();
-    Object.assign(this, { entry, model, loadedLevels });
+    const root = entry.files?.find(({ file }) => file === TILESET);
+    Object.assign(this, { entry, model, loadedLevels, isTiled: Boolean(root) });
     this.group.add(model.object);
-    await this.#showTiles(entry, renderer, { onChange, onError: onTileError });
+    if (root) this.#showTiles(entry, root, renderer, { onChange, onError: onTileError });
   }
 
   /**
    * Loads the tiles of a large scene, which replace the coarse mesh of the whole.
    * @param {AssetEntry} entry
+   * @param {AssetFile} root its list of tiles; without it the levels of detail of the whole are shown
    * @param {THREE.WebGLRenderer} renderer
    * @param {TilesetOptions} options
    */
-  async #showTiles(entry, renderer, options) {
-    const root = entry.files?.find(({ file }) => file === TILESET);
-    if (!root) return;
-    const { Tileset: Tiles } = await import('./tileset.js');
-    if (this.entry !== entry) return; // a newer version has come, or the item is gone
-    this.tileset = new Tiles(entry, root, renderer, options);
-    this.group.add(this.tileset.object);
+  async #showTiles(entry, root, renderer, { onChange, onError }) {
+    /** @type {TilesetOptions['onError']} */
+    const report = (error, file) => {
+      if (file === TILESET) this.isTiled = false;
+      onError(error, file);
+    };
+    try {
+      const { Tileset: Tiles } = await import('./tileset.js');
+      if (this.entry !== entry) return; // a newer version has come, or the item is gone
+      this.tileset = new Tiles(entry, root, renderer, { onChange, onError: report });
+      this.group.add(this.tileset.object);
+    } catch (error) {
+      report(/** @type {Error} */ (error), TILESET);
+    }
   }
 
   /** Frees what the version holds that is shown. */

@@ -106,7 +106,7 @@ export class Tileset {
     this.#tiles.errorTarget = FINE_ENOUGH_PX;
     this.#tiles.lruCache.minBytesSize = 0.8 * MOST_BYTES;
     this.#tiles.lruCache.maxBytesSize = MOST_BYTES;
-    this.#tiles.downloadQueue.maxJobs = DOWNLOADS;
+    this.#tiles.downloadQueue.maxJobsPerOrigin = DOWNLOADS;
     this.#tiles.parseQueue.maxJobs = DECODINGS;
   }
 

@@ -1,0 +1,83 @@
+"""A scene in tiles in the viewer: fine where one looks, coarse elsewhere, and never a hole."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from services.storage.catalogue.publish import publish
+from tests.support.pages import await_data
+from tests.support.screenshots import await_frames, drawn, stage
+from tests.support.sites import Site
+from tests.support.tilesets import hill_bundle
+
+pytestmark = pytest.mark.browser
+KEY = "hills"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def published(site: Site) -> None:
+    """Hills of 12 m in 1 + 4 + 16 + 64 tiles."""
+    publish(hill_bundle(levels=4)[0], site.store, key=KEY)
+
+
+def _until(page: Page, condition: str) -> None:
+    page.wait_for_function(f"() => {{ const data = document.body?.dataset ?? {{}}; return {condition}; }}")
+
+
+def test_tiles_replace_the_whole_and_become_finer_near_by(page: Page, site: Site) -> None:
+    finest: list[str] = []
+    page.on("request", lambda request: finest.append(request.url) if "/tile-3-" in request.url else None)
+    page.goto(f"{site.url}/view/{KEY}")
+    _until(page, "Number(data.tiles) > 0")
+    assert drawn(stage(page)) > 0.05
+    page.wait_for_load_state("networkidle")
+    assert not finest, "from afar nobody sees them"
+    assert page.evaluate("document.body.dataset.loaded") == "2", "finer levels of the whole are not needed"
+
+    page.mouse.move(160, 240)
+    with page.expect_request("**/tile-3-*"):
+        page.mouse.wheel(0, -6_000)
+    page.wait_for_load_state("networkidle")
+    assert len(finest) < 64, "what is not in view is not loaded"
+    await_frames(page)
+    assert drawn(stage(page)) > 0.3
+
+
+def test_a_tile_comes_over_the_network_once(page: Page, site: Site) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "/tile-" in request.url else None)
+    page.goto(f"{site.url}/view/{KEY}")
+    _until(page, "Number(data.tiles) > 0")
+    page.wait_for_load_state("networkidle")
+    assert asked
+    assert len(asked) == len(set(asked))
+    first = len(asked)
+
+    page.reload()
+    _until(page, "Number(data.tiles) > 0")
+    page.wait_for_load_state("networkidle")
+
+    assert not set(asked[first:]) & set(asked[:first]), "what the device has is not asked for again"
+
+
+def test_without_one_of_its_tiles_the_coarser_one_stays(page: Page, site: Site) -> None:
+    page.route("**/tile-1-0-0.*", lambda route: route.fulfill(status=404, body="gone"))
+    page.goto(f"{site.url}/view/{KEY}")
+
+    expect(page.locator("#notice")).to_contain_text("tile-1-0-0.glb could not be loaded")
+    _until(page, "data.tiles === '1'")
+
+    await_frames(page)
+    assert drawn(stage(page)) > 0.05
+
+
+def test_without_its_list_of_tiles_the_whole_is_shown(page: Page, site: Site) -> None:
+    page.route("**/tileset.*.json", lambda route: route.fulfill(status=404, body="gone"))
+    page.goto(f"{site.url}/view/{KEY}")
+
+    expect(page.locator("#notice")).to_contain_text("tileset.json could not be loaded")
+
+    await_data(page, loaded="2 1 0")
+    await_frames(page)
+    assert drawn(stage(page)) > 0.05
