@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from playwright.sync_api import BrowserContext, Page, expect
@@ -17,10 +18,10 @@ _FRAMES = """count => new Promise((done) => {
     const step = () => (count-- > 0 ? xrDevice.activeSession.requestAnimationFrame(step) : done());
     step();
 })"""
-_MOVE = """([kind, side, place]) => {
+_MOVE = """([kind, side, place, [sine, cosine]]) => {
     const held = xrDevice[kind][side];
     held.position.set(...place);
-    held.quaternion.set(0, 0, 0, 1);
+    held.quaternion.set(sine, 0, 0, cosine);
 }"""
 
 
@@ -50,9 +51,10 @@ class Hand:
         self._page, self._side = page, side
         self._kind = "hands" if bare else "controllers"
 
-    def move(self, x: float, y: float, z: float) -> None:
-        """To a place in the room, in metres."""
-        self._page.evaluate(_MOVE, [self._kind, self._side, [x, y, z]])
+    def move(self, x: float, y: float, z: float, *, down: float = 0.0) -> None:
+        """To a place in the room, in metres, pointing so many degrees down."""
+        half = -math.radians(down) / 2
+        self._page.evaluate(_MOVE, [self._kind, self._side, [x, y, z], [math.sin(half), math.cos(half)]])
         frames(self._page)
 
     def press(self, button: str = "trigger") -> None:

@@ -10,6 +10,7 @@ import { dispose } from '../graphics/scene.js';
 
 const HALF_VIEW = Math.tan(Math.PI / 8); // half the height of a view of 45 degrees, one metre ahead
 const TILESET = 'tileset.json'; // of an asset's files, the one that lists the tiles of a large scene
+const WALKABLE_M = 4; // of a side, from which on people walk inside
 const NEAR_M = 0.01; // from inside a thing all of it counts as in view
 const DEFAULT_PLACEMENT = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
 
@@ -86,7 +87,7 @@ export class SceneItem {
     };
     try {
       const { Tileset: Tiles } = await import('./tileset.js');
-      if (this.entry !== entry) return; // a newer version has come, or the item is gone
+      if (this.entry !== entry || !this.model) return; // a newer version has come, or the item is gone
       this.tileset = new Tiles(entry, root, renderer, { onChange, onError: report });
       this.group.add(this.tileset.object);
     } catch (error) {
@@ -119,8 +120,18 @@ export class SceneItem {
     this.showHints(null);
     this.#dispose();
     this.model = null;
-    this.entry = null;
     this.group.removeFromParent();
+  }
+
+  /** Whether it is so large that people walk inside instead of holding it. */
+  get isWalkable() {
+    const [width, , depth] = this.#size;
+    return Math.max(width, depth) * this.group.matrixWorld.getMaxScaleOnAxis() > WALKABLE_M;
+  }
+
+  /** What is drawn of it: its tiles, or the level of detail that is shown. */
+  get surface() {
+    return this.tileset?.isShown ? this.tileset.object : this.model?.object.children.find(({ visible }) => visible);
   }
 
   /** Its box in the frame of its group, in metres. */

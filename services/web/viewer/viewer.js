@@ -8,6 +8,7 @@ import { placeSideBySide } from './layout-and-lod.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
 import { startRenderLoop } from './render-loop.js';
 import { SceneItem, isLoaded } from './scene-item.js';
+import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
 import { XrSession } from './xr-session.js';
 import { pause, prepare } from '../graphics/gpu-warmup.js';
@@ -56,11 +57,23 @@ let selected = null;
 
 const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onMove: savePlace, onSelect: select });
 const grabber = new Grabber(savePlace);
-const input = new XrInput(renderer, scene, { items: movableItems, grabber, onReset: resetAll, showHands: () => document.body.dataset.mode === 'vr' });
+const walker = new Walker(renderer, scene, root, {
+  surfaces: () => loadedItems().flatMap((item) => item.surface ?? []),
+  onMove: () => reportPlace(root.position.toArray()),
+});
+const input = new XrInput(renderer, scene, {
+  items: loadedItems,
+  isMovable,
+  grabber,
+  walker,
+  onReset: resetAll,
+  showHands: () => document.body.dataset.mode === 'vr',
+});
 const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page.ar }, {
   height: () => Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
+  isInside: () => loadedItems().some(({ isWalkable }) => isWalkable),
   onMode: showMode,
-  onPlaced: (metres) => (document.body.dataset.placed = metres.map((value) => value.toFixed(3)).join(' ')),
+  onPlaced: reportPlace,
   onRefused: (error) => showError(new Problem({ code: 'XR_REFUSED', detail: `The headset did not start: ${error.message}` })),
 });
 const { redraw } = startRenderLoop(stage, {
@@ -103,7 +116,12 @@ function loadedItems() {
 
 /** The items that are shown and that the person may move. */
 function movableItems() {
-  return loadedItems().filter(({ entry }) => entry.may_place !== false);
+  return loadedItems().filter(isMovable);
+}
+
+/** @param {LoadedItem} item */
+function isMovable({ entry }) {
+  return entry.may_place !== false;
 }
 
 // ---- what is shown ----------------------------------------------------------------------------------------------------
@@ -237,6 +255,14 @@ function resetAll() {
   }
   frameAll();
   reportPlaces();
+}
+
+/**
+ * Writes the place of the scene in the wearer's room into the page's data attributes, for tests and for scripts.
+ * @param {number[]} metres
+ */
+function reportPlace(metres) {
+  document.body.dataset.placed = metres.map((value) => value.toFixed(3)).join(' ');
 }
 
 /** Writes the places and scales of the items into the page's data attributes, for tests and for scripts. */

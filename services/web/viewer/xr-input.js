@@ -3,6 +3,7 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 import { distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';
 
 /** @import { Grabber } from './grab.js' */
+/** @import { Walker } from './walk.js' */
 /** @import { LoadedItem } from './scene-item.js' */
 /** @typedef {'select' | 'squeeze'} Press the trigger or a pinch, and the grip */
 
@@ -14,13 +15,16 @@ import { distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';
  * @property {Map<Press, number>} presses since when each is pressed, in milliseconds
  * @property {XRInputSource | null} source null while it is not connected
  * @property {boolean} resetPressed
+ * @property {'' | 'press' | 'stick'} aiming at a place to go to, while this is held
  * @property {(visible: boolean) => void} drawHand
  */
 
 /**
  * @typedef {object} XrInputCallbacks
- * @property {() => LoadedItem[]} items what can be grabbed
+ * @property {() => LoadedItem[]} items what can be pointed at
+ * @property {(item: LoadedItem) => boolean} isMovable whether an item may be grabbed
  * @property {Grabber} grabber
+ * @property {Walker} walker
  * @property {() => void} onReset is called for B, Y, or a long pinch on nothing
  * @property {() => boolean} showHands whether the wearer's hands must be drawn, because passthrough does not show them
  */
@@ -31,6 +35,7 @@ const [B_OR_Y, STICK_X, STICK_Y] = [5, 2, 3]; // places in the gamepad of the We
 const DEAD_ZONE = 0.2; // a thumbstick at rest is not quite at 0
 const TURN_PER_S = 1.5; // radians, with the stick pushed to its end
 const PUSH_M_PER_S = 0.8;
+const AIM_FROM = 0.7; // of the right stick's way forward
 const JOINTS = 25; // of a hand in WebXR
 const JOINT_M = 0.008; // radius, where the device gives none
 const JOINT_SHARE = 0.7; // of the radius: full-size hands would hide what they hold
@@ -60,7 +65,7 @@ export class XrInput {
    * @param {number} seconds since the last frame
    */
   update(seconds) {
-    const { items, grabber, onReset, showHands } = this.#callbacks;
+    const { items, grabber, walker, onReset, showHands } = this.#callbacks;
     for (const input of this.#inputs) {
       const { pointer, presses, ray, source } = input;
       pointer.updateMatrixWorld();
@@ -71,6 +76,7 @@ export class XrInput {
         onReset();
       }
       if (source?.gamepad) this.#readButtons(input, source.gamepad, seconds);
+      if (input.aiming) walker.aim(pointer);
     }
     grabber.moveItems();
   }
@@ -89,6 +95,7 @@ export class XrInput {
     }
     pointer.addEventListener('disconnected', () => {
       presses.clear();
+      input.aiming = '';
       this.#callbacks.grabber.release(pointer);
     });
   }
@@ -97,23 +104,36 @@ export class XrInput {
    * @param {Input} input
    * @param {Press} press
    */
-  #start({ pointer, presses }, press) {
+  #start(input, press) {
+    const { pointer, presses } = input;
     presses.set(press, performance.now());
     if (presses.size > 1) return; // the other finger has grabbed it already
     const item = this.#findItem(pointer);
     if (!item) return;
     presses.clear();
     presses.set(press, Infinity); // never long enough for a reset
-    this.#callbacks.grabber.grab(pointer, item);
+    if (press === 'select' && item.isWalkable) input.aiming = 'press';
+    else if (this.#callbacks.isMovable(item)) this.#callbacks.grabber.grab(pointer, item);
   }
 
   /**
    * @param {Input} input
    * @param {Press} press
    */
-  #end({ pointer, presses }, press) {
+  #end(input, press) {
+    const { pointer, presses } = input;
     presses.delete(press);
+    if (input.aiming === 'press') this.#go(input);
     if (presses.size === 0) this.#callbacks.grabber.release(pointer);
+  }
+
+  /**
+   * Goes to the place that the input points at.
+   * @param {Input} input
+   */
+  #go(input) {
+    input.aiming = '';
+    this.#callbacks.walker.go();
   }
 
   /**
@@ -140,12 +160,28 @@ export class XrInput {
    * @param {number} seconds since the last frame
    */
   #readButtons(input, { buttons, axes }, seconds) {
-    const { grabber, onReset } = this.#callbacks;
+    const { grabber, onReset, walker } = this.#callbacks;
     const pressed = Boolean(buttons[B_OR_Y]?.pressed);
     if (pressed && !input.resetPressed) onReset();
     input.resetPressed = pressed;
     const [x, y] = [axes[STICK_X] || 0, axes[STICK_Y] || 0].map((value) => (Math.abs(value) < DEAD_ZONE ? 0 : value));
-    if (x || y) grabber.turnAndPush(input.pointer, { turn: x * TURN_PER_S * seconds, push_m: -y * PUSH_M_PER_S * seconds });
+    const rests = !x && !y;
+    if (grabber.itemIn(input.pointer)) {
+      if (!rests) grabber.turnAndPush(input.pointer, { turn: x * TURN_PER_S * seconds, push_m: -y * PUSH_M_PER_S * seconds });
+    } else if (input.source?.handedness === 'right') this.#steer(input, x, y);
+    else if (!rests) walker.walk(x, y, seconds);
+  }
+
+  /**
+   * The right stick: turns to the side, and forward shows a place to go to, where it goes once the stick is let go.
+   * @param {Input} input
+   * @param {number} x
+   * @param {number} y
+   */
+  #steer(input, x, y) {
+    if (y < -AIM_FROM && !input.aiming) input.aiming = 'stick';
+    if (y === 0 && input.aiming === 'stick') this.#go(input);
+    if (!input.aiming) this.#callbacks.walker.turn(x);
   }
 }
 
@@ -164,7 +200,7 @@ function createInput(renderer, scene, place) {
   /** @param {boolean} visible */
   const drawHand = (visible) => drawJoints(joints, visible ? hand : null);
   /** @type {Input} */
-  const input = { pointer, ray, presses: new Map(), source: null, resetPressed: false, drawHand };
+  const input = { pointer, ray, presses: new Map(), source: null, resetPressed: false, aiming: '', drawHand };
   pointer.add(ray);
   grip.add(controller);
   hand.add(joints);

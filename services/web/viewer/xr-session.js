@@ -10,6 +10,7 @@ import { element } from '../shared/dom.js';
 /**
  * @typedef {object} XrSessionCallbacks
  * @property {() => number} height of the tallest thing, in metres
+ * @property {() => boolean} isInside whether the wearer begins in the middle of the scene, because it is large
  * @property {(mode: Mode | '') => void} onMode is called when a session begins, and with '' when it ends
  * @property {(metres: number[]) => void} onPlaced is called with the place of the scene
  * @property {(error: Error) => void} onRefused is called when the headset does not start
@@ -25,6 +26,7 @@ const NAMES = { vr: 'VR', ar: 'AR' };
 /** @type {Mode[]} */
 const MODES = ['vr', 'ar'];
 const HELP = ['Squeeze or pinch to take hold; two hands scale and turn.', 'B, Y, or a long pinch beside it puts it back.'];
+const WALKING_HELP = ['The left stick walks, the right one turns.', 'Point at the floor and pull the trigger, or pinch, to go there.'];
 
 /** The session in a headset, and its two buttons. */
 export class XrSession {
@@ -146,7 +148,8 @@ export class XrSession {
   }
 
   /**
-   * Places the scene 1.5 m ahead of where the wearer looks: on the floor, or at a comfortable height when it is small.
+   * Places the scene 1.5 m ahead of where the wearer looks: on the floor, or at a comfortable height when it is small. A large one is
+   * placed around the wearer.
    * @param {THREE.ArrayCamera} camera
    */
   #placeAhead(camera) {
@@ -156,7 +159,7 @@ export class XrSession {
     if (ahead.lengthSq() < 1e-6) ahead.set(0, 0, -1);
     ahead.normalize();
     const height = this.#callbacks.height();
-    root.position.copy(eye).addScaledVector(ahead, AHEAD_M);
+    root.position.copy(eye).addScaledVector(ahead, this.#callbacks.isInside() ? 0 : AHEAD_M);
     root.position.y = height < SMALL_M ? Math.max(0, eye.y * EYE_SHARE - height / 2) : 0;
     root.rotation.set(0, Math.atan2(-ahead.x, -ahead.z), 0);
     root.updateMatrixWorld(true);
@@ -169,7 +172,7 @@ export class XrSession {
    * @param {THREE.Vector3} ahead unit vector
    */
   #showHelp(eye, ahead) {
-    const help = createTextPanel(HELP);
+    const help = createTextPanel(this.#callbacks.isInside() ? [...WALKING_HELP, ...HELP] : HELP);
     help.position.copy(eye).addScaledVector(ahead, AHEAD_M);
     help.position.y = eye.y + 0.35; // above the things
     help.rotation.y = this.#world.root.rotation.y;
@@ -183,7 +186,7 @@ export class XrSession {
  * The middle between the eyes. Not the camera that stands for both: three.js puts that one into an eye at first.
  * @param {THREE.Camera[]} eyes
  */
-function middleOf(eyes) {
+export function middleOf(eyes) {
   const sum = new THREE.Vector3();
   for (const eye of eyes) sum.add(new THREE.Vector3().setFromMatrixPosition(eye.matrixWorld));
   return sum.divideScalar(eyes.length);

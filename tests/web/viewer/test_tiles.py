@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
+from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames, drawn, stage
 from tests.support.sites import Site
-from tests.support.tilesets import hill_bundle
+from tests.support.tilesets import hill_bundle, hills
 
 pytestmark = pytest.mark.browser
 KEY = "hills"
@@ -81,3 +85,63 @@ def test_without_its_list_of_tiles_the_whole_is_shown(page: Page, site: Site) ->
     await_data(page, loaded="2 1 0")
     await_frames(page)
     assert drawn(stage(page)) > 0.05
+
+
+@pytest.fixture
+def walker(context: BrowserContext, iwer: Path, page: Page, site: Site) -> Page:
+    """The hills around a wearer who stands at the origin, once their tiles are there."""
+    wear(context, iwer)
+    page.goto(f"{site.url}/view/{KEY}")
+    _until(page, "Number(data.tiles) > 0")
+    enter(page)
+    return page
+
+
+def _scene(page: Page) -> tuple[float, ...]:
+    """Where the scene is in the wearer's room."""
+    return tuple(map(float, page.evaluate("document.body.dataset.placed").split()))
+
+
+def test_who_enters_a_large_scene_stands_inside_and_walks_by_thumbstick(walker: Page) -> None:
+    assert _scene(walker) == (0, 0, 0)
+    Hand(walker, "left").stick(0, -1, 20)
+    _, y, z = _scene(walker)
+    assert y == 0
+    assert z > 0.05, "who goes ahead has the scene come towards them"
+    Hand(walker, "right").stick(1, 0, 5)
+    assert walker.evaluate("document.body.dataset.tiles") != "0"
+    assert drawn(stage(walker)) > 0.2
+
+
+def test_a_trigger_on_the_ground_goes_there(walker: Page) -> None:
+    right = Hand(walker, "right")
+    right.move(0.2, 1.5, 0, down=40)
+    right.press()
+    right.release()
+
+    x, y, z = _scene(walker)
+
+    # What the wearer now stands on is what the ray hit: it was on the ray, and is the ground's height.
+    assert x == pytest.approx(-0.2, abs=0.02)
+    ahead = z
+    assert 0.3 < ahead < 3
+    assert -y == pytest.approx(1.5 - ahead * np.tan(np.radians(40)), abs=0.05)
+    assert -y == pytest.approx(float(hills(np.array(0.2), np.array(-ahead))), abs=0.1)
+
+
+def test_a_place_in_the_sky_is_none_to_go_to(walker: Page) -> None:
+    right = Hand(walker, "right")
+    right.move(0.2, 1.5, 0, down=-30)
+    right.press()
+    right.release()
+    assert _scene(walker) == (0, 0, 0)
+
+
+def test_the_right_stick_forward_shows_the_place_and_goes_there_when_let_go(walker: Page) -> None:
+    right = Hand(walker, "right")
+    right.move(0.0, 1.5, 0, down=50)
+    right.stick(0, -1, 10)
+    x, y, z = _scene(walker)
+    assert x == pytest.approx(0, abs=0.02)
+    assert y < 0
+    assert z > 0.3
