@@ -1,7 +1,7 @@
 """The JavaScript libraries inside the pages, read from the notices of their licences (services/web/vendor/*.LICENSE).
 
-`deploy/vendor-web.sh` (three.js) and `vendor-tus.sh` write a notice for every library, also for those inside another
-one's file:
+`deploy/vendor-web.sh` (three.js), `vendor-tus.sh` and `vendor-tiles.sh` write a notice for every library, also for those
+inside another one's file:
 
     meshoptimizer 1.1 (MIT): meshopt-decoder.js     name, version, licence, files (without "LIBRARY-VERSION.")
     pkg:npm/meshoptimizer@1.1.0                     package URL
@@ -41,13 +41,9 @@ def vendored_libraries(root: Path) -> list[VendoredLibrary]:
 def _read(root: Path, notice: Path) -> VendoredLibrary:
     found = _NOTICE.match((root / notice).read_text())
     if found is None:
-        raise ReleaseError(
-            f"{notice} does not begin with a library and its package URL: run deploy/vendor-web.sh or vendor-tus.sh"
-        )
+        raise ReleaseError(f"{notice} does not begin with a library and its package URL: run its deploy/vendor-*.sh")
     prefix = ".".join(notice.name.split(".")[:3])  # three-0.187.0
     files = tuple(FOLDER / f"{prefix}.{name}" for name in found["files"].split())
     if absent := [file for file in files if not (root / file).is_file()]:
-        raise ReleaseError(
-            f"{notice} names {absent[0]}, which does not exist: run deploy/vendor-web.sh or vendor-tus.sh"
-        )
+        raise ReleaseError(f"{notice} names {absent[0]}, which does not exist: run its deploy/vendor-*.sh")
     return VendoredLibrary(found["name"], found["version"], found["licence"], found["purl"], notice, files)

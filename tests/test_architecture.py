@@ -50,7 +50,10 @@ def test_the_page_libraries_name_only_files_that_are_there() -> None:
     for module in web.glob("*/*.js"):
         for name in re.findall(r"(?:from|import\()\s*'(\.\.?/[^']+)'", module.read_text()):
             assert (module.parent / name).is_file(), f"{module.name} imports {name}"
-    assert all(re.match(r"(three|tus-js-client)-\d+\.\d+\.\d+\.", file.name) for file in (web / "vendor").iterdir())
+    assert all(
+        re.match(r"(three|tus-js-client|tiles-renderer)-\d+\.\d+\.\d+\.", file.name)
+        for file in (web / "vendor").iterdir()
+    )
 
 
 def test_pages_import_what_they_share_and_never_each_other() -> None:

@@ -47,7 +47,12 @@ class Bundle:
 
 
 def content_name(file: str, sha256: str) -> str:
-    """Add the content's hash to a file name: `lod0.glb` → `lod0.<sha256>.glb`. Such a name always means these bytes."""
+    """Add the content's hash to a file name: `lod0.glb` → `lod0.<sha256>.glb`. Such a name always means these bytes.
+
+    A name that has the hash already stays: a tileset's files name each other by it.
+    """
+    if hash_in_name(file) == sha256:
+        return file
     path = PurePosixPath(file)
     return f"{path.stem}.{sha256}{path.suffix}"
 

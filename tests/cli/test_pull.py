@@ -26,6 +26,7 @@ from services.storage.catalogue.removal import remove
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.memory import MemoryStore
 from tests.support.bundles import bundle
+from tests.support.tilesets import hill_bundle
 
 KEY = "shoe"
 HOME = "ada"
@@ -370,3 +371,17 @@ def test_a_manifest_lists_each_file_once_with_its_hash() -> None:
         data = json.dumps({"files": bad}).encode()
         with pytest.raises(OSError, match="it lists"):
             parse_manifest(data, Row(KEY, "", (), 1, "refined", 1, sha256_hex(data), ""))
+
+
+def test_a_pulled_scene_in_tiles_is_a_tileset_of_its_own(site: Site, pull: Pull, tmp_path: Path) -> None:
+    scene, root = hill_bundle(levels=2)
+    publish(scene, site.store, key=KEY, collection=HOME, keys=site.keys)
+
+    pull()
+
+    out = tmp_path / "out"
+    tileset = json.loads((out / "tileset.json").read_bytes())
+    children = tileset["root"]["children"]
+    uris = [tile["content"]["uri"] for tile in (tileset["root"], *children)]
+    assert uris == [tile.name for tile in root]
+    assert [sha256_hex((out / uri).read_bytes()) for uri in uris] == [tile.sha256 for tile in root]

@@ -37,8 +37,6 @@ def hill_tree(
     """The tree of tiles of a square; their contents go into `files`."""
     mesh = hill_tile(low, size_m)
     glb = to_glb(mesh, "meshopt")
-    name = f"tile-{level}-{place[0]}-{place[1]}.glb"
-    files[name] = glb
     half = size_m / 2
     children = tuple(
         hill_tree(files, levels, low + half * np.array([i, j]), half, level + 1, (2 * place[0] + i, 2 * place[1] + j))
@@ -51,7 +49,10 @@ def hill_tree(
     corners += [corner for child in children for corner in (child.low_m, child.high_m)]
     low_m, high_m = np.min(corners, axis=0), np.max(corners, axis=0)
     error_m = 0.0 if not children else (size_m / CELLS) ** 2  # bilinear cells of a surface with curvature near 2
-    return TilesetNode(name, sha256_hex(glb), low_m, high_m, error_m, children)
+    name = f"tile-{level}-{place[0]}-{place[1]}.glb"
+    node = TilesetNode(name, sha256_hex(glb), low_m, high_m, error_m, children)
+    files[node.name] = glb
+    return node
 
 
 def hill_bundle(levels: int = 3, size_m: float = 12.0) -> tuple[Bundle, TilesetNode]:

@@ -27,7 +27,7 @@ _UNSEEN = 2.0  # times the root's error: what is lost where the whole tileset is
 class TilesetNode:
     """A tile of one level of detail, and the finer tiles that replace it.
 
-    file      its content's plain name in the bundle, such as "tile-2-0-1.glb"; "" where it has no content
+    file      its content's name, such as "tile-2-0-1.glb"; "" where it has no content
     sha256    of the content
     low_m     (3,) least corner of the content's vertices and of all below it, asset frame: metres, Y up; high_m (3,)
     error_m   how far its surface lies from the finest one, in metres: 0 for a tile that nothing replaces
@@ -40,6 +40,11 @@ class TilesetNode:
     error_m: float
     children: tuple[TilesetNode, ...] = ()
 
+    @property
+    def name(self) -> str:
+        """Name of the content in the bundle: with its hash, as it is stored. So tileset.json finds it in a folder too."""
+        return content_name(self.file, self.sha256) if self.file else ""
+
     def __iter__(self) -> Iterator[TilesetNode]:
         """This tile and all below it, the coarsest first."""
         yield self
@@ -48,7 +53,7 @@ class TilesetNode:
 
 
 def tileset_json(root: TilesetNode) -> bytes:
-    """Write a tree of tiles as tileset.json, which names contents as they are stored beside it.
+    """Write a tree of tiles as tileset.json, which lies beside the contents.
 
     Raises ValueError where a tile's box leaves its parent's, or its error exceeds its parent's: a viewer that trusts
     the parent would never draw it.
@@ -66,7 +71,7 @@ def tileset_json(root: TilesetNode) -> bytes:
 def _tile(node: TilesetNode) -> dict[str, Any]:
     tile: dict[str, Any] = {"boundingVolume": {"box": _box(node.low_m, node.high_m)}, "geometricError": node.error_m}
     if node.file:
-        tile["content"] = {"uri": content_name(node.file, node.sha256)}
+        tile["content"] = {"uri": node.name}
     if node.children:
         tile["children"] = [_tile(child) for child in node.children]
     return tile

@@ -17,6 +17,7 @@ const ROOM_TO_SPARE = 0.6; // of the triangles, below which it falls again: othe
 const MOST_BYTES = 256 * 2 ** 20; // of meshes and pictures that were left behind and are kept
 const DOWNLOADS = 6; // at once
 const DECODINGS = 2; // at once, as the workers that do it
+const HASH = /\.[0-9a-f]{64}(?=\.)/; // in a file's name
 const RETRY_MS = 30_000; // before what could not be loaded is asked for again
 
 /**
@@ -58,7 +59,7 @@ export class Tileset {
     });
     this.#tiles.addEventListener('load-error', ({ tile, error, url }) => {
       this.#standIn(tile);
-      onError(error, this.#files.get(baseName(String(url)))?.file ?? baseName(String(url)));
+      onError(error, baseName(String(url)).replace(HASH, ''));
     });
     this.#tiles.group.rotation.x = -Math.PI / 2; // a tileset's Z is up
     this.object.add(this.#tiles.group);
