@@ -1,7 +1,6 @@
 """The JavaScript libraries inside the pages, read from the notices of their licences (services/web/vendor/*.LICENSE).
 
-`deploy/vendor-web.sh` (three.js), `vendor-tus.sh` and `vendor-tiles.sh` write a notice for every library, also for those
-inside another one's file:
+The scripts `deploy/vendor-*.sh` write a notice for every library, also for those inside another one's file:
 
     meshoptimizer 1.1 (MIT): meshopt-decoder.js     name, version, licence, files (without "LIBRARY-VERSION.")
     pkg:npm/meshoptimizer@1.1.0                     package URL

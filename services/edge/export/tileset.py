@@ -42,7 +42,7 @@ class TilesetNode:
 
     @property
     def name(self) -> str:
-        """Name of the content in the bundle: with its hash, as it is stored. So tileset.json finds it in a folder too."""
+        """Name of the content in the bundle: with its hash, as in the store, so that tileset.json finds it anywhere."""
         return content_name(self.file, self.sha256) if self.file else ""
 
     def __iter__(self) -> Iterator[TilesetNode]:
