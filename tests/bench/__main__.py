@@ -21,6 +21,7 @@ BENCHES = {
     "single-image": "one photo to points, held-out shapes: our heads, the mean shape, the nearest training shapes",
     "delivery": "what reaches a headset: bytes, seconds on the wire and to import, errors of the levels of detail",
     "pipeline": "capture to published LOD set: seconds per stage and peak memory",
+    "walk": "five minutes in a scene of 1,365 tiles, in an emulated headset: bytes kept, heap, first picture",
     "visit": "the viewer in a browser on a throttled link: first mesh, bytes, longest task, three visits",
     "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "service": "many people on one service: what keys cost, 10,000 tenants, turns in the queue, kills",

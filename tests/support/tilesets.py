@@ -32,34 +32,47 @@ def hill_tile(low: Floats, size_m: float, cells: int = CELLS) -> Mesh:
 
 
 def hill_tree(
-    files: dict[str, bytes], levels: int, low: Floats, size_m: float, level: int = 0, place: tuple[int, int] = (0, 0)
+    files: dict[str, bytes],
+    levels: int,
+    low: Floats,
+    size_m: float,
+    cells: int = CELLS,
+    level: int = 0,
+    place: tuple[int, int] = (0, 0),
 ) -> TilesetNode:
     """The tree of tiles of a square; their contents go into `files`."""
-    mesh = hill_tile(low, size_m)
+    mesh = hill_tile(low, size_m, cells)
     glb = to_glb(mesh, "meshopt")
     half = size_m / 2
     children = tuple(
-        hill_tree(files, levels, low + half * np.array([i, j]), half, level + 1, (2 * place[0] + i, 2 * place[1] + j))
-        for i in (0, 1)
-        for j in (0, 1)
+        hill_tree(
+            files,
+            levels,
+            low + half * np.array(at),
+            half,
+            cells,
+            level + 1,
+            (2 * place[0] + at[0], 2 * place[1] + at[1]),
+        )
+        for at in ((0, 0), (0, 1), (1, 0), (1, 1))
         if level + 1 < levels
     )
     # The contents' coordinates are whole tenths of a millimetre: a box holds them with one to spare.
     corners = [mesh.vertices.min(axis=0) - 2e-4, mesh.vertices.max(axis=0) + 2e-4]
     corners += [corner for child in children for corner in (child.low_m, child.high_m)]
     low_m, high_m = np.min(corners, axis=0), np.max(corners, axis=0)
-    error_m = 0.0 if not children else (size_m / CELLS) ** 2  # bilinear cells of a surface with curvature near 2
+    error_m = 0.0 if not children else (size_m / cells) ** 2  # bilinear cells of a surface with curvature near 2
     name = f"tile-{level}-{place[0]}-{place[1]}.glb"
     node = TilesetNode(name, sha256_hex(glb), low_m, high_m, error_m, children)
     files[node.name] = glb
     return node
 
 
-def hill_bundle(levels: int = 3, size_m: float = 12.0) -> tuple[Bundle, TilesetNode]:
+def hill_bundle(levels: int = 3, size_m: float = 12.0, cells: int = CELLS) -> tuple[Bundle, TilesetNode]:
     """A bundle of hills in tiles, with the usual levels of detail of the whole, and its tree."""
     low = np.full(2, -size_m / 2)
     files: dict[str, bytes] = {}
-    root = hill_tree(files, levels, low, size_m)
+    root = hill_tree(files, levels, low, size_m, cells)
     tiles = len(files)
     files[TILESET_FILE] = tileset_json(root)
     lods = []
@@ -80,7 +93,7 @@ def hill_bundle(levels: int = 3, size_m: float = 12.0) -> tuple[Bundle, TilesetN
             "file": TILESET_FILE,
             "tiles": tiles,
             "levels": levels,
-            "triangles": 2 * CELLS**2 * 4 ** (levels - 1),
+            "triangles": 2 * cells**2 * 4 ** (levels - 1),
         },
         "quality": {},
         "warnings": [],
