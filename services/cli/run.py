@@ -82,7 +82,8 @@ def run_preset(
 ) -> None:
     """Reconstruct `source` into the folder `out`, which stays unchanged until there is a result. Raises BadInput.
 
-    If it is killed during training, a run with the same arguments resumes from `out`/fit.checkpoint.
+    If it is killed during training, a run with the same arguments resumes from `out`/fit.checkpoint; one that makes
+    tiles, from `out`/fit.tiles.
     """
     key = options.key or key_from(source)
     if not valid_key(key):
@@ -155,6 +156,7 @@ def _reconstruct_into(
     from services.edge.capture.detect import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
     from services.edge.progress import Progress
+    from services.edge.tiles.folder import tiles_folder
 
     target = target_of(options.target)
     encode = _encoder(target)
@@ -190,6 +192,7 @@ def _reconstruct_into(
                     show(step)
         bar.show("DONE", 1.0)
     results.checkpoint.unlink(missing_ok=True)
+    shutil.rmtree(tiles_folder(results.checkpoint), ignore_errors=True)
     _print_result(results.out, results.report)
 
 

@@ -165,7 +165,7 @@ def to_points(
     if capture.kind == "points":
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
         kept = _ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is")
-        return isolate_object(points, tick=tick) if cut == "object" else replace(points, cut=kept)
+        return isolate_object(replace(points, whole=None), tick=tick) if cut == "object" else replace(points, cut=kept)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     held_out = tuple(frame for frame in held_out if FrameFaults().read_picture(frame) is not None)
     fused = fuse(frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))

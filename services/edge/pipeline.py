@@ -10,11 +10,14 @@ compare the two; where the trained field is worse, or fails, `PreviewKept` is yi
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
 
 from services.edge.arrays import DistanceFn, Floats, part_of
 from services.edge.asset.assemble import assemble_bundle, colour_levels
@@ -31,6 +34,7 @@ from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepa
 from services.edge.certificate import Evidence, certify, compare, hold_out
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
+from services.edge.export.tileset import TILESET_FILE
 from services.edge.field.denoise import denoise
 from services.edge.field.folds import noise_of
 from services.edge.field.local import local_field
@@ -47,9 +51,11 @@ from services.edge.points.unit import unit_frame
 from services.edge.preset import AUTOMATIC, Extraction, Preset, load_preset
 from services.edge.preset_choice import choose, traits_of
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
+from services.edge.tiles.folder import tiles_folder
+from services.edge.tiles.scene import TILE_STARTS, TiledScene, reconstruct_tiles
 from services.edge.training import FieldTraining, train
 from services.photo_box import PhotoBox
-from services.storage.bundle import Bundle
+from services.storage.bundle import Bundle, FilesOnDisk
 
 # Fraction of its pass at which each stage begins. In the preview's pass the local field is there at once; in the
 # refined one's the training takes most of the time.
@@ -114,7 +120,7 @@ def reconstruct(
     """
     require_encoder(target, has_encoder=encode is not None)
     bar = Bar(watch)
-    refines = preset.fit is not None or preset.name == AUTOMATIC
+    refines = preset.fit is not None or preset.tiled or preset.name == AUTOMATIC
     prepared = yield from prepare(
         capture, bar, refines=refines, device=device, cut=cut, longest_m=longest_m, hold_out=hold_out, box=box
     )
@@ -160,7 +166,8 @@ def bundles(
         inputs = downsample_points(points.subset(held_out == 0), preset.most_points)
     refusal = refuse(preset, len(inputs)) if preset.fit else ""
     config = None if refusal else preset.fit
-    share = share if config else 1.0
+    refines = config is not None or preset.tiled
+    share = share if refines else 1.0
     bar.set_range(PREVIEW_STARTS, bar.reached, share)
 
     yield bar.begin("FITTING", f"{len(inputs):,} points" + (f", preset {preset.name}: {because}" if because else ""))
@@ -176,19 +183,19 @@ def bundles(
         prepared.source, preset, because, label, target, fill, inputs, points, unit, xyz_unit, evidence
     )
 
-    finest = min(preset.finest, PREVIEW_FINEST) if config else preset.finest
+    finest = min(preset.finest, PREVIEW_FINEST) if refines else preset.finest
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
     levels = yield from colour_levels(preview, subject, clock, bar)
     pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode)
     pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
-    if config or points.texture_views:
+    if refines or points.texture_views:
         yield from pack_preview(last=False)
     if points.held_out_views:
         preview = _compare_with_photos(preview, subject, clock)
         quality = preview.quality(preset, clock.seconds)
         pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
-    if not config:
+    if not refines:
         bar.set_range(TEXTURED_STARTS, bar.reached, share)
         yield from pack_preview(last=True)
     if refusal:
@@ -202,6 +209,46 @@ def bundles(
         metres = None if points.scale_confidence == "unknown" else unit.size * points.metres_per_unit
         training = FieldTraining(fitted, fitted_noise, config, device, distance, xyz_unit, watched, checkpoint, metres)
         yield from _refinement(training, subject, preview, quality, pack_preview, pack, clock, bar)
+    if preset.tiled:
+        bar.set_range(TILE_STARTS, share, 1.0)
+        yield from _tiled(distance, subject, levels.to_asset, quality, pack, checkpoint, encode, clock, bar)
+
+
+def _tiled(
+    distance: DistanceFn,
+    subject: AssetSubject,
+    to_asset: Floats,
+    before: Mapping[str, Any],
+    pack: Callable[..., Iterator[Progress | Bundle]],
+    checkpoint: Path | None,
+    encode: EncodeKtx2 | None,
+    clock: Clock,
+    bar: Bar,
+) -> Iterator[Progress | Bundle]:
+    """Mesh a large scene tile by tile, and yield its bundle: the levels of detail of the whole, and all tiles.
+
+    distance  the preview's field, which certifies the whole; before: the preview's quality figures
+    """
+    with ExitStack() as kept:
+        folder = tiles_folder(checkpoint) if checkpoint else Path(kept.enter_context(TemporaryDirectory()))
+        scene = yield from reconstruct_tiles(
+            subject.colours, to_asset, subject.preset, subject.target, folder, clock, bar, encode=encode
+        )
+        from_asset = np.linalg.inv(to_asset)
+        vertices = subject.unit.to_unit(scene.mesh.vertices @ from_asset[:3, :3].T + from_asset[:3, 3])
+        whole = Mesh(vertices, scene.mesh.faces)
+        cells = round(float(np.ptp(scene.mesh.vertices, axis=0).max()) / scene.grid.cell)
+        made = MeasuredSurface(FilledMesh.unfilled(whole), cells, certify(distance, whole, subject.evidence))
+        quality = {**made.quality(subject.preset, clock.seconds), "preview": before}
+        levels = yield from colour_levels(made, subject, clock, bar, to_asset)
+        for step in pack(made, levels, state="refined", quality=quality, last=True):
+            yield _with_tiles(step, scene) if isinstance(step, Bundle) else step
+
+
+def _with_tiles(bundle: Bundle, scene: TiledScene) -> Bundle:
+    """Add a scene's tiles, which stay on disk, to the bundle of the whole."""
+    files = FilesOnDisk({**bundle.files, TILESET_FILE: scene.document}, scene.files)
+    return replace(bundle, files=files, manifest={**bundle.manifest, "tileset": scene.manifest})
 
 
 def _refinement(

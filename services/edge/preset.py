@@ -21,10 +21,11 @@ AUTOMATIC = "auto"
 """Name of the automatic choice: the pipeline then chooses a preset from the points (`preset_choice.py`). An empty name
 means the same."""
 
-_ORDER = ("draft", "standard", "fine", "scene")
+_ORDER = ("draft", "standard", "fine", "scene", "scene-tiles")
 """Order of the product's presets in lists, from quick to thorough; the literature's come after them."""
 _POINT_BYTES = 400  # of a capture: 1,000,000 points take 400 MB on their way to the 200,000 that are kept
 _CELL_BYTES = 1_500  # per cell of the surface, some resolution² of them: 384 cells take 220 MB while extracting
+_TILE_BYTES = 1_800_000_000  # of one tile at a time: a furnished room of 3 m at 1 cm, with its neighbours' points
 _CELLS = (48, 4 / 3)  # least cells along a side; and cells per √points at one cell per spacing: cloth fills half a box
 
 Extraction = Literal["dual", "published"]
@@ -48,6 +49,8 @@ class Preset:
     literature   whether it is a published method, to compare with: its own mesh is published even where the verdict
                  prefers the preview, which is then a warning
     extraction   how the trained field becomes a mesh
+    tiled        whether the refined bundle is meshed tile by tile, from all points of the capture rather than
+                 `most_points`, at the finest cells that they bear
     takes        time that the training takes, for people; "" where it is minutes or less
     """
 
@@ -62,6 +65,7 @@ class Preset:
     denoised: bool = True
     literature: bool = False
     extraction: Extraction = "dual"
+    tiled: bool = False
     takes: str = ""
 
 
@@ -95,6 +99,8 @@ def parse_preset(name: str, text: str) -> Preset:
     preset = _build(Preset, {"name": name, **values}, name, "")
     if list(preset.lod_faces) != sorted(set(preset.lod_faces), reverse=True) or not preset.lod_faces:
         raise EdgeError("PRESET_INVALID", f"preset '{name}': lod_faces must decrease from level to level")
+    if preset.tiled and preset.fit:
+        raise EdgeError("PRESET_INVALID", f"preset '{name}': tiled cannot be combined with a fit")
     return preset
 
 
@@ -103,6 +109,8 @@ def memory_bytes(preset: Preset, points: int, device: str = "cpu") -> int:
     filled = max(_CELLS[0], int(_CELLS[1] * preset.cells_per_spacing * points**0.5))
     cells = preset.resolution or min(preset.finest, filled)
     mesh = _POINT_BYTES * points + _CELL_BYTES * cells**2
+    if preset.tiled:  # its preview is made from some of the points, and each tile from its own
+        return _POINT_BYTES * min(points, preset.most_points) + _TILE_BYTES
     if preset.fit is None:
         return mesh
     from services.edge.paper_field.memory_estimate import fit_memory_bytes

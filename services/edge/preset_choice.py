@@ -17,9 +17,11 @@ from services.edge.field.noise import SCALES, noise_level
 from services.edge.mesh.spacing import point_spacing
 from services.edge.points.nouns import Points
 
-PresetName = Literal["draft", "standard", "fine", "scene"]
+PresetName = Literal["draft", "standard", "fine", "scene", "scene-tiles"]
 
 FEWEST = 200  # points: of fewer, the neighbours that train a patch are a tenth of the cloud and more
+TILES_M = 10.0  # longest side above which 512 cells are coarser than the 2 cm that furniture needs
+TILES_POINTS = 2_000_000  # above which a scene has more to show than its 200,000 points and 512 cells
 ROOM_M = 3.0  # longest side above which a metric capture is a room or a street, not an object
 CROWD = 150_000  # points above which a cloud is taken for a scene: phones scan an object with 5,000 to 100,000
 FINE_SPACING = 1 / 80  # of the longest side, 6,000 points of a garment: sparser points hold no detail for `fine`
@@ -53,6 +55,10 @@ def choose(traits: Traits) -> Choice:
     """Choose the preset for a cloud: on a CPU by the waiting time, on a GPU by the detail that the points can give."""
     if traits.points < FEWEST:
         return Choice("draft", f"{traits.points:,} points are too few to train on")
+    if traits.extent_m > TILES_M:
+        return Choice("scene-tiles", f"a size of {traits.extent_m:.1f} m is too large for the cells of one mesh")
+    if traits.points > TILES_POINTS:
+        return Choice("scene-tiles", f"{traits.points:,} points show more than one mesh can hold")
     if traits.extent_m > ROOM_M:
         return Choice("scene", f"a size of {traits.extent_m:.1f} m is a room, not one object")
     if traits.points > CROWD:
@@ -73,7 +79,7 @@ def traits_of(points: Points, *, gpu: bool) -> Traits:
     regions = [_around(points.xyz, centre) for centre in rng.integers(len(points), size=REGIONS)]
     spacing, noise = np.median([_spacing_and_noise(region) for region in regions], axis=0)
     return Traits(
-        points=len(points),
+        points=points.whole.count if points.whole else len(points),
         spacing=float(spacing / longest),
         noise=float(noise),
         extent_m=0.0 if points.scale_confidence == "unknown" else longest * points.metres_per_unit,

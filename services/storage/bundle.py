@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 Json = Any
@@ -33,7 +33,7 @@ _HASH = re.compile(r"\.([0-9a-f]{64})(\.[^./]*)?$")
 class Bundle:
     """The result of a reconstruction.
 
-    files     contents by plain file name: "lod0.glb", "lod1.glb", "preview.png", "mesh.ply"
+    files     contents by plain file name: "lod0.glb", "lod1.glb", "preview.png", "mesh.ply"; `FilesOnDisk` for many
     manifest  JSON with everything about the asset except where its files are stored
     private   files for whoever reconstructs, which are never published: they show the capture's own photos
     last      whether the job publishes nothing after it; a job may publish two previews, the second with textures
@@ -44,6 +44,23 @@ class Bundle:
     manifest: Mapping[str, Json]
     private: Mapping[str, bytes] = field(default_factory=dict)
     last: bool = False
+
+
+class FilesOnDisk(Mapping[str, bytes]):
+    """Contents of a bundle that is too large for memory: some are in memory, the others are read when asked for."""
+
+    def __init__(self, files: Mapping[str, bytes], paths: Mapping[str, Path]) -> None:
+        self._files, self._paths = files, paths
+
+    def __getitem__(self, file: str) -> bytes:
+        return self._paths[file].read_bytes() if file in self._paths else self._files[file]
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._files
+        yield from (file for file in self._paths if file not in self._files)
+
+    def __len__(self) -> int:
+        return len(self._files.keys() | self._paths.keys())
 
 
 def content_name(file: str, sha256: str) -> str:

@@ -16,12 +16,12 @@ FOLDER = Path(presets.__file__).parent / "presets"
 
 
 def test_every_preset_loads_and_the_literature_comes_last() -> None:
-    assert preset_names() == ("draft", "standard", "fine", "scene", *LITERATURE)
+    assert preset_names() == ("draft", "standard", "fine", "scene", "scene-tiles", *LITERATURE)
     for name in preset_names():
         preset = load_preset(name)
         assert preset.name == name
         assert preset.summary
-        assert (preset.fit is None) == (name == "draft")
+        assert (preset.fit is None) == (name in ("draft", "scene-tiles"))
         assert preset.literature == (name in LITERATURE)
         assert bool(preset.takes) == preset.literature
 

@@ -10,7 +10,7 @@ import pytest
 from services.edge.arrays import Floats
 from services.edge.mesh.nouns import Mesh
 from services.edge.points.nouns import Points
-from services.edge.preset_choice import CROWD, FEWEST, NOISY, Traits, choose, traits_of
+from services.edge.preset_choice import CROWD, FEWEST, NOISY, TILES_POINTS, Traits, choose, traits_of
 from tests.support.surfaces import patch, sampled
 
 GARMENT = Traits(points=20_000, spacing=0.01, noise=0.0, extent_m=0.0, gpu=False)
@@ -26,6 +26,9 @@ GARMENT = Traits(points=20_000, spacing=0.01, noise=0.0, extent_m=0.0, gpu=False
         ({"points": FEWEST - 1}, "draft", "too few"),
         ({"points": FEWEST - 1, "gpu": True}, "draft", "too few"),
         ({"extent_m": 5.2}, "scene", "5.2 m"),
+        ({"extent_m": 10.4}, "scene-tiles", "10.4 m"),
+        ({"points": TILES_POINTS + 1}, "scene-tiles", "more than one mesh"),
+        ({"points": TILES_POINTS, "extent_m": 9.9}, "scene", "9.9 m"),
         ({"extent_m": 5.2, "gpu": True}, "scene", "5.2 m"),
         ({"extent_m": 1.8}, "standard", "on a CPU"),
         ({"points": CROWD + 1, "gpu": True}, "scene", "many for one object"),

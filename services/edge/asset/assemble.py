@@ -35,16 +35,19 @@ class ColouredLevels:
 
 
 def colour_levels(
-    surface: MeasuredSurface, subject: AssetSubject, clock: Clock, bar: Bar
+    surface: MeasuredSurface, subject: AssetSubject, clock: Clock, bar: Bar, to_asset: Floats | None = None
 ) -> Generator[Progress, None, ColouredLevels]:
-    """Colour a surface's mesh from the captured points and make its levels of detail: what all its bundles share."""
+    """Colour a surface's mesh from the captured points and make its levels of detail: what all its bundles share.
+
+    to_asset  (4,4) from the capture frame to the asset frame; None: the mesh stands on the asset frame's floor
+    """
     points, mesh_unit = subject.points, surface.mesh_unit
     yield bar.begin("TEXTURING", f"{len(mesh_unit.faces):,} triangles")
     with clock("TEXTURING"):
         if points.rgb is not None:
             mesh_unit = transfer_colours(mesh_unit, subject.xyz_unit, points.rgb)
         full = replace(mesh_unit, vertices=subject.unit.to_world(mesh_unit.vertices))
-        to_asset = asset_frame(full.vertices, points)
+        to_asset = asset_frame(full.vertices, points) if to_asset is None else to_asset
         tick = part_of(bar.tick("TEXTURING"), 0, _LODS_SHARE)
         return ColouredLevels(full, to_asset, build_levels(full, to_asset, subject, tick))
 

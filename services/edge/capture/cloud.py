@@ -8,20 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.edge.arrays import Bools, Floats
+from services.edge.arrays import Floats
+from services.edge.capture.cloud_parts import dropped_warning, read_some, valid_mask
 from services.edge.capture.files import Folder, translate_errors, unreadable
 from services.edge.capture.meshes import read_mesh, vertex_colours
 from services.edge.capture.nouns import Capture, Cloud, ScaleConfidence
 from services.edge.capture.pcd import read_pcd
-from services.edge.capture.ply import read_ply
+from services.edge.capture.ply import ply_parts, read_ply
+from services.edge.capture.raw_parts import RawParts
 from services.edge.capture.sample_surface import SampledSurface, sample_surfaces
-from services.edge.capture.tables import MAX_POINTS, looks_numeric, read_npy, read_table, too_many_points
+from services.edge.capture.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
 from services.edge.errors import CaptureError
 
 MIN_DISTINCT = 100  # distinct points; fewer do not describe a surface
-MAX_COORDINATE = 1e6  # units from the origin; beyond it float32 steps are 6 cm, and 1e30 is a broken file
-MAX_BAD_SHARE = 0.1  # of the points may be invalid; they are dropped with a warning
 MIN_SECOND_EXTENT = 1e-4  # of the first principal extent; below it all points lie on a line
+MAX_PARTED_BYTES = 2**33  # of a file that is read in parts
 MAX_BYTES = 2**31  # of a file: 20 million points of 100 bytes
 _MAX_BYTES = {
     "obj": 2**28,
@@ -95,7 +96,12 @@ def _by_text(head: bytes) -> str | None:
 
 
 def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
-    """Read a point cloud or mesh file of format `kind`, validate it, and return a capture of kind "points"."""
+    """Read a point cloud or mesh file of format `kind`, validate it, and return a capture of kind "points".
+
+    Of a cloud of more than LARGE points some are read now, and all of them in parts when they are asked for.
+    """
+    if (parts := _parts(folder, name, kind)) is not None:
+        return _large_cloud(parts, folder, name, kind)
     cloud, warnings = _read(folder, name, kind)
     if len(cloud.xyz) > MAX_POINTS:
         raise too_many_points(len(cloud.xyz), name)
@@ -106,14 +112,45 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
     return Capture("points", kind, cloud=cloud, scale_confidence=frame.scale, up=up, warnings=(*warnings, *dropped))
 
 
+def _parts(folder: Folder, name: str, kind: str) -> RawParts | None:
+    """The points of a large file in parts; None where it is not large, or of a format that is read at once."""
+    path = folder.path(name)
+    if kind not in ("las", "e57", "ply", "npy"):
+        return None
+    if path.stat().st_size > MAX_PARTED_BYTES:
+        raise _too_many_bytes(name, kind, MAX_PARTED_BYTES)
+    if kind == "las":
+        from services.edge.capture.las import las_parts
+
+        return las_parts(path, name, folder.tick)
+    if kind == "e57":
+        from services.edge.capture.e57 import e57_parts
+
+        return e57_parts(path, name, folder.tick)
+    return ply_parts(path, name) if kind == "ply" else npy_parts(path, name)
+
+
+def _large_cloud(parts: RawParts, folder: Folder, name: str, kind: str) -> Capture:
+    """Check all points of a large cloud, and return a capture of some of them, which has all in parts."""
+    cloud, whole, warnings = read_some(parts, name, folder.tick)
+    _check_shape(cloud.xyz, name)
+    frame = _FRAMES.get(kind, _Frame())
+    up = None if frame.up is None else np.array(frame.up)
+    return Capture("points", kind, cloud=cloud, whole=whole, scale_confidence=frame.scale, up=up, warnings=warnings)
+
+
+def _too_many_bytes(name: str, kind: str, limit: int) -> CaptureError:
+    what = f"is larger than {limit // 2**20:,} MiB, the most that is read of a {kind.upper()} file"
+    hint = "downsample the point cloud, or simplify the mesh"
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=name, hints=(hint,))
+
+
 def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]:
     """Read one file of format `kind`: its points, or points sampled on its triangles, and warnings."""
     path = folder.path(name)
     limit = _MAX_BYTES.get(kind, MAX_BYTES)
     if path.stat().st_size > limit:
-        what = f"is larger than {limit // 2**20:,} MiB, the most that is read of a {kind.upper()} file"
-        hint = "downsample the point cloud, or simplify the mesh"
-        raise CaptureError("CAPTURE_TOO_LARGE", what, file=name, hints=(hint,))
+        raise _too_many_bytes(name, kind, limit)
     if kind == "e57":
         from services.edge.capture.e57 import read_e57
 
@@ -143,7 +180,7 @@ def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tupl
     cloud, warnings = _drop_invalid(Cloud(vertices), name)
     if (cloud.xyz == cloud.xyz[0]).all():
         raise CaptureError("CAPTURE_DEGENERATE", "has all its vertices at the same position", file=name)
-    keep = [replace(surface, vertices=np.where(_valid_mask(surface.vertices)[:, None], surface.vertices, np.nan))
+    keep = [replace(surface, vertices=np.where(valid_mask(surface.vertices)[:, None], surface.vertices, np.nan))
             for surface in surfaces]  # fmt: skip
     return sample_surfaces(keep, name), warnings
 
@@ -161,22 +198,13 @@ def _obj_vertices(folder: Folder, name: str, kind: str) -> Cloud:
     return Cloud(xyz)
 
 
-def _valid_mask(xyz: Floats) -> Bools:
-    """Return a mask (N,): True for points that are finite and within MAX_COORDINATE."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(xyz) <= MAX_COORDINATE).all(axis=1))
-
-
 def _drop_invalid(cloud: Cloud, name: str) -> tuple[Cloud, tuple[str, ...]]:
     """Remove invalid points; return the cloud and a warning. Raises CAPTURE_NOT_FINITE above MAX_BAD_SHARE."""
-    good = _valid_mask(cloud.xyz)
+    good = valid_mask(cloud.xyz)
     bad = len(good) - int(good.sum())
     if bad == 0:
         return cloud, ()
-    what = f"{bad:,} of {len(good):,} points have coordinates that are not finite or beyond {MAX_COORDINATE:,.0f} units"
-    if bad > MAX_BAD_SHARE * len(good):
-        raise CaptureError("CAPTURE_NOT_FINITE", what, file=name, hints=("export the capture again, in metres",))
-    return cloud.subset(good), (f"{name}: {what}; these points were dropped",)
+    return cloud.subset(good), (dropped_warning(bad, len(good), name),)
 
 
 def _check_shape(xyz: Floats, name: str) -> None:

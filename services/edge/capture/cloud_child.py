@@ -1,30 +1,60 @@
 """Child process that decodes one point cloud: `python -m services.edge.capture.cloud_child KIND FILE FOLDER BYTES`.
 
-It writes the points, and their colours if there are any, to FOLDER, with at most BYTES of address space.
+It writes the points, and their colours if there are any, to FOLDER, part by part, with at most BYTES of address space.
 """
 
 from __future__ import annotations
 
 import resource
 import sys
+from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from services.edge.arrays import Floats
 from services.edge.capture import e57, las
 from services.edge.capture.cloud_process import COLOURS, POSITIONS
 from services.edge.child_process import set_up_child
 
-_DECODERS = {"LAZ": las.decode_points, "E57": e57.decode_points}
+_DECODERS = {"LAZ": las.iter_points, "E57": e57.iter_points}
 
 
 def main(kind: str, file: Path, folder: Path, limit_bytes: int) -> None:
     """Decode `file` into `folder` with at most `limit_bytes` of address space; every failure is a non-zero exit."""
     resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, limit_bytes))
-    xyz, rgb = _DECODERS[kind](file)
-    np.save(folder / POSITIONS, xyz)
-    if rgb is not None:
-        np.save(folder / COLOURS, rgb)
+    save_parts(_DECODERS[kind](file), folder)
+
+
+def save_parts(parts: Iterable[tuple[Floats, NDArray[Any] | None]], folder: Path) -> None:
+    """Write parts of points, and of their colours where all have them, to two .npy files."""
+    count, coloured, kind = 0, True, np.dtype(np.uint8)
+    with ExitStack() as files:
+        raw = [files.enter_context((folder / f"{name}.raw").open("wb")) for name in (POSITIONS, COLOURS)]
+        for xyz, colours in parts:
+            np.ascontiguousarray(xyz, np.float64).tofile(raw[0])
+            coloured = coloured and colours is not None
+            if colours is not None and coloured:
+                kind = colours.dtype
+                np.ascontiguousarray(colours).tofile(raw[1])
+            count += len(xyz)
+    _add_header(folder / POSITIONS, np.dtype(np.float64), count)
+    if coloured:
+        _add_header(folder / COLOURS, kind, count)
+
+
+def _add_header(path: Path, kind: np.dtype[Any], count: int) -> None:
+    """Make a .npy of the raw rows (count,3) beside it."""
+    raw = path.with_name(f"{path.name}.raw")
+    with path.open("wb") as stream, raw.open("rb") as rows:
+        header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": (count, 3)}
+        np.lib.format.write_array_header_1_0(stream, header)
+        while block := rows.read(1 << 22):
+            stream.write(block)
+    raw.unlink()
 
 
 if __name__ == "__main__":

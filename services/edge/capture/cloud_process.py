@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tempfile
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +17,8 @@ from services.edge.arrays import Floats, Tick
 from services.edge.capture.colours import rgb8
 from services.edge.capture.files import unreadable
 from services.edge.capture.nouns import Cloud
+from services.edge.capture.raw_parts import PART, RawPart, RawParts
+from services.edge.capture.tables import MAX_POINTS
 from services.edge.child_process import ChildError, run_child
 from services.edge.errors import CaptureError
 
@@ -34,26 +39,70 @@ def decode_in_child(
     """
     with tempfile.TemporaryDirectory(prefix="cloud-") as name:
         folder = Path(name)
-        module, limit = "services.edge.capture.cloud_child", str(_CHILD_BYTES)
-        command = [sys.executable, "-m", module, kind, str(path.resolve()), name, limit]
-        try:
-            run_child(command, f"the {kind} decoder", folder / "log", tick, most_seconds=_CHILD_SECONDS)
-        except ChildError as error:
-            if error.too_slow:
-                what = f"takes too long to decode: more than {_CHILD_SECONDS:.0f} s"
-                raise CaptureError("CAPTURE_TOO_LARGE", what, file=file) from None
-            raise unreadable(file, f"is not a readable {kind} (its points are damaged)") from None
+        _decode(kind, path, file, folder, tick, _CHILD_SECONDS)
         colours = folder / COLOURS
         return np.load(folder / POSITIONS), np.load(colours) if colours.exists() else None
+
+
+def _decode(kind: str, path: Path, file: str, folder: Path, tick: Tick, most_seconds: float) -> None:
+    """Run the child, which writes POSITIONS and COLOURS to `folder`."""
+    module, limit = "services.edge.capture.cloud_child", str(_CHILD_BYTES)
+    command = [sys.executable, "-m", module, kind, str(path.resolve()), str(folder), limit]
+    try:
+        run_child(command, f"the {kind} decoder", folder / "log", tick, most_seconds=most_seconds)
+    except ChildError as error:
+        if error.too_slow:
+            what = f"takes too long to decode: more than {most_seconds:.0f} s"
+            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file) from None
+        raise unreadable(file, f"is not a readable {kind} (its points are damaged)") from None
+
+
+def decode_to_disk(kind: Literal["LAZ", "E57"], path: Path, file: str, count: int, tick: Tick) -> RawParts:
+    """Decode a large cloud in a child process to files of a temporary folder, which is removed with the last reader.
+
+    Raises as `decode_in_child` does, of which it takes as many times the seconds as it has more points.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="cloud-"))
+    try:
+        _decode(kind, path, file, folder, tick, _CHILD_SECONDS * max(1.0, count / MAX_POINTS))
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    positions, colours = folder / POSITIONS, folder / COLOURS
+    decoded = len(np.load(positions, mmap_mode="r"))  # fewer than announced where a scanner saw nothing
+
+    def read() -> Iterator[RawPart]:
+        for start in range(0, decoded, PART):
+            yield RawPart(_rows(positions, start), _rows(colours, start) if colours.exists() else None)
+
+    weakref.finalize(read, shutil.rmtree, folder, ignore_errors=True)
+    return RawParts(decoded, read)
+
+
+def _rows(path: Path, start: int) -> NDArray[Any]:
+    """One part of a .npy, by a map of its own, whose pages are freed with it."""
+    return np.array(np.load(path, mmap_mode="r")[start : start + PART])
 
 
 def near_origin(xyz: Floats, rgb: NDArray[Any] | None, file: str) -> tuple[Cloud, tuple[str, ...]]:
     """Return the cloud and warnings; georeferenced coordinates (N,3) are moved near the origin to keep precision."""
     finite = xyz[np.isfinite(xyz).all(axis=1)]
     colours = None if rgb is None else rgb8(rgb)
-    if not len(finite) or np.abs(finite).max() < _FAR:
+    origin = georeferenced_origin(finite.min(axis=0), finite.max(axis=0)) if len(finite) else None
+    if origin is None:
         return Cloud(xyz, colours), ()
-    origin = np.floor(finite.min(axis=0))
+    return Cloud(xyz - origin, colours), (moved_warning(origin, file),)
+
+
+def georeferenced_origin(low: Floats, high: Floats) -> Floats | None:
+    """Return what to subtract from coordinates between low and high (3,), where they are georeferenced; else None."""
+    if not max(np.abs(low).max(), np.abs(high).max()) >= _FAR or not np.isfinite(low).all():
+        return None
+    origin: Floats = np.floor(low)
+    return origin
+
+
+def moved_warning(origin: Floats, file: str) -> str:
+    """Return the warning that `origin` was subtracted."""
     moved = ", ".join(f"{value:.0f}" for value in origin)
-    warning = f"{file}: coordinates are georeferenced; ({moved}) was subtracted from every point"
-    return Cloud(xyz - origin, colours), (warning,)
+    return f"{file}: coordinates are georeferenced; ({moved}) was subtracted from every point"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.capture.cloud_process import decode_in_child, near_origin
+from services.edge.capture.cloud_process import decode_in_child, decode_to_disk, near_origin
 from services.edge.capture.files import unreadable
 from services.edge.capture.nouns import Cloud
-from services.edge.capture.tables import MAX_POINTS, too_many_points, truncated
+from services.edge.capture.raw_parts import LARGE, RawParts
+from services.edge.capture.tables import MAX_PARTED_POINTS, MAX_POINTS, too_many_points, truncated
 from services.edge.errors import CaptureError
 
 MAGIC = b"ASTM-E57"
@@ -45,6 +47,16 @@ def read_e57(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
     return near_origin(*decode_in_child("E57", path, file, tick), file)
 
 
+def e57_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
+    """All scans of an E57 in parts; None where they have no more points than `read_e57` reads at once."""
+    count = sum(_record_counts(path, file)) if find_spec("pye57") else 0
+    if count <= LARGE:
+        return None
+    if count > MAX_PARTED_POINTS:
+        raise too_many_points(count, file, MAX_PARTED_POINTS)
+    return decode_to_disk("E57", path, file, count, tick)
+
+
 def _record_counts(path: Path, file: str) -> list[int]:
     """Return the number of points of each scan, from the XML, after checking the header against the file's size."""
     size = path.stat().st_size
@@ -66,19 +78,19 @@ def _record_counts(path: Path, file: str) -> list[int]:
     return [int(count) for count in scans]
 
 
-def decode_points(path: Path) -> tuple[Floats, NDArray[Any] | None]:
-    """Decode xyz (N,3) float64 of all scans in the file's frame, and colours (N,3) uint8 if every scan has them.
+def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:
+    """Decode scan by scan: xyz (N,3) float64 in the file's frame, and colours (N,3) uint8 or None.
 
     Raises what pye57 raises.
     """
     import pye57
 
     with pye57.E57(str(path)) as reader:
-        scans = [_read_scan(reader, number) for number in range(reader.scan_count)]
-    xyz = np.concatenate([np.stack([scan[axis] for axis in _AXES], axis=1) for scan in scans])
-    if not all(set(_CHANNELS) <= scan.keys() for scan in scans):
-        return xyz, None
-    return xyz, np.concatenate([np.stack([scan[channel] for channel in _CHANNELS], axis=1) for scan in scans])
+        for number in range(reader.scan_count):
+            scan = _read_scan(reader, number)
+            coloured = set(_CHANNELS) <= scan.keys()
+            colours = np.stack([scan[channel] for channel in _CHANNELS], axis=1) if coloured else None
+            yield np.stack([scan[axis] for axis in _AXES], axis=1), colours
 
 
 def _read_scan(reader: Any, number: int) -> dict[str, NDArray[Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Floats, Tick, no_tick
-from services.edge.capture.cloud_process import decode_in_child, near_origin
+from services.edge.capture.cloud_process import decode_in_child, decode_to_disk, near_origin
 from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
-from services.edge.capture.tables import MAX_POINTS, too_many_points, truncated
+from services.edge.capture.raw_parts import LARGE, RawPart, RawParts
+from services.edge.capture.tables import MAX_PARTED_POINTS, MAX_POINTS, too_many_points, truncated
 from services.edge.errors import CaptureError
 
 _CHUNK_BYTES = 64 * 2**20  # of records decoded at a time: a truncated file fails before all points are allocated
@@ -34,16 +36,43 @@ def read_las(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
     return near_origin(xyz, rgb, file)
 
 
-def _check_header(path: Path, file: str) -> bool:
+def las_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:
+    """The points of a LAS or LAZ in parts, in metres; None where it has no more than `read_las` reads at once.
+
+    A LAZ is decoded in a child process to the disk, as its decoder may abort. Errors as of `read_las`.
+    """
+    with translate_errors(file, "LAS"), path.open("rb") as stream:
+        count = _point_count(stream.read(375).ljust(375, b"\0"))
+    if count <= LARGE:
+        return None
+    compressed = _check_header(path, file, MAX_PARTED_POINTS)
+    if compressed:
+        return decode_to_disk("LAZ", path, file, count, tick)
+
+    def read() -> Iterator[RawPart]:
+        with translate_errors(file, "LAS"):
+            for xyz, colours in iter_points(path):
+                yield RawPart(xyz, colours)
+
+    return RawParts(count, read)
+
+
+def _point_count(head: bytes) -> int:
+    """Number of points that the first 375 bytes announce."""
+    (count,) = struct.unpack_from("<I", head, 107)
+    return int(max(count, struct.unpack_from("<Q", head, 247)[0])) if head[24:26] >= b"\x01\x04" else int(count)
+
+
+def _check_header(path: Path, file: str, most: int = MAX_POINTS) -> bool:
     """Check every count in the header against the file's size; return whether the points are compressed (LAZ)."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(375).ljust(375, b"\0")
     if size < _HEADER_BYTES:
         raise truncated(file, "is cut off inside the LAS header")
-    offset, vlrs, form, record, count = struct.unpack_from("<IIBHI", head, 96)
+    offset, vlrs, form, record = struct.unpack_from("<IIBH", head, 96)
+    count = _point_count(head)
     if head[24:26] >= b"\x01\x04":
-        count = max(count, struct.unpack_from("<Q", head, 247)[0])
         vlrs += struct.unpack_from("<I", head, 243)[0]
     compressed = bool(form & _COMPRESSED)
     if vlrs * _VLR_HEADER_BYTES > size or offset > size:
@@ -54,8 +83,8 @@ def _check_header(path: Path, file: str) -> bool:
         raise truncated(file, f"is cut off: its header announces {what}")
     if compressed:
         _check_chunk_table(path, offset, size, file)
-    if count > MAX_POINTS:
-        raise too_many_points(count, file)
+    if count > most:
+        raise too_many_points(count, file, most)
     if not 20 <= record <= _MAX_RECORD_BYTES:
         raise unreadable(file, f"has point records of {record} bytes; 20 to {_MAX_RECORD_BYTES} are possible")
     if count == 0:
@@ -79,17 +108,24 @@ def _check_chunk_table(path: Path, offset: int, size: int, file: str) -> None:
 
 def decode_points(path: Path) -> tuple[Floats, NDArray[Any] | None]:
     """Decode xyz (N,3) float64 and the colours (N,3) as stored, or None. Raises what laspy raises."""
+    chunks = list(iter_points(path))
+    xyz = np.concatenate([chunk[0] for chunk in chunks])
+    colours = [chunk[1] for chunk in chunks if chunk[1] is not None]
+    return xyz, np.concatenate(colours) if colours else None
+
+
+def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:
+    """Decode a file part by part: xyz (N,3) float64 and the colours (N,3) as stored, or None. Raises what laspy raises,
+    and ValueError where points are missing."""
     import laspy
 
     with laspy.open(path) as reader:
-        announced = reader.header.point_count
-        step = max(1, _CHUNK_BYTES // reader.header.point_format.size)
-        chunks = [_columns(chunk) for chunk in reader.chunk_iterator(step)]
-    xyz = np.concatenate([chunk[0] for chunk in chunks])
-    if len(xyz) != announced:
-        raise ValueError(f"its header announces {announced:,} points, but {len(xyz):,} are there")
-    colours = [chunk[1] for chunk in chunks if chunk[1] is not None]
-    return xyz, np.concatenate(colours) if colours else None
+        announced, found = reader.header.point_count, 0
+        for chunk in reader.chunk_iterator(max(1, _CHUNK_BYTES // reader.header.point_format.size)):
+            found += len(chunk)
+            yield _columns(chunk)
+    if found != announced:
+        raise ValueError(f"its header announces {announced:,} points, but {found:,} are there")
 
 
 def _columns(chunk: Any) -> tuple[Floats, NDArray[Any] | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal, Protocol
 
@@ -154,12 +154,25 @@ class Cloud:
 
 
 @dataclass(frozen=True, slots=True)
+class CloudParts:
+    """All points of a cloud that is too large to be in memory at once, in parts.
+
+    count  of all points
+    read   -> the parts, one after the other, with xyz, and rgb in all of them or in none; it can be called again
+    """
+
+    count: int
+    read: Callable[[], Iterator[Cloud]]
+
+
+@dataclass(frozen=True, slots=True)
 class Capture:
     """A capture that was read and validated.
 
     kind              "points" (cloud is set), "rgbd" (frames is not empty), "photos" (photos is not empty) or
                       "image" (photos has one photo)
     format            the detected format's name: "ply", "pcd", "record3d", "tum", ...
+    whole             all points where `cloud` holds only some of them
     verdicts          on the photos that could not be read
     metres_per_unit   metres per unit of the capture frame, as far as known
     scale_confidence  "metric" where format or sensor guarantee it, "unknown" for a bare cloud
@@ -173,6 +186,7 @@ class Capture:
     kind: CaptureKind
     format: str
     cloud: Cloud | None = None
+    whole: CloudParts | None = None
     frames: tuple[Frame, ...] = ()
     photos: tuple[Photo, ...] = ()
     verdicts: tuple[PhotoVerdict, ...] = ()

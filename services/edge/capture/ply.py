@@ -5,6 +5,7 @@ Every count in the header is checked against the file's size before anything is 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,15 @@ from services.edge.arrays import Ints
 from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.meshes import MAX_FACES, too_many_faces
 from services.edge.capture.nouns import Cloud
-from services.edge.capture.tables import MAX_POINTS, named_columns, too_many_points, truncated
+from services.edge.capture.raw_parts import LARGE, PART, RawPart, RawParts
+from services.edge.capture.tables import (
+    MAX_PARTED_POINTS,
+    MAX_POINTS,
+    named_columns,
+    raw_columns,
+    too_many_points,
+    truncated,
+)
 
 _HEADER_BYTES = 2**20  # limit of a header with its comments; real ones have a few hundred bytes
 _TYPES = {
@@ -66,6 +75,29 @@ def read_ply(path: Path, file: str) -> tuple[Cloud, Ints]:
         return _read_ascii(data[start:], elements, file)
 
 
+def ply_parts(path: Path, file: str) -> RawParts | None:
+    """The vertices of a binary PLY without faces, in parts; None for another, or for one that `read_ply` reads at once.
+
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+    """
+    with translate_errors(file, "PLY"), path.open("rb") as stream:
+        elements, order, start = _header(stream.read(_HEADER_BYTES), file)
+    first = elements[0] if elements else _PlyElement("", 0, ())
+    if not order or first.name != "vertex" or first.has_list or first.count <= LARGE:
+        return None
+    if any(each.name == "face" and each.count for each in elements):
+        return None
+    _check_counts(first, path.stat().st_size - start, order, file, MAX_PARTED_POINTS)
+    records = _record(first, order, {})
+
+    def read() -> Iterator[RawPart]:
+        for row in range(0, first.count, PART):
+            rows = np.fromfile(path, records, min(PART, first.count - row), offset=start + row * records.itemsize)
+            yield raw_columns({_ALIASES.get(name, name): rows[name] for name in rows.dtype.names or ()}, file)
+
+    return RawParts(first.count, read)
+
+
 def _header(head: bytes, file: str) -> tuple[list[_PlyElement], str, int]:
     """Parse the header: the elements, the byte order ("" is ASCII), and the offset of the data."""
     end = head.find(b"end_header")
@@ -94,14 +126,14 @@ def _property(words: list[str]) -> _Property:
     return _Property(words[1], _TYPES[words[0]])
 
 
-def _check_counts(element: _PlyElement, left: int, order: str, file: str) -> None:
-    """Raise CAPTURE_TRUNCATED when an element needs more bytes than are `left`; CAPTURE_TOO_LARGE above MAX_POINTS."""
+def _check_counts(element: _PlyElement, left: int, order: str, file: str, most: int = MAX_POINTS) -> None:
+    """Raise CAPTURE_TRUNCATED when an element needs more bytes than are `left`; CAPTURE_TOO_LARGE above `most`."""
     need = element.count * element.least_bytes(order)
     if need > left + 1:  # the last ASCII line may lack its newline
         what = f"{element.count:,} {element.name!r} records, at least {need:,} bytes, but only {left:,} bytes are left"
         raise truncated(file, f"is cut off: its header announces {what}")
-    if element.count > MAX_POINTS:
-        raise too_many_points(element.count, file)
+    if element.count > most:
+        raise too_many_points(element.count, file, most)
 
 
 def _read_binary(data: bytes, at: int, elements: list[_PlyElement], order: str, file: str) -> tuple[Cloud, Ints]:

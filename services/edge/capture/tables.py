@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from services.edge.arrays import Floats
 from services.edge.capture.colours import rgb8
 from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
+from services.edge.capture.raw_parts import LARGE, PART, RawPart, RawParts
 from services.edge.errors import CaptureError
 
+MAX_PARTED_POINTS = 200_000_000  # of files that are read in parts: 8 bytes each while a scene is sorted into tiles
 MAX_POINTS = 20_000_000  # 20 million points of 24 bytes are 480 MB; a phone's scan has one to five million
 _MAX_LINE = 10_000  # characters: NumPy takes 2.5 µs for each number, and a scan has tens of columns at most
 _XYZ = ("x", "y", "z")
@@ -22,12 +25,12 @@ _RGB = (("red", "green", "blue"), ("r", "g", "b"))
 _NORMAL = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 
 
-def too_many_points(count: int, file: str) -> CaptureError:
+def too_many_points(count: int, file: str, most: int = MAX_POINTS) -> CaptureError:
     """Return a CAPTURE_TOO_LARGE error for a file of `count` points."""
     hint = "downsample the point cloud, for example to a spacing of 1 mm"
     return CaptureError(
         "CAPTURE_TOO_LARGE",
-        f"has {count:,} points; at most {MAX_POINTS:,} points are read",
+        f"has {count:,} points; at most {most:,} points are read",
         file=file,
         hints=(hint,),
     )
@@ -74,6 +77,32 @@ def read_npy(path: Path, file: str) -> Cloud:
     if len(array) > MAX_POINTS:
         raise too_many_points(len(array), file)
     return _unnamed_columns(array.astype(np.float64))
+
+
+def npy_parts(path: Path, file: str) -> RawParts | None:
+    """The points of a .npy in parts, by the names of its fields or its first three columns; None for other arrays."""
+    array = npy_array(path, file)
+    if len(array) <= LARGE or (array.dtype.fields is None and (array.ndim != 2 or array.shape[1] < 3)):
+        return None
+    if len(array) > MAX_PARTED_POINTS:
+        raise too_many_points(len(array), file, MAX_PARTED_POINTS)
+
+    def read() -> Iterator[RawPart]:
+        for start in range(0, len(array), PART):
+            rows = np.array(npy_array(path, file)[start : start + PART])  # a map of its own: its pages are freed
+            if rows.dtype.fields is None:
+                cloud = _unnamed_columns(rows.astype(np.float64))
+                yield RawPart(cloud.xyz, cloud.rgb)
+            else:
+                yield raw_columns({name.lower(): rows[name].reshape(-1) for name in rows.dtype.names or ()}, file)
+
+    return RawParts(len(array), read)
+
+
+def raw_columns(columns: dict[str, NDArray[Any]], file: str) -> RawPart:
+    """Coordinates, and colours as stored, of named columns of equal length."""
+    _require_xyz(columns, file)
+    return RawPart(np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1), _first_present(columns, _RGB))
 
 
 def looks_numeric(head: str) -> bool:
@@ -147,8 +176,7 @@ def _column_names(lines: list[str], file: str) -> list[str] | None:
 
 def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
     """Make a cloud from named columns of equal length; PLY, PCD, .npy and tables share these names."""
-    if not all(name in columns for name in _XYZ):
-        raise unreadable(file, f"has no columns x, y and z; its columns are {', '.join(list(columns)[:12])}")
+    _require_xyz(columns, file)
     xyz = np.stack([columns[name].astype(np.float64) for name in _XYZ], axis=1)
     colours = _first_present(columns, _RGB)
     normals = _first_present(columns, _NORMAL)
@@ -157,6 +185,11 @@ def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
         rgb8(colours) if colours is not None else None,
         unit_normals(normals) if normals is not None else None,
     )
+
+
+def _require_xyz(columns: dict[str, NDArray[Any]], file: str) -> None:
+    if not all(name in columns for name in _XYZ):
+        raise unreadable(file, f"has no columns x, y and z; its columns are {', '.join(list(columns)[:12])}")
 
 
 def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, ...], ...]) -> NDArray[Any] | None:

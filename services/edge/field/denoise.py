@@ -74,16 +74,18 @@ class Sheets:
     sigma: Floats
 
 
-def denoise(xyz_unit: Floats, noise: Noise, tick: Tick = no_tick) -> Floats:
+def denoise(xyz_unit: Floats, noise: Noise, tick: Tick = no_tick, *, anchors: Ints | None = None) -> Floats:
     """Remove the noise of points (N,3) in the unit frame -> (N,3) float64 in the same order.
 
+    anchors: indices of the noisy points with a quadric of their own; None: some of them, at random.
     Clean clouds come back unchanged. `tick` is called between chunks, on the caller's thread; its errors pass through.
     """
     xyz = np.array(xyz_unit, np.float64)
     noisy = np.flatnonzero(noise.share > 0)
     if len(noisy) == 0:
         return xyz
-    anchors = np.sort(np.random.default_rng(_SEED).permutation(noisy)[:ANCHORS])
+    if anchors is None:
+        anchors = np.sort(np.random.default_rng(_SEED).permutation(noisy)[:ANCHORS])
     sheets = _fit_sheets(anchors, xyz, cKDTree(xyz), noise, lambda part: tick(part * FIT_SHARE))
     near = cKDTree(sheets.anchor)
     smooth = xyz.copy()

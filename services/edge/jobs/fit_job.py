@@ -154,8 +154,8 @@ class FieldFitter:
         return self._bytes(self._presets[manifest["preset"]], int(manifest["points"]))
 
     def _bytes(self, preset: Preset, points: int) -> int:
-        """Memory that a preset's fit takes; 0 where nothing is trained, because the preview is finished by then."""
-        return memory_bytes(preset, points, self._device.name) if preset.fit else 0
+        """Memory that a preset's fit or tiles take; 0 where neither follows the preview, which is finished by then."""
+        return memory_bytes(preset, points, self._device.name) if preset.fit or preset.tiled else 0
 
 
 def to_wire(progress: Progress) -> pb.Progress:

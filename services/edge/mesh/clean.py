@@ -94,10 +94,10 @@ def clean(
     mesh, border = _drop_specks(mesh, support, speck, dropped)
     mesh, _ = _close_gaps(mesh, border, support, Gaps(AFTER * pin_hole, SLIT_AFTER, tear), part_of(tick, 0.75, 0.8))
     mesh, _ = _drop_specks(mesh, support, speck, dropped)  # closing gaps may cut crumbs off
-    mesh = orient(compact(mesh), part_of(tick, 0.8, 0.9))
+    mesh = orient(mesh, part_of(tick, 0.8, 0.9))
     mesh = _tighten_fins(mesh, support)
     tick(0.95)
-    mesh = _smooth(mesh)
+    mesh = compact(_smooth(mesh))  # not before: the support knows vertices by their numbers
     tick(1)
     return mesh
 

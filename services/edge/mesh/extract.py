@@ -38,7 +38,23 @@ def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick =
     near = np.asarray(near, np.float64)
     grid = grid_around(near, resolution)
     floor = floor_of(distance, near, part_of(tick, 0, FLOOR_SHARE))
-    read = _coarse_first(distance, near, grid, floor, part_of(tick, FLOOR_SHARE, COARSE_SHARE))
+    coarser = 0
+    while np.ptp(near, axis=0).max() >= COARSEST * 2 ** (coarser + 1) * grid.side:
+        coarser += 1
+    return extract_on_grid(distance, near, grid, floor=floor, coarser=coarser, tick=part_of(tick, FLOOR_SHARE, 1))
+
+
+def extract_on_grid(
+    distance: DistanceFn, near: Floats, grid: Grid, *, floor: float = 0.0, coarser: int = 0, tick: Tick = no_tick
+) -> Mesh:
+    """Mesh the zero set of a field on a grid that is given, as `extract` does on one that it makes.
+
+    floor    the field's value where it should be 0
+    coarser  how many grids of 2, 4, … times the cell side are cached first
+
+    With equal grids, floors and caches two parts of one scene have the same vertices where both see the same points.
+    """
+    read = _coarse_first(distance, near, grid, floor, coarser, part_of(tick, 0, COARSE_SHARE))
     band = walk(read, near, grid, floor, part_of(tick, COARSE_SHARE, WALK_SHARE))
     crossings = find_crossings(band, grid)
     del band
@@ -49,12 +65,12 @@ def extract(distance: DistanceFn, near: Floats, *, resolution: int, tick: Tick =
     return Mesh(vertices, triangles(vertices, quads, crossings.normal))
 
 
-def _coarse_first(distance: DistanceFn, near: Floats, grid: Grid, floor: float, tick: Tick) -> DistanceFn:
+def _coarse_first(distance: DistanceFn, near: Floats, grid: Grid, floor: float, coarser: int, tick: Tick) -> DistanceFn:
     """Return the field with a cache: interpolated on grids of 2, 4, … times the cell side, where they are smooth."""
-    coarse = Grid(grid.origin, 2 * grid.side)
-    if np.ptp(near, axis=0).max() < COARSEST * coarse.side:
+    if coarser == 0:
         return distance
-    read = _coarse_first(distance, near, coarse, floor, part_of(tick, 0, COARSE_SHARE))
+    coarse = Grid(grid.origin, 2 * grid.side)
+    read = _coarse_first(distance, near, coarse, floor, coarser - 1, part_of(tick, 0, COARSE_SHARE))
     return with_cache(smooth_cells(walk(read, near, coarse, floor, part_of(tick, COARSE_SHARE, 1)), coarse), distance)
 
 

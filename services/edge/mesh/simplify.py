@@ -51,6 +51,9 @@ _ANY_ERROR = 1e3  # in extents: the face budget decides, not the error
 Collapse = Callable[[Mesh, int], Mesh]
 """A mesh and a face budget that it exceeds -> a coarser mesh; colours may guide it, the result needs none."""
 
+Hold = Callable[[Mesh], Bools]
+"""Mask (V,) of a mesh's vertices that must stay where they are, as those along a seam to another tile."""
+
 
 def lods(
     mesh: Mesh, budgets: Sequence[int] = BUDGETS, *, binding: bool = False, tick: Tick = no_tick
@@ -78,7 +81,13 @@ def lods(
 
 
 def simplify(
-    mesh: Mesh, faces: int, *, binding: bool = False, collapse: Collapse | None = None, tick: Tick = no_tick
+    mesh: Mesh,
+    faces: int,
+    *,
+    binding: bool = False,
+    collapse: Collapse | None = None,
+    hold: Hold | None = None,
+    tick: Tick = no_tick,
 ) -> Mesh:
     """The mesh with at most `faces` faces, or as few as its borders allow; the same mesh if it has no more already.
 
@@ -86,48 +95,55 @@ def simplify(
     none: where nothing else helps, the mesh is cut there. Colours are averaged in linear light over the vertices that a
     kept vertex stands for. `collapse` is the best one installed unless given; `tick` is called before each that it
     makes, how many is not known. binding: openings close as soon as they keep the mesh above the budget, rather than
-    above half as much again. Raises ValueError for a budget below 1.
+    above half as much again. hold: vertices that stay, whatever the budget; without meshoptimizer all borders do.
+    Raises ValueError for a budget below 1.
     """
     if faces < 1:
         raise ValueError(f"a budget of {faces} faces leaves no mesh")
     if len(mesh.faces) <= faces:
         return mesh
     tick(0)
-    coarse = (collapse or _best_collapse(tick))(mesh, faces)
-    if len(coarse.faces) > (1.0 if binding else _OVER) * faces and faces >= _FORCED_FROM:
+    coarse = (collapse or _best_collapse(hold, tick))(mesh, faces)
+    if hold is None and len(coarse.faces) > (1.0 if binding else _OVER) * faces and faces >= _FORCED_FROM:
         forced = _forced(mesh, faces)
         coarse = forced if len(forced.faces) < len(coarse.faces) else coarse
     return coarse if mesh.rgb is None else _coloured(coarse, mesh)
 
 
-def _best_collapse(tick: Tick) -> Collapse:
+def _best_collapse(hold: Hold | None, tick: Tick) -> Collapse:
     try:
         import meshoptimizer  # noqa: F401 - asked only whether it is there and loads
     except (ImportError, OSError):
         return by_fast_simplification
-    return partial(by_meshoptimizer, tick=tick)
+    return partial(by_meshoptimizer, hold=hold, tick=tick)
 
 
-def by_meshoptimizer(mesh: Mesh, faces: int, tick: Tick = no_tick) -> Mesh:
+def by_meshoptimizer(mesh: Mesh, faces: int, hold: Hold | None = None, tick: Tick = no_tick) -> Mesh:
     """Simplify by collapses that keep a subset of the vertices; where they pinch it, vertices are locked or cut."""
     if len(mesh.faces) > _AT_ONCE and faces < _AT_ONCE // 2:
-        kept = _collapse(mesh, _AT_ONCE // 2, _loop_corners(mesh))
+        kept = _collapse(mesh, _AT_ONCE // 2, _locked(mesh, hold))
         tick(0)
         mesh = to_manifold(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
         tick(0)
     if seam_length(mesh.faces) <= _SEAM * faces:
-        return _held(mesh, faces, tick)
+        return _held(mesh, faces, hold, tick)
     turned = reseamed(mesh)
     if len(mesh.faces) > _BEFORE * faces:
-        kept = _collapse(turned, int(_BEFORE * faces), _loop_corners(mesh))
+        kept = _collapse(turned, int(_BEFORE * faces), _locked(mesh, hold))
         tick(0)
         turned = reseamed(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
-    return orient(_held(turned, faces, tick))
+    return orient(_held(turned, faces, hold, tick))
 
 
-def _held(mesh: Mesh, faces: int, tick: Tick) -> Mesh:
+def _locked(mesh: Mesh, hold: Hold | None) -> Bools:
+    """(V,) True at vertices that a collapse must leave: corners of the border, and those that are to be held."""
+    corners = _loop_corners(mesh)
+    return corners if hold is None else corners | hold(mesh)
+
+
+def _held(mesh: Mesh, faces: int, hold: Hold | None, tick: Tick) -> Mesh:
     """Collapse, with the vertices locked around which the surface would be pinched, or cut there if they are many."""
-    locked = _loop_corners(mesh)
+    locked = _locked(mesh, hold)
     allowed = len(crowded_edges(mesh.faces))
     kept = _collapse(mesh, faces, locked)
     while len(crowded := crowded_edges(kept)) > allowed:

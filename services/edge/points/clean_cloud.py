@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Tick, no_tick, pick
-from services.edge.capture.nouns import Capture, ScaleConfidence
+from services.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
 from services.edge.errors import CaptureError
 from services.edge.points.downsample import voxel_downsample, voxel_downsample_to
 from services.edge.points.nouns import Points
@@ -60,7 +60,15 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
         up=capture.up,
         up_source=None if capture.up is None else capture.up_source,
         warnings=capture.warnings + warnings,
+        whole=capture.whole or _whole(capture.cloud),
     )
+
+
+def _whole(cloud: Cloud) -> CloudParts | None:
+    """All points of a cloud in memory, where there are more than are kept."""
+    if len(cloud.xyz) <= MAX_POINTS:
+        return None
+    return CloudParts(len(cloud.xyz), lambda: iter((Cloud(cloud.xyz, cloud.rgb),)))
 
 
 def _remove_duplicates(xyz: Floats, rgb: Bytes | None) -> tuple[Floats, Bytes | None]:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
-from services.edge.capture.nouns import Cloud, Intrinsics, ScaleConfidence, UpSource
+from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, ScaleConfidence, UpSource
 
 Cut = Literal["auto", "object", "scene"]
 """auto: the object where photos were taken around one, else the scene; object: without what it stands on and what
@@ -75,6 +75,7 @@ class Points:
     unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing;
     held_out_views: pictures that neither points nor textures are made from, to compare the result with;
     cut: what was kept, None where there was no choice;
+    whole: all points of the capture where these are only some of them, and none were cut away;
     uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine.
     """
 
@@ -90,6 +91,7 @@ class Points:
     held_out_views: tuple[TextureView, ...] = ()
     cut: CutReport | None = None
     uncut: Cloud | None = None
+    whole: CloudParts | None = None
     up_source: UpSource | None = None
 
     def __len__(self) -> int:

@@ -1,7 +1,8 @@
 """Checkpoint files of fits, in the scratch folder that several workers share; they survive the death of a worker.
 
-One folder per job, one file per lease of the job. The lease with a newer fence takes the newest file over by renaming
-it, so that a worker that has lost its lease, and does not know it yet, writes to another name.
+One folder per job, one file per lease of the job, or a folder where a scene is made by tiles. The lease with a newer
+fence takes the newest of each over by renaming it, so that a worker that has lost its lease, and does not know it yet,
+writes to another name.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ KEEP_S = 24 * 3600.0
 """Seconds that a job's folder is kept after its last checkpoint: a worker that was down overnight can still resume."""
 
 _SUFFIX = ".checkpoint"
+_TAKEN = (_SUFFIX, ".tiles")  # suffixes of what a newer lease goes on from
 
 
 class CheckpointFiles:
@@ -30,28 +32,31 @@ class CheckpointFiles:
         folder = self._root / job
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         own = folder / f"{fence}{_SUFFIX}"
-        older = sorted((each, path) for each, path in _files(folder) if each < fence and path.suffix == _SUFFIX)
-        if older and not own.exists():
-            # Its writer may still be alive. It writes atomically by renaming, so this file stays complete, and the
-            # writer's next checkpoint gets the old name.
-            with suppress(FileNotFoundError):
-                older[-1][1].replace(own)
+        for suffix in _TAKEN:
+            older = sorted((each, path) for each, path in _files(folder) if each < fence and path.suffix == suffix)
+            if older and not own.with_suffix(suffix).exists():
+                # Its writer may still be alive. It writes atomically by renaming, so this file stays complete, and the
+                # writer's next checkpoint gets the old name; files of tiles it can write no more.
+                with suppress(FileNotFoundError):
+                    older[-1][1].replace(own.with_suffix(suffix))
         return own
 
     def drop(self, job: str, fence: int) -> None:
         """Remove the files of the job's leases up to this one; those of a newer lease stay."""
         folder = self._root / job
         for each, path in _files(folder):
-            if each <= fence:
+            if each <= fence and path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif each <= fence:
                 path.unlink(missing_ok=True)
         with suppress(OSError):  # not empty: a newer lease's file is in it
             folder.rmdir()
 
     def _prune(self) -> None:
-        """Remove the folders that are older than KEEP_S by their mtime, which every checkpoint renamed in updates."""
+        """Remove the folders that are older than KEEP_S by their mtime, which every file renamed in updates."""
         for folder in self._root.glob("*"):
             with suppress(FileNotFoundError):
-                if time.time() - folder.stat().st_mtime > KEEP_S:
+                if time.time() - max(each.stat().st_mtime for each in (folder, *folder.glob("*.tiles/*"))) > KEEP_S:
                     shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -143,7 +143,7 @@ def publish(
     if existing is not None and existing["fence"] >= fence and is_done:
         asset = _published_asset(key, existing)
     else:
-        files = [_put_content(store, key, file, data) for file, data in sorted(bundle.files.items())]
+        files = [_put_content(store, key, file, bundle.files[file]) for file in sorted(bundle.files)]
         manifest = _put_manifest(store, key, bundle, files)
         asset = _add_version(store, key, bundle, files, manifest, request)
     _move_alias(store, asset)

@@ -19,7 +19,7 @@ from PIL import Image
 from services.edge.capture.detect import read_capture
 from services.edge.capture.pcd import lzf_decompress
 from services.edge.capture.sample_surface import SAMPLES
-from services.edge.capture.tables import MAX_POINTS
+from services.edge.capture.tables import MAX_PARTED_POINTS
 from services.edge.errors import Cancelled
 from tests.support import captures
 from tests.support.patience import CANCEL_S
@@ -256,11 +256,11 @@ def test_an_obj_without_faces_is_a_cloud(tmp_path: Path) -> None:
 
 def test_the_limit_of_points_is_named(tmp_path: Path) -> None:
     """A sparse file of the right length costs no disk and is refused by its header."""
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {MAX_POINTS + 1}\n"
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {MAX_PARTED_POINTS + 1}\n"
     head += "property float x\nproperty float y\nproperty float z\nend_header\n"
     with (tmp_path / "huge.ply").open("wb") as stream:
         stream.write(head.encode())
-        stream.truncate(len(head) + 12 * (MAX_POINTS + 1))
-    with pytest.raises(Exception, match="20,000,001 points") as caught:
+        stream.truncate(len(head) + 12 * (MAX_PARTED_POINTS + 1))
+    with pytest.raises(Exception, match="200,000,001 points") as caught:
         read_capture(tmp_path)
     assert caught.value.code == "CAPTURE_TOO_LARGE"  # type: ignore[attr-defined]

@@ -1,0 +1,241 @@
+"""Reconstruct a large scene tile by tile: time and disk grow with its area, memory is that of one tile.
+
+1. sort    all points into tiles on disk, then thin each tile to a point per cell    (tile_points.py)
+2. mesh    every tile with its halo                                                  (mesh_tile.py)
+3. weld    each tile to its neighbours                                               (weld.py)
+4. level   colour, simplify and pack the tiles, then their ancestors                 (tile_levels.py)
+
+What is finished is on disk: a run that was killed goes on with the tiles that are missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import services
+from services.edge.arrays import Floats, Tick
+from services.edge.asset.photo_check import posed_picture
+from services.edge.asset.target import Target
+from services.edge.capture.nouns import Cloud, CloudParts
+from services.edge.errors import Cancelled, EdgeError
+from services.edge.export.ktx2 import EncodeKtx2
+from services.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
+from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.spacing import point_spacing
+from services.edge.points.nouns import Points
+from services.edge.preset import Preset
+from services.edge.progress import Bar, Clock, Progress
+from services.edge.tiles.folder import SceneFolder
+from services.edge.tiles.grid import SIDE, Tile, TileGrid, name_of, neighbours, tile_of
+from services.edge.tiles.mesh_tile import make_mesh
+from services.edge.tiles.tile_levels import LevelMaker, Node
+from services.edge.tiles.tile_points import bounds_of, noise_of_tiles, sort_into_tiles, thin_tile
+from services.edge.tiles.tile_views import TileViews
+from services.edge.tiles.weld import strip_of, weld
+
+TILE_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.1, "TEXTURING": 0.75, "PACKING": 0.97, "PUBLISHING": 0.99}
+"""Fraction of the pass at which each stage begins: measured on 4 million points of a flat."""
+TRIES = 3
+"""How often a tile is tried before the job fails."""
+FINEST_M = 0.01
+"""Least side of a cell in metres: a hand-held scan of a room is no more exact."""
+
+_MOST_CELLS = 2_000  # along the longest side of a scene whose size in metres is unknown
+_PROBES = 5_000  # points whose spacing is measured
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class TiledScene:
+    """A scene's tiles and their ancestors, on disk.
+
+    root   the coarsest one, with all others below; files: the contents by their names in the bundle
+    mesh   the coarsest one's mesh, asset frame
+    grid   of the cells
+    """
+
+    root: TilesetNode
+    files: Mapping[str, Path]
+    mesh: Mesh
+    grid: TileGrid
+    tiles: int
+    triangles: int
+    levels: int
+
+    @property
+    def manifest(self) -> dict[str, str | int]:
+        """The manifest's entry `tileset`."""
+        return {"file": TILESET_FILE, "tiles": self.tiles, "triangles": self.triangles, "levels": self.levels}
+
+    @property
+    def document(self) -> bytes:
+        """The tileset.json."""
+        return tileset_json(self.root)
+
+
+def reconstruct_tiles(
+    points: Points,
+    to_asset: Floats,
+    preset: Preset,
+    target: Target,
+    folder: Path,
+    clock: Clock,
+    bar: Bar,
+    *,
+    encode: EncodeKtx2 | None = None,
+    side: int = SIDE,
+) -> Generator[Progress, None, TiledScene]:
+    """Mesh all points of a capture tile by tile, and make the levels of detail; to_asset (4,4) from the capture frame.
+
+    folder  holds what is finished; the caller removes it once the result is published
+    side    cells along a side of a tile
+    Raises EdgeError TILE_FAILED, which names the tile, SCENE_TOO_LARGE, EXTRACTION_EMPTY; and Cancelled as `bar` does.
+    """
+    parts = points.whole or CloudParts(len(points), lambda: iter((Cloud(points.xyz, points.rgb),)))
+    files = SceneFolder(folder)
+    yield bar.begin("FITTING", f"{parts.count:,} points")
+    with clock("FITTING"):
+        tick = bar.tick("FITTING")
+        low, high = bounds_of(parts, to_asset, lambda done: tick(0.3 * done))
+        grid = choose_grid(points, parts.count, low, high, preset, side)
+        files.begin(_fingerprint(points, parts.count, to_asset, grid, target))
+        tiles = _sorted_tiles(parts, points, to_asset, grid, files, tick)
+        noise = noise_of_tiles(files, tiles)
+    yield bar.begin("EXTRACTING", f"{len(tiles):,} tiles of {grid.sides.max() * grid.cell:.2f} m")
+    with clock("EXTRACTING"):
+        yield from _each_tile(tiles, "EXTRACTING", bar, partial(_mesh_once, files, grid, noise))
+        _weld_all(files, grid, tiles, bar.tick("EXTRACTING"))
+    views = TileViews([posed_picture(view, to_asset) for view in points.texture_views])
+    levels = LevelMaker(files, grid, views, target, encode)
+    yield bar.begin("TEXTURING", f"{len(tiles):,} tiles")
+    with clock("TEXTURING"):
+        yield from _each_tile(tiles, "TEXTURING", bar, partial(_level_once, levels))
+        return _ancestors(levels, tiles, bar.tick("TEXTURING"))
+
+
+def choose_grid(points: Points, count: int, low: Floats, high: Floats, preset: Preset, side: int = SIDE) -> TileGrid:
+    """Choose the cells of a scene by the spacing of all its points, of which `points` are some; low, high (3,) metres.
+
+    A scene of known scale gets none finer than FINEST_M. A resolution that was asked for decides alone.
+    """
+    longest = float((high - low).max())
+    some = points.xyz[np.random.default_rng(0).permutation(len(points))[:_PROBES]]
+    spacing = float(np.median(point_spacing(some, cKDTree(points.xyz)))) * points.metres_per_unit
+    spacing *= min(len(points) / count, 1.0) ** 0.5
+    least = longest / _MOST_CELLS if points.scale_confidence == "unknown" else FINEST_M
+    cell = longest / preset.resolution if preset.resolution else max(spacing / preset.cells_per_spacing, least)
+    return TileGrid.over(low, high, cell, side)
+
+
+def _fingerprint(points: Points, count: int, to_asset: Floats, grid: TileGrid, target: Target) -> dict[str, object]:
+    """What a scene's files depend on: they are made anew where any of it differs."""
+    return {
+        "version": services.__version__,
+        "points": count,
+        "sample": hashlib.sha256(points.xyz.tobytes()).hexdigest(),
+        "to_asset": to_asset.tolist(),
+        "origin": grid.origin.tolist(),
+        "cell": grid.cell,
+        "sides": grid.sides.tolist(),
+        "target": target.name,
+    }
+
+
+def _sorted_tiles(
+    parts: CloudParts, points: Points, to_asset: Floats, grid: TileGrid, files: SceneFolder, tick: Tick
+) -> list[Tile]:
+    """Sort and thin all points, unless that is done -> the tiles that have any, in order."""
+    if files.tiles is None:
+        sort_into_tiles(parts, to_asset, grid, files, lambda done: tick(0.3 + 0.4 * done))
+    filled = [tile_of(name) for name in files.tiles or {}]
+    for number, tile in enumerate(filled):
+        if not files.path("points", name_of(tile)).exists():
+            thin_tile(files, grid, tile, coloured=points.rgb is not None)
+        tick(0.7 + 0.3 * number / len(filled))
+    return sorted(filled)
+
+
+def _each_tile(
+    tiles: Sequence[Tile], stage: str, bar: Bar, task: Callable[[Tile, Tick], None]
+) -> Generator[Progress, None, None]:
+    """Run a task for each tile, and again where it fails. Raises EdgeError TILE_FAILED where it fails every time."""
+    for number, tile in enumerate(tiles):
+        tick, share = bar.tick(stage), 1 / len(tiles)
+        yield bar.advance(stage, number * share, f"tile {number + 1} of {len(tiles)}")
+        with_retries(tile, partial(task, tile, _within(tick, number * share, share)))
+
+
+def _within(tick: Tick, begin: float, share: float) -> Tick:
+    return lambda done: tick(begin + share * done)
+
+
+def with_retries(tile: Tile, task: Callable[[], None]) -> None:
+    for attempt in range(1, TRIES + 1):
+        try:
+            return task()
+        except Cancelled:
+            raise
+        except Exception as error:  # noqa: BLE001 - a tile may fail in any way; the others must not be lost with it
+            reason = str(error) or type(error).__name__
+            _log.warning("tile %s: attempt %d of %d failed: %s", name_of(tile), attempt, TRIES, reason)
+    raise EdgeError(
+        "TILE_FAILED",
+        f"tile {name_of(tile)} of the scene failed {TRIES} times: {reason}",
+        hints=("send the scene without that part", "or use preset scene, which makes one coarser mesh"),
+    )
+
+
+def _mesh_once(files: SceneFolder, grid: TileGrid, noise: float, tile: Tile, tick: Tick) -> None:
+    if not files.path("mesh", name_of(tile)).exists():
+        make_mesh(files, grid, tile, noise, tick)
+
+
+def _weld_all(files: SceneFolder, grid: TileGrid, tiles: Sequence[Tile], tick: Tick) -> None:
+    """Weld all tiles that are not yet, one after the other."""
+    for tile in tiles:
+        if not files.path("welded", name_of(tile)).exists():
+            beside = [each for each in neighbours(tile) if each in tiles]
+            strips = [strip_of(files.load_mesh("welded", name_of(each)), grid, tile) for each in beside if each < tile]
+            mesh = weld(files.load_mesh("mesh", name_of(tile)), grid, tile, beside, strips)
+            files.save_mesh("welded", name_of(tile), mesh)
+        tick(1.0)
+
+
+def _level_once(levels: LevelMaker, tile: Tile, tick: Tick) -> None:
+    if not levels.is_made(Node(0, tile)):
+        levels.tile(tile, tick)
+
+
+def _ancestors(levels: LevelMaker, tiles: Sequence[Tile], tick: Tick) -> TiledScene:
+    """Make the ancestors of all tiles, level by level, up to a single one. Raises EdgeError EXTRACTION_EMPTY."""
+    nodes = [Node(0, tile) for tile in tiles]
+    nodes = [node for node in nodes if levels.figures(node).triangles]
+    if not nodes:
+        hints = ("capture the scene from closer and from more sides",)
+        raise EdgeError("EXTRACTION_EMPTY", "no surface was found in any tile of the scene", hints=hints)
+    every, triangles = list(nodes), sum(levels.figures(node).triangles for node in nodes)
+    tiles_made, children = len(nodes), dict[Node, list[Node]]()
+    while len(nodes) > 1:
+        for node in nodes:
+            children.setdefault(node.parent, []).append(node)
+        nodes = list(dict.fromkeys(node.parent for node in nodes))
+        for node in nodes:
+            if not levels.is_made(node):
+                levels.ancestor(node, children[node])
+            tick(1.0)
+        every += nodes
+    (root,) = nodes
+    paths = {node.file: levels.folder.path("level", node.name, ".glb") for node in every}
+    mesh = levels.folder.load_mesh("level", root.name)
+    tree = levels.tree(root, children)
+    files = {each.name: paths[each.file] for each in tree}
+    return TiledScene(tree, files, mesh, levels.grid, tiles_made, triangles, root.level + 1)

@@ -1,0 +1,126 @@
+"""Clouds of more than four million points: some are kept, all are read again in parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.edge.arrays import Floats, no_tick
+from services.edge.capture.cloud_parts import read_some
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture, Cloud
+from services.edge.capture.raw_parts import RawPart, RawParts
+from services.edge.errors import CaptureError
+
+COUNT = 50_003
+GEOREFERENCED = np.array([500_000.0, 5_000_000.0, 100.0])
+
+
+@pytest.fixture
+def small_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reads files in parts from fewer points on, because one of four million takes seconds to write."""
+    for module in ("las", "ply", "cloud_parts"):
+        monkeypatch.setattr(f"services.edge.capture.{module}.LARGE", 20_000)
+
+
+def square(count: int) -> Floats:
+    """Points (N,3) of a flat square of 40 m, row by row."""
+    side = int(count**0.5) + 1
+    row, column = np.divmod(np.arange(count), side)
+    return np.stack([40 * column / side, 40 * row / side, 0.1 * np.sin(column / 50)], axis=1)
+
+
+def raw(xyz: Floats, colours: np.ndarray[tuple[int, int], np.dtype[np.uint16]] | None = None) -> RawParts:
+    def read() -> Iterator[RawPart]:
+        for rows in np.array_split(np.arange(len(xyz)), 3):
+            yield RawPart(xyz[rows], None if colours is None else colours[rows])
+
+    return RawParts(len(xyz), read)
+
+
+def everything(capture: Capture) -> Cloud:
+    assert capture.whole is not None
+    parts = list(capture.whole.read())
+    colours = [part.rgb for part in parts if part.rgb is not None]
+    return Cloud(np.concatenate([part.xyz for part in parts]), np.concatenate(colours) if colours else None)
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_a_large_ply_is_read_in_parts(tmp_path: Path) -> None:
+    xyz = square(COUNT)
+    records = np.zeros(
+        COUNT, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    )
+    for axis, name in enumerate("xyz"):
+        records[name] = xyz[:, axis]
+    records["green"] = 7
+    properties = "".join(f"property float {name}\n" for name in "xyz")
+    properties += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {COUNT}\n{properties}end_header\n"
+    path = tmp_path / "scan.ply"
+    path.write_bytes(head.encode() + records.tobytes())
+    capture = read_capture(path)
+    assert capture.cloud is not None
+    assert len(capture.cloud.xyz) == -(-COUNT // 3)
+    whole = everything(capture)
+    assert np.array_equal(whole.xyz, xyz.astype(np.float32))
+    assert whole.rgb is not None
+    assert (whole.rgb == (0, 7, 0)).all()
+
+
+@pytest.mark.usefixtures("small_is_large")
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_a_large_las_is_read_in_parts(tmp_path: Path, suffix: str) -> None:
+    import laspy
+
+    header = laspy.LasHeader(point_format=2, version="1.2")
+    header.scales, header.offsets = np.full(3, 1e-3), GEOREFERENCED
+    scan = laspy.LasData(header)
+    xyz = square(COUNT)
+    scan.x, scan.y, scan.z = (xyz + GEOREFERENCED).T
+    scan.red = scan.green = scan.blue = np.full(COUNT, 65_535, np.uint16)
+    scan.write(tmp_path / f"scan.{suffix}")
+    capture = read_capture(tmp_path / f"scan.{suffix}")
+    assert any("georeferenced" in warning for warning in capture.warnings)
+    whole = everything(capture)
+    assert len(whole.xyz) == COUNT
+    assert np.abs(whole.xyz - (xyz - np.floor(xyz.min(axis=0) + GEOREFERENCED) + GEOREFERENCED)).max() < 2e-3
+    assert whole.rgb is not None
+    assert (whole.rgb == 255).all()
+
+
+def test_invalid_points_are_left_out_of_every_part() -> None:
+    xyz = square(1_000)
+    xyz[::20] = np.nan
+    cloud, whole, warnings = read_some(raw(xyz), "scan.ply", no_tick)
+    assert len(cloud.xyz) == sum(len(part.xyz) for part in whole.read()) == 950
+    assert "dropped" in warnings[0]
+
+
+def test_too_many_invalid_points_are_an_error() -> None:
+    xyz = square(1_000)
+    xyz[::5] = np.inf
+    with pytest.raises(CaptureError, match="not finite") as error:
+        read_some(raw(xyz), "scan.ply", no_tick)
+    assert error.value.code == "CAPTURE_NOT_FINITE"
+
+
+def test_the_brightest_colour_of_all_parts_decides_the_range() -> None:
+    colours = np.full((900, 3), 200, np.uint16)
+    colours[-1] = 65_535
+    _, whole, _ = read_some(raw(square(900), colours), "scan.las", no_tick)
+    first = next(iter(whole.read()))
+    assert first.rgb is not None
+    assert (first.rgb == 1).all()
+
+
+def test_a_part_that_cannot_be_decoded_names_the_file() -> None:
+    def read() -> Iterator[RawPart]:
+        yield RawPart(square(100), None)
+        raise ValueError("the chunk is damaged")
+
+    with pytest.raises(CaptureError, match=r"scan.las: is not a readable point cloud \(the chunk is damaged\)"):
+        read_some(RawParts(200, read), "scan.las", no_tick)

@@ -1,0 +1,166 @@
+"""A scene of a few tiles from points to tileset: levels, seams, failures, cancelling, and going on after a kill -9."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.edge.arrays import no_tick
+from services.edge.asset.target import NO_TARGET
+from services.edge.capture.nouns import Cloud, CloudParts
+from services.edge.errors import Cancelled, EdgeError
+from services.edge.mesh.edges import border_edges
+from services.edge.points.nouns import Points
+from services.edge.preset import load_preset
+from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
+from services.edge.tiles.folder import SceneFolder
+from services.edge.tiles.scene import TILE_STARTS, TRIES, TiledScene, choose_grid, reconstruct_tiles, with_retries
+from services.edge.tiles.tile_points import bounds_of, sort_into_tiles
+from tests.edge.tiles.hall import hall
+from tests.support.patience import PATIENCE_S
+
+CELL_M = 0.01
+Made = tuple[TiledScene, list[Progress], Path]
+PRESET = load_preset("scene-tiles")
+
+
+def points() -> Points:
+    """The hall in metres, one cell to a centimetre, with colours."""
+    xyz = hall() * CELL_M
+    rgb = np.clip(60 + 100 * xyz, 0, 255).astype(np.uint8)
+    return Points(xyz, rgb, np.ones(len(xyz), np.float32), 1.0, "metric", np.array([0.0, 1, 0]))
+
+
+def run(folder: Path, watch: Watch = ignore_progress) -> tuple[TiledScene, list[Progress]]:
+    """Make the scene, in tiles of some 100 cells."""
+    bar = Bar(watch)
+    bar.set_range(TILE_STARTS, 0.0, 1.0)
+    steps = reconstruct_tiles(points(), np.eye(4), PRESET, NO_TARGET, folder, Clock(), bar, side=100)
+    said = []
+    while True:
+        try:
+            said.append(next(steps))
+        except StopIteration as ended:
+            return ended.value, said
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    folder = tmp_path_factory.mktemp("scene")
+    return *run(folder), folder
+
+
+def test_every_tile_and_ancestor_is_a_file(made: Made) -> None:
+    scene, _, _ = made
+    nodes = list(scene.root)
+    assert (scene.tiles, scene.levels) == (2, 2)
+    assert {node.name for node in nodes} == set(scene.files)
+    assert all(path.read_bytes().startswith(b"glTF") for path in scene.files.values())
+    assert json.loads(scene.document)["asset"]["version"] == "1.1"
+
+
+def test_an_ancestor_is_coarser_and_says_by_how_much(made: Made) -> None:
+    root = made[0].root
+    assert root.children
+    assert all(child.error_m == 0 for child in root.children)
+    assert 0 < root.error_m < CELL_M
+    assert len(made[0].mesh.faces) < made[0].triangles / 2
+
+
+def test_tiles_as_delivered_share_their_border_vertices(made: Made) -> None:
+    files = SceneFolder(made[2])
+    meshes = [files.load_mesh("level", name) for name in ("0-0-0-0", "0-1-0-0")]
+    left, right = ({tuple(place) for place in mesh.vertices[np.unique(border_edges(mesh.faces))]} for mesh in meshes)
+    assert len(left & right) > 50
+
+
+def test_progress_counts_tiles(made: Made) -> None:
+    said = [step.message for step in made[1] if step.stage == "EXTRACTING"]
+    assert said[-2:] == ["tile 1 of 2", "tile 2 of 2"]
+    fractions = [step.fraction for step in made[1]]
+    assert fractions == sorted(fractions)
+
+
+def test_points_may_come_in_parts(made: Made, tmp_path: Path) -> None:
+    whole = points()
+
+    def parts() -> Iterator[Cloud]:
+        for rows in np.array_split(np.arange(len(whole)), 7):
+            assert whole.rgb is not None
+            yield Cloud(whole.xyz[rows], whole.rgb[rows])
+
+    some = CloudParts(len(whole), parts)
+    low, high = bounds_of(some, np.eye(4), no_tick)
+    files = SceneFolder(tmp_path / "scene")
+    files.begin({})
+    sort_into_tiles(some, np.eye(4), choose_grid(whole, len(whole), low, high, PRESET, 100), files, no_tick)
+    assert files.tiles == SceneFolder(made[2]).tiles
+
+
+def test_a_cancelled_scene_stops_inside_a_tile(tmp_path: Path) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.stage == "EXTRACTING":
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        run(tmp_path / "scene", stop)
+    assert not list((tmp_path / "scene" / "mesh").glob("*.npz"))
+
+
+def test_a_tile_that_always_fails_is_named(tmp_path: Path, made: Made) -> None:
+    folder = tmp_path / "scene"
+
+    def spoil(progress: Progress) -> None:
+        if progress.stage == "EXTRACTING" and folder.exists():
+            (folder / "points" / "1-0-0.npz").write_bytes(b"a disk error")
+
+    with pytest.raises(EdgeError, match=r"tile [01]-0-0 of the scene failed 3 times") as error:
+        run(folder, spoil)
+    assert error.value.code == "TILE_FAILED"
+    assert error.value.hints
+
+
+def test_a_tile_is_tried_again() -> None:
+    tries = []
+
+    def fails_twice() -> None:
+        tries.append(1)
+        if len(tries) < TRIES:
+            raise MemoryError
+
+    with_retries((2, 0, 1), fails_twice)
+    assert len(tries) == TRIES
+
+
+def test_a_killed_run_goes_on_from_finished_tiles(tmp_path: Path, made: Made) -> None:
+    folder = tmp_path / "scene"
+    program = f"from pathlib import Path; from tests.edge.tiles.test_scene import run; run(Path({str(folder)!r}))"
+    first = folder / "mesh" / "0-0-0.npz"
+    with subprocess.Popen([sys.executable, "-c", program]) as child:
+        deadline = time.monotonic() + PATIENCE_S
+        while not first.exists() and child.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        child.send_signal(signal.SIGKILL)
+    finished = first.stat().st_mtime_ns
+    scene, _ = run(folder)
+    assert first.stat().st_mtime_ns == finished
+    assert {node.sha256 for node in scene.root} == {node.sha256 for node in made[0].root}
+
+
+def test_other_points_begin_anew(tmp_path: Path) -> None:
+    files = SceneFolder(tmp_path / "scene")
+    files.begin({"points": 1})
+    kept, other = files.path("mesh", "0-0-0"), {"points": 2}
+    kept.write_bytes(b"")
+    files.begin({"points": 1})
+    assert kept.exists()
+    files.begin(other)
+    assert not kept.exists()

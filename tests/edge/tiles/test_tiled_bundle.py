@@ -1,0 +1,96 @@
+"""The bundles of a capture that is meshed by tiles: a preview, then levels of detail of the whole and all tiles."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.edge.capture.nouns import Capture, Cloud
+from services.edge.errors import EdgeError
+from services.edge.pipeline import reconstruct
+from services.edge.preset import load_preset
+from services.edge.progress import Progress
+from services.edge.tiles.folder import tiles_folder
+from services.storage.bundle import Bundle, content_name, sha256_hex
+from services.storage.catalogue.publish import publish
+from services.storage.memory import MemoryStore
+from tests.edge.tiles.hall import hall
+
+pytestmark = pytest.mark.usefixtures("small_pictures")
+PRESET = load_preset("scene-tiles")
+
+
+def capture() -> Capture:
+    xyz = hall()
+    rgb = np.clip(60 + xyz, 0, 255).astype(np.uint8)
+    return Capture("points", "las", Cloud(xyz, rgb), scale_confidence="metric", up=np.array([0.0, 1, 0]))
+
+
+@pytest.fixture(scope="module")
+def bundles(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Bundle], MemoryStore]:
+    """What is yielded, published at once as a worker does."""
+    store, made = MemoryStore(), []
+    for step in reconstruct(capture(), PRESET, checkpoint=tmp_path_factory.mktemp("job") / "1.checkpoint"):
+        if isinstance(step, Bundle):
+            publish(step, store, key="hall", job="job")
+            made.append(step)
+    return made, store
+
+
+def test_a_preview_comes_before_the_tiles(bundles: tuple[list[Bundle], MemoryStore]) -> None:
+    preview, refined = bundles[0]
+    assert (preview.state, preview.last) == ("preview", False)
+    assert (refined.state, refined.last) == ("refined", True)
+    assert "tileset" not in preview.manifest
+    assert {"lod0.glb", "lod2.glb", "preview.png", "tileset.json"} <= set(refined.files)
+
+
+def test_the_manifest_counts_tiles(bundles: tuple[list[Bundle], MemoryStore]) -> None:
+    refined = bundles[0][1]
+    entry = refined.manifest["tileset"]
+    assert entry["file"] == "tileset.json"
+    assert entry["tiles"] >= 1
+    assert entry["triangles"] > refined.manifest["lods"][0]["triangles"] / 2
+
+
+def test_every_content_of_the_tileset_is_stored_beside_it(bundles: tuple[list[Bundle], MemoryStore]) -> None:
+    (_, refined), store = bundles
+    document = refined.files["tileset.json"]
+    root = json.loads(document)["root"]
+    stored = {head.name for head in store.list("assets/hall/")}
+    assert f"assets/hall/{content_name('tileset.json', sha256_hex(document))}" in stored
+    contents = [tile["content"]["uri"] for tile in _tiles(root) if "content" in tile]
+    assert contents
+    assert {f"assets/hall/{uri}" for uri in contents} <= stored
+
+
+def test_tiles_and_levels_of_detail_are_in_one_frame(bundles: tuple[list[Bundle], MemoryStore]) -> None:
+    refined = bundles[0][1]
+    x, z, y, *half = json.loads(refined.files["tileset.json"])["root"]["boundingVolume"]["box"]
+    low, high = np.array(refined.manifest["bounds_m"])
+    assert np.array([x, y, -z]) == pytest.approx((low + high) / 2, abs=0.3)
+    assert np.array([half[0], half[8], half[4]]) == pytest.approx((high - low) / 2, abs=0.3)
+
+
+def test_a_tile_that_fails_leaves_the_preview(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "1.checkpoint"
+    done: list[Bundle] = []
+
+    def spoil(progress: Progress) -> None:
+        if progress.stage == "EXTRACTING" and done:
+            for path in (tiles_folder(checkpoint) / "points").glob("*.npz"):
+                path.write_bytes(b"a disk error")
+
+    steps = reconstruct(capture(), PRESET, checkpoint=checkpoint, watch=spoil)
+    with pytest.raises(EdgeError, match=r"tile \d+-\d+-\d+ of the scene failed 3 times"):
+        done.extend(step for step in steps if isinstance(step, Bundle))
+    assert [bundle.state for bundle in done] == ["preview"]
+
+
+def _tiles(tile: dict[str, object]) -> list[dict[str, object]]:
+    below = tile.get("children", [])
+    assert isinstance(below, list)
+    return [tile, *(each for child in below for each in _tiles(child))]
