@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from services.edge.arrays import Floats
 from services.edge.export.glb import to_glb
 from services.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
-from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.storage.bundle import Bundle, sha256_hex
 
 CELLS = 16  # along a tile's side, whatever its level
@@ -37,12 +39,13 @@ def hill_tree(
     low: Floats,
     size_m: float,
     cells: int = CELLS,
+    dress: Callable[[Mesh], Mesh | TexturedMesh] = lambda mesh: mesh,
     level: int = 0,
     place: tuple[int, int] = (0, 0),
 ) -> TilesetNode:
-    """The tree of tiles of a square; their contents go into `files`."""
+    """The tree of tiles of a square; their contents go into `files`, after `dress` has given them textures, say."""
     mesh = hill_tile(low, size_m, cells)
-    glb = to_glb(mesh, "meshopt")
+    glb = to_glb(dress(mesh), "meshopt", common_grid=True)
     half = size_m / 2
     children = tuple(
         hill_tree(
@@ -51,6 +54,7 @@ def hill_tree(
             low + half * np.array(at),
             half,
             cells,
+            dress,
             level + 1,
             (2 * place[0] + at[0], 2 * place[1] + at[1]),
         )
@@ -68,16 +72,21 @@ def hill_tree(
     return node
 
 
-def hill_bundle(levels: int = 3, size_m: float = 12.0, cells: int = CELLS) -> tuple[Bundle, TilesetNode]:
+def hill_bundle(
+    levels: int = 3,
+    size_m: float = 12.0,
+    cells: int = CELLS,
+    dress: Callable[[Mesh], Mesh | TexturedMesh] = lambda mesh: mesh,
+) -> tuple[Bundle, TilesetNode]:
     """A bundle of hills in tiles, with the usual levels of detail of the whole, and its tree."""
     low = np.full(2, -size_m / 2)
     files: dict[str, bytes] = {}
-    root = hill_tree(files, levels, low, size_m, cells)
+    root = hill_tree(files, levels, low, size_m, cells, dress)
     tiles = len(files)
     files[TILESET_FILE] = tileset_json(root)
     lods = []
-    for level, cells in enumerate((24, 12, 6)):
-        mesh = hill_tile(low, size_m, cells)
+    for level, coarse in enumerate((24, 12, 6)):
+        mesh = hill_tile(low, size_m, coarse)
         files[f"lod{level}.glb"] = to_glb(mesh, "meshopt")
         lods.append({"file": f"lod{level}.glb", "level": level, "triangles": len(mesh.faces)})
     size = root.high_m - root.low_m
