@@ -1,6 +1,6 @@
 """Minutes of walking through a scene in tiles, in an emulated headset: what the page keeps, and the first picture.
 
-The scene is hills of 64 m in 1,365 tiles of 2,048 triangles, 2.1 million at the finest, each with 512² texels of picture:
+The scene is hills of 64 m in 1,365 tiles of 2,048 triangles, 2.1 million at the finest, each with 512² texels:
 2 GB on the graphics card, were all of them kept. The wearer walks by thumbstick and turns now and then. Chromium draws
 in software on the same cores: frames are slow, bytes are what they are.
 """
