@@ -33,8 +33,7 @@ _KEY = "hills"
 _LEVELS, _SIZE_M, _CELLS = 6, 64.0, 32
 _LINK = {"offline": False, "latency": 20, "downloadThroughput": 20e6 / 8, "uploadThroughput": 5e6 / 8}
 _SAMPLE_S = 30.0
-_STRIDES = 40  # frames with the stick forward, before the wearer turns
-_TURN_EVERY = 6  # strides: a walk in a wide circle would see the same again
+_STRIDE = 40  # frames with the stick forward, 6 m at most, before the wearer turns by 30 degrees: a circle within the hills
 _PATIENCE_MS = 300_000
 
 
@@ -87,12 +86,9 @@ def _walk(context: BrowserContext, address: str, minutes: float) -> None:
     began = sampled = time.monotonic()
     _print(0.0, 0.0, page, devtools)
     walked, here = 0.0, _place(page)
-    strides = 0
     while time.monotonic() - began < 60 * minutes:
-        left.stick(0, -1, _STRIDES)
-        strides += 1
-        if strides % _TURN_EVERY == 0:
-            right.stick(1, 0, 2)
+        left.stick(0, -1, _STRIDE)
+        right.stick(1, 0, 2)
         before, here = here, _place(page)
         walked += float(np.hypot(*(here - before)[[0, 2]]))
         if time.monotonic() - sampled >= _SAMPLE_S:
