@@ -33,7 +33,7 @@ _KEY = "hills"
 _LEVELS, _SIZE_M, _CELLS = 6, 64.0, 32
 _LINK = {"offline": False, "latency": 20, "downloadThroughput": 20e6 / 8, "uploadThroughput": 5e6 / 8}
 _SAMPLE_S = 30.0
-_STRIDE = 40  # frames with the stick forward, 6 m at most, before the wearer turns by 30 degrees: a circle within the hills
+_STRIDE = 40  # frames with the stick forward, 6 m at most, before a turn by 30 degrees: a circle within the hills
 _PATIENCE_MS = 300_000
 
 
