@@ -264,6 +264,7 @@ def test_only_missing_cells_are_measured(tmp_path: Path, monkeypatch: pytest.Mon
     assert steps == [0, yardstick.STEPS, 7]
 
 
+@pytest.mark.usefixtures("data_dir")
 def test_cells_of_older_code_are_taken_over_only_if_a_sample_comes_out_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
