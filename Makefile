@@ -1,5 +1,6 @@
 # make demo         a simulated phone capture through everything, ending with the viewer's URL; CAPTURE=path takes your own
 # make test         everything that can be checked on this machine; FAST=1 leaves out browser, S3, Docker and what is slow
+# make test-compose the whole stack in a Docker engine of its own; as root, minutes. CAPTURE2VR_COMPOSE=folder keeps its images
 # make lint         ruff, mypy and the import contracts alone; eslint and the TypeScript compiler for the pages' JavaScript
 # make bench        all tables of tests/bench/README.md that need no data of others; hours. NAME alone: .venv/bin/python -m tests.bench NAME
 # make audit        ask OSV and npm whether a pinned version has a known vulnerability; says "not audited" where it cannot ask
@@ -22,7 +23,7 @@ FAST ?=
 KEY ?=
 export OMP_NUM_THREADS ?= 2
 
-.PHONY: help demo test lint setup test-setup bench audit sbom dist release proto drawing clean
+.PHONY: help demo test test-compose lint setup test-setup bench audit sbom dist release proto drawing clean
 .DEFAULT_GOAL := help
 
 help:
@@ -58,7 +59,10 @@ lint: .venv/.test-ready node_modules/.ready
 	node_modules/.bin/eslint --cache --cache-location node_modules/.cache/eslint/ --max-warnings 0 .
 
 test: lint
-	.venv/bin/pytest -n $(TEST_PROCESSES) $(if $(FAST),-m "not (browser or s3 or docker or slow)")
+	.venv/bin/pytest -n $(TEST_PROCESSES) $(if $(FAST),-m "not (browser or s3 or docker or slow or compose)")
+
+test-compose: .venv/.test-ready
+	.venv/bin/pytest -m compose -s tests/deploy/test_compose_stack.py
 
 bench: .venv/.test-ready
 	.venv/bin/python -m tests.bench all

@@ -5,6 +5,7 @@
 # machine already uses, checked by apt's signatures, and unpacked without being installed.
 set -euo pipefail
 dir=$(mkdir -p "$1" && cd "$1" && pwd)
+[[ ! -x $dir/cli-plugins/docker-compose ]] || exit 0
 apt=$dir/apt
 mkdir -p "$apt"/{lists/partial,cache/archives/partial,parts}
 mirror=$(grep -rhoE 'https?://[^ ]+/debian/?( |$)' /etc/apt/sources.list /etc/apt/sources.list.d 2>/dev/null | head -1 | tr -d ' ' || true)

@@ -165,7 +165,7 @@ def test_the_images_share_their_base() -> None:
 
 
 def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> None:
-    """slim.sh on a small tree: tests, headers and pip go, code and its data stay."""
+    """slim.sh on a small tree: tests, headers, bytecode and pip go, code and its data stay."""
     site = tmp_path / "lib" / "python3.11" / "site-packages"
     gone = [
         "numpy/tests/test_a.py",
@@ -174,10 +174,19 @@ def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> 
         "pip/a.py",
         "a/b.pxd",
         "botocore/data/ec2/1/service.json",
+        "numpy/__pycache__/a.pyc",
+        "torch/_VF.pyi",
+        "torch/_inductor/a.py",
+        "sympy/core/a.py",
+        "sympy-1.14.0.dist-info/METADATA",
+        "pygments/lexers/ruby.py",
+        "skimage/data/coins.png",
     ]
     kept = [
         "numpy/testing/a.py",
         "skimage/a.pyi",
+        "skimage/data/__init__.py",
+        "pygments/lexers/python.py",
         "torch/lib/a.py",
         "botocore/data/s3/1/service.json",
         "botocore/data/endpoints.json",
@@ -187,6 +196,28 @@ def test_what_the_images_leave_out_is_no_part_of_the_product(tmp_path: Path) -> 
         (site / name).write_text("")
     subprocess.run(["sh", ROOT / "deploy" / "slim.sh", tmp_path], check=True)
     assert sorted(path.relative_to(site).as_posix() for path in site.rglob("*") if path.is_file()) == sorted(kept)
+
+
+@pytest.mark.slow
+def test_an_encoder_that_the_images_leave_out_does_nothing(tmp_path: Path) -> None:
+    """What is linked to it loads, with the versions of its names, and gets 0 for an answer."""
+    if not (shutil.which("gcc") and shutil.which("strip")):
+        pytest.skip("a C compiler is missing")
+    folder = tmp_path / "lib" / "python3.11" / "site-packages" / "av.libs"
+    folder.mkdir(parents=True)
+    (folder / "x265.map").write_text("X265_1 { global: *; };")
+    build = ["gcc", "-xc", "-", "-shared", "-fPIC", "-Wl,-rpath,$ORIGIN", "-o"]
+    encoder, decoder = "libx265-1a2b.so.216", "libavcodec-1a2b.so.62"
+    for name, source, *flags in (
+        (encoder, "int encode(void) { return 7; }", f"-Wl,-soname,{encoder}", "-Wl,--version-script=x265.map"),
+        (decoder, "int encode(void); int ask(void) { return encode(); }", "-L.", f"-l:{encoder}"),
+    ):
+        subprocess.run([*build, name, *flags], input=source, text=True, cwd=folder, check=True)
+    ask = f"import ctypes; print(ctypes.CDLL('{folder / decoder}').ask())"
+    for answer in (7, 0):
+        asked = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True)
+        assert (asked.stdout, asked.stderr) == (f"{answer}\n", "")
+        subprocess.run(["sh", ROOT / "deploy" / "slim.sh", tmp_path], check=True)
 
 
 def test_the_worker_image_has_a_compiler_only_while_it_is_built() -> None:
@@ -275,6 +306,7 @@ def test_no_private_key_is_in_the_repository_or_can_get_into_an_image() -> None:
         "!LICENSE",
         "!services",
         "!deploy/slim.sh",
+        "!deploy/check_image.py",
     }
 
 
