@@ -22,7 +22,7 @@ WORKDIR /slim
 COPY deploy/slim.sh deploy/check_image.py ./
 # The pages are the gateway's alone.
 RUN sh slim.sh /venv && rm -r /venv/lib/python3*/site-packages/services/web && \
-    PATH=/venv/bin:$PATH python check_image.py edge
+    /venv/bin/python check_image.py edge
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home capture2vr

@@ -11,7 +11,7 @@ WORKDIR /slim
 COPY deploy/slim.sh deploy/check_image.py ./
 # The weights for single photos are a worker's alone.
 RUN sh slim.sh /venv && rm -r /venv/lib/python3*/site-packages/services/edge/single_photo/weights && \
-    PATH=/venv/bin:$PATH python check_image.py gateway
+    /venv/bin/python check_image.py gateway
 
 FROM python:3.11-slim
 RUN useradd --system --uid 10001 --create-home capture2vr
@@ -25,6 +25,6 @@ ENV PATH=/venv/bin:$PATH PYTHONUNBUFFERED=1 GATEWAY_HOST=0.0.0.0 GATEWAY_PORT=80
 USER 10001
 EXPOSE 8080
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=5s --timeout=3s --start-period=10s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8080/livez', timeout=2)"]
+HEALTHCHECK --interval=3s --timeout=3s --start-period=10s CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8080/livez', timeout=2)"]
 ENTRYPOINT ["capture2vr"]
 CMD ["gateway"]
