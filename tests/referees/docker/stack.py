@@ -21,7 +21,7 @@ from tests.referees.docker.stand_ins import VARIABLES
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 
-_POLL_S = 0.1
+_POLL_S = 0.3
 _STARTED_JOB = re.compile(r"job (\w+) starts")
 
 
@@ -53,6 +53,11 @@ class Stack:
 
     def down(self, *arguments: str) -> None:
         self.compose("down", "--remove-orphans", "-t", "5", *arguments)
+
+    def bucket_after(self) -> float:
+        """Seconds from the start of the store's container until the bucket was made in it."""
+        store, bucket = (self.inspect(self.compose("ps", "-aq", name).strip())["State"] for name in ("minio", "bucket"))
+        return (_moment(bucket["FinishedAt"]) - _moment(store["StartedAt"])).total_seconds()
 
     def containers(self, service: str) -> list[str]:
         """Ids of the running containers of a service."""
