@@ -162,7 +162,7 @@ def client(stack: Stack) -> Client:
 
 def test_images_are_small(stack: Stack, figures: Figures) -> None:
     edge, gateway, base = map(stack.image_bytes, ("capture2vr-edge", "capture2vr-gateway", "python:3.11-slim"))
-    figures.note("image of the worker, at most 1.2 GB", f"{edge / 1e9:.2f} GB")
+    figures.note("image of the worker, at most 1.2 GB", f"{edge / 1e6:.0f} MB")
     figures.note("image of the gateway, at most 300 MB", f"{gateway / 1e6:.0f} MB")
     figures.note("… of each the stand-in for python:3.11-slim", f"{base / 1e6:.0f} MB")
     assert edge <= _EDGE_BYTES
