@@ -82,9 +82,7 @@ def stack(engine: Engine, figures: Figures) -> Iterator[Stack]:
             figures.note(f"… container of `{service}` to its first good check", f"{made.healthy_after(service):.1f} s")
         yield made
     finally:
-        for service in ("gateway", "edge", "minio", "postgres", "cdn"):
-            for number, container in enumerate(made.containers(service)):
-                (engine.folder / f"{service}-{number}.log").write_text(made.logs(container))
+        (engine.folder / "stack.log").write_text(made.compose("logs", "--no-color"))
         made.down("-v")
 
 

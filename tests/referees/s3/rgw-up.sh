@@ -67,9 +67,10 @@ if [[ $known == no ]]; then
   ceph-osd -c "$conf" -i 0 --mkfs --osd-uuid "$uuid"
 fi
 setsid ceph-osd -c "$conf" -i 0 -f >"$dir/osd.out" 2>&1 & echo $! >"$dir/osd.pid"
-setsid radosgw -c "$conf" -n client.rgw -f >"$dir/rgw.out" 2>&1 & echo $! >"$dir/rgw.pid"
-for _ in $(seq 200); do curl -so /dev/null "http://127.0.0.1:$port" && break; sleep 0.3; done
+# Before the gateway answers, so that nobody is refused who comes early.
 [[ $known == yes ]] || radosgw-admin -c "$conf" -n client.rgw user create --uid capture2vr --display-name capture2vr \
   --access-key "$access" --secret "$secret"
+setsid radosgw -c "$conf" -n client.rgw -f >"$dir/rgw.out" 2>&1 & echo $! >"$dir/rgw.pid"
+for _ in $(seq 200); do curl -so /dev/null "http://127.0.0.1:$port" && break; sleep 0.3; done
 touch "$dir/made"
 echo "http://127.0.0.1:$port"
