@@ -1,8 +1,8 @@
 """Flats of 1 to 64 million points by tiles: time, memory, triangles, and distance from the true surface.
 
 A simulated flat with furniture (`tests/support/flats.py`) is scanned as a LAS file, some 24,000 points a square metre,
-reconstructed by preset scene-tiles in a process of its own, and its finest tiles are compared with the truth. Every size is kept
-when it is finished, and one that was cut off goes on from its finished tiles; `--show` only prints what is there.
+reconstructed by preset scene-tiles in a process of its own, and its finest tiles are compared with the truth. Every
+size is kept when it is finished, and one that was cut off goes on from its finished tiles; `--show` only prints.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class Flat:
             low, high = _box(patch)
             near = np.flatnonzero(((xyz > low - 0.2) & (xyz < high + 0.2)).all(axis=1))
             nearest[near] = np.minimum(nearest[near], _distance(patch, xyz[near]))
-        return np.minimum(nearest, 0.2)
+        return np.asarray(np.minimum(nearest, 0.2))
 
 
 def flat(rooms: int) -> Flat:

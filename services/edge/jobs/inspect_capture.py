@@ -134,7 +134,7 @@ def inspect(folder: Path, box: PhotoBox | None) -> pb.Inspection:
         kind=capture.kind,
         format=capture.format,
         frames=_frames(capture),
-        points=len(capture.cloud.xyz) if capture.cloud else 0,
+        points=capture.whole.count if capture.whole else len(capture.cloud.xyz) if capture.cloud else 0,
         warnings=(*capture.warnings, *(cut.warnings if cut else ())),
         outline=[pb.Polygon(xy=chain.from_iterable(line)) for line in (cut.outline() if cut else ())],
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from services.edge.tiles.folder import tiles_folder
 from services.edge.worker.checkpoint_files import KEEP_S, CheckpointFiles
 
 
@@ -31,6 +32,29 @@ def test_the_newest_is_taken_over_and_no_half_of_one(checkpoints: CheckpointFile
     half = checkpoints.take("job_1", 10).with_name("11.checkpoint.part")
     half.write_text("torn")
     assert checkpoints.take("job_1", 12).read_text() == "10"
+
+
+def test_finished_tiles_are_taken_over_with_the_checkpoint_and_go_with_it(
+    checkpoints: CheckpointFiles, tmp_path: Path
+) -> None:
+    tiles = tiles_folder(checkpoints.take("job_1", 1))
+    (tiles / "mesh").mkdir(parents=True)
+    (tiles / "mesh" / "0-0-0.npz").write_text("finished")
+    taken = tiles_folder(checkpoints.take("job_1", 2))
+    assert (taken / "mesh" / "0-0-0.npz").read_text() == "finished"
+    assert not tiles.exists()
+    checkpoints.drop("job_1", 2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tiles_that_are_still_made_are_kept(checkpoints: CheckpointFiles, tmp_path: Path) -> None:
+    tiles = tiles_folder(checkpoints.take("job_1", 1))
+    (tiles / "mesh").mkdir(parents=True)
+    long_ago = time.time() - 2 * KEEP_S
+    for folder in (tiles, tmp_path / "job_1"):
+        os.utime(folder, (long_ago, long_ago))
+    checkpoints.take("job_2", 1)
+    assert tiles.exists()
 
 
 def test_a_worker_that_was_cut_off_does_not_touch_its_successors(checkpoints: CheckpointFiles) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from services.storage.bundle import FilesOnDisk
 from services.storage.catalogue.entry import Entry, alias_name, list_keys, read_entry, valid_key
 from services.storage.catalogue.publish import StaleFence, publish
 from services.storage.local import LocalStore
@@ -77,6 +78,16 @@ def test_private_files_are_not_published(store: Store) -> None:
     assert not [name for name in objects if "photo" in name]
     assert not [name for name in objects if b"living room" in store.get(name) or b"photo-1" in store.get(name)]
     assert_whole(store, read_entry(store, "dress"))
+
+
+def test_files_on_disk_are_published_like_those_in_memory(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"a tile")
+    store, small = MemoryStore(), bundle()
+    files = FilesOnDisk(small.files, {"tile-0-0-0-0.glb": tmp_path / "a"})
+    assert len(files) == len(list(files)) == len(small.files) + 1
+    publish(replace(small, files=files), store, key="dress")
+    stored = {each["file"]: store.get(each["name"]) for each in read_entry(store, "dress").document["files"]}
+    assert stored == {**small.files, "tile-0-0-0-0.glb": b"a tile"}
 
 
 def test_files_are_immutable_and_pointers_are_not(store: Store) -> None:
