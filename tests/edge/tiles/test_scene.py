@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from scipy.spatial import cKDTree
 
 from services.edge.arrays import no_tick
 from services.edge.asset.target import NO_TARGET
@@ -21,10 +25,14 @@ from services.edge.mesh.edges import border_edges
 from services.edge.points.nouns import Points
 from services.edge.preset import load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
+from services.edge.render.posed_picture import PosedPicture
 from services.edge.tiles.folder import SceneFolder
 from services.edge.tiles.scene import TILE_STARTS, TRIES, TiledScene, choose_grid, reconstruct_tiles, with_retries
+from services.edge.tiles.tile_levels import LevelMaker
 from services.edge.tiles.tile_points import bounds_of, sort_into_tiles
+from services.edge.tiles.tile_views import TileViews
 from tests.edge.tiles.hall import hall
+from tests.referees.glb_reader import Glb
 from tests.support.patience import PATIENCE_S
 
 CELL_M = 0.01
@@ -76,10 +84,26 @@ def test_an_ancestor_is_coarser_and_says_by_how_much(made: Made) -> None:
 
 
 def test_tiles_as_delivered_share_their_border_vertices(made: Made) -> None:
-    files = SceneFolder(made[2])
-    meshes = [files.load_mesh("level", name) for name in ("0-0-0-0", "0-1-0-0")]
-    left, right = ({tuple(place) for place in mesh.vertices[np.unique(border_edges(mesh.faces))]} for mesh in meshes)
-    assert len(left & right) > 50
+    scene = made[0]
+    left, right = (Glb.of(scene.files[child.name].read_bytes()) for child in scene.root.children)
+    rims = [file.positions[np.unique(border_edges(file.faces.astype(np.int64)))].round(6) for file in (left, right)]
+    near = rims[0][cKDTree(rims[1]).query(rims[0])[0] < 0.3 * CELL_M]
+    assert len(near) > 50
+    assert {tuple(place) for place in near} <= {tuple(place) for place in rims[1]}
+
+
+def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: Path) -> None:
+    """A red picture from above, where all points are grey."""
+    shutil.copytree(made[2], tmp_path / "scene")
+    down = np.array([[1.0, 0, 0, -0.95], [0, 0, 1, -0.3], [0, -1, 0, 3], [0, 0, 0, 1]])
+    red = np.broadcast_to(np.array([200, 10, 10], np.uint8), (64, 64, 3))
+    picture = PosedPicture(down, np.array([1.0, 1]), np.array([0.5, 0.5]), lambda: red)
+    maker = LevelMaker(SceneFolder(tmp_path / "scene"), made[0].grid, TileViews([picture]), NO_TARGET)
+    maker.tile((0, 0, 0))
+    content = Glb.of((tmp_path / "scene" / "level" / "0-0-0-0.glb").read_bytes())
+    with Image.open(io.BytesIO(content.image)) as texture:
+        colours = np.asarray(texture.convert("RGB")).reshape(-1, 3)
+    assert (np.abs(colours - red[0, 0].astype(int)).max(axis=1) < 20).mean() > 0.3
 
 
 def test_progress_counts_tiles(made: Made) -> None:

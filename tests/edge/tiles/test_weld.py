@@ -54,7 +54,7 @@ def test_no_crack_runs_along_the_border(halls: Halls) -> None:
 
 def test_border_vertices_coincide(halls: Halls) -> None:
     left, right = (mesh.vertices[np.unique(border_edges(mesh.faces))] for mesh in (halls.left, halls.right))
-    seam = left[(np.abs(left[:, 0] - BORDER) < NEAR) & (cKDTree(right).query(left)[0] < 0.5)]
+    seam = left[(np.abs(left[:, 0] - BORDER) < NEAR) & (cKDTree(right).query(left)[0] < 0.3)]
     assert len(seam) > 100
     assert {tuple(place) for place in seam} <= {tuple(place) for place in right}
 
