@@ -32,11 +32,16 @@ UNIT = 512.0
 _EVEN = 8  # what a side is a multiple of, for the grids that the extraction caches
 _WIDEST = 1.25  # of SIDE: how much wider a tile may be, so that no sliver is left over at the end
 _MARGIN = (HALO // PAD + 2) * PAD  # cells below a tile's corner that its own grid may number
+_SHIFTS = range(0, 9 * _EVEN, _EVEN)  # cells by which the first tile may begin before the scene
+_BESIDE = 3.0  # cells from a border within which a wall would be cut to shreds by it
 _RIM = 2.5  # cells between the scene's box and the grid's ends
 _SHIFT = np.array([379, 420, 440]) / STEPS  # of the grid's corners, for the reason of `mesh.grid.SHIFT`
 
 Tile = tuple[int, int, int]
 """Place of a tile in the grid of tiles, along X, Y and Z."""
+
+
+_NOWHERE = np.empty((0, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +54,16 @@ class TileGrid:
     sides: Ints
 
     @classmethod
-    def over(cls, low: Floats, high: Floats, cell: float, side: int = SIDE) -> TileGrid:
-        """The grid of a box in metres, whose tiles have about `side` cells along each side, and none a sliver."""
+    def over(cls, low: Floats, high: Floats, cell: float, side: int = SIDE, some: Floats = _NOWHERE) -> TileGrid:
+        """The grid of a box in metres, whose tiles have about `side` cells along each side, and none a sliver.
+
+        some  (N,3) places of the scene: borders lie where few of them are, not along walls and floors
+        """
         extent = np.ceil((high - low) / cell) + 2 * _RIM
-        count = np.ceil(extent / (_WIDEST * side))
-        sides = _EVEN * np.ceil(extent / count / _EVEN).astype(np.int64)
-        return cls(low - _RIM * cell, cell, sides)
+        cells = (some - low) / cell + _RIM
+        cuts = [_cut_axis(float(extent[axis]), side, cells[:, axis]) for axis in range(3)]
+        shifts, sides = np.array(cuts, np.int64).T
+        return cls(low - (_RIM + shifts) * cell, cell, sides)
 
     def to_cells(self, xyz_m: Floats) -> Floats:
         """Transform places (N,3) from the asset frame to cells."""
@@ -91,6 +100,22 @@ class TileGrid:
                 for each in filled]  # fmt: skip
         keepers: Ints = np.argmin(np.stack(away), axis=0)
         return keepers
+
+
+def _cut_axis(extent: float, side: int, places: Floats) -> tuple[int, int]:
+    """Cut an axis of so many cells into tiles: cells that the first begins before it, and cells of each.
+
+    Of several ways the one with the fewest of the places (N,) beside the inner borders is chosen.
+    """
+    count = int(np.ceil(extent / (_WIDEST * side)))
+    best, fewest = (0, 0), np.inf
+    for shift in _SHIFTS if count > 1 else (0,):
+        wide = _EVEN * int(np.ceil((extent + shift) / count / _EVEN))
+        borders = wide * np.arange(1, count) - shift
+        beside = float((np.abs(places[:, None] - borders) < _BESIDE).sum())
+        if beside < fewest:
+            best, fewest = (shift, wide), beside
+    return best
 
 
 def neighbours(tile: Tile) -> Iterator[Tile]:

@@ -49,6 +49,7 @@ FINEST_M = 0.01
 """Least side of a cell in metres: a hand-held scan of a room is no more exact."""
 
 _MOST_CELLS = 2_000  # along the longest side of a scene whose size in metres is unknown
+_SOME = 100_000  # points by which borders are chosen
 _PROBES = 5_000  # points whose spacing is measured
 
 _log = logging.getLogger(__name__)
@@ -106,7 +107,7 @@ def reconstruct_tiles(
     with clock("FITTING"):
         tick = bar.tick("FITTING")
         low, high = bounds_of(parts, to_asset, lambda done: tick(0.3 * done))
-        grid = choose_grid(points, parts.count, low, high, preset, side)
+        grid = choose_grid(points, parts.count, to_asset, low, high, preset, side)
         files.begin(_fingerprint(points, parts.count, to_asset, grid, target))
         tiles = _sorted_tiles(parts, points, to_asset, grid, files, tick)
         noise = noise_of_tiles(files, tiles)
@@ -122,8 +123,12 @@ def reconstruct_tiles(
         return _ancestors(levels, tiles, bar.tick("TEXTURING"))
 
 
-def choose_grid(points: Points, count: int, low: Floats, high: Floats, preset: Preset, side: int = SIDE) -> TileGrid:
-    """Choose the cells of a scene by the spacing of all its points, of which `points` are some; low, high (3,) metres.
+def choose_grid(
+    points: Points, count: int, to_asset: Floats, low: Floats, high: Floats, preset: Preset, side: int = SIDE
+) -> TileGrid:
+    """Choose the cells of a scene by the spacing of all its points, of which `points` are some, and cut it into tiles.
+
+    low, high (3,) of all points, in the asset frame.
 
     A scene of known scale gets none finer than FINEST_M. A resolution that was asked for decides alone.
     """
@@ -133,7 +138,8 @@ def choose_grid(points: Points, count: int, low: Floats, high: Floats, preset: P
     spacing *= min(len(points) / count, 1.0) ** 0.5
     least = longest / _MOST_CELLS if points.scale_confidence == "unknown" else FINEST_M
     cell = longest / preset.resolution if preset.resolution else max(spacing / preset.cells_per_spacing, least)
-    return TileGrid.over(low, high, cell, side)
+    chosen = points.xyz[:: max(1, len(points) // _SOME)]
+    return TileGrid.over(low, high, cell, side, chosen @ to_asset[:3, :3].T + to_asset[:3, 3])
 
 
 def _fingerprint(points: Points, count: int, to_asset: Floats, grid: TileGrid, target: Target) -> dict[str, object]:

@@ -125,7 +125,7 @@ def test_points_may_come_in_parts(made: Made, tmp_path: Path) -> None:
     low, high = bounds_of(some, np.eye(4), no_tick)
     files = SceneFolder(tmp_path / "scene")
     files.begin({})
-    sort_into_tiles(some, np.eye(4), choose_grid(whole, len(whole), low, high, PRESET, 100), files, no_tick)
+    sort_into_tiles(some, np.eye(4), choose_grid(whole, len(whole), np.eye(4), low, high, PRESET, 100), files, no_tick)
     assert files.tiles == SceneFolder(made[2]).tiles
 
 
