@@ -120,7 +120,7 @@ def reconstruct(
     """
     require_encoder(target, has_encoder=encode is not None)
     bar = Bar(watch)
-    refines = preset.fit is not None or preset.tiled or preset.name == AUTOMATIC
+    refines = preset.refines or preset.name == AUTOMATIC
     prepared = yield from prepare(
         capture, bar, refines=refines, device=device, cut=cut, longest_m=longest_m, hold_out=hold_out, box=box
     )
@@ -164,9 +164,9 @@ def bundles(
         preset, because = _resolve_preset(preset, points, device)
         held_out = hold_out(len(points), sets=2 if _early_stop_steps(preset) else 1)
         inputs = downsample_points(points.subset(held_out == 0), preset.most_points)
-    refusal = refuse(preset, len(inputs)) if preset.fit else ""
+    refusal = refuse(preset, len(inputs)) if preset.refines else ""
     config = None if refusal else preset.fit
-    refines = config is not None or preset.tiled
+    refines = preset.refines and not refusal
     share = share if refines else 1.0
     bar.set_range(PREVIEW_STARTS, bar.reached, share)
 
@@ -209,7 +209,7 @@ def bundles(
         metres = None if points.scale_confidence == "unknown" else unit.size * points.metres_per_unit
         training = FieldTraining(fitted, fitted_noise, config, device, distance, xyz_unit, watched, checkpoint, metres)
         yield from _refinement(training, subject, preview, quality, pack_preview, pack, clock, bar)
-    if preset.tiled:
+    if refines and preset.tiled:
         bar.set_range(TILE_STARTS, share, 1.0)
         yield from _tiled(distance, subject, levels.to_asset, quality, pack, checkpoint, encode, clock, bar)
 

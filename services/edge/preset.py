@@ -68,6 +68,11 @@ class Preset:
     tiled: bool = False
     takes: str = ""
 
+    @property
+    def refines(self) -> bool:
+        """Whether a refined bundle follows the preview, from a training or from tiles."""
+        return self.fit is not None or self.tiled
+
 
 _AUTOMATIC_PRESET = Preset(AUTOMATIC, "chosen from the points, their spacing and noise, and the device")
 

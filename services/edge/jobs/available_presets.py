@@ -50,8 +50,8 @@ def capabilities_of(presets: Mapping[str, Preset], device: Device, total_bytes: 
 
 
 def least_bytes(preset: Preset, device: Device) -> int:
-    """Memory that a preset's fit takes even for the smallest capture; 0 for a preset that trains nothing."""
-    return memory_bytes(preset, 0, device.name) if preset.fit else 0
+    """Memory that a preset's fit or tiles take even for the smallest capture; 0 for a preset of previews alone."""
+    return memory_bytes(preset, 0, device.name) if preset.refines else 0
 
 
 def _to_message(preset: Preset, known: Mapping[str, Preset], device: Device) -> pb.Preset:
@@ -60,7 +60,7 @@ def _to_message(preset: Preset, known: Mapping[str, Preset], device: Device) -> 
     return pb.Preset(
         name=preset.name,
         summary=preset.summary,
-        trained=any(each.fit is not None for each in choices),
+        trained=any(each.refines for each in choices),
         memory_bytes=max(memory_bytes(each, each.most_points, device.name) for each in choices),
         literature=preset.literature,
         takes=preset.takes,

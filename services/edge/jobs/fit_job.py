@@ -155,7 +155,7 @@ class FieldFitter:
 
     def _bytes(self, preset: Preset, points: int) -> int:
         """Memory that a preset's fit or tiles take; 0 where neither follows the preview, which is finished by then."""
-        return memory_bytes(preset, points, self._device.name) if preset.fit or preset.tiled else 0
+        return memory_bytes(preset, points, self._device.name) if preset.refines else 0
 
 
 def to_wire(progress: Progress) -> pb.Progress:
