@@ -331,6 +331,8 @@ def _print_result(out: Path, report: dict[str, Any]) -> None:
         f"{quality['non_manifold_edges']:,} non-manifold edges; {size} m (scale {report['scale_confidence']})"
     )
     console.print(f"LODs {lods} triangles; {sum(seconds.values()):.1f} s in all")
+    if tileset := report.get("tileset"):
+        console.print(f"{tileset['tiles']:,} tiles of {tileset['triangles']:,} triangles together: {tileset['file']}")
     if report["preset_because"]:
         console.print(f"preset {report['preset']}: {report['preset_because']}")
     if report["verdict"] == "better":

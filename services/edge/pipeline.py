@@ -240,7 +240,10 @@ def _tiled(
         cells = round(float(np.ptp(scene.mesh.vertices, axis=0).max()) / scene.grid.cell)
         made = MeasuredSurface(FilledMesh.unfilled(whole), cells, certify(distance, whole, subject.evidence))
         quality = {**made.quality(subject.preset, clock.seconds), "preview": before}
+        # What the preview was thinned to is no matter here.
+        subject = replace(subject, points=replace(subject.points, warnings=subject.colours.warnings))
         levels = yield from colour_levels(made, subject, clock, bar, to_asset)
+        pack = partial(pack, subject=subject)
         for step in pack(made, levels, state="refined", quality=quality, last=True):
             yield _with_tiles(step, scene) if isinstance(step, Bundle) else step
 
@@ -248,7 +251,7 @@ def _tiled(
 def _with_tiles(bundle: Bundle, scene: TiledScene) -> Bundle:
     """Add a scene's tiles, which stay on disk, to the bundle of the whole."""
     files = FilesOnDisk({**bundle.files, TILESET_FILE: scene.document}, scene.files)
-    return replace(bundle, files=files, manifest={**bundle.manifest, "tileset": scene.manifest})
+    return replace(bundle, files=files, manifest={**bundle.manifest, "points": scene.points, "tileset": scene.manifest})
 
 
 def _refinement(

@@ -61,13 +61,14 @@ class TiledScene:
 
     root   the coarsest one, with all others below; files: the contents by their names in the bundle
     mesh   the coarsest one's mesh, asset frame
-    grid   of the cells
+    grid   of the cells; points: of all tiles, before they are thinned
     """
 
     root: TilesetNode
     files: Mapping[str, Path]
     mesh: Mesh
     grid: TileGrid
+    points: int
     tiles: int
     triangles: int
     levels: int
@@ -244,4 +245,5 @@ def _ancestors(levels: LevelMaker, tiles: Sequence[Tile], tick: Tick) -> TiledSc
     mesh = levels.folder.load_mesh("level", root.name)
     tree = levels.tree(root, children)
     files = {each.name: paths[each.file] for each in tree}
-    return TiledScene(tree, files, mesh, levels.grid, tiles_made, triangles, root.level + 1)
+    points = sum((levels.folder.tiles or {}).values())
+    return TiledScene(tree, files, mesh, levels.grid, points, tiles_made, triangles, root.level + 1)
