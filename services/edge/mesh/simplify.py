@@ -131,7 +131,7 @@ def by_meshoptimizer(mesh: Mesh, faces: int, hold: Hold | None = None, tick: Tic
     if len(mesh.faces) > _BEFORE * faces:
         kept = _collapse(turned, int(_BEFORE * faces), _locked(mesh, hold))
         tick(0)
-        turned = reseamed(compact(Mesh(mesh.vertices, kept, mesh.rgb)))
+        turned = reseamed(to_manifold(compact(Mesh(mesh.vertices, kept, mesh.rgb))))
     return orient(_held(turned, faces, hold, tick))
 
 

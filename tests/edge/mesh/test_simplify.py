@@ -117,6 +117,15 @@ def test_windings_do_not_hold_a_surface_fast(name: str) -> None:
     assert chamfer_l1(coarse, mesh, 20_000) < 1.3 * smooth
 
 
+@pytest.mark.parametrize(("name", "budget"), [("mobius", 600), ("two_sheets", 1500)])
+def test_rough_surfaces_with_seams_get_no_pinches(name: str, budget: int) -> None:
+    mesh = orient(getattr(surfaces, name)())
+    rng = np.random.default_rng(0)
+    rough = mesh.vertices + rng.normal(0, 0.02, mesh.vertices.shape)
+    turned = rng.random((len(mesh.faces), 1)) < 0.5
+    assert crowded(simplify(Mesh(rough, np.where(turned, mesh.faces[:, ::-1], mesh.faces)), budget)) == 0
+
+
 def test_the_surface_stays_where_it_is() -> None:
     mesh = SURFACES["hemisphere"]
     assert chamfer_l1(simplify(mesh, 2000), mesh, 20_000) == pytest.approx(
