@@ -31,6 +31,7 @@ SERVICES = {
     "traces": "gateway",
     "edge": "edge",
     "fast": "edge",
+    "ray": "edge",
     "learned-matching": "edge",
 }
 RUNTIME = tuple(SERVICES)
@@ -112,7 +113,7 @@ def _imported(files: Iterable[Path]) -> dict[str, set[str]]:
     [
         ("storage", ["storage"]),
         ("gateway", ["gateway", "postgres", "traces"]),
-        ("edge", ["edge", "fast", "learned-matching", "traces"]),
+        ("edge", ["edge", "fast", "learned-matching", "ray", "traces"]),
         ("cli", list(RUNTIME)),
     ],
 )

@@ -68,7 +68,13 @@ Target = Annotated[
 
 @app.command()
 def run(
-    capture: Annotated[Path, typer.Argument(help="Photos, a video, a point cloud, a mesh, an RGB-D folder, or a zip.")],
+    captures: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Photos, a video, a point cloud, a mesh, an RGB-D folder, or a zip. Of several each gets a folder in "
+            "--out, and they run side by side, on this machine or on the cluster EDGE_ENGINE=ray://host:port."
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
     preset: Annotated[
         str, typer.Option(help="Method of reconstruction, see `capture2vr presets`. Default: chosen from the points.")
@@ -88,11 +94,20 @@ def run(
         Path | None, typer.Option(help="A mesh of the same object, to measure the result's error.")
     ] = None,
 ) -> None:
-    """Reconstruct a capture in this process, without servers: writes meshes, pictures and a report to a folder."""
+    """Reconstruct captures without servers: writes meshes, pictures and a report to a folder.
+
+    Exit code 1 if some of several captures could not be reconstructed.
+    """
     from services.cli.run import RunOptions, run_capture
 
     options = RunOptions(key, collection, cut, longest, target, reference, fill, parse_box(box))
-    run_capture(capture, out, options, preset=preset, device=device, resolution=resolution)
+    if len(captures) == 1:
+        run_capture(captures[0], out, options, preset=preset, device=device, resolution=resolution)
+        return
+    from services.cli.run_many import run_captures
+
+    if not run_captures(captures, out, options, preset=preset, device=device, resolution=resolution):
+        raise typer.Exit(1)
 
 
 @app.command()

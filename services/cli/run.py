@@ -21,8 +21,10 @@ from services.cli.assets import check_collection
 from services.cli.errors import INVALID_KEY, BadInput, printable, sentence
 from services.cli.progress import StageBar, console, warn
 from services.cli.report import report_page
+from services.edge.arrays import Tick, no_tick
 from services.edge.asset.target import Target, require_encoder, target_of
 from services.edge.capture.nouns import Capture
+from services.edge.engine.address import shared_cluster
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from services.edge.mesh.fill_gaps import Fill
@@ -67,18 +69,38 @@ class RunOptions:
 DEFAULTS = RunOptions()
 
 
-def run_capture(source: Path, out: Path, options: RunOptions, *, preset: str, device: str, resolution: int) -> None:
+def run_capture(
+    source: Path,
+    out: Path,
+    options: RunOptions,
+    *,
+    preset: str,
+    device: str,
+    resolution: int,
+    tick: Tick = no_tick,
+) -> None:
     """Reconstruct `source` into the folder `out`, with a preset by name. Raises BadInput."""
+    chosen = check_preset(preset)
+    chosen = replace(chosen, resolution=resolution or chosen.resolution)
+    run_preset(source, out, chosen, options, device=device, tick=tick)
+
+
+def check_preset(name: str) -> Preset:
+    """Return the preset of this name. Raises BadInput where there is none."""
     try:
-        chosen = load_preset(preset)
+        return load_preset(name)
     except EdgeError as error:
         raise BadInput(sentence(error.message, hints=error.hints)) from error
-    chosen = replace(chosen, resolution=resolution or chosen.resolution)
-    run_preset(source, out, chosen, options, device=device)
 
 
 def run_preset(
-    source: Path, out: Path, preset: Preset, options: RunOptions = DEFAULTS, *, device: str = "auto"
+    source: Path,
+    out: Path,
+    preset: Preset,
+    options: RunOptions = DEFAULTS,
+    *,
+    device: str = "auto",
+    tick: Tick = no_tick,
 ) -> None:
     """Reconstruct `source` into the folder `out`, which stays unchanged until there is a result. Raises BadInput.
 
@@ -89,13 +111,13 @@ def run_preset(
     if not valid_key(key):
         raise BadInput(INVALID_KEY.format(key))
     check_collection(options.collection)
-    _check_writable(out)
+    check_writable(out)
     reference = _read_reference(options.reference) if options.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
             results = Results(out, key, options.collection, reference)
             _reconstruct_into(
-                results, open_source(source, Path(scratch)), preset, device, options, printable(source.stem)
+                results, open_source(source, Path(scratch)), preset, device, options, printable(source.stem), tick
             )
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_error_sentence(error, source)) from error
@@ -128,7 +150,7 @@ def key_from(source: Path) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip("._-")[:100] or "capture"
 
 
-def _check_writable(out: Path) -> None:
+def check_writable(out: Path) -> None:
     """Raises BadInput where `out` cannot be written; called before the work begins."""
     existing = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not existing.is_dir():
@@ -151,7 +173,7 @@ def open_source(source: Path, scratch: Path) -> Path:
 
 
 def _reconstruct_into(
-    results: Results, folder: Path, preset: Preset, device: str, options: RunOptions, label: str
+    results: Results, folder: Path, preset: Preset, device: str, options: RunOptions, label: str, tick: Tick
 ) -> None:
     from services.edge.capture.detect import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
@@ -164,6 +186,7 @@ def _reconstruct_into(
 
         def show(progress: Progress) -> None:
             bar.show(progress.stage, progress.fraction, progress.message, progress.losses)
+            tick(progress.fraction)
 
         bar.show("VALIDATING", 0.0)
         capture = read_capture(folder)
@@ -180,6 +203,7 @@ def _reconstruct_into(
             label=label,
             target=target,
             encode=encode,
+            engine=shared_cluster(_engine_setting()) if preset.tiled or preset.name == AUTOMATIC else None,
             watch=show,
         )
         for step in steps:
@@ -194,6 +218,16 @@ def _reconstruct_into(
     results.checkpoint.unlink(missing_ok=True)
     shutil.rmtree(tiles_folder(results.checkpoint), ignore_errors=True)
     _print_result(results.out, results.report)
+
+
+def _engine_setting() -> str:
+    """Return the setting EDGE_ENGINE. Raises BadInput for a wrong setting."""
+    from services.edge.worker.settings import EdgeSettings
+
+    try:
+        return EdgeSettings().engine
+    except ValueError as error:
+        raise BadInput(str(error)) from error
 
 
 def _encoder(target: Target) -> EncodeKtx2 | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
+from services.edge.engine.address import shared_cluster
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import Ktx2Encoder
 from services.edge.field.device import find_device
@@ -63,7 +64,8 @@ def _start(*, out_of_memory: bool) -> int:
     configure(settings.log_level)
     memory = MemoryBudget(settings.memory or device.memory_bytes or machine_bytes())
     central = Central(settings.central, credentials=credentials) if settings.central else None
-    work = Reconstructor(store, presets, device, memory, central, publish, storage.collection, encode)
+    engine = shared_cluster(settings.engine)
+    work = Reconstructor(store, presets, device, memory, central, publish, storage.collection, encode, engine)
     work.warm_up()
     return serve(settings, work, out_of_memory=out_of_memory)
 

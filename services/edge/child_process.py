@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 from services.edge.arrays import Tick
 
@@ -120,12 +121,21 @@ def set_up_child() -> ReportFraction:
     """Set up this process as a child: it dies with its parent, writes no core dump, and stdout has only its progress.
 
     Returns the function that reports progress to a parent that called `run_child` with `tells_progress`."""
+    output = die_with_parent()
+    return lambda fraction: _write_fraction(output.fileno(), fraction)
+
+
+def die_with_parent() -> BinaryIO:
+    """Have this process die with its parent and write no core dump; return what was its standard output.
+
+    What is printed from now on goes to standard error.
+    """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    output = os.dup(1)
+    output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    return lambda fraction: _write_fraction(output, fraction)
+    return output
 
 
 def _write_fraction(output: int, fraction: float) -> None:

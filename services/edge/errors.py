@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 
 class EdgeError(Exception):
     """A failure with a stable code, a message and hints.
@@ -28,6 +31,11 @@ class EdgeError(Exception):
         self.file = file
         self.hints = hints or self._usual_hints(code)
         self.retryable = retryable
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle all of it: it may be raised in another process than where it is caught."""
+        rebuild = partial(type(self), file=self.file, hints=self.hints, retryable=self.retryable)
+        return rebuild, (self.code, self.message)
 
     @classmethod
     def _usual_hints(cls, code: str) -> tuple[str, ...]:

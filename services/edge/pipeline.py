@@ -32,6 +32,7 @@ from services.edge.asset.target import NO_TARGET, Target, require_encoder
 from services.edge.capture.nouns import Capture
 from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, prepare, preview_share
 from services.edge.certificate import Evidence, certify, compare, hold_out
+from services.edge.engine.nouns import OpenEngine
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.export.tileset import TILESET_FILE
@@ -97,6 +98,7 @@ def reconstruct(
     label: str = "",
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
+    engine: OpenEngine | None = None,
     watch: Watch = ignore_progress,
 ) -> Generator[Progress | Bundle | PreviewKept, None, None]:
     """Reconstruct a capture: yield its bundles, the preview first, and the progress in between.
@@ -111,6 +113,7 @@ def reconstruct(
     label       the asset's name for people, in the manifest
     target      device class whose budget the bundles must meet
     encode      encoder of KTX2 textures, for a target that wants them
+    engine      meshes the tiles of a large scene; None: this process
 
     Raises CaptureError where the capture cannot give a surface; Cancelled when `watch` does; EdgeError KTX2_UNAVAILABLE
     at once where `target` wants KTX2 and there is no `encode`; after a preview and before a refined bundle EdgeError
@@ -136,6 +139,7 @@ def reconstruct(
         label=label,
         target=target,
         encode=encode,
+        engine=engine,
     )
 
 
@@ -151,6 +155,7 @@ def bundles(
     label: str = "",
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
+    engine: OpenEngine | None = None,
     refuse: RefuseTraining = lambda preset, points: "",
 ) -> Generator[Progress | Bundle | PreviewKept, None, None]:
     """Fit a field to points and yield its bundles: the second half of `reconstruct`, on the rest of the bar.
@@ -211,7 +216,7 @@ def bundles(
         yield from _refinement(training, subject, preview, quality, pack_preview, pack, clock, bar)
     if refines and preset.tiled:
         bar.set_range(TILE_STARTS, share, 1.0)
-        yield from _tiled(distance, subject, levels.to_asset, quality, pack, checkpoint, encode, clock, bar)
+        yield from _tiled(distance, subject, levels.to_asset, quality, pack, checkpoint, encode, engine, clock, bar)
 
 
 def _tiled(
@@ -222,6 +227,7 @@ def _tiled(
     pack: Callable[..., Iterator[Progress | Bundle]],
     checkpoint: Path | None,
     encode: EncodeKtx2 | None,
+    engine: OpenEngine | None,
     clock: Clock,
     bar: Bar,
 ) -> Iterator[Progress | Bundle]:
@@ -232,7 +238,7 @@ def _tiled(
     with ExitStack() as kept:
         folder = tiles_folder(checkpoint) if checkpoint else Path(kept.enter_context(TemporaryDirectory()))
         scene = yield from reconstruct_tiles(
-            subject.colours, to_asset, subject.preset, subject.target, folder, clock, bar, encode=encode
+            subject.colours, to_asset, subject.preset, subject.target, folder, clock, bar, encode=encode, engine=engine
         )
         from_asset = np.linalg.inv(to_asset)
         vertices = subject.unit.to_unit(scene.mesh.vertices @ from_asset[:3, :3].T + from_asset[:3, 3])

@@ -11,6 +11,7 @@ from pathlib import Path
 from services.edge.api import edge_pb2 as pb
 from services.edge.asset.target import target_of
 from services.edge.capture_to_points import PREVIEW_SHARE, PreparedPoints, preview_share
+from services.edge.engine.nouns import OpenEngine
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.field.device import Device
@@ -43,9 +44,11 @@ class FieldFitter:
         memory: MemoryBudget,
         publish: Publish = publish,
         encode: EncodeKtx2 | None = None,
+        engine: OpenEngine | None = None,
     ) -> None:
         self._store = store
         self._encode = encode
+        self._engine = engine
         self._publish = publish
         self._presets = presets
         self._device = device
@@ -70,6 +73,7 @@ class FieldFitter:
             label=request.label,
             target=target_of(request.target),
             encode=self._encode,
+            engine=self._engine,
             # Somebody who named a preset wants to know that it needs more; the automatic one makes the best of it.
             refuse=self._refusal if request.preset == AUTOMATIC else lambda preset, points: "",
         )

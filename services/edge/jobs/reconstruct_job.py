@@ -15,6 +15,7 @@ from services.edge.arrays import Tick
 from services.edge.asset.manifest import anchors_m, asset_frame
 from services.edge.capture.detect import read_capture
 from services.edge.capture_to_points import PreparedPoints, prepare
+from services.edge.engine.nouns import OpenEngine
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.field.device import Device
@@ -49,6 +50,7 @@ class Reconstructor:
     central     fits the field to the points that this worker makes; where it is unavailable, the field is fitted here
     collection  lists the assets whose job names none, wherever they are fitted
     encode      encoder of KTX2 textures; without it, targets that want KTX2 are refused
+    engine      meshes the tiles of large scenes; None: this process
     """
 
     def __init__(
@@ -61,8 +63,9 @@ class Reconstructor:
         publish: Publish = publish,
         collection: str = DEFAULT_COLLECTION,
         encode: EncodeKtx2 | None = None,
+        engine: OpenEngine | None = None,
     ) -> None:
-        self._fitter = FieldFitter(store, presets, device, memory, publish, encode)
+        self._fitter = FieldFitter(store, presets, device, memory, publish, encode, engine)
         self._device = device
         self._own_offer = replace(capabilities_of(presets, device, memory.total_bytes), ktx2=encode is not None)
         self._central = central

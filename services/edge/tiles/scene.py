@@ -25,6 +25,7 @@ from services.edge.arrays import Floats, Tick
 from services.edge.asset.photo_check import posed_picture
 from services.edge.asset.target import Target
 from services.edge.capture.nouns import Cloud, CloudParts
+from services.edge.engine.nouns import OpenEngine
 from services.edge.errors import Cancelled, EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
@@ -35,16 +36,16 @@ from services.edge.preset import Preset
 from services.edge.progress import Bar, Clock, Progress
 from services.edge.tiles.folder import SceneFolder
 from services.edge.tiles.grid import SIDE, Tile, TileGrid, name_of, neighbours, tile_of
+from services.edge.tiles.mesh_on_engine import mesh_on_engine
 from services.edge.tiles.mesh_tile import make_mesh
 from services.edge.tiles.tile_levels import LevelMaker, Node
 from services.edge.tiles.tile_points import bounds_of, noise_of_tiles, sort_into_tiles, thin_tile
 from services.edge.tiles.tile_views import TileViews
+from services.edge.tiles.tries import TRIES, tile_failed
 from services.edge.tiles.weld import strip_of, weld
 
 TILE_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.1, "TEXTURING": 0.75, "PACKING": 0.97, "PUBLISHING": 0.99}
 """Fraction of the pass at which each stage begins: measured on 4 million points of a flat."""
-TRIES = 3
-"""How often a tile is tried before the job fails."""
 FINEST_M = 0.01
 """Least side of a cell in metres: a hand-held scan of a room is no more exact."""
 
@@ -94,13 +95,16 @@ def reconstruct_tiles(
     bar: Bar,
     *,
     encode: EncodeKtx2 | None = None,
+    engine: OpenEngine | None = None,
     side: int = SIDE,
 ) -> Generator[Progress, None, TiledScene]:
     """Mesh all points of a capture tile by tile, and make the levels of detail; to_asset (4,4) from the capture frame.
 
     folder  holds what is finished; the caller removes it once the result is published
+    engine  meshes the tiles side by side; None: one after the other, in this process
     side    cells along a side of a tile
-    Raises EdgeError TILE_FAILED, which names the tile, SCENE_TOO_LARGE, EXTRACTION_EMPTY; and Cancelled as `bar` does.
+    Raises EdgeError TILE_FAILED, which names the tile, SCENE_TOO_LARGE, EXTRACTION_EMPTY, ENGINE_LOST; and Cancelled as
+    `bar` does.
     """
     parts = points.whole or CloudParts(len(points), lambda: iter((Cloud(points.xyz, points.rgb),)))
     files = SceneFolder(folder)
@@ -114,7 +118,7 @@ def reconstruct_tiles(
         noise = noise_of_tiles(files, tiles)
     yield bar.begin("EXTRACTING", f"{len(tiles):,} tiles of {grid.sides.max() * grid.cell:.2f} m")
     with clock("EXTRACTING"):
-        yield from _each_tile(tiles, "EXTRACTING", bar, partial(_mesh_once, files, grid, noise))
+        yield from _mesh_all(engine, files, grid, noise, tiles, bar)
         _weld_all(files, grid, tiles, bar.tick("EXTRACTING"))
     views = TileViews([posed_picture(view, to_asset) for view in points.texture_views])
     levels = LevelMaker(files, grid, views, target, encode)
@@ -181,6 +185,16 @@ def _each_tile(
         with_retries(tile, partial(task, tile, _within(tick, number * share, share)))
 
 
+def _mesh_all(
+    engine: OpenEngine | None, files: SceneFolder, grid: TileGrid, noise: float, tiles: Sequence[Tile], bar: Bar
+) -> Generator[Progress, None, None]:
+    if engine is None:
+        yield from _each_tile(tiles, "EXTRACTING", bar, partial(_mesh_once, files, grid, noise))
+        return
+    with engine() as running:
+        yield from mesh_on_engine(running, files, grid, noise, tiles, bar)
+
+
 def _within(tick: Tick, begin: float, share: float) -> Tick:
     return lambda done: tick(begin + share * done)
 
@@ -192,13 +206,9 @@ def with_retries(tile: Tile, task: Callable[[], None]) -> None:
         except Cancelled:
             raise
         except Exception as error:  # noqa: BLE001 - a tile may fail in any way; the others must not be lost with it
-            reason = str(error) or type(error).__name__
-            _log.warning("tile %s: attempt %d of %d failed: %s", name_of(tile), attempt, TRIES, reason)
-    raise EdgeError(
-        "TILE_FAILED",
-        f"tile {name_of(tile)} of the scene failed {TRIES} times: {reason}",
-        hints=("send the scene without that part", "or use preset scene, which makes one coarser mesh"),
-    )
+            _log.warning("tile %s: attempt %d of %d failed: %s", name_of(tile), attempt, TRIES, error)
+            failed = tile_failed(tile, error)
+    raise failed
 
 
 def _mesh_once(files: SceneFolder, grid: TileGrid, noise: float, tile: Tile, tick: Tick) -> None:

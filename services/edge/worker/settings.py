@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import ByteSize, Field, SecretStr, field_validator
 from pydantic_settings import SettingsConfigDict
 
+from services.edge.engine.address import check_engine
 from services.grpc_security import ClientCredentials, ServerSecurity, read_client_credentials, read_server_security
 from services.strict_settings import LOOPBACK, StrictSettings
 
@@ -38,6 +39,7 @@ class EdgeSettings(StrictSettings):
     )
     presets: Path | None = Field(None, description="Folder of TOML files: the operator's presets beside the product's.")
     ktx2: Path | None = Field(None, description="Folder with npm's ktx2-encoder; none: targets with -ktx2 are refused.")
+    engine: str = Field("local", description="Where tasks run that are many: local, or a Ray cluster, ray://host:port.")
     central: str = Field("", description="host:port of a worker that fits the fields; empty: they are fitted here.")
     tls_cert: Path | None = Field(None, description="The worker's certificate (PEM, with its chain); none: no TLS.")
     tls_key: Path | None = Field(None, description="The certificate's private key (PEM, not encrypted).")
@@ -48,6 +50,11 @@ class EdgeSettings(StrictSettings):
     log_level: str = Field("INFO", pattern="^(DEBUG|INFO|WARNING|ERROR)$", description="How much is logged.")
     drain_s: float = Field(30.0, ge=0, le=3600, description="Seconds that running jobs get to finish after SIGTERM.")
     max_capture_bytes: int = Field(4 << 30, ge=1, description="Largest capture archive taken, in bytes.")
+
+    @field_validator("engine")
+    @classmethod
+    def _an_engine(cls, value: str) -> str:
+        return check_engine(value)
 
     @field_validator("central")
     @classmethod

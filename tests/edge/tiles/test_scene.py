@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import no_tick
 from services.edge.asset.target import NO_TARGET
 from services.edge.capture.nouns import Cloud, CloudParts
+from services.edge.engine.address import open_engine
+from services.edge.engine.nouns import Engine, OpenEngine
 from services.edge.errors import Cancelled, EdgeError
 from services.edge.mesh.edges import border_edges
 from services.edge.points.nouns import Points
@@ -27,10 +30,11 @@ from services.edge.preset import load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.scene import TILE_STARTS, TRIES, TiledScene, choose_grid, reconstruct_tiles, with_retries
+from services.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles, with_retries
 from services.edge.tiles.tile_levels import LevelMaker
 from services.edge.tiles.tile_points import bounds_of, sort_into_tiles
 from services.edge.tiles.tile_views import TileViews
+from services.edge.tiles.tries import TRIES
 from tests.edge.tiles.hall import hall
 from tests.referees.glb_reader import Glb
 from tests.support.patience import PATIENCE_S
@@ -47,11 +51,13 @@ def points() -> Points:
     return Points(xyz, rgb, np.ones(len(xyz), np.float32), 1.0, "metric", np.array([0.0, 1, 0]))
 
 
-def run(folder: Path, watch: Watch = ignore_progress) -> tuple[TiledScene, list[Progress]]:
+def run(
+    folder: Path, watch: Watch = ignore_progress, engine: OpenEngine | None = None
+) -> tuple[TiledScene, list[Progress]]:
     """Make the scene, in tiles of some 100 cells."""
     bar = Bar(watch)
     bar.set_range(TILE_STARTS, 0.0, 1.0)
-    steps = reconstruct_tiles(points(), np.eye(4), PRESET, NO_TARGET, folder, Clock(), bar, side=100)
+    steps = reconstruct_tiles(points(), np.eye(4), PRESET, NO_TARGET, folder, Clock(), bar, engine=engine, side=100)
     said = []
     while True:
         try:
@@ -127,6 +133,22 @@ def test_points_may_come_in_parts(made: Made, tmp_path: Path) -> None:
     files.begin({})
     sort_into_tiles(some, np.eye(4), choose_grid(whole, len(whole), np.eye(4), low, high, PRESET, 100), files, no_tick)
     assert files.tiles == SceneFolder(made[2]).tiles
+
+
+def test_an_engine_makes_the_same_meshes(made: Made, tmp_path: Path) -> None:
+    """In two processes, to the last bit; what is there already is not made again."""
+    scene, said = run(tmp_path / "scene", engine=lambda: open_engine("local", 4 << 30))
+    here, there = SceneFolder(made[2]), SceneFolder(tmp_path / "scene")
+    for name in here.tiles or {}:
+        assert there.path("mesh", name).read_bytes() == here.path("mesh", name).read_bytes()
+    assert scene.document == made[0].document
+    assert [step.message for step in said if step.stage == "EXTRACTING"][-1] == "2 of 2 tiles"
+
+    def refuse() -> AbstractContextManager[Engine]:
+        raise EdgeError("ENGINE_LOST", "there is none", retryable=True)
+
+    with pytest.raises(EdgeError, match="there is none"):
+        run(tmp_path / "other", engine=refuse)
 
 
 def test_a_cancelled_scene_stops_inside_a_tile(tmp_path: Path) -> None:

@@ -1,0 +1,82 @@
+"""The engine that the setting EDGE_ENGINE names: `local`, or `ray://host:port`."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Lock
+
+from services.edge.engine.local_engine import LocalEngine
+from services.edge.engine.nouns import Engine, Needs, OpenEngine
+from services.edge.errors import EdgeError
+
+LOCAL = "local"
+ADDRESS = re.compile(r"ray://(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?):\d{1,5}", re.ASCII)
+
+
+def check_engine(value: str) -> str:
+    """Return the setting unchanged. Raises ValueError for one that names no engine."""
+    if value != LOCAL and not ADDRESS.fullmatch(value):
+        raise ValueError("must be local, or ray://host:port, as in ray://head.example:10001")
+    return value
+
+
+@contextmanager
+def open_engine(setting: str, memory_bytes: int) -> Iterator[Engine]:
+    """Open the engine that the setting names; at the end what has not ended is cancelled.
+
+    memory_bytes  of this machine, that local tasks may take together
+    Raises EdgeError ENGINE_LOST where the cluster cannot be reached, ENGINE_MISSING where Ray is not installed.
+    """
+    engine = LocalEngine(Needs(os.cpu_count() or 1, 1, memory_bytes)) if setting == LOCAL else _open_ray(setting)
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+def _open_ray(address: str) -> Engine:
+    # Else Ray's calls would start a cluster of their own on this machine once they have lost the one that they had.
+    os.environ["RAY_ENABLE_AUTO_CONNECT"] = "0"
+    try:
+        from services.edge.engine.ray_engine import RayEngine  # here, because Ray takes half a second to import
+    except ImportError as error:
+        raise EdgeError(
+            "ENGINE_MISSING", f"EDGE_ENGINE={address} needs Ray ({error})", hints=("pip install 'capture2vr[ray]'",)
+        ) from error
+    return RayEngine(address)
+
+
+def shared_cluster(setting: str) -> OpenEngine | None:
+    """Return what opens the cluster that the setting names; None for `local`.
+
+    It connects for the first of several users, and lets go after the last: Ray's client is one for a process.
+    """
+    return None if setting == LOCAL else _SharedCluster(setting).use
+
+
+class _SharedCluster:
+    """A connection that several jobs of a worker share."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._lock = Lock()
+        self._users = 0
+        self._engine: Engine | None = None
+
+    @contextmanager
+    def use(self) -> Iterator[Engine]:
+        """Connect, unless another user has. Who leaves cancels its own tasks before. Raises EdgeError ENGINE_LOST."""
+        with self._lock:
+            engine = self._engine = self._engine or _open_ray(self._address)
+            self._users += 1
+        try:
+            yield engine
+        finally:
+            with self._lock:
+                self._users -= 1
+                if not self._users:
+                    self._engine = None
+                    engine.close()
