@@ -290,7 +290,7 @@ def _shares(stack: Stack, line: str) -> str:
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_gateway_is_killed_beside_another(stack: Stack, dome: Path, figures: Figures, number: int) -> None:
-    """One of the two follows the job, which the other takes over."""
+    """Whichever of the two follows the job: its end comes once."""
     client = Client(stack)
     job = client.start(client.upload(dome), f"gateway-{number}", "standard")
     client.await_stage(job, "FITTING")
