@@ -14,6 +14,7 @@ from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.capture.raw_parts import RawPart, RawParts
 from services.edge.errors import CaptureError
+from tests.support.captures import e57_scan, save_e57
 
 COUNT = 50_003
 GEOREFERENCED = np.array([500_000.0, 5_000_000.0, 100.0])
@@ -22,7 +23,7 @@ GEOREFERENCED = np.array([500_000.0, 5_000_000.0, 100.0])
 @pytest.fixture
 def small_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reads files in parts from fewer points on, because one of four million takes seconds to write."""
-    for module in ("las", "ply", "cloud_parts"):
+    for module in ("e57", "las", "ply", "tables", "cloud_parts"):
         monkeypatch.setattr(f"services.edge.capture.{module}.LARGE", 20_000)
 
 
@@ -90,6 +91,26 @@ def test_a_large_las_is_read_in_parts(tmp_path: Path, suffix: str) -> None:
     assert np.abs(whole.xyz - (xyz - np.floor(xyz.min(axis=0) + GEOREFERENCED) + GEOREFERENCED)).max() < 2e-3
     assert whole.rgb is not None
     assert (whole.rgb == 255).all()
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_all_scans_of_a_large_e57_are_read_in_parts(tmp_path: Path) -> None:
+    halves = np.array_split(square(COUNT), 2)
+    save_e57(tmp_path / "scan.e57", [e57_scan(half, np.full(half.shape, 9, np.uint8)) for half in halves])
+    capture = read_capture(tmp_path / "scan.e57")
+    whole = everything(capture)
+    assert whole.xyz == pytest.approx(square(COUNT), abs=1e-5)
+    assert whole.rgb is not None
+    assert (whole.rgb == 9).all()
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_a_large_npy_is_read_in_parts(tmp_path: Path) -> None:
+    np.save(tmp_path / "scan.npy", np.column_stack([square(COUNT), np.full((COUNT, 3), 128.0)]).astype(np.float32))
+    whole = everything(read_capture(tmp_path / "scan.npy"))
+    assert np.array_equal(whole.xyz, square(COUNT).astype(np.float32))
+    assert whole.rgb is not None
+    assert (whole.rgb == 128).all()
 
 
 def test_invalid_points_are_left_out_of_every_part() -> None:
