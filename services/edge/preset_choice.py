@@ -20,7 +20,9 @@ from services.edge.points.nouns import Points
 PresetName = Literal["draft", "standard", "fine", "scene", "scene-tiles"]
 
 FEWEST = 200  # points: of fewer, the neighbours that train a patch are a tenth of the cloud and more
-TILES_M = 10.0  # longest side above which 512 cells are coarser than the 2 cm that furniture needs
+# Longest side above which 512 cells are coarser than the 2 cm that furniture needs; one turn of a street's scanner is
+# longer too, but has too few points for cells of its own far away.
+TILES_M = 10.0
 TILES_POINTS = 2_000_000  # above which a scene has more to show than its 200,000 points and 512 cells
 ROOM_M = 3.0  # longest side above which a metric capture is a room or a street, not an object
 CROWD = 150_000  # points above which a cloud is taken for a scene: phones scan an object with 5,000 to 100,000
@@ -55,7 +57,7 @@ def choose(traits: Traits) -> Choice:
     """Choose the preset for a cloud: on a CPU by the waiting time, on a GPU by the detail that the points can give."""
     if traits.points < FEWEST:
         return Choice("draft", f"{traits.points:,} points are too few to train on")
-    if traits.extent_m > TILES_M:
+    if traits.extent_m > TILES_M and traits.points > CROWD:
         return Choice("scene-tiles", f"a size of {traits.extent_m:.1f} m is too large for the cells of one mesh")
     if traits.points > TILES_POINTS:
         return Choice("scene-tiles", f"{traits.points:,} points show more than one mesh can hold")

@@ -15,6 +15,7 @@ from services.edge.field.noise import Noise
 from services.edge.mesh.clean import clean
 from services.edge.mesh.extract import extract_on_grid
 from services.edge.mesh.nouns import Mesh
+from services.edge.mesh.spacing import point_spacing
 from services.edge.mesh.topology import compact
 from services.edge.tiles.folder import SceneFolder
 from services.edge.tiles.grid import HALO, RING, UNIT, Tile, TileGrid, local_grid, name_of
@@ -28,6 +29,8 @@ _COARSER = 2  # grids of 2 and 4 cells that the extraction caches: the same numb
 _STRIP = 3  # cells around a tile whose faces its neighbours may ask for
 # Fractions of the time at which denoising, the field and the extraction end; the rest is cleaning.
 _DENOISE_SHARE, _FIELD_SHARE, _EXTRACT_SHARE = 0.15, 0.45, 0.65
+_SPARSE = 6.0  # cells between points from which on they are strays, or the far end of a scan
+_AROUND = 300  # points, about the largest neighbourhood of denoising: fewer tell nothing of the noise
 _ANCHORED = 6  # one in so many points has a quadric of its own for denoising: the others use their neighbours'
 _PRIMES = np.array([73_856_093, 19_349_663, 83_492_791])  # of a spatial hash (M. Teschner et al., 2003)
 
@@ -44,11 +47,12 @@ def mesh_tile(cells: Floats, grid: TileGrid, tile: Tile, noise: float = 0.0, tic
     noise  of the scene's points, in cells: the same for all tiles, so that they denoise alike
     """
     corner = grid.corner_of(tile)
+    cells = _dense(cells)
     xyz: Floats = (cells - corner) / UNIT
     inside = grid.within(cells, tile, RING)
     if inside.sum() < FEWEST:
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
-    if noise > HIDDEN:
+    if noise > HIDDEN and len(xyz) > _AROUND:
         level = Noise(np.full(len(xyz), noise / UNIT), np.ones(len(xyz)))
         xyz = denoise(xyz, level, part_of(tick, 0, _DENOISE_SHARE), anchors=_anchors(cells))
     near = xyz[inside]
@@ -60,6 +64,13 @@ def mesh_tile(cells: Floats, grid: TileGrid, tile: Tile, noise: float = 0.0, tic
     vertices = mesh.vertices * UNIT + corner
     middles = vertices[mesh.faces].mean(axis=1)
     return compact(Mesh(vertices, mesh.faces), np.flatnonzero(grid.within(middles, tile, _STRIP)))
+
+
+def _dense(cells: Floats) -> Floats:
+    """The points that lie close enough to others for cells of this size: a surface through sparse ones is guesswork."""
+    if len(cells) < FEWEST:
+        return cells[:0]
+    return cells[point_spacing(cells) < _SPARSE]
 
 
 def _anchors(cells: Floats) -> Ints:
