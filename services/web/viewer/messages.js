@@ -6,6 +6,7 @@ import { sentences, toProblem } from '../shared/problems.js';
 /** @import { AssetEntry, SizeM } from '../shared/types.d.ts' */
 /** @typedef {{ key: string, name: string, entry: AssetEntry | null }} ListedItem a thing in the scene; without an entry it is not loaded */
 
+const TILE = /^tile-.*\.glb$/; // of a large scene, whose levels of the whole only stand for them until they come
 const NOTICE_MS = 10_000; // long enough to read; later it may no longer be true
 
 const page = {
@@ -63,6 +64,8 @@ function sizeText(size) {
 
 /** @param {AssetEntry[]} entries */
 function trianglesText(entries) {
+  const tiles = entries.flatMap(({ files = [] }) => files).filter(({ file }) => TILE.test(file)).length;
+  if (tiles) return `${formatCount(tiles)} tiles`;
   const sum = entries.reduce((all, { lods }) => all + Math.max(...lods.map(({ triangles }) => triangles)), 0);
   return `${formatCount(sum)} triangles`;
 }

@@ -8,6 +8,7 @@ import { placeSideBySide } from './layout-and-lod.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
 import { startRenderLoop } from './render-loop.js';
 import { SceneItem, isLoaded } from './scene-item.js';
+import { findStandingPlace } from './standing-place.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
 import { XrSession } from './xr-session.js';
@@ -71,7 +72,7 @@ const input = new XrInput(renderer, scene, {
 });
 const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page.ar }, {
   height: () => Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
-  isInside: () => loadedItems().some(({ isWalkable }) => isWalkable),
+  standingPlace,
   onMode: showMode,
   onPlaced: reportPlace,
   onRefused: (error) => showError(new Problem({ code: 'XR_REFUSED', detail: `The headset did not start: ${error.message}` })),
@@ -195,6 +196,16 @@ function placeAll() {
   });
   reportPlaces();
   frameAll();
+}
+
+/**
+ * Where a wearer begins, in the root's frame: inside a large thing. Null where there is none.
+ */
+function standingPlace() {
+  const item = loadedItems().find(({ isWalkable }) => isWalkable);
+  const mesh = item?.model.coarsest;
+  if (!item || !mesh) return null;
+  return root.worldToLocal(findStandingPlace(mesh, item.box.applyMatrix4(item.group.matrixWorld)));
 }
 
 /** Moves the camera of the page so that all items are in view. */

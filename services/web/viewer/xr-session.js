@@ -10,7 +10,7 @@ import { element } from '../shared/dom.js';
 /**
  * @typedef {object} XrSessionCallbacks
  * @property {() => number} height of the tallest thing, in metres
- * @property {() => boolean} isInside whether the wearer begins in the middle of the scene, because it is large
+ * @property {() => THREE.Vector3 | null} standingPlace where in the scene's frame the wearer begins, when it is large; null: in front of it
  * @property {(mode: Mode | '') => void} onMode is called when a session begins, and with '' when it ends
  * @property {(metres: number[]) => void} onPlaced is called with the place of the scene
  * @property {(error: Error) => void} onRefused is called when the headset does not start
@@ -159,20 +159,26 @@ export class XrSession {
     if (ahead.lengthSq() < 1e-6) ahead.set(0, 0, -1);
     ahead.normalize();
     const height = this.#callbacks.height();
-    root.position.copy(eye).addScaledVector(ahead, this.#callbacks.isInside() ? 0 : AHEAD_M);
-    root.position.y = height < SMALL_M ? Math.max(0, eye.y * EYE_SHARE - height / 2) : 0;
     root.rotation.set(0, Math.atan2(-ahead.x, -ahead.z), 0);
+    const inside = this.#callbacks.standingPlace();
+    if (inside) {
+      root.position.copy(inside).applyEuler(root.rotation).negate().add(eye.clone().setY(0));
+    } else {
+      root.position.copy(eye).addScaledVector(ahead, AHEAD_M);
+      root.position.y = height < SMALL_M ? Math.max(0, eye.y * EYE_SHARE - height / 2) : 0;
+    }
     root.updateMatrixWorld(true);
-    this.#showHelp(eye, ahead);
+    this.#showHelp(eye, ahead, inside ? [...WALKING_HELP, ...HELP] : HELP);
     this.#callbacks.onPlaced(root.position.toArray());
   }
 
   /**
    * @param {THREE.Vector3} eye
    * @param {THREE.Vector3} ahead unit vector
+   * @param {string[]} lines
    */
-  #showHelp(eye, ahead) {
-    const help = createTextPanel(this.#callbacks.isInside() ? [...WALKING_HELP, ...HELP] : HELP);
+  #showHelp(eye, ahead, lines) {
+    const help = createTextPanel(lines);
     help.position.copy(eye).addScaledVector(ahead, AHEAD_M);
     help.position.y = eye.y + 0.35; // above the things
     help.rotation.y = this.#world.root.rotation.y;

@@ -17,6 +17,8 @@ from tests.support.tilesets import hill_bundle, hills
 
 pytestmark = pytest.mark.browser
 KEY = "hills"
+START_M = float(hills(np.array(0.0), np.array(0.0)))
+"""Height of the ground where a wearer begins."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -46,6 +48,7 @@ def test_tiles_replace_the_whole_and_become_finer_near_by(page: Page, site: Site
     assert len(finest) < 64, "what is not in view is not loaded"
     await_frames(page)
     assert drawn(stage(page)) > 0.3
+    expect(page.locator("#said")).to_contain_text("85 tiles")
 
 
 def test_a_tile_comes_over_the_network_once(page: Page, site: Site) -> None:
@@ -103,10 +106,11 @@ def _scene(page: Page) -> tuple[float, ...]:
 
 
 def test_who_enters_a_large_scene_stands_inside_and_walks_by_thumbstick(walker: Page) -> None:
-    assert _scene(walker) == (0, 0, 0)
+    assert _scene(walker) == (0, pytest.approx(-START_M, abs=0.02), 0), "on the hills' middle, not in them"
+    before = _scene(walker)
     Hand(walker, "left").stick(0, -1, 20)
     _, y, z = _scene(walker)
-    assert y == 0
+    assert y == before[1]
     assert z > 0.05, "who goes ahead has the scene come towards them"
     Hand(walker, "right").stick(1, 0, 5)
     assert walker.evaluate("document.body.dataset.tiles") != "0"
@@ -125,16 +129,17 @@ def test_a_trigger_on_the_ground_goes_there(walker: Page) -> None:
     assert x == pytest.approx(-0.2, abs=0.02)
     ahead = z
     assert 0.3 < ahead < 3
-    assert -y == pytest.approx(1.5 - ahead * np.tan(np.radians(40)), abs=0.05)
+    assert -y == pytest.approx(START_M + 1.5 - ahead * np.tan(np.radians(40)), abs=0.05)
     assert -y == pytest.approx(float(hills(np.array(0.2), np.array(-ahead))), abs=0.1)
 
 
 def test_a_place_in_the_sky_is_none_to_go_to(walker: Page) -> None:
     right = Hand(walker, "right")
     right.move(0.2, 1.5, 0, down=-30)
+    before = _scene(walker)
     right.press()
     right.release()
-    assert _scene(walker) == (0, 0, 0)
+    assert _scene(walker) == before
 
 
 def test_the_right_stick_forward_shows_the_place_and_goes_there_when_let_go(walker: Page) -> None:
