@@ -175,6 +175,7 @@ def open_source(source: Path, scratch: Path) -> Path:
 def _reconstruct_into(
     results: Results, folder: Path, preset: Preset, device: str, options: RunOptions, label: str, tick: Tick
 ) -> None:
+    from services.cli.edge_settings import edge_settings
     from services.edge.capture.detect import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
     from services.edge.progress import Progress
@@ -203,7 +204,7 @@ def _reconstruct_into(
             label=label,
             target=target,
             encode=encode,
-            engine=shared_cluster(_engine_setting()) if preset.tiled or preset.name == AUTOMATIC else None,
+            engine=shared_cluster(edge_settings().engine) if preset.tiled or preset.name == AUTOMATIC else None,
             watch=show,
         )
         for step in steps:
@@ -220,29 +221,16 @@ def _reconstruct_into(
     _print_result(results.out, results.report)
 
 
-def _engine_setting() -> str:
-    """Return the setting EDGE_ENGINE. Raises BadInput for a wrong setting."""
-    from services.edge.worker.settings import EdgeSettings
-
-    try:
-        return EdgeSettings().engine
-    except ValueError as error:
-        raise BadInput(str(error)) from error
-
-
 def _encoder(target: Target) -> EncodeKtx2 | None:
     """Return the KTX2 encoder of the setting EDGE_KTX2, as a worker does; None for targets without KTX2.
 
     Raises EdgeError KTX2_UNAVAILABLE, and BadInput for a wrong setting.
     """
-    from services.edge.worker.settings import EdgeSettings
+    from services.cli.edge_settings import edge_settings
 
     if not target.ktx2:
         return None
-    try:
-        folder = EdgeSettings().ktx2
-    except ValueError as error:
-        raise BadInput(str(error)) from error
+    folder = edge_settings().ktx2
     require_encoder(target, has_encoder=folder is not None)
     return Ktx2Encoder.at(folder) if folder else None
 

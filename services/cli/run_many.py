@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from services.cli.edge_settings import edge_settings
 from services.cli.errors import BadInput, printable, sentence
 from services.cli.progress import StageBar, console
 from services.cli.run import RunOptions, check_preset, check_writable, key_from, run_capture
@@ -18,7 +19,6 @@ from services.edge.engine.address import open_engine
 from services.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
 from services.edge.errors import EdgeError
 from services.edge.worker.memory_budget import machine_bytes
-from services.edge.worker.settings import EdgeSettings
 
 _MEMORY_BYTES = 2 << 30  # of one capture: most of the bench's take less (tests/bench/results/pipeline.md)
 _REPORT = "report.json"
@@ -33,7 +33,7 @@ def run_captures(
     """
     check_preset(preset)
     places = _places(sources, out, options)
-    settings = _settings()
+    settings = edge_settings()
     try:
         with open_engine(settings.engine, machine_bytes()) as engine:
             tasks = {
@@ -108,10 +108,3 @@ def _write(place: Path, task: Submitted[bytes]) -> bool:
         archive.extractall(place, filter="data")
     console.print(f"{printable(place.name)}: report {place / 'report.html'}", markup=False)
     return True
-
-
-def _settings() -> EdgeSettings:
-    try:
-        return EdgeSettings()
-    except ValueError as error:
-        raise BadInput(str(error)) from error

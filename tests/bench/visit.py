@@ -18,6 +18,7 @@ import numpy as np
 from playwright.sync_api import Browser, BrowserContext, sync_playwright
 
 from services.cli.up import run_stack
+from services.edge.arrays import Bytes
 from services.edge.asset.target import measure_cost
 from services.edge.export.glb import to_glb
 from services.edge.mesh.nouns import Mesh, TexturedMesh
@@ -32,7 +33,7 @@ from tests.support.chromium import launch
 
 _KEY = "sheet"
 _SIDES = (2048, 1024, 512)  # texels of the levels' pictures
-_LINK = {"offline": False, "latency": 20, "downloadThroughput": 20e6 / 8, "uploadThroughput": 5e6 / 8}
+LINK = {"offline": False, "latency": 20, "downloadThroughput": 20e6 / 8, "uploadThroughput": 5e6 / 8}
 _LONG_MS = 50
 _PATIENCE_MS = 120_000
 
@@ -82,10 +83,14 @@ def _visits(what: str, bundle: Bundle, chromium: Browser) -> None:
 
 def _painted(level: Mesh, side: int) -> TexturedMesh:
     """The sheet seen from above, with a picture that compresses as a photo does."""
-    rng = np.random.default_rng(0)
-    coarse = rng.integers(0, 256, (side // 8, side // 8, 3)).astype(np.uint8)
-    picture = np.asarray(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC), np.uint8)
-    return TexturedMesh(replace(level, rgb=None), level.vertices[:, [0, 2]].clip(0, 1), jpeg_of(picture, 88), side)
+    jpeg = jpeg_of(photo_like(side), 88)
+    return TexturedMesh(replace(level, rgb=None), level.vertices[:, [0, 2]].clip(0, 1), jpeg, side)
+
+
+def photo_like(side: int) -> Bytes:
+    """A picture (side,side,3) that compresses as a photo does."""
+    coarse = np.random.default_rng(0).integers(0, 256, (side // 8, side // 8, 3)).astype(np.uint8)
+    return np.asarray(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
 def _bundle(levels: Sequence[Mesh | TexturedMesh]) -> Bundle:
@@ -104,7 +109,7 @@ def _visit(context: BrowserContext, address: str) -> dict[str, Any]:
     """What the page tells of itself once the finest level is there and the service worker has seen all modules."""
     page = context.new_page()
     page.set_default_timeout(_PATIENCE_MS)
-    context.new_cdp_session(page).send("Network.emulateNetworkConditions", _LINK)
+    context.new_cdp_session(page).send("Network.emulateNetworkConditions", LINK)
     page.goto(address)
     page.wait_for_function("() => window.told.levels.some(([levels]) => levels === '2 1 0')")
     told: dict[str, Any] = page.evaluate(_TOLD)

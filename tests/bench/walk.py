@@ -15,13 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from playwright.sync_api import BrowserContext, CDPSession, Page, sync_playwright
 
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.texture.bake import jpeg_of
 from services.storage.catalogue.publish import publish
+from tests.bench.visit import LINK, photo_like
 from tests.support.chromium import launch
 from tests.support.headsets import Hand, enter, wear
 from tests.support.npm_packages import installed
@@ -31,7 +31,6 @@ from tests.support.tilesets import hill_bundle
 
 _KEY = "hills"
 _LEVELS, _SIZE_M, _CELLS = 6, 64.0, 32
-_LINK = {"offline": False, "latency": 20, "downloadThroughput": 20e6 / 8, "uploadThroughput": 5e6 / 8}
 _SAMPLE_S = 30.0
 _STRIDE = 40  # frames with the stick forward, 6 m at most, before a turn by 30 degrees: a circle within the hills
 _PATIENCE_MS = 300_000
@@ -58,8 +57,7 @@ def main(arguments: list[str]) -> None:
 
 def _with_picture(side: int) -> Callable[[Mesh], TexturedMesh]:
     """A function that gives a tile a picture, seen from above, that compresses as a photo does."""
-    coarse = np.random.default_rng(0).integers(0, 256, (side // 8, side // 8, 3)).astype(np.uint8)
-    jpeg = jpeg_of(np.asarray(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC), np.uint8), 80)
+    jpeg = jpeg_of(photo_like(side), 80)
 
     def dress(mesh: Mesh) -> TexturedMesh:
         corner, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
@@ -73,12 +71,12 @@ def _walk(context: BrowserContext, address: str, minutes: float) -> None:
     page = context.new_page()
     page.set_default_timeout(_PATIENCE_MS)
     devtools = context.new_cdp_session(page)
-    devtools.send("Network.emulateNetworkConditions", _LINK)
+    devtools.send("Network.emulateNetworkConditions", LINK)
     page.goto(address)
     page.wait_for_function("() => document.body?.dataset.loaded")
     print(f"first picture {_first_picture_ms(page):.0f} ms after the catalogue, on 20 Mbit/s\n")
     page.wait_for_function("() => Number(document.body.dataset.tiles) > 0")
-    devtools.send("Network.emulateNetworkConditions", {**_LINK, "downloadThroughput": -1, "latency": 0})
+    devtools.send("Network.emulateNetworkConditions", {**LINK, "downloadThroughput": -1, "latency": 0})
     enter(page)
     print("| minutes | m walked | tiles drawn | triangles drawn | MB of tiles kept | MB of JavaScript's heap |")
     print("|---|---|---|---|---|---|", flush=True)

@@ -12,7 +12,7 @@ from services.edge.arrays import Floats
 from services.edge.capture.cloud_parts import dropped_warning, read_some, valid_mask
 from services.edge.capture.files import Folder, translate_errors, unreadable
 from services.edge.capture.meshes import read_mesh, vertex_colours
-from services.edge.capture.nouns import Capture, Cloud, ScaleConfidence
+from services.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
 from services.edge.capture.pcd import read_pcd
 from services.edge.capture.ply import ply_parts, read_ply
 from services.edge.capture.raw_parts import RawParts
@@ -101,15 +101,13 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
     Of a cloud of more than LARGE points some are read now, and all of them in parts when they are asked for.
     """
     if (parts := _parts(folder, name, kind)) is not None:
-        return _large_cloud(parts, folder, name, kind)
+        some, whole, warnings = read_some(parts, name, folder.tick)
+        return _capture(kind, name, some, warnings, whole)
     cloud, warnings = _read(folder, name, kind)
     if len(cloud.xyz) > MAX_POINTS:
         raise too_many_points(len(cloud.xyz), name)
     cloud, dropped = _drop_invalid(cloud, name)
-    _check_shape(cloud.xyz, name)
-    frame = _FRAMES.get(kind, _Frame())
-    up = None if frame.up is None else np.array(frame.up)
-    return Capture("points", kind, cloud=cloud, scale_confidence=frame.scale, up=up, warnings=(*warnings, *dropped))
+    return _capture(kind, name, cloud, (*warnings, *dropped))
 
 
 def _parts(folder: Folder, name: str, kind: str) -> RawParts | None:
@@ -130,9 +128,8 @@ def _parts(folder: Folder, name: str, kind: str) -> RawParts | None:
     return ply_parts(path, name) if kind == "ply" else npy_parts(path, name)
 
 
-def _large_cloud(parts: RawParts, folder: Folder, name: str, kind: str) -> Capture:
-    """Check all points of a large cloud, and return a capture of some of them, which has all in parts."""
-    cloud, whole, warnings = read_some(parts, name, folder.tick)
+def _capture(kind: str, name: str, cloud: Cloud, warnings: tuple[str, ...], whole: CloudParts | None = None) -> Capture:
+    """Return the capture of a cloud whose points are valid, in the frame of its format. Raises CAPTURE_DEGENERATE."""
     _check_shape(cloud.xyz, name)
     frame = _FRAMES.get(kind, _Frame())
     up = None if frame.up is None else np.array(frame.up)

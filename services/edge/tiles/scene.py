@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import services
-from services.edge.arrays import Floats, Tick
+from services.edge.arrays import Floats, Tick, part_of
 from services.edge.asset.photo_check import posed_picture
 from services.edge.asset.target import Target
 from services.edge.capture.nouns import Cloud, CloudParts
@@ -111,7 +111,7 @@ def reconstruct_tiles(
     yield bar.begin("FITTING", f"{parts.count:,} points")
     with clock("FITTING"):
         tick = bar.tick("FITTING")
-        low, high = bounds_of(parts, to_asset, lambda done: tick(0.3 * done))
+        low, high = bounds_of(parts, to_asset, part_of(tick, 0, 0.3))
         grid = choose_grid(points, parts.count, to_asset, low, high, preset, side)
         files.begin(_fingerprint(points, parts.count, to_asset, grid, target))
         tiles = _sorted_tiles(parts, points, to_asset, grid, files, tick)
@@ -166,7 +166,7 @@ def _sorted_tiles(
 ) -> list[Tile]:
     """Sort and thin all points, unless that is done -> the tiles that have any, in order."""
     if files.tiles is None:
-        sort_into_tiles(parts, to_asset, grid, files, lambda done: tick(0.3 + 0.4 * done))
+        sort_into_tiles(parts, to_asset, grid, files, part_of(tick, 0.3, 0.7))
     filled = [tile_of(name) for name in files.tiles or {}]
     for number, tile in enumerate(filled):
         if not files.path("points", name_of(tile)).exists():
@@ -180,9 +180,9 @@ def _each_tile(
 ) -> Generator[Progress, None, None]:
     """Run a task for each tile, and again where it fails. Raises EdgeError TILE_FAILED where it fails every time."""
     for number, tile in enumerate(tiles):
-        tick, share = bar.tick(stage), 1 / len(tiles)
-        yield bar.advance(stage, number * share, f"tile {number + 1} of {len(tiles)}")
-        with_retries(tile, partial(task, tile, _within(tick, number * share, share)))
+        begin, end = number / len(tiles), (number + 1) / len(tiles)
+        yield bar.advance(stage, begin, f"tile {number + 1} of {len(tiles)}")
+        with_retries(tile, partial(task, tile, part_of(bar.tick(stage), begin, end)))
 
 
 def _mesh_all(
@@ -193,10 +193,6 @@ def _mesh_all(
         return
     with engine() as running:
         yield from mesh_on_engine(running, files, grid, noise, tiles, bar)
-
-
-def _within(tick: Tick, begin: float, share: float) -> Tick:
-    return lambda done: tick(begin + share * done)
 
 
 def with_retries(tile: Tile, task: Callable[[], None]) -> None:
@@ -218,9 +214,10 @@ def _mesh_once(files: SceneFolder, grid: TileGrid, noise: float, tile: Tile, tic
 
 def _weld_all(files: SceneFolder, grid: TileGrid, tiles: Sequence[Tile], tick: Tick) -> None:
     """Weld all tiles that are not yet, one after the other."""
+    filled = set(tiles)
     for tile in tiles:
         if not files.path("welded", name_of(tile)).exists():
-            beside = [each for each in neighbours(tile) if each in tiles]
+            beside = [each for each in neighbours(tile) if each in filled]
             strips = [strip_of(files.load_mesh("welded", name_of(each)), grid, tile) for each in beside if each < tile]
             mesh = weld(files.load_mesh("mesh", name_of(tile)), grid, tile, beside, strips)
             files.save_mesh("welded", name_of(tile), mesh)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.atomic_write import atomic_write
-from services.edge.arrays import Bools, Floats, Tick, no_tick
+from services.edge.arrays import Bools, Floats, Tick, no_tick, part_of
 from services.edge.asset.target import Target
 from services.edge.export.glb import to_glb
 from services.edge.export.ktx2 import EncodeKtx2
@@ -100,7 +100,7 @@ class LevelMaker:
         mesh = mesh if rgb is None else transfer_colours(mesh, xyz, rgb)
         tick(0.2)
         budget = max(len(mesh.faces) // _KEPT, _FEWEST)
-        coarse = simplify(mesh, budget, hold=partial(self._hold, node), tick=_part(tick))
+        coarse = simplify(mesh, budget, hold=partial(self._hold, node), tick=part_of(tick, 0.2, 0.6))
         known = None if rgb is None else ColouredPoints.of(xyz, rgb)
         return self._write(node, coarse, self._textured(coarse, known, tick), 0.0)
 
@@ -110,7 +110,7 @@ class LevelMaker:
         error = max(self.figures(child).error_m for child in children)
         fine = orient(joined([mesh for mesh in meshes if len(mesh.faces)]))
         budget = max(len(fine.faces) // _COARSER, _FEWEST)
-        coarse = simplify(fine, budget, hold=partial(self._hold, node), tick=_part(tick))
+        coarse = simplify(fine, budget, hold=partial(self._hold, node), tick=part_of(tick, 0.2, 0.6))
         self._write(node, coarse, coarse if len(coarse.faces) else None, error + _distance(fine, coarse))
 
     def is_made(self, node: Node) -> bool:
@@ -194,7 +194,3 @@ def _distance(fine: Mesh, coarse: Mesh) -> float:
     nearest = cKDTree(surface.xyz).query(some)[1]
     off: Floats = np.abs(np.einsum("nx,nx->n", some - surface.xyz[nearest], surface.normals[nearest]))
     return float(np.quantile(off, _HIGH))
-
-
-def _part(tick: Tick) -> Tick:
-    return lambda fraction: tick(0.2 + 0.4 * fraction)

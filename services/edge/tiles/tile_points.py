@@ -72,10 +72,9 @@ def points_around(folder: SceneFolder, grid: TileGrid, tile: Tile, margin: float
 
     They come tile by tile in one order, whichever tile asks.
     """
-    known = folder.tiles or {}
     cells, rgb = [], []
     for each in sorted([tile, *neighbours(tile)]):
-        if name_of(each) in known:
+        if folder.path("points", name_of(each)).exists():
             xyz, colours = folder.load_points(name_of(each))
             near = slice(None) if each == tile else grid.within(xyz, tile, margin)
             cells.append(xyz[near])

@@ -17,7 +17,7 @@ KEEP_S = 24 * 3600.0
 """Seconds that a job's folder is kept after its last checkpoint: a worker that was down overnight can still resume."""
 
 _SUFFIX = ".checkpoint"
-_TAKEN = (_SUFFIX, ".tiles")  # suffixes of what a newer lease goes on from
+_TILES = ".tiles"  # suffix of a folder
 
 
 class CheckpointFiles:
@@ -32,7 +32,7 @@ class CheckpointFiles:
         folder = self._root / job
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         own = folder / f"{fence}{_SUFFIX}"
-        for suffix in _TAKEN:
+        for suffix in (_SUFFIX, _TILES):
             older = sorted((each, path) for each, path in _files(folder) if each < fence and path.suffix == suffix)
             if older and not own.with_suffix(suffix).exists():
                 # Its writer may still be alive. It writes atomically by renaming, so this file stays complete, and the
@@ -56,7 +56,7 @@ class CheckpointFiles:
         """Remove the folders that are older than KEEP_S by their mtime, which every file renamed in updates."""
         for folder in self._root.glob("*"):
             with suppress(FileNotFoundError):
-                if time.time() - max(each.stat().st_mtime for each in (folder, *folder.glob("*.tiles/*"))) > KEEP_S:
+                if time.time() - max(each.stat().st_mtime for each in (folder, *folder.glob(f"*{_TILES}/*"))) > KEEP_S:
                     shutil.rmtree(folder, ignore_errors=True)
 
 

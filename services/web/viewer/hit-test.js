@@ -7,6 +7,16 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 const REACH_M = 0.06; // a hand this near to an item's box takes it without pointing
 
 /**
+ * Makes a raycaster's ray that of a hand, which points along its -z.
+ * @param {THREE.Raycaster} raycaster
+ * @param {THREE.Object3D} hand
+ */
+export function aimRay({ ray }, { matrixWorld }) {
+  ray.origin.setFromMatrixPosition(matrixWorld);
+  ray.direction.set(0, 0, -1).transformDirection(matrixWorld);
+}
+
+/**
  * Finds the item whose box a point in the world is in, or next to.
  * @param {LoadedItem[]} items
  * @param {THREE.Vector3} point

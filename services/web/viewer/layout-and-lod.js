@@ -1,5 +1,8 @@
 // Layout of the things in a scene, and the choice of their levels of detail. Numbers only, no graphics.
 
+/** Triangles in view: a Quest 3 draws them in time with room to spare. */
+export const MOST_TRIANGLES = 1_000_000;
+
 // A level is fine enough while the thing's diameter takes less than this share of the view's height.
 const FINE_ENOUGH = [Infinity, 0.3, 0.1];
 const HYSTERESIS = 0.85; // of that share, before a finer level is given up: otherwise small movements would make it flicker

@@ -1,11 +1,10 @@
 // The render loop: in each frame, which levels of detail to show, and whether there is anything new to draw.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { chooseLevels } from './layout-and-lod.js';
+import { MOST_TRIANGLES, chooseLevels } from './layout-and-lod.js';
 
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { LoadedItem } from './scene-item.js' */
 
-const SCENE_TRIANGLES = 1_000_000; // a Quest 3 draws them in time with room to spare; every thing is one draw call
 const REDRAW_MS = 300; // after the last change: what was sent to the graphics card comes with the next frame
 const LONGEST_FRAME_S = 0.1; // a page that was in the background must not push things through the wall
 const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'];
@@ -64,7 +63,7 @@ function showLevels(items, camera) {
   const eye = new THREE.Vector3().setFromMatrixPosition(camera.matrixWorld);
   const whole = items.filter(({ isTiled }) => !isTiled);
   const things = whole.map((item) => ({ share: item.viewShare(eye), lods: item.model.lods, now: item.model.shown }));
-  chooseLevels(things, SCENE_TRIANGLES).forEach((level, place) => whole[place].model.want(level));
+  chooseLevels(things, MOST_TRIANGLES).forEach((level, place) => whole[place].model.want(level));
 }
 
 /**

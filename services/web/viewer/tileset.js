@@ -2,6 +2,7 @@
 // Loaded only for an asset that has tiles.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { TilesRenderer } from '../vendor/tiles-renderer-0.5.3.index.js';
+import { MOST_TRIANGLES } from './layout-and-lod.js';
 import { createGlbLoader } from '../graphics/glb-loader.js';
 import { dispose } from '../graphics/scene.js';
 import { loadFile } from '../shared/verified-cache.js';
@@ -11,7 +12,6 @@ import { loadFile } from '../shared/verified-cache.js';
 
 const FINE_ENOUGH_PX = 6; // of a tile's error on the screen; below, its finer ones are not loaded
 const COARSEST_PX = 200; // to which a crowded view may raise it
-const MOST_TRIANGLES = 1_000_000; // a Quest 3 draws them in time with room to spare
 const EASE = 1.15; // by which the allowed error rises or falls from frame to frame
 const ROOM_TO_SPARE = 0.6; // of the triangles, below which it falls again: otherwise the tiles would flicker
 const MOST_BYTES = 256 * 2 ** 20; // of meshes and pictures that were left behind and are kept

@@ -1,7 +1,8 @@
 // Walking in the headset: by thumbstick, by turns of 30 degrees, and by going to a place on a surface that the wearer points at (teleport).
 // It is the scene that moves: the wearer stays in the middle of their own room.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { middleOf } from './xr-session.js';
+import { aimRay } from './hit-test.js';
+import { headingOf, middleOf } from './xr-session.js';
 
 const WALK_M_PER_S = 1.4; // a walk; faster makes people sick
 const TURN = Math.PI / 6; // at once: turning smoothly makes people sick too
@@ -44,10 +45,8 @@ export class Walker {
    * @param {number} seconds since the last frame
    */
   walk(x, y, seconds) {
-    const { matrixWorld } = this.#renderer.xr.getCamera();
-    const ahead = new THREE.Vector3(0, 0, -1).transformDirection(matrixWorld).setY(0);
-    if (ahead.lengthSq() < 1e-6) return; // they look straight up or down
-    ahead.normalize();
+    const ahead = headingOf(this.#renderer.xr.getCamera());
+    if (!ahead) return;
     const right = new THREE.Vector3(-ahead.z, 0, ahead.x);
     const step = ahead.multiplyScalar(-y).addScaledVector(right, x).multiplyScalar(WALK_M_PER_S * seconds);
     this.#root.position.sub(step);
@@ -76,8 +75,7 @@ export class Walker {
   aim(pointer) {
     if (performance.now() - this.#lookedAt < AIM_MS) return;
     this.#lookedAt = performance.now();
-    this.#raycaster.ray.origin.setFromMatrixPosition(pointer.matrixWorld);
-    this.#raycaster.ray.direction.set(0, 0, -1).transformDirection(pointer.matrixWorld);
+    aimRay(this.#raycaster, pointer);
     const [hit] = this.#raycaster.intersectObjects(this.#callbacks.surfaces(), true);
     const up = hit?.face?.normal.clone().transformDirection(hit.object.matrixWorld).y ?? 0;
     this.#mark.visible = Math.abs(up) > LEAST_UP; // a scan's triangles may face either way

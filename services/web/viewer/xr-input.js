@@ -1,6 +1,6 @@
 // Controllers and hands in the headset: how they look, what they grab, and what their buttons do.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';
+import { aimRay, distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';
 
 /** @import { Grabber } from './grab.js' */
 /** @import { Walker } from './walk.js' */
@@ -149,8 +149,7 @@ export class XrInput {
 
   /** @param {THREE.Object3D} pointer */
   #castRay(pointer) {
-    this.#raycaster.ray.origin.setFromMatrixPosition(pointer.matrixWorld);
-    this.#raycaster.ray.direction.set(0, 0, -1).transformDirection(pointer.matrixWorld);
+    aimRay(this.#raycaster, pointer);
     return this.#raycaster;
   }
 

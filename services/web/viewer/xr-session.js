@@ -155,9 +155,7 @@ export class XrSession {
   #placeAhead(camera) {
     const { root } = this.#world;
     const eye = middleOf(camera.cameras);
-    const ahead = new THREE.Vector3(0, 0, -1).transformDirection(camera.matrixWorld).setY(0);
-    if (ahead.lengthSq() < 1e-6) ahead.set(0, 0, -1);
-    ahead.normalize();
+    const ahead = headingOf(camera) ?? new THREE.Vector3(0, 0, -1);
     const height = this.#callbacks.height();
     root.rotation.set(0, Math.atan2(-ahead.x, -ahead.z), 0);
     const inside = this.#callbacks.standingPlace();
@@ -186,6 +184,15 @@ export class XrSession {
     this.#help = help;
     this.#helpUntil = performance.now() + 1000 * HELP_S;
   }
+}
+
+/**
+ * The horizontal direction in which a wearer looks, a unit vector. Null where they look straight up or down.
+ * @param {THREE.Camera} camera
+ */
+export function headingOf({ matrixWorld }) {
+  const ahead = new THREE.Vector3(0, 0, -1).transformDirection(matrixWorld).setY(0);
+  return ahead.lengthSq() < 1e-6 ? null : ahead.normalize();
 }
 
 /**
