@@ -72,7 +72,8 @@ async def test_a_training_goes_on_elsewhere_where_it_was(
                 edge = edges[left[-1]]
                 edge.end(number)
                 assert _written(kept), "the checkpoint has gone with the worker"
-                edge.start()  # takes longer than the other one needs to take the job
+                await in_process_gateway.until(partial(_busy_elsewhere, client, left[-1]))
+                edge.start()
             done = await ended(client, job, within_s=3 * PATIENCE_S)
             story = await events(client, job)
     finally:
@@ -101,6 +102,12 @@ async def _busy(client: httpx.AsyncClient) -> str:
     workers = (await client.get("/v1/service")).json()["workers"]
     (address,) = [each["address"] for each in workers if not each["free_slots"]]
     return str(address)
+
+
+async def _busy_elsewhere(client: httpx.AsyncClient, left: str) -> bool:
+    """Whether a job runs on another worker than the one that has left, which the gateway may still list."""
+    workers = (await client.get("/v1/service")).json()["workers"]
+    return any(not each["free_slots"] for each in workers if each["address"] != left)
 
 
 async def _newer(folder: Path, before: float) -> bool:
