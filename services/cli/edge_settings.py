@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from services.cli.errors import BadInput
+from services.edge.engine.nouns import Needs
+from services.edge.worker.memory_budget import machine_bytes, machine_cores
 from services.edge.worker.settings import EdgeSettings
 
 
@@ -12,3 +14,8 @@ def edge_settings() -> EdgeSettings:
         return EdgeSettings()
     except ValueError as error:
         raise BadInput(str(error)) from error
+
+
+def machine_room() -> Needs:
+    """Return what local tasks of a command may take together: all cores, and a share of the memory."""
+    return Needs(machine_cores(), 1, machine_bytes())

@@ -98,11 +98,14 @@ def run(
 
     Exit code 1 if some of several captures could not be reconstructed.
     """
+    from services.cli.edge_settings import edge_settings, machine_room
     from services.cli.run import RunOptions, run_capture
+    from services.edge.engine.address import engine_for_parts
 
     options = RunOptions(key, collection, cut, longest, target, reference, fill, parse_box(box))
     if len(captures) == 1:
-        run_capture(captures[0], out, options, preset=preset, device=device, resolution=resolution)
+        engine = engine_for_parts(edge_settings().engine, machine_room())
+        run_capture(captures[0], out, options, preset=preset, device=device, resolution=resolution, engine=engine)
         return
     from services.cli.run_many import run_captures
 

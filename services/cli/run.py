@@ -24,7 +24,7 @@ from services.cli.report import report_page
 from services.edge.arrays import Tick, no_tick
 from services.edge.asset.target import Target, require_encoder, target_of
 from services.edge.capture.nouns import Capture
-from services.edge.engine.address import shared_cluster
+from services.edge.engine.nouns import OpenEngine
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2, Ktx2Encoder
 from services.edge.mesh.fill_gaps import Fill
@@ -77,12 +77,16 @@ def run_capture(
     preset: str,
     device: str,
     resolution: int,
+    engine: OpenEngine | None = None,
     tick: Tick = no_tick,
 ) -> None:
-    """Reconstruct `source` into the folder `out`, with a preset by name. Raises BadInput."""
+    """Reconstruct `source` into the folder `out`, with a preset by name. Raises BadInput.
+
+    engine  works at the tiles of a large scene; None: this process
+    """
     chosen = check_preset(preset)
     chosen = replace(chosen, resolution=resolution or chosen.resolution)
-    run_preset(source, out, chosen, options, device=device, tick=tick)
+    run_preset(source, out, chosen, options, device=device, engine=engine, tick=tick)
 
 
 def check_preset(name: str) -> Preset:
@@ -100,6 +104,7 @@ def run_preset(
     options: RunOptions = DEFAULTS,
     *,
     device: str = "auto",
+    engine: OpenEngine | None = None,
     tick: Tick = no_tick,
 ) -> None:
     """Reconstruct `source` into the folder `out`, which stays unchanged until there is a result. Raises BadInput.
@@ -116,9 +121,8 @@ def run_preset(
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
             results = Results(out, key, options.collection, reference)
-            _reconstruct_into(
-                results, open_source(source, Path(scratch)), preset, device, options, printable(source.stem), tick
-            )
+            capture = open_source(source, Path(scratch))
+            _reconstruct_into(results, capture, preset, device, options, printable(source.stem), engine, tick)
     except (EdgeError, ArchiveError) as error:
         raise BadInput(_error_sentence(error, source)) from error
 
@@ -173,9 +177,15 @@ def open_source(source: Path, scratch: Path) -> Path:
 
 
 def _reconstruct_into(
-    results: Results, folder: Path, preset: Preset, device: str, options: RunOptions, label: str, tick: Tick
+    results: Results,
+    folder: Path,
+    preset: Preset,
+    device: str,
+    options: RunOptions,
+    label: str,
+    engine: OpenEngine | None,
+    tick: Tick,
 ) -> None:
-    from services.cli.edge_settings import edge_settings
     from services.edge.capture.detect import read_capture
     from services.edge.pipeline import PreviewKept, reconstruct
     from services.edge.progress import Progress
@@ -204,7 +214,7 @@ def _reconstruct_into(
             label=label,
             target=target,
             encode=encode,
-            engine=shared_cluster(edge_settings().engine) if preset.tiled or preset.name == AUTOMATIC else None,
+            engine=engine,
             watch=show,
         )
         for step in steps:

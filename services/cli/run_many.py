@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from services.cli.edge_settings import edge_settings
+from services.cli.edge_settings import edge_settings, machine_room
 from services.cli.errors import BadInput, printable, sentence
 from services.cli.progress import StageBar, console
 from services.cli.run import RunOptions, check_preset, check_writable, key_from, run_capture
@@ -18,7 +18,6 @@ from services.edge.arrays import Tick
 from services.edge.engine.address import open_engine
 from services.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
 from services.edge.errors import EdgeError
-from services.edge.worker.memory_budget import machine_bytes
 
 _MEMORY_BYTES = 2 << 30  # of one capture: most of the bench's take less (tests/bench/results/pipeline.md)
 _REPORT = "report.json"
@@ -35,7 +34,7 @@ def run_captures(
     places = _places(sources, out, options)
     settings = edge_settings()
     try:
-        with open_engine(settings.engine, machine_bytes()) as engine:
+        with open_engine(settings.engine, machine_room()) as engine:
             tasks = {
                 out / key: _submit(engine, source, replace(options, key=key), preset, device, resolution)
                 for key, source in places.items()

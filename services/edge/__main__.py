@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from services.edge.engine.address import shared_cluster
+from services.edge.engine.address import engine_for_parts
+from services.edge.engine.nouns import Needs
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import Ktx2Encoder
 from services.edge.field.device import find_device
@@ -14,7 +15,7 @@ from services.edge.jobs.central_client import Central
 from services.edge.jobs.reconstruct_job import Reconstructor
 from services.edge.worker.control_group import own_control_group
 from services.edge.worker.guard import is_container_start, run_guarded
-from services.edge.worker.memory_budget import MemoryBudget, machine_bytes
+from services.edge.worker.memory_budget import MemoryBudget, machine_bytes, machine_cores
 from services.edge.worker.server import serve
 from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
 from services.logs import configure
@@ -64,7 +65,8 @@ def _start(*, out_of_memory: bool) -> int:
     configure(settings.log_level)
     memory = MemoryBudget(settings.memory or device.memory_bytes or machine_bytes())
     central = Central(settings.central, credentials=credentials) if settings.central else None
-    engine = shared_cluster(settings.engine)
+    room = Needs(machine_cores() / settings.slots, 1 / settings.slots, machine_bytes() // settings.slots)
+    engine = engine_for_parts(settings.engine, room)
     work = Reconstructor(store, presets, device, memory, central, publish, storage.collection, encode, engine)
     work.warm_up()
     return serve(settings, work, out_of_memory=out_of_memory)

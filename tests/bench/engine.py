@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> None:
 def _print_rows(jobs: int, seconds: float) -> None:
     print(f"{'nodes':>5} {'seconds':>8} {'jobs a minute':>14} {'of k x one node':>16}", flush=True)
     first = 0.0
-    with running() as cluster, open_engine(ADDRESS, 0) as engine:
+    with running() as cluster, open_engine(ADDRESS, Needs()) as engine:
         for nodes, took in _runs(cluster, engine, jobs, seconds):
             first = first or took
             share = first / took / nodes

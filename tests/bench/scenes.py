@@ -27,6 +27,7 @@ from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.sampling import area, sample
 from services.edge.mesh.topology import compact
 from services.edge.srgb import to_srgb
+from tests.bench.peak_memory import peak_memory
 from tests.support.flats import ROOM, Flat, flat
 
 KEPT = Path(__file__).with_name("scenes.json")
@@ -46,7 +47,7 @@ class SceneFigures:
     """What one size took, and how good it is.
 
     cpu_minutes   of all processes, which other programs on the machine hardly change; wall_minutes: with them
-    preview_s     CPU seconds to the preview; peak_mb: resident memory of the largest process
+    preview_s     CPU seconds to the preview; peak_mb: most resident memory of all processes together
     mean_mm       mean distance of the tiles' surface from the true one; off: share of it more than 2 cm away
     coverage      share of the true surface with a tile within 2 cm
     """
@@ -128,7 +129,7 @@ def plot(figures: Sequence[SceneFigures], path: Path) -> None:
     left.legend()
     right.semilogx(areas, [each.peak_mb for each in figures], "o-")
     right.axhline(3_000, linestyle="--", color="grey")
-    right.set(xlabel="surface, m²", ylabel="MB", title="Peak memory of the largest process", ylim=(0, 3_300))
+    right.set(xlabel="surface, m²", ylabel="MB", title="Peak memory of all processes", ylim=(0, 3_300))
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -142,7 +143,9 @@ def _in_child(millions: int, state: Path) -> SceneFigures:
 
 def _measure(millions: int, state: Path) -> SceneFigures:
     """Scan, reconstruct and compare one flat; what a killed run has finished, and its times, count."""
+    from services.cli.edge_settings import machine_room
     from services.edge.capture.detect import read_capture
+    from services.edge.engine.address import LOCAL, engine_for_parts
     from services.edge.pipeline import reconstruct
     from services.edge.preset import load_preset
     from services.edge.progress import Progress
@@ -158,16 +161,18 @@ def _measure(millions: int, state: Path) -> SceneFigures:
     checkpoint = folder / "1.checkpoint"
     clock = _Clock(folder / "spent.json")
     refined = None
-    for step in reconstruct(read_capture(scan), load_preset("scene-tiles"), checkpoint=checkpoint):
-        if isinstance(step, Bundle):
-            preview_s = preview_s or _cpu_seconds() - resource_before
-            refined = step
-        elif isinstance(step, Progress) and clock.is_due():
-            print(f"{step.stage} {step.fraction:.3f} {step.message}", file=sys.stderr, flush=True)
-            clock.save(_cpu_seconds() - resource_before, time.monotonic() - began)
+    engine = engine_for_parts(LOCAL, machine_room())
+    steps = reconstruct(read_capture(scan), load_preset("scene-tiles"), checkpoint=checkpoint, engine=engine)
+    with peak_memory() as peak:
+        for step in steps:
+            if isinstance(step, Bundle):
+                preview_s = preview_s or _cpu_seconds() - resource_before
+                refined = step
+            elif isinstance(step, Progress) and clock.is_due():
+                print(f"{step.stage} {step.fraction:.3f} {step.message}", file=sys.stderr, flush=True)
+                clock.save(_cpu_seconds() - resource_before, time.monotonic() - began)
     assert refined is not None
     cpu, wall = clock.total(_cpu_seconds() - resource_before, time.monotonic() - began)
-    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1e3
     to_truth = _Z_UP.T @ np.linalg.inv(np.array(refined.manifest["capture_to_asset"]).reshape(4, 4))[:3]
     leaves = sorted((tiles_folder(checkpoint) / "level").glob("0-*.npz"))
     mean, off, coverage = _compare(leaves, to_truth, truth)
@@ -186,7 +191,7 @@ def _measure(millions: int, state: Path) -> SceneFigures:
         cpu_minutes=round(cpu / 60, 2),
         wall_minutes=round(wall / 60, 2),
         preview_s=round(preview_s, 1),
-        peak_mb=round(peak),
+        peak_mb=round(peak.megabytes),
         mean_mm=round(1e3 * mean, 3),
         off=round(off, 5),
         coverage=round(coverage, 5),

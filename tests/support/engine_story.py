@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 import psutil
 
+from services.edge.arrays import no_tick
 from services.edge.engine.address import LOCAL, open_engine
 from services.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
 from services.edge.errors import Cancelled, EdgeError
-from services.edge.tiles.mesh_on_engine import TILE_NEEDS, mesh_task
 from services.edge.tiles.mesh_tile import mesh_tile
+from services.edge.tiles.parts import PART_NEEDS
 from tests.edge.tiles.hall import GRID, hall
 from tests.support import engine_tasks
 from tests.support.clouds import write_ply
@@ -133,9 +134,9 @@ def lose_a_node(engine: Engine, cluster: RayCluster, folder: Path) -> dict[str, 
 def mesh_tiles(engine: Engine) -> bool:
     """Whether the tiles of a hall that the engine meshes are to the last bit those that are meshed here."""
     cells, tiles = hall(), [(0, 0, 0), (1, 0, 0)]
-    tasks = [engine.submit(TILE_NEEDS, mesh_task, cells, GRID, tile, 0.0) for tile in tiles]
+    tasks = [engine.submit(PART_NEEDS, mesh_tile, cells, GRID, tile, 0.0) for tile in tiles]
     made = [task.result(HANG_S) for task in tasks]
-    here = [mesh_tile(cells, GRID, tile) for tile in tiles]
+    here = [mesh_tile(no_tick, cells, GRID, tile) for tile in tiles]
     return all(
         len(one.faces) > 100 and np.array_equal(one.vertices, other.vertices) and np.array_equal(one.faces, other.faces)
         for one, other in zip(made, here, strict=True)
@@ -160,7 +161,7 @@ def on_a_cluster(folder: Path) -> dict[str, Any]:
     os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(16)}
     with running() as cluster:
         cluster.start_nodes(one="--num-gpus=1", two="")
-        with open_engine(ADDRESS, 0) as engine:
+        with open_engine(ADDRESS, Needs()) as engine:
             said = tell(engine, folder)
             needs = Needs(cpus=0.5, gpus=0.5)
             gpu = engine.submit(needs, engine_tasks.environment, "CUDA_VISIBLE_DEVICES")
@@ -175,7 +176,7 @@ def on_a_cluster(folder: Path) -> dict[str, Any]:
 
 def nobody_there() -> dict[str, Any]:
     try:
-        with open_engine(ADDRESS, 0):
+        with open_engine(ADDRESS, Needs()):
             return {}
     except EdgeError as error:
         return {"code": error.code, "message": error.message, "retryable": error.retryable}
@@ -184,7 +185,7 @@ def nobody_there() -> dict[str, Any]:
 def main(kind: str) -> None:
     with tempfile.TemporaryDirectory(prefix="engine-") as folder:
         if kind == LOCAL:
-            with open_engine(LOCAL, _MEMORY) as engine:
+            with open_engine(LOCAL, Needs(os.cpu_count() or 1, 1, _MEMORY)) as engine:
                 said = tell(engine, Path(folder))
         else:
             said = on_a_cluster(Path(folder))

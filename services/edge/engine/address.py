@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from threading import Lock
 
 from services.edge.engine.local_engine import LocalEngine
@@ -24,13 +25,13 @@ def check_engine(value: str) -> str:
 
 
 @contextmanager
-def open_engine(setting: str, memory_bytes: int) -> Iterator[Engine]:
+def open_engine(setting: str, room: Needs) -> Iterator[Engine]:
     """Open the engine that the setting names; at the end what has not ended is cancelled.
 
-    memory_bytes  of this machine, that local tasks may take together
+    room  of this machine, that local tasks may take together
     Raises EdgeError ENGINE_LOST where the cluster cannot be reached, ENGINE_MISSING where Ray is not installed.
     """
-    engine = LocalEngine(Needs(os.cpu_count() or 1, 1, memory_bytes)) if setting == LOCAL else _open_ray(setting)
+    engine = LocalEngine(room) if setting == LOCAL else _open_ray(setting)
     try:
         yield engine
     finally:
@@ -49,12 +50,17 @@ def _open_ray(address: str) -> Engine:
     return RayEngine(address)
 
 
-def shared_cluster(setting: str) -> OpenEngine | None:
-    """Return what opens the cluster that the setting names; None for `local`.
+def engine_for_parts(setting: str, room: Needs) -> OpenEngine | None:
+    """Return what opens the engine that works at the parts of a job side by side; None where there is but one core.
 
-    It connects for the first of several users, and lets go after the last: Ray's client is one for a process.
+    room  of this machine, for one job
+
+    The cluster is connected to for the first of several jobs, and let go after the last: Ray's client is one for a
+    process.
     """
-    return None if setting == LOCAL else _SharedCluster(setting).use
+    if setting != LOCAL:
+        return _SharedCluster(setting).use
+    return partial(open_engine, LOCAL, room) if room.cpus > 1 else None
 
 
 class _SharedCluster:

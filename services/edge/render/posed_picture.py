@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,11 @@ class PosedPicture:
         eye: Floats = np.linalg.inv(self.to_camera)[:3, 3]
         return eye
 
+    def loaded(self) -> PosedPicture:
+        """Return the same picture with its pixels in memory: it can be pickled."""
+        depth = None if self.load_depth is None else partial(_same, self.load_depth())
+        return replace(self, load_rgb=partial(_same, self.load_rgb()), load_depth=depth)
+
     def depth(self) -> Floats:
         """Load the depth image (H,W); one pixel of 0, unknown, where there is none."""
         return np.zeros((1, 1), np.float32) if self.load_depth is None else self.load_depth()
@@ -56,3 +65,7 @@ class PosedPicture:
         for axis, value in enumerate((x, y)):
             at[:, axis] = value * over * kind.type(self.focal[axis]) + kind.type(self.middle[axis])
         return at, z
+
+
+def _same(value: T) -> T:
+    return value

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Floats, Ints, Tick, no_tick, part_of
+from services.edge.arrays import Floats, Ints, Tick, part_of
 from services.edge.field.denoise import denoise
 from services.edge.field.local import local_field
 from services.edge.field.noise import Noise
@@ -17,9 +17,7 @@ from services.edge.mesh.extract import extract_on_grid
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.spacing import point_spacing
 from services.edge.mesh.topology import compact
-from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.grid import HALO, RING, UNIT, Tile, TileGrid, local_grid, name_of
-from services.edge.tiles.tile_points import points_around
+from services.edge.tiles.grid import RING, UNIT, Tile, TileGrid, local_grid
 
 HIDDEN = 0.08
 """Cells of noise that the field's patches hide by themselves."""
@@ -35,14 +33,10 @@ _ANCHORED = 6  # one in so many points has a quadric of its own for denoising: t
 _PRIMES = np.array([73_856_093, 19_349_663, 83_492_791])  # of a spatial hash (M. Teschner et al., 2003)
 
 
-def make_mesh(folder: SceneFolder, grid: TileGrid, tile: Tile, noise: float, tick: Tick = no_tick) -> None:
-    """Mesh a tile from the points in the scene's folder, and write the mesh there."""
-    cells, _ = points_around(folder, grid, tile, HALO)
-    folder.save_mesh("mesh", name_of(tile), mesh_tile(cells, grid, tile, noise, tick))
-
-
-def mesh_tile(cells: Floats, grid: TileGrid, tile: Tile, noise: float = 0.0, tick: Tick = no_tick) -> Mesh:
+def mesh_tile(tick: Tick, cells: Floats, grid: TileGrid, tile: Tile, noise: float = 0.0) -> Mesh:
     """Mesh a tile from the points (N,3) of it and its halo -> the mesh of it and a strip around it, both in cells.
+
+    A task of an engine.
 
     noise  of the scene's points, in cells: the same for all tiles, so that they denoise alike
     """

@@ -5,16 +5,16 @@
 3. weld    each tile to its neighbours                                               (weld.py)
 4. level   colour, simplify and pack the tiles, then their ancestors                 (tile_levels.py)
 
+Tiles are meshed, and levels made, one after the other or side by side on an engine    (parts.py)
 What is finished is on disk: a run that was killed goes on with the tiles that are missing.
 """
 
 from __future__ import annotations
 
 import hashlib
-import logging
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +25,8 @@ from services.edge.arrays import Floats, Tick, part_of
 from services.edge.asset.photo_check import posed_picture
 from services.edge.asset.target import Target
 from services.edge.capture.nouns import Cloud, CloudParts
-from services.edge.engine.nouns import OpenEngine
-from services.edge.errors import Cancelled, EdgeError
+from services.edge.engine.nouns import Engine, OpenEngine
+from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.export.tileset import TILESET_FILE, TilesetNode, tileset_json
 from services.edge.mesh.nouns import Mesh
@@ -35,13 +35,13 @@ from services.edge.points.nouns import Points
 from services.edge.preset import Preset
 from services.edge.progress import Bar, Clock, Progress
 from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.grid import SIDE, Tile, TileGrid, name_of, neighbours, tile_of
-from services.edge.tiles.mesh_on_engine import mesh_on_engine
-from services.edge.tiles.mesh_tile import make_mesh
-from services.edge.tiles.tile_levels import LevelMaker, Node
-from services.edge.tiles.tile_points import bounds_of, noise_of_tiles, sort_into_tiles, thin_tile
+from services.edge.tiles.grid import HALO, SIDE, Tile, TileGrid, name_of, neighbours, tile_of
+from services.edge.tiles.level_files import LevelFiles
+from services.edge.tiles.mesh_tile import mesh_tile
+from services.edge.tiles.parts import PartWork, Span, run_parts
+from services.edge.tiles.tile_levels import Node
+from services.edge.tiles.tile_points import bounds_of, noise_of_tiles, points_around, sort_into_tiles, thin_tile
 from services.edge.tiles.tile_views import TileViews
-from services.edge.tiles.tries import TRIES, tile_failed
 from services.edge.tiles.weld import strip_of, weld
 
 TILE_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.1, "TEXTURING": 0.75, "PACKING": 0.97, "PUBLISHING": 0.99}
@@ -52,8 +52,7 @@ FINEST_M = 0.01
 _MOST_CELLS = 2_000  # along the longest side of a scene whose size in metres is unknown
 _SOME = 100_000  # points by which borders are chosen
 _PROBES = 5_000  # points whose spacing is measured
-
-_log = logging.getLogger(__name__)
+_TILES_SHARE = 0.9  # of the time of all levels, for that of the tiles
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +100,9 @@ def reconstruct_tiles(
     """Mesh all points of a capture tile by tile, and make the levels of detail; to_asset (4,4) from the capture frame.
 
     folder  holds what is finished; the caller removes it once the result is published
-    engine  meshes the tiles side by side; None: one after the other, in this process
+    engine  works at tiles side by side; None: one after the other, in this process
     side    cells along a side of a tile
-    Raises EdgeError TILE_FAILED, which names the tile, SCENE_TOO_LARGE, EXTRACTION_EMPTY, ENGINE_LOST; and Cancelled as
+    Raises EdgeError TILE_FAILED, which names the tile, SCENE_TOO_LARGE, EXTRACTION_EMPTY, ENGINE_LOST; Cancelled as
     `bar` does.
     """
     parts = points.whole or CloudParts(len(points), lambda: iter((Cloud(points.xyz, points.rgb),)))
@@ -116,16 +115,16 @@ def reconstruct_tiles(
         files.begin(_fingerprint(points, parts.count, to_asset, grid, target))
         tiles = _sorted_tiles(parts, points, to_asset, grid, files, tick)
         noise = noise_of_tiles(files, tiles)
-    yield bar.begin("EXTRACTING", f"{len(tiles):,} tiles of {grid.sides.max() * grid.cell:.2f} m")
-    with clock("EXTRACTING"):
-        yield from _mesh_all(engine, files, grid, noise, tiles, bar)
-        _weld_all(files, grid, tiles, bar.tick("EXTRACTING"))
     views = TileViews([posed_picture(view, to_asset) for view in points.texture_views])
-    levels = LevelMaker(files, grid, views, target, encode)
-    yield bar.begin("TEXTURING", f"{len(tiles):,} tiles")
-    with clock("TEXTURING"):
-        yield from _each_tile(tiles, "TEXTURING", bar, partial(_level_once, levels))
-        return _ancestors(levels, tiles, bar.tick("TEXTURING"))
+    levels = LevelFiles(files, grid, views, target, encode if target.ktx2 else None)
+    with engine() if engine else nullcontext() as running:
+        yield bar.begin("EXTRACTING", f"{len(tiles):,} tiles of {grid.sides.max() * grid.cell:.2f} m")
+        with clock("EXTRACTING"):
+            yield from run_parts(running, tiles, _mesh_work(files, grid, noise), Span(bar, "EXTRACTING"))
+            _weld_all(files, grid, tiles, bar.tick("EXTRACTING"))
+        with clock("TEXTURING"):
+            # The encoder is a program of this machine, which others may not have.
+            return (yield from _levels(None if levels.encode else running, levels, tiles, bar))
 
 
 def choose_grid(
@@ -175,41 +174,15 @@ def _sorted_tiles(
     return sorted(filled)
 
 
-def _each_tile(
-    tiles: Sequence[Tile], stage: str, bar: Bar, task: Callable[[Tile, Tick], None]
-) -> Generator[Progress, None, None]:
-    """Run a task for each tile, and again where it fails. Raises EdgeError TILE_FAILED where it fails every time."""
-    for number, tile in enumerate(tiles):
-        begin, end = number / len(tiles), (number + 1) / len(tiles)
-        yield bar.advance(stage, begin, f"tile {number + 1} of {len(tiles)}")
-        with_retries(tile, partial(task, tile, part_of(bar.tick(stage), begin, end)))
-
-
-def _mesh_all(
-    engine: OpenEngine | None, files: SceneFolder, grid: TileGrid, noise: float, tiles: Sequence[Tile], bar: Bar
-) -> Generator[Progress, None, None]:
-    if engine is None:
-        yield from _each_tile(tiles, "EXTRACTING", bar, partial(_mesh_once, files, grid, noise))
-        return
-    with engine() as running:
-        yield from mesh_on_engine(running, files, grid, noise, tiles, bar)
-
-
-def with_retries(tile: Tile, task: Callable[[], None]) -> None:
-    for attempt in range(1, TRIES + 1):
-        try:
-            return task()
-        except Cancelled:
-            raise
-        except Exception as error:  # noqa: BLE001 - a tile may fail in any way; the others must not be lost with it
-            _log.warning("tile %s: attempt %d of %d failed: %s", name_of(tile), attempt, TRIES, error)
-            failed = tile_failed(tile, error)
-    raise failed
-
-
-def _mesh_once(files: SceneFolder, grid: TileGrid, noise: float, tile: Tile, tick: Tick) -> None:
-    if not files.path("mesh", name_of(tile)).exists():
-        make_mesh(files, grid, tile, noise, tick)
+def _mesh_work(files: SceneFolder, grid: TileGrid, noise: float) -> PartWork[Tile, Mesh]:
+    """Mesh each tile from the points of it and its halo."""
+    return PartWork(
+        name=name_of,
+        is_made=lambda tile: files.path("mesh", name_of(tile)).exists(),
+        work=mesh_tile,
+        inputs=lambda tile: (points_around(files, grid, tile, HALO)[0], grid, tile, noise),
+        keep=lambda tile, mesh: files.save_mesh("mesh", name_of(tile), mesh),
+    )
 
 
 def _weld_all(files: SceneFolder, grid: TileGrid, tiles: Sequence[Tile], tick: Tick) -> None:
@@ -224,14 +197,15 @@ def _weld_all(files: SceneFolder, grid: TileGrid, tiles: Sequence[Tile], tick: T
         tick(1.0)
 
 
-def _level_once(levels: LevelMaker, tile: Tile, tick: Tick) -> None:
-    if not levels.is_made(Node(0, tile)):
-        levels.tile(tile, tick)
+def _levels(
+    engine: Engine | None, levels: LevelFiles, tiles: Sequence[Tile], bar: Bar
+) -> Generator[Progress, None, TiledScene]:
+    """Make the tiles as they are delivered and their ancestors, level by level, up to a single one.
 
-
-def _ancestors(levels: LevelMaker, tiles: Sequence[Tile], tick: Tick) -> TiledScene:
-    """Make the ancestors of all tiles, level by level, up to a single one. Raises EdgeError EXTRACTION_EMPTY."""
+    Raises EdgeError EXTRACTION_EMPTY.
+    """
     nodes = [Node(0, tile) for tile in tiles]
+    yield from run_parts(engine, nodes, levels.work_of_tiles(), Span(bar, "TEXTURING", end=_TILES_SHARE))
     nodes = [node for node in nodes if levels.figures(node).triangles]
     if not nodes:
         hints = ("capture the scene from closer and from more sides",)
@@ -242,10 +216,8 @@ def _ancestors(levels: LevelMaker, tiles: Sequence[Tile], tick: Tick) -> TiledSc
         for node in nodes:
             children.setdefault(node.parent, []).append(node)
         nodes = list(dict.fromkeys(node.parent for node in nodes))
-        for node in nodes:
-            if not levels.is_made(node):
-                levels.ancestor(node, children[node])
-            tick(1.0)
+        span = Span(bar, "TEXTURING", f"parts of level {nodes[0].level}", begin=_TILES_SHARE)
+        yield from run_parts(engine, nodes, levels.work_of_ancestors(children), span)
         every += nodes
     (root,) = nodes
     paths = {node.file: levels.folder.path("level", node.name, ".glb") for node in every}

@@ -1,38 +1,32 @@
 """Levels of detail of a large scene: tiles, and their coarser ancestors, each merged from up to eight children.
 
 Border vertices of a tile or ancestor stay where they are when it is simplified, so that it fits its neighbours of the
-same level without a crack; those between its children are free.
+same level without a crack; those between its children are free. Everything here is a task of an engine.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.atomic_write import atomic_write
-from services.edge.arrays import Bools, Floats, Tick, no_tick, part_of
+from services.edge.arrays import Bools, Bytes, Floats, Tick, part_of
 from services.edge.asset.target import Target
 from services.edge.export.glb import to_glb
 from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.export.tileset import TilesetNode
 from services.edge.mesh.edges import border_edges
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.sampling import sample
 from services.edge.mesh.simplify import simplify
 from services.edge.mesh.topology import orient
+from services.edge.render.posed_picture import PosedPicture
 from services.edge.texture.bake_photos import PhotoProjection
 from services.edge.texture.nearest_colour import ColouredPoints, transfer_colours
 from services.edge.texture.texture_mesh import Palette, texture_levels
-from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.grid import Tile, TileGrid, name_of
-from services.edge.tiles.tile_points import points_around
-from services.edge.tiles.tile_views import TileViews
+from services.edge.tiles.grid import Tile, TileGrid
 from services.edge.tiles.weld import SEAM
 
 _KEPT = 6  # of so many extracted triangles one stays: on flat walls the others show nothing
@@ -67,108 +61,63 @@ class Node:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
-    """What is known of a node that is made: triangles, hash of its .glb, box (3,) in the asset frame, and how far its
-    surface lies from the finest one."""
+class Level:
+    """A tile or ancestor as it is delivered.
 
-    triangles: int
-    sha256: str
-    low_m: list[float]
-    high_m: list[float]
+    mesh     asset frame; content: its .glb, empty where it has no triangles
+    error_m  how far its surface lies from the finest one
+    """
+
+    mesh: Mesh
+    content: bytes
     error_m: float
 
 
-@dataclass(frozen=True, slots=True)
-class LevelMaker:
-    """Writes levels of one scene into its folder. encode: encoder of KTX2 textures for a target that wants them."""
+def tile_level(
+    tick: Tick,
+    welded: Mesh,
+    cells: Floats,
+    rgb: Bytes | None,
+    pictures: Sequence[PosedPicture],
+    grid: TileGrid,
+    tile: Tile,
+    target: Target,
+    encode: EncodeKtx2 | None = None,
+) -> Level:
+    """Colour and simplify a welded tile, and give it a texture where pictures show it; without any, vertex colours.
 
-    folder: SceneFolder
-    grid: TileGrid
-    views: TileViews
-    target: Target
-    encode: EncodeKtx2 | None = None
+    welded    in cells, as are the points (N,3) of it and its seams; rgb (N,3) sRGB, if the capture has colours
+    pictures  that see it, the best first, in the asset frame
+    encode    encoder of KTX2 textures for a target that wants them
+    """
+    node = Node(0, tile)
+    mesh = replace(welded, vertices=grid.to_metres(welded.vertices))
+    if len(mesh.faces) == 0:
+        return _level(mesh, None, target, 0.0)
+    xyz = grid.to_metres(cells)
+    mesh = mesh if rgb is None else transfer_colours(mesh, xyz, rgb)
+    tick(0.2)
+    budget = max(len(mesh.faces) // _KEPT, _FEWEST)
+    coarse = simplify(mesh, budget, hold=partial(_shared_border, grid, node), tick=part_of(tick, 0.2, 0.6))
+    if rgb is None or not pictures:
+        return _level(coarse, coarse, target, 0.0)
+    known = ColouredPoints.of(xyz, rgb)
+    photos = PhotoProjection(coarse, pictures, known)
+    tick(0.7)
+    palette = Palette(known, photos, photos.pixel)
+    ktx2 = encode if target.ktx2 else None
+    textured = texture_levels([coarse], palette, most_px=target.texture_px, encode=ktx2)[0][0]
+    return _level(coarse, textured, target, 0.0)
 
-    def tile(self, tile: Tile, tick: Tick = no_tick) -> None:
-        """Make the files of a welded tile: coloured, simplified, with a texture where pictures show it."""
-        welded = self.folder.load_mesh("welded", name_of(tile))
-        node = Node(0, tile)
-        if len(welded.faces) == 0:
-            return self._write(node, welded, None, 0.0)
-        cells, rgb = points_around(self.folder, self.grid, tile, SEAM)
-        mesh = replace(welded, vertices=self.grid.to_metres(welded.vertices))
-        xyz = self.grid.to_metres(cells)
-        mesh = mesh if rgb is None else transfer_colours(mesh, xyz, rgb)
-        tick(0.2)
-        budget = max(len(mesh.faces) // _KEPT, _FEWEST)
-        coarse = simplify(mesh, budget, hold=partial(self._hold, node), tick=part_of(tick, 0.2, 0.6))
-        known = None if rgb is None else ColouredPoints.of(xyz, rgb)
-        return self._write(node, coarse, self._textured(coarse, known, tick), 0.0)
 
-    def ancestor(self, node: Node, children: Sequence[Node], tick: Tick = no_tick) -> None:
-        """Make the files of an ancestor from those of its children."""
-        meshes = [self.folder.load_mesh("level", child.name) for child in children]
-        error = max(self.figures(child).error_m for child in children)
-        fine = orient(joined([mesh for mesh in meshes if len(mesh.faces)]))
-        budget = max(len(fine.faces) // _COARSER, _FEWEST)
-        coarse = simplify(fine, budget, hold=partial(self._hold, node), tick=part_of(tick, 0.2, 0.6))
-        self._write(node, coarse, coarse if len(coarse.faces) else None, error + _distance(fine, coarse))
-
-    def is_made(self, node: Node) -> bool:
-        """Whether all files of a node are there."""
-        return self.folder.path("level", node.name, ".json").exists()
-
-    def figures(self, node: Node) -> Figures:
-        """The figures of a node that is made."""
-        return Figures(**json.loads(self.folder.path("level", node.name, ".json").read_text()))
-
-    def tree(self, node: Node, children: dict[Node, list[Node]]) -> TilesetNode:
-        """Return the tree of tiles below a node, as 3D Tiles have it."""
-        figures = self.figures(node)
-        below = tuple(self.tree(child, children) for child in children.get(node, []))
-        low, high = np.array(figures.low_m), np.array(figures.high_m)
-        for each in below:
-            low, high = np.minimum(low, each.low_m), np.maximum(high, each.high_m)
-        return TilesetNode(node.file, figures.sha256, low, high, figures.error_m, below)
-
-    def _textured(self, mesh: Mesh, known: ColouredPoints | None, tick: Tick) -> Mesh | TexturedMesh:
-        """Give a tile a texture from the pictures that see it; without any, it keeps its vertex colours."""
-        pictures = self.views.that_see(mesh) if known is not None and self.target.texture_px else ()
-        if not pictures or known is None:
-            return mesh
-        photos = PhotoProjection(mesh, pictures, known)
-        tick(0.7)
-        palette = Palette(known, photos, photos.pixel)
-        encode = self.encode if self.target.ktx2 else None
-        return texture_levels([mesh], palette, most_px=self.target.texture_px, encode=encode)[0][0]
-
-    def _write(self, node: Node, mesh: Mesh, asset: Mesh | TexturedMesh | None, error_m: float) -> None:
-        """Write mesh, .glb and, last, figures: a node with figures has the others too."""
-        self.folder.save_mesh("level", node.name, mesh)
-        content = (
-            b"" if asset is None else to_glb(asset, self.target.packing, unlit=self.target.unlit, common_grid=True)
-        )
-        with atomic_write(self.folder.path("level", node.name, ".glb"), durable=False) as part:
-            part.write_bytes(content)
-        corner = self.grid.to_metres(self.grid.sides * 2**node.level * np.array([node.place], np.float64))
-        places = mesh.vertices if len(mesh.vertices) else corner
-        figures = Figures(
-            triangles=len(mesh.faces),
-            sha256=hashlib.sha256(content).hexdigest(),
-            low_m=places.min(axis=0).tolist(),
-            high_m=places.max(axis=0).tolist(),
-            error_m=error_m,
-        )
-        with atomic_write(self.folder.path("level", node.name, ".json"), durable=False) as part:
-            part.write_text(json.dumps(asdict(figures)))
-
-    def _hold(self, node: Node, mesh: Mesh) -> Bools:
-        """Mask (V,) of the border vertices of a mesh in metres that its neighbours share."""
-        border = np.zeros(len(mesh.vertices), bool)
-        border[border_edges(mesh.faces)] = True
-        side = self.grid.sides * 2**node.level
-        relative = self.grid.to_cells(mesh.vertices) - side * np.array(node.place)
-        shared: Bools = border & ((relative < SEAM) | (relative > side - SEAM)).any(axis=1)
-        return shared
+def ancestor_level(
+    tick: Tick, children: Sequence[Mesh], error_m: float, grid: TileGrid, node: Node, target: Target
+) -> Level:
+    """Merge the meshes of an ancestor's children, and simplify them. error_m: the largest of the children's"""
+    fine = orient(joined([mesh for mesh in children if len(mesh.faces)]))
+    budget = max(len(fine.faces) // _COARSER, _FEWEST)
+    coarse = simplify(fine, budget, hold=partial(_shared_border, grid, node), tick=part_of(tick, 0.2, 0.9))
+    return _level(coarse, coarse if len(coarse.faces) else None, target, error_m + _distance(fine, coarse))
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
@@ -183,6 +132,21 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     number = np.arange(len(vertices))
     number[rim] = rim[first[which.ravel()]]
     return Mesh(vertices, number[faces], rgb)
+
+
+def _level(mesh: Mesh, asset: Mesh | TexturedMesh | None, target: Target, error_m: float) -> Level:
+    content = b"" if asset is None else to_glb(asset, target.packing, unlit=target.unlit, common_grid=True)
+    return Level(mesh, content, error_m)
+
+
+def _shared_border(grid: TileGrid, node: Node, mesh: Mesh) -> Bools:
+    """Mask (V,) of the border vertices of a mesh in metres that the node's neighbours share."""
+    border = np.zeros(len(mesh.vertices), bool)
+    border[border_edges(mesh.faces)] = True
+    side = grid.sides * 2**node.level
+    relative = grid.to_cells(mesh.vertices) - side * np.array(node.place)
+    shared: Bools = border & ((relative < SEAM) | (relative > side - SEAM)).any(axis=1)
+    return shared
 
 
 def _distance(fine: Mesh, coarse: Mesh) -> float:

@@ -1,4 +1,4 @@
-"""Memory limit and out-of-memory kills of this process's control group (Linux cgroup, versions 1 and 2).
+"""Limits of memory and cores of this process's control group, and its out-of-memory kills (Linux cgroup, version 1, 2).
 
 A container has one. The kernel kills a process of a group that wants more than its limit, and counts these kills.
 """
@@ -25,13 +25,18 @@ class ControlGroup:
         return min(filter(None, map(_limit_bytes, self.folders)), default=0)
 
     @property
+    def core_limit(self) -> float:
+        """The smallest limit of cores, as 1.5; 0 where there is none."""
+        return min(filter(None, map(_core_limit, self.folders)), default=0.0)
+
+    @property
     def oom_kills(self) -> int:
         """How many processes of the group the kernel has killed for want of memory; 0 where it does not tell."""
         return _oom_kills(self.folders[0]) if self.folders else 0
 
 
-def own_control_group(mount: Path = _MOUNT, own: Path = _OWN) -> ControlGroup:
-    """Find the memory control group of this process.
+def own_control_group(mount: Path = _MOUNT, own: Path = _OWN, *, controller: str = "memory") -> ControlGroup:
+    """Find the control group of this process that limits memory, or with controller "cpu" the one that limits cores.
 
     mount  where the control groups are mounted
     own    file of the kernel that names this process's groups, a line each: `4:memory:/a` in version 1, `0::/a` in 2
@@ -40,10 +45,10 @@ def own_control_group(mount: Path = _MOUNT, own: Path = _OWN) -> ControlGroup:
         lines = [line.split(":", 2) for line in own.read_text().splitlines()]
     except OSError:
         return ControlGroup(())
-    paths = {controller: path for _, controllers, path in lines for controller in controllers.split(",")}
-    # A machine that has both versions gives the memory to one: to version 1 where that has a folder for it.
-    first = mount / "memory"
-    root, path = (first, paths["memory"]) if "memory" in paths and first.is_dir() else (mount, paths.get("", "/"))
+    paths = {each: path for _, controllers, path in lines for each in controllers.split(",")}
+    # A machine that has both versions gives a controller to one: to version 1 where that has a folder for it.
+    first = mount / controller
+    root, path = (first, paths[controller]) if controller in paths and first.is_dir() else (mount, paths.get("", "/"))
     return ControlGroup(tuple(_folders(root, path)))
 
 
@@ -67,6 +72,14 @@ def _limit_bytes(folder: Path) -> int:
             limit = int(text)
             return limit if limit < 1 << 62 else 0
     return 0
+
+
+def _core_limit(folder: Path) -> float:
+    """The limit of one group; 0 where there is none. Version 2 has "quota period" in a line; version 1 two files."""
+    quota, _, period = _read(folder / "cpu.max").strip().partition(" ")
+    if not period:
+        quota, period = (_read(folder / f"cpu.cfs_{name}_us").strip() for name in ("quota", "period"))
+    return int(quota) / int(period) if quota.isdecimal() and period.isdecimal() and int(period) else 0.0
 
 
 def _oom_kills(folder: Path) -> int:

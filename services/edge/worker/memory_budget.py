@@ -74,3 +74,9 @@ def machine_bytes() -> int:
     """Bytes that fits may take: a share of this machine's memory, or of the container's limit where that is less."""
     physical = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return int(_SHARE * min(physical, own_control_group().limit_bytes or physical))
+
+
+def machine_cores() -> int:
+    """Cores that this process may use: those of the machine, or of the container's limit where that is less."""
+    cores = len(os.sched_getaffinity(0))
+    return max(1, min(cores, int(own_control_group(controller="cpu").core_limit or cores)))

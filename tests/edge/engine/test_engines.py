@@ -155,7 +155,7 @@ def test_who_stops_waiting_stops_the_tasks(tmp_path: Path) -> None:
     def give_up(fraction: float) -> None:
         raise Cancelled
 
-    with open_engine("local", 1) as engine:
+    with open_engine("local", ONE) as engine:
         tasks = [engine.submit(ONE, engine_tasks.wait, str(tmp_path), number) for number in range(3)]
         with pytest.raises(Cancelled):
             wait_for_all(tasks, give_up)
@@ -174,7 +174,7 @@ def test_a_closed_engine_takes_nothing(tmp_path: Path) -> None:
 
 
 def test_each_task_has_the_threads_that_it_asked_for() -> None:
-    with open_engine("local", 1) as engine:
+    with open_engine("local", ONE) as engine:
         assert engine.submit(ONE, engine_tasks.environment, "OMP_NUM_THREADS").result(HANG_S) == "1"
 
 
@@ -192,6 +192,6 @@ def test_another_setting_is_refused(setting: str) -> None:
 def test_ray_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.delitem(sys.modules, "services.edge.engine.ray_engine", raising=False)
-    with pytest.raises(EdgeError, match="needs Ray") as raised, open_engine("ray://head:10001", 1):
+    with pytest.raises(EdgeError, match="needs Ray") as raised, open_engine("ray://head:10001", ONE):
         pass
     assert (raised.value.code, raised.value.hints) == ("ENGINE_MISSING", ("pip install 'capture2vr[ray]'",))

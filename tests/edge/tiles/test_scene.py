@@ -22,7 +22,7 @@ from services.edge.arrays import no_tick
 from services.edge.asset.target import NO_TARGET
 from services.edge.capture.nouns import Cloud, CloudParts
 from services.edge.engine.address import open_engine
-from services.edge.engine.nouns import Engine, OpenEngine
+from services.edge.engine.nouns import Engine, Needs, OpenEngine
 from services.edge.errors import Cancelled, EdgeError
 from services.edge.mesh.edges import border_edges
 from services.edge.points.nouns import Points
@@ -30,16 +30,18 @@ from services.edge.preset import load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles, with_retries
-from services.edge.tiles.tile_levels import LevelMaker
+from services.edge.tiles.level_files import LevelFiles
+from services.edge.tiles.parts import Span, run_parts
+from services.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles
+from services.edge.tiles.tile_levels import Node
 from services.edge.tiles.tile_points import bounds_of, sort_into_tiles
 from services.edge.tiles.tile_views import TileViews
-from services.edge.tiles.tries import TRIES
 from tests.edge.tiles.hall import hall
 from tests.referees.glb_reader import Glb
 from tests.support.patience import PATIENCE_S
 
 CELL_M = 0.01
+ROOM = Needs(2, 0, 4 << 30)
 Made = tuple[TiledScene, list[Progress], Path]
 PRESET = load_preset("scene-tiles")
 
@@ -104,8 +106,12 @@ def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: 
     down = np.array([[1.0, 0, 0, -0.95], [0, 0, 1, -0.3], [0, -1, 0, 3], [0, 0, 0, 1]])
     red = np.broadcast_to(np.array([200, 10, 10], np.uint8), (64, 64, 3))
     picture = PosedPicture(down, np.array([1.0, 1]), np.array([0.5, 0.5]), lambda: red)
-    maker = LevelMaker(SceneFolder(tmp_path / "scene"), made[0].grid, TileViews([picture]), NO_TARGET)
-    maker.tile((0, 0, 0))
+    files = LevelFiles(SceneFolder(tmp_path / "scene"), made[0].grid, TileViews([picture]), NO_TARGET)
+    (tmp_path / "scene" / "level" / "0-0-0-0.json").unlink()
+    bar = Bar(ignore_progress)
+    bar.set_range(TILE_STARTS, 0.0, 1.0)
+    with open_engine("local", ROOM) as engine:
+        list(run_parts(engine, [Node(0, (0, 0, 0))], files.work_of_tiles(), Span(bar, "TEXTURING")))
     content = Glb.of((tmp_path / "scene" / "level" / "0-0-0-0.glb").read_bytes())
     with Image.open(io.BytesIO(content.image)) as texture:
         colours = np.asarray(texture.convert("RGB")).reshape(-1, 3)
@@ -114,7 +120,7 @@ def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: 
 
 def test_progress_counts_tiles(made: Made) -> None:
     said = [step.message for step in made[1] if step.stage == "EXTRACTING"]
-    assert said[-2:] == ["tile 1 of 2", "tile 2 of 2"]
+    assert said[-3:] == ["0 of 2 tiles", "1 of 2 tiles", "2 of 2 tiles"]
     fractions = [step.fraction for step in made[1]]
     assert fractions == sorted(fractions)
 
@@ -137,10 +143,11 @@ def test_points_may_come_in_parts(made: Made, tmp_path: Path) -> None:
 
 def test_an_engine_makes_the_same_meshes(made: Made, tmp_path: Path) -> None:
     """In two processes, to the last bit; what is there already is not made again."""
-    scene, said = run(tmp_path / "scene", engine=lambda: open_engine("local", 4 << 30))
+    scene, said = run(tmp_path / "scene", engine=lambda: open_engine("local", ROOM))
     here, there = SceneFolder(made[2]), SceneFolder(tmp_path / "scene")
     for name in here.tiles or {}:
         assert there.path("mesh", name).read_bytes() == here.path("mesh", name).read_bytes()
+    assert scene.mesh.vertices.tobytes() == made[0].mesh.vertices.tobytes()
     assert scene.document == made[0].document
     assert [step.message for step in said if step.stage == "EXTRACTING"][-1] == "2 of 2 tiles"
 
@@ -172,18 +179,6 @@ def test_a_tile_that_always_fails_is_named(tmp_path: Path, made: Made) -> None:
         run(folder, spoil)
     assert error.value.code == "TILE_FAILED"
     assert error.value.hints
-
-
-def test_a_tile_is_tried_again() -> None:
-    tries = []
-
-    def fails_twice() -> None:
-        tries.append(1)
-        if len(tries) < TRIES:
-            raise MemoryError
-
-    with_retries((2, 0, 1), fails_twice)
-    assert len(tries) == TRIES
 
 
 def test_a_killed_run_goes_on_from_finished_tiles(tmp_path: Path, made: Made) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats, Ints
+from services.edge.arrays import Floats, Ints, no_tick
 from services.edge.mesh.edges import border_edges, edges_of
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.sampling import sample
@@ -39,10 +39,10 @@ class Halls:
 @pytest.fixture(scope="module", params=[0.0, 0.1], ids=["as measured", "denoised"])
 def halls(request: pytest.FixtureRequest) -> Halls:
     cells = hall()
-    left, right = (mesh_tile(cells, GRID, tile, request.param) for tile in (LEFT, RIGHT))
+    left, right = (mesh_tile(no_tick, cells, GRID, tile, request.param) for tile in (LEFT, RIGHT))
     left = weld(left, GRID, LEFT, [RIGHT], [])
     right = weld(right, GRID, RIGHT, [LEFT], [strip_of(left, GRID, RIGHT)])
-    return Halls(left, right, mesh_tile(cells, ENTIRE, LEFT, request.param))
+    return Halls(left, right, mesh_tile(no_tick, cells, ENTIRE, LEFT, request.param))
 
 
 def test_no_crack_runs_along_the_border(halls: Halls) -> None:

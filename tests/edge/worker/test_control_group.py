@@ -33,6 +33,10 @@ class Kernel:
         self.own.write_text(names)
         return own_control_group(self.mount, self.own).oom_kills
 
+    def cores(self, names: str) -> float:
+        self.own.write_text(names)
+        return own_control_group(self.mount, self.own, controller="cpu").core_limit
+
 
 @pytest.fixture
 def kernel(tmp_path: Path) -> Kernel:
@@ -78,6 +82,18 @@ def test_a_machine_with_both_versions_has_its_memory_in_the_first(kernel: Kernel
 def test_a_memory_controller_without_a_folder_is_that_of_version_2(kernel: Kernel) -> None:
     kernel.write("memory.max", GIB)
     assert kernel.limit("0::/\n") == GIB
+
+
+def test_a_container_may_use_some_of_the_cores(kernel: Kernel) -> None:
+    kernel.write("cpu.max", "150000 100000")
+    assert kernel.cores("0::/\n") == 1.5
+    kernel.write("cpu.max", "max 100000")
+    assert kernel.cores("0::/\n") == 0
+    kernel.write("cpu/docker/c0ffee/cpu.cfs_quota_us", 200_000)
+    kernel.write("cpu/docker/c0ffee/cpu.cfs_period_us", 50_000)
+    assert kernel.cores("4:cpu,cpuacct:/docker/c0ffee\n") == 4
+    kernel.write("cpu/docker/c0ffee/cpu.cfs_quota_us", -1)
+    assert kernel.cores("4:cpu,cpuacct:/docker/c0ffee\n") == 0
 
 
 def test_where_nothing_is_told_there_is_no_limit(kernel: Kernel) -> None:
