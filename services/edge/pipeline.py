@@ -113,7 +113,7 @@ def reconstruct(
     label       the asset's name for people, in the manifest
     target      device class whose budget the bundles must meet
     encode      encoder of KTX2 textures, for a target that wants them
-    engine      meshes the tiles of a large scene; None: this process
+    engine      works at the tiles of a large scene; None: this process
 
     Raises CaptureError where the capture cannot give a surface; Cancelled when `watch` does; EdgeError KTX2_UNAVAILABLE
     at once where `target` wants KTX2 and there is no `encode`; after a preview and before a refined bundle EdgeError

@@ -4,6 +4,7 @@ points.json     format version, and everything that is not an array
 xyz.npy         (N,3) float64 capture frame
 rgb.npy         (N,3) uint8 sRGB, absent where the capture has no colours
 confidence.npy  (N,) float32
+whole.bin       all points of a large scene, of which the others are some: records of archived_whole.py
 view-N.picture  JPEG, for the textures, or to compare with, at most `COPY_PX` pixels on its longer side
 view-N.depth    .npy, (H,W) uint16, its depth in steps that points.json has; 0 where unknown
 
@@ -34,11 +35,12 @@ from services.edge.jobs.archived_views import (
     view_files,
     write_views,
 )
+from services.edge.jobs.archived_whole import MOST_WHOLE, RECORD, WHOLE, ArchivedWhole, read_whole, write_whole
 from services.edge.points.clean_cloud import MIN_POINTS
 from services.edge.points.nouns import CutReport, Points, UnseenSide
 from services.storage.archives import ArchiveError, ArchiveLimits, unpack
 
-VERSION = 3
+VERSION = 4
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -48,8 +50,12 @@ _HEAD, _XYZ, _RGB, _CONFIDENCE = "points.json", "xyz.npy", "rgb.npy", "confidenc
 _HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB
 _POINT_BYTES = 24 + 3 + 4  # xyz, rgb, confidence
 _LIMITS = ArchiveLimits(
-    entries=4 + 2 * MOST_VIEWS,
-    total_bytes=_HEAD_BYTES + MOST_POINTS * _POINT_BYTES + 3 * 1024 + MOST_VIEWS * VIEW_BYTES,
+    entries=5 + 2 * MOST_VIEWS,
+    total_bytes=_HEAD_BYTES
+    + MOST_POINTS * _POINT_BYTES
+    + 3 * 1024
+    + MOST_VIEWS * VIEW_BYTES
+    + MOST_WHOLE * RECORD.itemsize,
 )
 _FARTHEST = 1e12  # capture units from the origin: a squared distance stays far from overflowing
 _UNIT = 0.01  # tolerance of a length or a share of 1: some are rounded to three digits
@@ -72,6 +78,7 @@ class _Head:
     warnings: tuple[str, ...]
     unseen: tuple[UnseenSide, ...]
     cut: CutReport | None
+    whole: ArchivedWhole | None
     views: Annotated[tuple[ArchivedView, ...], Field(max_length=MOST_VIEWS)]
     source: CaptureSummary
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
@@ -89,10 +96,11 @@ def write_prepared(prepared: PreparedPoints, archive: Path) -> None:
     arrays = {_XYZ: points.xyz, _CONFIDENCE: points.confidence} | ({} if points.rgb is None else {_RGB: points.rgb})
     views = encode_views(points)
     with atomic_write(archive) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as packed:
-        packed.writestr(_HEAD, _HEADS.dump_json(_head_of(prepared, tuple(view.head for view in views))))
         for name, array in arrays.items():
             write_array(packed, name, np.ascontiguousarray(array, _array_type(name, len(points))[0]))
         write_views(packed, views)
+        whole = None if points.whole is None else write_whole(packed, points.whole, points.xyz.mean(axis=0))
+        packed.writestr(_HEAD, _HEADS.dump_json(_head_of(prepared, tuple(view.head for view in views), whole)))
 
 
 def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
@@ -106,7 +114,8 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         raise invalid(error.message, error.file) from None
     head = _read_head(scratch / _HEAD)
     pictures = view_files(len(head.views))
-    _require_files(scratch, {_HEAD, _XYZ, _CONFIDENCE} | pictures | ({_RGB} if head.coloured else set()))
+    optional = ({_RGB} if head.coloured else set()) | ({WHOLE} if head.whole else set())
+    _require_files(scratch, {_HEAD, _XYZ, _CONFIDENCE} | pictures | optional)
     xyz, confidence = (_read_array(scratch / name, head.points) for name in (_XYZ, _CONFIDENCE))
     rgb = _read_array(scratch / _RGB, head.points) if head.coloured else None
     _require_cloud(xyz)
@@ -126,11 +135,12 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         unseen=head.unseen,
         up_source=head.up_source,
         cut=head.cut,
+        whole=None if head.whole is None else read_whole(scratch / WHOLE, head.whole),
     )
     return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
 
 
-def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...]) -> _Head:
+def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: ArchivedWhole | None) -> _Head:
     points = prepared.points
     seconds: Any = dict(prepared.seconds)
     return _Head(
@@ -144,6 +154,7 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...]) -> _Head
         warnings=points.warnings,
         unseen=points.unseen,
         cut=points.cut,
+        whole=whole,
         views=views,
         source=prepared.source,
         seconds=seconds,

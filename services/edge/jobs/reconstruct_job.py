@@ -27,7 +27,7 @@ from services.edge.jobs.inspect_capture import Inspector, unpack_capture
 from services.edge.jobs.points_archive import read_prepared
 from services.edge.jobs.points_cache import load_points, save_points
 from services.edge.points.nouns import Points
-from services.edge.preset import Preset
+from services.edge.preset import AUTOMATIC, Preset
 from services.edge.progress import Bar, Progress
 from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.job_request import ReconstructionRequest
@@ -50,7 +50,7 @@ class Reconstructor:
     central     fits the field to the points that this worker makes; where it is unavailable, the field is fitted here
     collection  lists the assets whose job names none, wherever they are fitted
     encode      encoder of KTX2 textures; without it, targets that want KTX2 are refused
-    engine      meshes the tiles of large scenes; None: this process
+    engine      works at the tiles of large scenes; None: this process
     """
 
     def __init__(
@@ -66,6 +66,7 @@ class Reconstructor:
         engine: OpenEngine | None = None,
     ) -> None:
         self._fitter = FieldFitter(store, presets, device, memory, publish, encode, engine)
+        self._presets = presets
         self._device = device
         self._own_offer = replace(capabilities_of(presets, device, memory.total_bytes), ktx2=encode is not None)
         self._central = central
@@ -120,6 +121,8 @@ class Reconstructor:
         seconds = 0.0
         if (prepared := load_points(checkpoint, scratch / "kept")) is None:
             prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
+            if not self._may_tile(request.preset):
+                prepared = replace(prepared, points=replace(prepared.points, whole=None))
         try:
             finished = forward(central, save_points(prepared, checkpoint), request, bar.reached, report)
         except CentralUnavailable as unavailable:
@@ -129,6 +132,11 @@ class Reconstructor:
             prepared = _with_warning(prepared, f"{unavailable}: the field was fitted on this worker")
             finished = self._fitter.fit(prepared, bar, request, checkpoint, report)
         return _with_validating(finished, seconds)
+
+    def _may_tile(self, preset: str) -> bool:
+        """Whether a preset uses all points of a large scene, which are many to send; central's own ones may."""
+        known = self._presets.get(preset)
+        return known is None or known.tiled or preset == AUTOMATIC
 
     def _prepare_points(
         self, archive: Path, request: ReconstructionRequest, scratch: Path, bar: Bar, report: Report

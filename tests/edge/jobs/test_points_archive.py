@@ -6,7 +6,7 @@ import io
 import json
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Intrinsics, PhotoVerdict, UpSource
+from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PhotoVerdict, UpSource
 from services.edge.capture.photo_copy import encode_copy
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
@@ -129,6 +129,57 @@ def test_what_is_written_is_read(prepared: PreparedPoints) -> None:
 def test_everything_is_kept(tmp_path: Path) -> None:
     write_prepared(prepared_points(), tmp_path / "points.zip")
     assert same(read_prepared(tmp_path / "points.zip", tmp_path / "scratch"), prepared_points())
+
+
+def large_scene(count: int = 2_500, *, coloured: bool = True) -> PreparedPoints:
+    """Points of which a large scene has more, far from the origin, in parts of which one is empty."""
+    few = prepared_points(pictured=False)
+    rng = np.random.default_rng(1)
+    xyz = rng.uniform(-50, 50, (count, 3)) + np.array([4e5, 0, -3e5])
+    rgb = rng.integers(0, 256, (count, 3), np.uint8) if coloured else None
+
+    def read() -> Iterator[Cloud]:
+        for rows in (slice(0, 1_000), slice(0, 0), slice(1_000, None)):
+            yield Cloud(xyz[rows], None if rgb is None else rgb[rows])
+
+    announced = CloudParts(count + 7, read)  # seven were no numbers
+    some, sure = xyz[::20], np.ones(count // 20, np.float32)
+    return replace(few, points=replace(few.points, xyz=some, rgb=None, confidence=sure, whole=announced))
+
+
+@pytest.mark.parametrize("coloured", [True, False])
+def test_all_points_of_a_large_scene_come_along(tmp_path: Path, coloured: bool) -> None:
+    prepared = large_scene(coloured=coloured)
+    write_prepared(prepared, tmp_path / "points.zip")
+    whole = read_prepared(tmp_path / "points.zip", tmp_path / "scratch").points.whole
+    assert whole is not None
+    assert prepared.points.whole is not None
+    wanted, found = (list(each.read()) for each in (prepared.points.whole, whole))
+    assert whole.count == 2_500
+    for _ in range(2):  # they can be read again
+        xyz = np.concatenate([part.xyz for part in whole.read()])
+        assert np.abs(xyz - np.concatenate([part.xyz for part in wanted])).max() < 1e-5
+    rgb = [np.concatenate([part.rgb for part in parts if part.rgb is not None and len(part.rgb)] or [np.empty(0)])
+           for parts in (wanted, found)]  # fmt: skip
+    assert np.array_equal(*rgb)
+    assert len(rgb[0]) == 2_500 * coloured
+
+
+@pytest.mark.parametrize("what", ["cut off", "not a number", "far away", "missing"])
+def test_a_large_scene_that_is_none_is_named(tmp_path: Path, what: str) -> None:
+    write_prepared(large_scene(), tmp_path / "points.zip")
+    unpack(tmp_path / "points.zip", tmp_path / "files")
+    files = {path.name: path.read_bytes() for path in (tmp_path / "files").iterdir()}
+    bad = np.full(1, {"not a number": np.nan, "far away": 1e30}.get(what, 0), "<f4").tobytes()
+    match what:
+        case "missing":
+            del files["whole.bin"]
+        case "cut off":
+            files["whole.bin"] = files["whole.bin"][:-4]
+        case _:
+            files["whole.bin"] = bad + files["whole.bin"][4:]
+    refused = refusal(tmp_path, files)
+    assert "whole.bin" in f"{refused.message} {refused.file}"
 
 
 Files = dict[str, bytes]
