@@ -15,8 +15,10 @@ RUN if [ -n "$TORCH_INDEX" ]; then \
              "leave it empty for pip's own index, whose PyTorch brings 2.3 GB of CUDA" >&2; exit 1; }; \
     fi
 COPY services ./services
+# Further extras, with a comma between them: --build-arg EXTRAS=ray for EDGE_ENGINE=ray://head:10001.
+ARG EXTRAS=
 RUN /venv/bin/pip install --no-cache-dir -c constraints.txt \
-    ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} '.[edge,storage,fast,traces]'
+    ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} ".[edge,storage,fast,traces${EXTRAS:+,$EXTRAS}]"
 # In a folder of its own: what is checked is what was installed, not the sources.
 WORKDIR /slim
 COPY deploy/slim.sh deploy/check_image.py ./

@@ -120,13 +120,24 @@ def test_postgres_exists_only_in_its_profile_and_is_reached_by_gateways_alone(co
 def test_each_worker_has_the_torch_of_its_device(compose: list[str]) -> None:
     services = _config(compose, "gpu")["services"]
     (default,) = re.findall(r"^ARG TORCH_INDEX=(\S+)$", _edge_stages()[0], re.MULTILINE)
-    assert services["edge"]["build"]["args"] == {"TORCH_INDEX": default}, "the CPU build"
-    assert services["edge-gpu"]["build"]["args"] == {"TORCH_INDEX": ""}, "empty, not absent: it replaces that default"
+    assert services["edge"]["build"]["args"]["TORCH_INDEX"] == default, "the CPU build"
+    assert services["edge-gpu"]["build"]["args"]["TORCH_INDEX"] == "", "empty, not absent: it replaces that default"
     assert services["edge-gpu"]["image"] != services["edge"]["image"]
     indexes = {"TORCH_INDEX": "https://example.org/cuda", "TORCH_CPU_INDEX": "https://example.org/cpu"}
     named = _config(compose, "gpu", **indexes)["services"]
-    assert named["edge-gpu"]["build"]["args"] == {"TORCH_INDEX": "https://example.org/cuda"}
-    assert named["edge"]["build"]["args"] == {"TORCH_INDEX": "https://example.org/cpu"}
+    assert named["edge-gpu"]["build"]["args"]["TORCH_INDEX"] == "https://example.org/cuda"
+    assert named["edge"]["build"]["args"]["TORCH_INDEX"] == "https://example.org/cpu"
+
+
+@pytest.mark.docker
+def test_workers_may_be_built_for_a_cluster_and_sent_to_it(compose: list[str]) -> None:
+    plain = _config(compose, "gpu")["services"]
+    named = _config(compose, "gpu", EDGE_EXTRAS="ray", EDGE_ENGINE="ray://head:10001")["services"]
+    for worker in ("edge", "edge-gpu"):
+        assert plain[worker]["build"]["args"]["EXTRAS"] == ""
+        assert plain[worker]["environment"]["EDGE_ENGINE"] == "local"
+        assert named[worker]["build"]["args"]["EXTRAS"] == "ray"
+        assert named[worker]["environment"]["EDGE_ENGINE"] == "ray://head:10001"
 
 
 @pytest.mark.parametrize("index", [None, "", "https://example.org/cuda"])
