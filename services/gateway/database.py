@@ -7,7 +7,7 @@ BEGIN, because a transaction that reads first and writes later fails at once ins
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +108,30 @@ def insert_if_absent(db: Connection, table: sa.Table, values: Mapping[str, Any])
     """Insert a row unless there is one with its primary key."""
     insert = postgresql.insert if db.dialect.name == "postgresql" else sqlite.insert
     db.execute(insert(table).values(dict(values)).on_conflict_do_nothing())
+
+
+@contextmanager
+def pipelined(db: Connection) -> Iterator[None]:
+    """Send the block's statements to Postgres without waiting for the answer to each: one round trip for all of them.
+
+    Only for statements whose rows and counts nobody reads. Other databases have no round trips.
+    Raises sqlalchemy.exc.DBAPIError at the end of the block for what a statement is refused for.
+    """
+    if db.dialect.name != "postgresql":
+        yield
+        return
+    import psycopg  # Here, because it is installed only where the database is Postgres.
+
+    raw: Any = db.connection.dbapi_connection
+    try:
+        with raw.pipeline():
+            yield
+    except BaseException as error:
+        with suppress(psycopg.Error):  # SQLAlchemy rolls nothing back where COMMIT failed, which here was not reached
+            raw.rollback()
+        if isinstance(error, psycopg.Error):
+            raise sa.exc.DBAPIError.instance(None, None, error, psycopg.Error, dialect=db.dialect) from error
+        raise
 
 
 @contextmanager

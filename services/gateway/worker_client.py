@@ -91,6 +91,7 @@ class WorkerPool:
         """silence_s: a stream without a message for so long counts as dead; job_timeout_s: deadline of a whole run"""
         self._addresses = WorkerAddresses(addresses)
         self._presets_by_worker: dict[str, tuple[WorkerPreset, ...]] = {}
+        self._statuses: dict[str, WorkerStatus] = {}  # of those that answered when they were asked last
         self._silence_s = silence_s
         self._job_timeout_s = job_timeout_s
         self._credentials = credentials
@@ -122,14 +123,23 @@ class WorkerPool:
                 found[preset.name] = max(known, preset, key=lambda each: each.memory_bytes)
         return found
 
+    def last_status(self, address: str) -> WorkerStatus | None:
+        """Return what a worker said of itself when it was asked last; None where it did not answer, or is gone."""
+        return self._statuses.get(address)
+
+    async def look_up(self) -> tuple[str, ...]:
+        """Look the names in the settings up again, if that was long ago, and return the addresses of all workers."""
+        await self._addresses.refresh()
+        await self._close_unused()
+        return self.addresses
+
     async def poll(self, only: Collection[str] | None = None) -> tuple[WorkerStatus, ...]:
         """Ask all workers for their status, or only those of these addresses, and remember their presets.
 
         Returns those that answer within a second, in the settings' order. Not all are compatible.
         """
-        await self._addresses.refresh()
-        await self._close_unused()
-        asked = [address for address in self.addresses if only is None or address in only]
+        addresses = await self.look_up()
+        asked = [address for address in addresses if only is None or address in only]
         answers = await asyncio.gather(*map(self._status, asked))
         found = tuple(status for status in answers if status is not None)
         usable = [status for status in found if status.is_compatible]
@@ -190,6 +200,7 @@ class WorkerPool:
         try:
             worker = await self._client(address).worker(POLL_S)
         except grpc.aio.AioRpcError as error:
+            self._statuses.pop(address, None)
             self._log_fault(address, error.code(), f"does not answer: {error.code().name}: {error.details()}")
             return None
         status = WorkerStatus(
@@ -207,6 +218,7 @@ class WorkerPool:
             frozenset(worker.jobs),
             worker.memory_bytes,
         )
+        self._statuses[address] = status
         if status.is_compatible:
             self._faults.pop(address, None)
         else:
@@ -232,6 +244,8 @@ class WorkerPool:
 
     async def _close_unused(self) -> None:
         """Close the channels of workers that are gone by their names, once no call uses them."""
+        for address in self._statuses.keys() - set(self.addresses):
+            del self._statuses[address]
         gone = [each for each in self._clients if each not in self.addresses and not self._calls[each]]
         clients = [self._clients.pop(address) for address in gone]
         for address in gone:

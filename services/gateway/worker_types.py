@@ -77,6 +77,11 @@ class WorkerStatus:
         return _series(self.version) == _series(services.__version__)
 
     @property
+    def takes_jobs(self) -> bool:
+        """Whether the worker gets jobs: it is compatible, and is not shutting down."""
+        return self.is_compatible and not self.draining
+
+    @property
     def preset_names(self) -> frozenset[str]:
         """Names of the presets that the worker offers."""
         return frozenset(preset.name for preset in self.presets)

@@ -14,9 +14,10 @@ from alembic.migration import MigrationContext
 
 import services.gateway.app  # noqa: F401 - with it come all tables
 from services.gateway.access.store import AccessStore
-from services.gateway.database import SchemaNewer, metadata, open_engine
+from services.gateway.database import SchemaNewer, metadata, open_engine, pipelined
 from services.gateway.jobs.job import Order
 from services.gateway.jobs.store import JobStore
+from services.gateway.jobs.tables import queue_turns
 
 _ORDER = Order("cap_1", "draft", "dress", "Dress")
 _JOB = "job_" + "0" * 32
@@ -37,6 +38,27 @@ def test_a_postgres_url_needs_no_driver(empty_postgres: str) -> None:
         engine = open_engine(url)
         assert (engine.dialect.driver, engine.url.query["connect_timeout"]) == ("psycopg", "77")
         engine.dispose()
+
+
+def test_statements_that_are_sent_together_fail_as_one_alone_does(url: str) -> None:
+    engine = open_engine(url)
+
+    def insert(times: int, *, commit: bool) -> None:
+        with engine.connect() as db, pipelined(db):
+            for _ in range(times):
+                db.execute(queue_turns.insert().inline(), {"tenant": "ada", "served": 1.0})
+            if commit:
+                db.commit()
+
+    for commit in (True, False):
+        with pytest.raises(sa.exc.IntegrityError):
+            insert(2, commit=commit)
+    with engine.connect() as db:
+        assert db.execute(sa.select(queue_turns)).all() == []
+    insert(1, commit=True)
+    with engine.connect() as db:
+        assert db.execute(sa.select(queue_turns.c.tenant)).scalars().all() == ["ada"]
+    engine.dispose()
 
 
 def make_first_schema(url: str) -> None:

@@ -10,13 +10,17 @@ from services.gateway.jobs.reports import Report, coalesce
 
 
 async def batch_reports(
-    reports: AsyncGenerator[Report, None], *, interval_s: float
+    reports: AsyncGenerator[Report, None], *, gather_s: float, interval_s: float
 ) -> AsyncGenerator[list[Report], None]:
-    """Yield the stream's reports, coalesced, in batches at least `interval_s` apart; raise what the stream raises."""
+    """Yield the stream's reports, coalesced, in batches at least `interval_s` apart; raise what the stream raises.
+
+    gather_s  for which a batch waits for reports behind its first one; the end of the stream ends both waits
+    """
     queue: asyncio.Queue[Report | None] = asyncio.Queue()
     pump = asyncio.create_task(_pump(reports, queue))
     try:
         while (first := await queue.get()) is not None:
+            await asyncio.wait([pump], timeout=gather_s)
             batch: list[Report | None] = [first]
             while not queue.empty():
                 batch.append(queue.get_nowait())

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import logging
+import random
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from functools import partial
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -13,11 +15,12 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.gateway.dispatch.run_supervisor import Dependencies, RunSupervisor
 from services.gateway.jobs.job import Job
 from services.gateway.jobs.state_machine import lease_to_worker, take_over
-from services.gateway.jobs.store import JobStore, Slot, SlotTaken
+from services.gateway.jobs.store import JobStore, NextJob, Slot, SlotTaken
 from services.gateway.worker_types import WorkerStatus
 
 _POLL_S = 0.5  # between checks of the queue without a wake-up: another gateway may queue jobs
-_WORKERS_S = 2.0  # between polls of all workers while jobs wait: some come, or are freed by another gateway
+_WORKERS_S = 2.0  # between polls of workers that are away, and of those with free slots while jobs wait
+_ASKED_FIRST = 3  # workers: mostly the first has a free slot, as the lease table says
 _ANNOUNCED_POLL_S = 30.0  # where the database notifies of queued jobs; only a safety net
 _DATABASE_FAILED = "the jobs database cannot be used; trying again: %s"
 _RENEWALS = 3  # per lease period: two may fail before the lease is lost
@@ -38,13 +41,11 @@ class Dispatcher:
         self._lease_s = lease_s
         self._supervisors: dict[str, tuple[RunSupervisor, asyncio.Task[None]]] = {}
         self._wake = asyncio.Event()
-        self._freed: set[str] = set()  # workers on which a run has ended since the queue was checked
-        self._poll_all_at = 0.0  # monotonic seconds
+        self._is_stopped = False
         self._idle_s = _ANNOUNCED_POLL_S if dependencies.job_store.blocking.announces else _POLL_S
 
     def wake(self) -> None:
         """Check the queue now: there is a new job."""
-        self._poll_all_at = 0.0
         self._wake.set()
 
     def cancel(self, job: str) -> None:
@@ -58,8 +59,10 @@ class Dispatcher:
             await self._recover_own_runs()
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._repeat(self._renew, asyncio.Event()))
+                group.create_task(self._repeat(self._find_workers, asyncio.Event()))
                 group.create_task(self._repeat(self._dispatch, self._wake))
         finally:
+            self._is_stopped = True
             tasks = [task for _, task in self._supervisors.values()]
             for task in tasks:
                 task.cancel()
@@ -97,13 +100,40 @@ class Dispatcher:
     async def _dispatch(self) -> float:
         """Lease queued jobs to workers until the queue or the free slots are used up.
 
-        Returns the seconds until the queue is to be checked again without a wake-up.
+        Of the workers with slots that are not leased, only those with the fewest runs are asked first, and the others
+        only where jobs are left. Returns the seconds until the queue is to be checked again without a wake-up.
         """
-        now = time.time()
-        start = now if self._freed else await self._dependencies.job_store.read(JobStore.next_start, now)
-        if start is None or start > now:
-            return self._idle_s if start is None else min(start - now, self._idle_s)
-        workers = await self._poll()
+        asked: set[str] = set()
+        while True:
+            now = time.time()
+            queue = await self._dependencies.job_store.read(JobStore.queue_state, now)
+            if queue.start is None or queue.start > now:
+                return self._idle_s if queue.start is None else min(queue.start - now, self._idle_s)
+            addresses = self._with_free_slots(queue.taken, asked)
+            if not addresses:
+                return _WORKERS_S
+            asked.update(addresses)
+            await self._fill(await self._dependencies.workers.poll(addresses))
+
+    def _with_free_slots(self, taken: Mapping[str, int], asked: Collection[str]) -> list[str]:
+        """Return the workers that the lease table has free slots of, the few with the fewest runs if none was `asked`.
+
+        Of workers with equally many the order is random, so that gateways do not contend for the same one.
+        """
+        workers = self._dependencies.workers
+        known = {address: workers.last_status(address) for address in workers.addresses if address not in asked}
+        free = [
+            address
+            for address, status in known.items()
+            if status is not None and status.takes_jobs and taken.get(address, 0) < status.slots
+        ]
+        if asked:
+            return free
+        random.shuffle(free)
+        return sorted(free, key=lambda address: taken.get(address, 0))[:_ASKED_FIRST]
+
+    async def _fill(self, workers: Sequence[WorkerStatus]) -> None:
+        """Lease queued jobs to the free slots of these workers."""
         taken: set[str] = set()
         nothing_for: set[frozenset[str]] = set()  # presets without a job
         while ready := [
@@ -111,11 +141,10 @@ class Dispatcher:
             for worker in self._free_workers(workers)
             if worker.address not in taken and worker.preset_names not in nothing_for
         ]:
-            worker, now = ready[0], time.time()
-            lease = partial(lease_to_worker, holder=self._holder, worker=worker.address, now=now, lease_s=self._lease_s)
-            slot = Slot(worker.address, worker.slots)
+            worker, which = ready[0], self._next_job(ready[0])
+            write = self._dependencies.job_store.write
             try:
-                job = await self._dependencies.job_store.write(JobStore.claim, now, worker.preset_names, lease, slot)
+                job = await write(JobStore.claim, which.now, which.presets, which.lease, which.slot)
             except SlotTaken:
                 taken.add(worker.address)
                 continue
@@ -123,16 +152,31 @@ class Dispatcher:
                 nothing_for.add(worker.preset_names)
             else:
                 self._start(job, running=False)
+
+    async def _find_workers(self) -> float:
+        """Ask the workers that did not answer when they were asked last, or took no jobs; dispatch if one does now.
+
+        Returns the seconds until they are to be asked again.
+        """
+        workers = self._dependencies.workers
+        statuses = {address: workers.last_status(address) for address in await workers.look_up()}
+        away = [address for address, status in statuses.items() if status is None or not status.takes_jobs]
+        if away and any(status.takes_jobs for status in await workers.poll(away)):
+            self._wake.set()
         return _WORKERS_S
 
-    async def _poll(self) -> Sequence[WorkerStatus]:
-        """Poll the workers on which a run has just ended; all of them for a new job, and now and then."""
-        freed, self._freed = self._freed, set()
-        now = time.monotonic()
-        if freed and now < self._poll_all_at:
-            return await self._dependencies.workers.poll(freed)
-        self._poll_all_at = now + _WORKERS_S
-        return await self._dependencies.workers.poll()
+    def next_job(self, worker: str) -> NextJob | None:
+        """Return which job may run next on a worker; None for one that is not known, or takes no jobs.
+
+        Its presets are still those of its last status: a run that ended was on the process which gave that.
+        """
+        status = self._dependencies.workers.last_status(worker)
+        return self._next_job(status) if status is not None and status.takes_jobs else None
+
+    def _next_job(self, worker: WorkerStatus) -> NextJob:
+        now = time.time()
+        lease = partial(lease_to_worker, holder=self._holder, worker=worker.address, now=now, lease_s=self._lease_s)
+        return NextJob(Slot(worker.address, worker.slots), worker.preset_names, now, lease)
 
     def _free_workers(self, workers: Sequence[WorkerStatus]) -> list[WorkerStatus]:
         """Return the workers with a free slot, shortest queue first.
@@ -146,8 +190,7 @@ class Dispatcher:
             }
             return worker.free_slots - len(own_runs - worker.jobs)
 
-        usable = [worker for worker in workers if worker.is_compatible and not worker.draining]
-        ready = [worker for worker in usable if free(worker) > 0]
+        ready = [worker for worker in workers if worker.takes_jobs and free(worker) > 0]
         return sorted(ready, key=lambda worker: (worker.queued, -free(worker)))
 
     async def _renew(self) -> float:
@@ -180,19 +223,30 @@ class Dispatcher:
             _log.info("job %s: reattaching to its run on %s", job.id, job.lease.worker)
             self._start(job, running=True)
 
+    def start(self, job: Job) -> None:
+        """Start the run of a job that was leased with the end of another; a restarted gateway finds it by its lease."""
+        if not self._is_stopped:
+            self._start(job, running=False)
+
     def _start(self, job: Job, *, running: bool) -> None:
-        supervisor = RunSupervisor(self._dependencies, job)
-        task = asyncio.create_task(supervisor.supervise(running=running), name=f"supervise {job.id}")
+        if not running:
+            _log.info("job %s is given to worker %s (attempt %d)", job.id, job.lease.worker, job.lease.attempts)
+        supervisor = RunSupervisor(self._dependencies, job, self)
+        # Nothing of the job that ended on this slot: neither its log fields nor its span.
+        task = asyncio.create_task(
+            supervisor.supervise(running=running), name=f"supervise {job.id}", context=contextvars.Context()
+        )
         self._supervisors[job.id] = (supervisor, task)
         task.add_done_callback(partial(self._on_run_ended, job.id))
         if job.lease.cancel:
             supervisor.cancel()
 
     def _on_run_ended(self, job: str, task: asyncio.Task[None]) -> None:
-        if (mine := self._supervisors.get(job)) is not None and mine[1] is task:
+        mine = self._supervisors.get(job)
+        if mine is not None and mine[1] is task:
             del self._supervisors[job]
-            self._freed.add(mine[0].worker)
         if not task.cancelled() and (error := task.exception()):
             # Its lease expires, and the first gateway to notice takes the run over.
             _log.error("job %s: its run supervisor failed; it is taken over when its lease ends", job, exc_info=error)
-        self._wake.set()
+        if mine is None or not mine[0].handed_over:
+            self._wake.set()

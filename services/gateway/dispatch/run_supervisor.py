@@ -9,6 +9,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -17,15 +18,17 @@ from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.capture_objects import capture_bytes, capture_chunks
 from services.gateway.jobs.job import Job
-from services.gateway.jobs.reports import Report, RunFailed, RunHeartbeat
+from services.gateway.jobs.reports import DRAINING, Report, RunFailed, RunFinished, RunHeartbeat
 from services.gateway.jobs.state_machine import (
     RUNNING_STATES,
+    Change,
     LeaseLost,
     Retry,
     apply_reports,
     requeue_lost,
     requeue_refused,
 )
+from services.gateway.jobs.store import JobStore, NextJob
 from services.gateway.worker_client import WorkerPool
 from services.gateway.worker_types import (
     RunKnown,
@@ -42,6 +45,7 @@ from services.storage.tenant_store import store_of_tenant
 from services.traces import capture_span
 
 _BATCH_INTERVAL_S = 0.2  # between two writes about one run: people see five steps a second, the disk syncs as often
+_GATHER_S = 0.005  # a worker reports the version that it published and the end of its run one after the other
 _CANCEL_RETRY_S = 0.5  # a cancellation may arrive before the upload of the run that it should stop
 
 _log = logging.getLogger(__name__)
@@ -63,11 +67,28 @@ class Dependencies:
     on_job_ended: Callable[[Job], None]
 
 
-class RunSupervisor:
-    """Supervises one lease of a job until the run has ended, the job is queued again, or the lease is lost."""
+class NextRun(Protocol):
+    """What runs on a worker's slot behind a run that ends: which job may, and its start once that is leased."""
 
-    def __init__(self, dependencies: Dependencies, job: Job) -> None:
+    def next_job(self, worker: str) -> NextJob | None:
+        """Return which job may run next on the worker of this address; None where too little is known of it."""
+        ...
+
+    def start(self, job: Job) -> None:
+        """Start the run of a job that has been leased."""
+        ...
+
+
+class RunSupervisor:
+    """Supervises one lease of a job until the run has ended, the job is queued again, or the lease is lost.
+
+    handed_over  whether the slot has its next job: it was leased with the end of this run
+    """
+
+    def __init__(self, dependencies: Dependencies, job: Job, behind: NextRun) -> None:
         self.job = job
+        self.handed_over = False
+        self._behind = behind
         self.fence = job.lease.fence
         self.worker = job.lease.worker
         self._dependencies = dependencies
@@ -151,7 +172,8 @@ class RunSupervisor:
 
     async def _follow(self, reports: AsyncGenerator[Report, None]) -> None:
         """Store the worker's reports until the run has ended."""
-        async with aclosing(batch_reports(reports, interval_s=_BATCH_INTERVAL_S)) as batches:
+        batches_of = partial(batch_reports, gather_s=_GATHER_S, interval_s=_BATCH_INTERVAL_S)
+        async with aclosing(batches_of(reports)) as batches:
             async for batch in batches:
                 self._run_started = True
                 if all(isinstance(report, RunHeartbeat) for report in batch):
@@ -166,7 +188,26 @@ class RunSupervisor:
         transition = partial(
             apply_reports, fence=self.fence, reports=reports, now=time.time(), retry=self._dependencies.retry
         )
-        self._record_change(await self._dependencies.job_store.change(self.job.id, transition))
+        following = self._behind.next_job(self.worker) if _end_run(reports) else None
+        if following is None:
+            self._record_change(await self._dependencies.job_store.change(self.job.id, transition))
+        else:  # Cancelled in the middle, the next job would be leased and nobody start it.
+            self._record_change(await asyncio.shield(self._hand_over(transition, following)))
+
+    async def _hand_over(self, transition: Callable[[Job], Change], following: NextJob) -> Job:
+        """Store the end of the run, and start the next job on its slot."""
+        job_store = self._dependencies.job_store
+        try:
+            job, found = await job_store.write(JobStore.end_run, self.job.id, transition, following)
+        except LeaseLost:
+            raise
+        except Exception:  # noqa: BLE001 - the end of this run does not depend on the next job
+            _log.exception("job %s: its end is stored without leasing the next job", self.job.id)
+            return await job_store.change(self.job.id, transition)
+        if found is not None:
+            self.handed_over = True
+            self._behind.start(found)
+        return job
 
     async def _requeue_lost(self, why: Problem) -> None:
         transition = partial(requeue_lost, fence=self.fence, why=why, now=time.time(), retry=self._dependencies.retry)
@@ -193,6 +234,12 @@ class RunSupervisor:
             except WorkerLost as error:
                 _log.info("job %s: not cancelled yet, trying again: %s", self.job.id, error)
             await asyncio.sleep(_CANCEL_RETRY_S)
+
+
+def _end_run(reports: list[Report]) -> bool:
+    """Whether the run has ended and its worker takes other jobs: one that shuts down returns its jobs."""
+    last = reports[-1]
+    return isinstance(last, RunFinished) or (isinstance(last, RunFailed) and last.code != DRAINING)
 
 
 def _refusal(job: Job, problem: Problem) -> RunFailed:

@@ -52,16 +52,17 @@ class AsyncJobStore:
         return await _run_on(self._readers, lambda: what(self._store, *args, **kwargs))
 
     async def write(self, what: Callable[Concatenate[JobStore, P], T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call a writing method of the store; if it returns a Job, notify the job's listeners."""
+        """Call a writing method of the store; notify the listeners of the Job, or of the Jobs, that it returns."""
         try:
             result = await _run_on(self._writer, lambda: what(self._store, *args, **kwargs))
         except DBAPIError as error:
             if fault_of(error) is Fault.FULL:
                 self._full_until = time.monotonic() + _FULL_S
             raise
-        if isinstance(result, Job):
-            self._full_until = 0.0
-            self.notifier.notify(result.id)
+        for job in result if isinstance(result, tuple) else (result,):
+            if isinstance(job, Job):
+                self._full_until = 0.0
+                self.notifier.notify(job.id)
         return result
 
     async def change(self, job: str, transition: Callable[[Job], Change]) -> Job:

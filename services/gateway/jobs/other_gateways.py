@@ -13,7 +13,7 @@ from services.gateway.jobs.job import State
 from services.gateway.jobs.postgres_notify import listen
 from services.gateway.jobs.store import JobStore
 
-_FIRST_REFUSAL_S = 0.1  # the gateway that queued a job mostly finds a slot for it; the others need not ask all workers
+_FIRST_REFUSAL_S = 0.1  # the gateway that queued a job mostly finds a slot for it; then the others need not look
 _POLL_S = 1.0  # SQLite: between checks for changes that another gateway wrote
 
 _log = logging.getLogger(__name__)
@@ -30,6 +30,7 @@ class OtherGateways:
         self._job_store = job_store
         self._wake = wake
         self._cancel = cancel
+        self._queued: dict[str, asyncio.TimerHandle] = {}  # jobs that have just been queued, and when to look at them
 
     async def watch(self) -> None:
         """Notify until cancelled."""
@@ -41,10 +42,17 @@ class OtherGateways:
 
     def _on_change(self, job: str, news: str) -> None:
         self._job_store.notifier.notify(job)
+        if (waiting := self._queued.pop(job, None)) is not None:
+            waiting.cancel()
         if news == State.QUEUED:
-            asyncio.get_running_loop().call_later(_FIRST_REFUSAL_S, self._wake)
+            self._queued[job] = asyncio.get_running_loop().call_later(_FIRST_REFUSAL_S, self._look_at_queue, job)
         elif news == State.CANCELLING:
             self._cancel(job)
+
+    def _look_at_queue(self, job: str) -> None:
+        """Have the dispatcher look at the queue: nobody has found a slot for this job."""
+        del self._queued[job]
+        self._wake()
 
     def _on_connected(self) -> None:
         """Have everybody look again: what was committed while nobody listened was not told."""

@@ -3,7 +3,8 @@
 Each query reads one entry of the index (state, preset, tenant, id) for every tenant that waits, not every job: a claim
 costs the same whether ten jobs are queued or ten thousand.
 
-What a lease says is asked by a subquery, not by a join: Postgres would merge all jobs with all leases, from the oldest.
+What belongs to a job or a lease is asked by a subquery, not by a join: Postgres would read all jobs or all leases for
+it, unless its statistics are of just now.
 """
 
 from __future__ import annotations
@@ -42,11 +43,8 @@ class Running:
 
 def running_jobs(db: Connection) -> Running:
     """Count the jobs that run."""
-    select = sa.select(jobs.c.tenant, leases.c.worker, sa.func.count()).join(leases)
     found = Running(Counter(), Counter())
-    for tenant, worker, count in db.execute(
-        select.where(jobs.c.state.in_(_RUNS)).group_by(jobs.c.tenant, leases.c.worker)
-    ):
+    for tenant, worker, count in db.execute(_RUNNING):
         found.by_tenant[tenant] += count
         found.by_worker[worker] += count
     return found
@@ -55,9 +53,10 @@ def running_jobs(db: Connection) -> Running:
 def waiting_queues(db: Connection, presets: Collection[str]) -> dict[str, Queue]:
     """Return the queue of each tenant that has queued jobs of these presets."""
     found: dict[str, Queue] = {}
-    for tenant, preset, served in db.execute(_waiting(presets)):
-        before = found.get(tenant, Queue((), served or 0.0))
-        found[tenant] = Queue((*before.presets, preset), before.served)
+    for tenant, preset, served in db.execute(_WAITING):
+        if preset in presets:
+            before = found.get(tenant, Queue((), served or 0.0))
+            found[tenant] = Queue((*before.presets, preset), before.served)
     return found
 
 
@@ -70,26 +69,28 @@ def by_oldest_job(db: Connection, tenant: str, presets: Sequence[str], now: floa
     """Return a tenant's presets with jobs that may start now, that of the oldest job first."""
     if len(presets) == 1:
         return list(presets)
-    oldest = {preset: db.execute(oldest_ready(tenant, preset, now)).scalar() for preset in presets}
+    oldest = {preset: oldest_ready(db, tenant, preset, now) for preset in presets}
     ids = {preset: job for preset, job in oldest.items() if job is not None}
     return sorted(ids, key=lambda preset: ids[preset])
 
 
-def oldest_ready(tenant: str, preset: str, now: float) -> sa.Select[str]:
-    """Select the id of a tenant's oldest queued job of a preset that may start now."""
-    queued = (jobs.c.state == State.QUEUED.value, jobs.c.preset == preset, jobs.c.tenant == tenant)
-    return sa.select(jobs.c.id).where(*queued, _not_before <= now).order_by(jobs.c.id).limit(1)
+def oldest_ready(db: Connection, tenant: str, preset: str, now: float, *, lock: bool = False) -> str | None:
+    """Return the id of a tenant's oldest queued job of a preset that may start now; None where there is none.
+
+    lock  whether to lock it, and pass over those that others have locked. SQLite has one writer, and no locks
+    """
+    which = {"of_tenant": tenant, "of_preset": preset, "now": now}
+    found: str | None = db.execute(_OLDEST_READY_LOCKED if lock else _OLDEST_READY, which).scalar()
+    return found
 
 
-def any_ready(now: float) -> sa.Select[str]:
-    """Select the id of some queued job that may start now, in the index's order, for which Postgres then takes it."""
-    queued = sa.select(jobs.c.id).where(jobs.c.state == State.QUEUED.value, _not_before <= now)
-    return queued.order_by(jobs.c.preset, jobs.c.tenant, jobs.c.id).limit(1)
-
-
-def first_start() -> sa.Select[float | None]:
-    """Select when the first queued job may start."""
-    return sa.select(sa.func.min(_not_before)).where(jobs.c.state == State.QUEUED.value)
+def earliest_start(db: Connection, now: float) -> float | None:
+    """Return when a queued job may start: `now` if one may already; None where none is queued."""
+    # A long queue has a job that is ready, and is not read to its end for it.
+    if db.execute(_ANY_READY, {"now": now}).first():
+        return now
+    first: float | None = db.execute(_FIRST_START).scalar_one()
+    return first
 
 
 def orphaned_jobs(now: float, holder: str, own_runs: Iterable[str]) -> sa.Select[str]:
@@ -102,7 +103,7 @@ def orphaned_jobs(now: float, holder: str, own_runs: Iterable[str]) -> sa.Select
     return select.order_by(jobs.c.preset, jobs.c.tenant, jobs.c.id).limit(1)
 
 
-def _waiting(presets: Collection[str]) -> sa.Select[Any]:
+def _waiting() -> sa.Select[Any]:
     """Select (tenant, preset, time of its last turn) of what waits, from one to the next in the index.
 
     That is a "loose index scan", which neither database does by itself. The order by preset and tenant, which only this
@@ -113,11 +114,42 @@ def _waiting(presets: Collection[str]) -> sa.Select[Any]:
     behind = sa.tuple_(following.c.preset, following.c.tenant) > sa.tuple_(here.c.preset, here.c.tenant)
     step = sa.select(_first_queued(following, behind).correlate(here))
     found = found.union_all(step.select_from(found.join(here, here.c.id == found.c.job)))
-    select = sa.select(jobs.c.tenant, jobs.c.preset, queue_turns.c.served).join(found, found.c.job == jobs.c.id)
-    return select.outerjoin(queue_turns, queue_turns.c.tenant == jobs.c.tenant).where(jobs.c.preset.in_(presets))
+    tenant, preset = (
+        sa.select(column).where(jobs.c.id == found.c.job).scalar_subquery() for column in (jobs.c.tenant, jobs.c.preset)
+    )
+    waiting = sa.select(tenant.label("tenant"), preset.label("preset")).where(found.c.job.is_not(None)).subquery()
+    select = sa.select(waiting.c.tenant, waiting.c.preset, queue_turns.c.served)
+    return select.outerjoin(queue_turns, queue_turns.c.tenant == waiting.c.tenant)
 
 
 def _first_queued(table: Any, *which: sa.ColumnElement[bool]) -> sa.ScalarSelect[str]:
     """Select the id of the first of these queued jobs in the index."""
     select = sa.select(table.c.id).where(table.c.state == State.QUEUED.value, *which)
     return select.order_by(table.c.preset, table.c.tenant, table.c.id).limit(1).scalar_subquery()
+
+
+# Built once: SQLAlchemy takes a millisecond to build and look up the longest of them.
+_worker = sa.select(leases.c.worker).where(leases.c.job == jobs.c.id).scalar_subquery().label("worker")
+_RUNNING = (
+    sa.select(jobs.c.tenant, _worker, sa.func.count()).where(jobs.c.state.in_(_RUNS)).group_by(jobs.c.tenant, _worker)
+)
+_WAITING = _waiting()
+_OLDEST_READY = (
+    sa.select(jobs.c.id)
+    .where(
+        jobs.c.state == State.QUEUED.value,
+        jobs.c.preset == sa.bindparam("of_preset"),
+        jobs.c.tenant == sa.bindparam("of_tenant"),
+        _not_before <= sa.bindparam("now"),
+    )
+    .order_by(jobs.c.id)
+    .limit(1)
+)
+_ANY_READY = (  # in the index's order, for which Postgres then takes it
+    sa.select(jobs.c.id)
+    .where(jobs.c.state == State.QUEUED.value, _not_before <= sa.bindparam("now"))
+    .order_by(jobs.c.preset, jobs.c.tenant, jobs.c.id)
+    .limit(1)
+)
+_FIRST_START = sa.select(sa.func.min(_not_before)).where(jobs.c.state == State.QUEUED.value)
+_OLDEST_READY_LOCKED = _OLDEST_READY.with_for_update(skip_locked=True)

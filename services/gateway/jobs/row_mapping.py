@@ -48,9 +48,6 @@ def job_values(job: Job) -> dict[str, Any]:
         "order": asdict(job.order),
         "state": job.state.value,
         "warnings": list(job.warnings),
-        "preview": job.preview if job.preview is not None else sa.null(),
-        "asset": job.asset if job.asset is not None else sa.null(),
-        "error": job.error if job.error is not None else sa.null(),
     }
 
 

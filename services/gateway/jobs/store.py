@@ -10,7 +10,8 @@ import os
 import re
 import secrets
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,14 +19,13 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import IntegrityError
 
-from services.gateway.database import brief_wait, for_writing, upsert
+from services.gateway.database import brief_wait, for_writing, pipelined, upsert
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
 from services.gateway.jobs.postgres_notify import announce
 from services.gateway.jobs.queue_order import (
-    any_ready,
     by_oldest_job,
-    first_start,
+    earliest_start,
     oldest_ready,
     orphaned_jobs,
     running_jobs,
@@ -40,10 +40,10 @@ from services.gateway.jobs.row_mapping import (
     job_values,
     lease_values,
 )
-from services.gateway.jobs.state_machine import Change, create_job
+from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
 from services.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
-from services.gateway.jobs.webhook_events import webhook_event
-from services.gateway.webhooks.outbox import enqueue
+from services.gateway.jobs.webhook_events import webhook_events
+from services.gateway.webhooks.outbox import enqueue, new_messages
 from services.storage.tenant_store import DEFAULT_TENANT
 
 _EVENTS_AT_ONCE = 500  # events per query, about 100 kB: a replay may have hours of them
@@ -52,7 +52,12 @@ _DAY_S = 86_400.0
 _SLOTS_LOCK = 0x6332766C  # Postgres: first key of the locks of workers' slots; any number, only ours
 _BUSY_RETRY_S = 30  # a job takes about a minute
 _TERMINAL = [state.value for state in TERMINAL]
-
+_LOCKED_JOB = WHOLE_JOB.with_for_update()  # SQLite has only one writer at a time, and ignores it
+_UPDATE_JOB = jobs.update().where(jobs.c.id == sa.bindparam("changed"))
+_UPDATE_LEASE = leases.update().where(leases.c.job == sa.bindparam("changed"))
+# Without asking for what the database makes itself, such as the number of an event.
+_INSERT_JOB, _INSERT_LEASE = jobs.insert().inline(), leases.insert().inline()
+_INSERT_EVENT, _INSERT_KEY = events.insert().inline(), idempotency.insert().inline()
 
 JOB_ID = re.compile(r"job_[0-9a-f]{32}")
 
@@ -74,6 +79,33 @@ class SlotTaken(Exception):  # noqa: N818 - it reads as what it is
     """Another gateway has leased a job to the worker's last slot, or is just doing so."""
 
 
+@dataclass(frozen=True, slots=True)
+class NextJob:
+    """Which job to lease to a free slot, and how.
+
+    presets  that the worker offers
+    now      seconds since the epoch: jobs that wait for their next attempt until later are passed over
+    lease    transition that leases the job
+    """
+
+    slot: Slot
+    presets: frozenset[str]
+    now: float
+    lease: Callable[[Job], Change]
+
+
+@dataclass(frozen=True, slots=True)
+class QueueState:
+    """Whether jobs wait for workers.
+
+    start  when a queued job may start (seconds since the epoch): now, if one may already; None where none is queued
+    taken  slots in use, by the address of the worker; counted only where a job may start now
+    """
+
+    start: float | None
+    taken: Mapping[str, int]
+
+
 class JobStore:
     """Jobs, leases, events and idempotency keys in one database.
 
@@ -84,7 +116,6 @@ class JobStore:
         self._engine = engine
         self._writer = for_writing(engine)
         self.origin = secrets.token_hex(8)  # in the notifications of what is written here
-        self._locks = engine.dialect.name != "sqlite"  # SQLite has only one writer at a time: no row locks needed
 
     @property
     def engine(self) -> Engine:
@@ -105,7 +136,7 @@ class JobStore:
         Raises Problem IDEMPOTENCY_CONFLICT, JOBS_LIMITED.
         """
         try:
-            with self._writer.begin() as db:
+            with self._writer.connect() as db:
                 known = _find_by_key(db, tenant, key, body_sha256)
                 if known is None:
                     _check_limits(db, tenant, at_once, per_day)
@@ -193,15 +224,31 @@ class JobStore:
 
     def change(self, job: str, transition: Callable[[Job], Change]) -> Job:
         """Apply a transition to a job and store the result; nothing if it raises. Raises Problem JOB_UNKNOWN."""
-        with self._writer.begin() as db:
-            select = WHOLE_JOB.with_for_update() if self._locks else WHOLE_JOB
-            return self._write(db, transition(_get(db, select, job)))
+        with self._writer.connect() as db:
+            return self._save(db, transition(_get(db, _LOCKED_JOB, job)))
 
-    def next_start(self, now: float) -> float | None:
-        """Return when a queued job may start: `now` if one may already; None where none is queued."""
+    def end_run(self, job: str, transition: Callable[[Job], Change], following: NextJob) -> tuple[Job, Job | None]:
+        """Apply a transition that ends a job's run, and lease the next job to the slot that is free then, all or none.
+
+        Returns both jobs. The second is None where the run has not ended, where no job waits for this worker, and where
+        another gateway has taken the slot.
+        """
+        with self._writer.connect() as db:
+            ended = self._save(db, transition(_get(db, _LOCKED_JOB, job)), commit=False)
+            found = None
+            if ended.state not in RUNNING_STATES:
+                with suppress(SlotTaken):
+                    found = self._lease_next(db, following.now, following.presets, following.lease, following.slot)
+            if found is None:
+                db.commit()
+        return ended, found
+
+    def queue_state(self, now: float) -> QueueState:
+        """Return whether jobs wait, and the slots that are taken."""
         with self._engine.begin() as db:
-            # A long queue has a job that is ready, and is not read to its end for it.
-            return now if db.execute(any_ready(now)).first() else db.execute(first_start()).scalar_one()
+            start = earliest_start(db, now)
+            is_ready = start is not None and start <= now
+            return QueueState(start, running_jobs(db).by_worker if is_ready else {})
 
     def claim(
         self, now: float, presets: Collection[str], transition: Callable[[Job], Change], slot: Slot | None = None
@@ -214,21 +261,8 @@ class JobStore:
         slot  for which the job is: gateways that see the same free slot at the same time would all give it a job, and
               all but one be refused by the worker. Raises SlotTaken.
         """
-        with self._writer.begin() as db:
-            if slot is not None:
-                _lock_slot(db, slot)
-            running = running_jobs(db)
-            if slot is not None and running.by_worker[slot.worker] >= slot.slots:
-                raise SlotTaken(slot.worker)
-            queues = waiting_queues(db, presets)
-            for tenant in turns(queues, running):
-                for preset in by_oldest_job(db, tenant, queues[tenant].presets, now):
-                    select = oldest_ready(tenant, preset, now)
-                    job = db.execute(select.with_for_update(skip_locked=True) if self._locks else select).scalar()
-                    if job is not None:  # else all wait for their next attempt, or other gateways are just taking them
-                        upsert(db, queue_turns, {"tenant": tenant}, {"served": now})
-                        return self._write(db, transition(_get(db, WHOLE_JOB, job)))
-        return None
+        with self._writer.connect() as db:
+            return self._lease_next(db, now, presets, transition, slot)
 
     def claim_orphan(
         self, now: float, holder: str, own_runs: Iterable[str], transition: Callable[[Job], Change]
@@ -238,16 +272,12 @@ class JobStore:
         Its lease has expired, or belongs to `holder`, this gateway before its restart.
         own_runs: jobs that this process supervises
         """
-        select = orphaned_jobs(now, holder, own_runs)
-        whole = WHOLE_JOB
-        if self._locks:
-            select, whole = select.with_for_update(skip_locked=True), whole.with_for_update()
-        with self._writer.begin() as db:
-            found = db.execute(select).scalar()
-            job = _get(db, whole, found) if found is not None else None
+        with self._writer.connect() as db:
+            found = db.execute(orphaned_jobs(now, holder, own_runs).with_for_update(skip_locked=True)).scalar()
+            job = _get(db, _LOCKED_JOB, found) if found is not None else None
             if job is None or (job.lease.until >= now and job.lease.holder != holder):  # or it was just renewed
                 return None
-            return self._write(db, transition(job))
+            return self._save(db, transition(job))
 
     def renew(self, holder: str, until: float, running: Sequence[tuple[str, int]]) -> tuple[set[str], set[str]]:
         """Renew the leases of these (job, fence). Returns the jobs whose leases are lost, and those to be cancelled."""
@@ -276,15 +306,58 @@ class JobStore:
         return max((number for number, _ in rows), default=after), {job for _, job in rows}
 
     def _insert(self, db: Connection, tenant: str, order: Order, key: str, body_sha256: str) -> Job:
-        job = _insert_rows(db, tenant, order, key, body_sha256)
-        announce(db, self.origin, job)
+        """Create a job and commit. Raises sqlalchemy.exc.IntegrityError where the key is used already."""
+        now = time.time()
+        change = create_job(new_job_id(now), order, tenant=tenant, now=now)
+        job = change.job
+        with pipelined(db):
+            db.execute(_INSERT_JOB, job_values(job))
+            db.execute(_INSERT_LEASE, lease_values(job))
+            _insert_events(db, change)
+            if key:
+                used = {"key": _stored_key(tenant, key), "body_sha256": body_sha256, "job": job.id}
+                db.execute(_INSERT_KEY, used)
+            announce(db, self.origin, job)
+            db.commit()
         return job
 
-    def _write(self, db: Connection, change: Change) -> Job:
-        job = update_rows(db, change)
-        if change.events:
-            announce(db, self.origin, job)
-        return job
+    def _lease_next(
+        self,
+        db: Connection,
+        now: float,
+        presets: Collection[str],
+        transition: Callable[[Job], Change],
+        slot: Slot | None,
+    ) -> Job | None:
+        """Lease the next job and commit; None where there is none, and then nothing is committed. Raises SlotTaken."""
+        if slot is not None:
+            _lock_slot(db, slot)
+        running = running_jobs(db)
+        if slot is not None and running.by_worker[slot.worker] >= slot.slots:
+            raise SlotTaken(slot.worker)
+        queues = waiting_queues(db, presets)
+        for tenant in turns(queues, running):
+            for preset in by_oldest_job(db, tenant, queues[tenant].presets, now):
+                job = oldest_ready(db, tenant, preset, now, lock=True)
+                if job is not None:  # else all wait for their next attempt, or other gateways are just taking them
+                    return self._save(db, transition(_get(db, WHOLE_JOB, job)), served=now)
+        return None
+
+    def _save(self, db: Connection, change: Change, *, served: float | None = None, commit: bool = True) -> Job:
+        """Write a change, notify other gateways of it, and commit.
+
+        served  when the job's tenant has had its turn
+        """
+        messages = _new_messages(db, change)
+        with pipelined(db):
+            if served is not None:
+                upsert(db, queue_turns, {"tenant": change.job.tenant}, {"served": served})
+            _write_rows(db, change, messages)
+            if change.events:
+                announce(db, self.origin, change.job)
+            if commit:
+                db.commit()
+        return change.job
 
 
 def _lock_slot(db: Connection, slot: Slot) -> None:
@@ -353,27 +426,24 @@ def _stored_key(tenant: str, key: str) -> str:
     return key if tenant == DEFAULT_TENANT else f"{tenant} {key}"
 
 
-def _insert_rows(db: Connection, tenant: str, order: Order, key: str, body_sha256: str) -> Job:
-    now = time.time()
-    change = create_job(new_job_id(now), order, tenant=tenant, now=now)
-    db.execute(jobs.insert().values(job_values(change.job)))
-    db.execute(leases.insert().values(lease_values(change.job)))
-    db.execute(events.insert(), [event_values(event) for event in change.events])
-    if key:
-        db.execute(
-            idempotency.insert().values(key=_stored_key(tenant, key), body_sha256=body_sha256, job=change.job.id)
-        )
-    return change.job
+def update_rows(db: Connection, change: Change) -> None:
+    """Write a changed job, its lease, its events and what webhooks are told of them."""
+    _write_rows(db, change, _new_messages(db, change))
 
 
-def update_rows(db: Connection, change: Change) -> Job:
-    """Write a changed job, its lease, its events and what webhooks are told of them; return the job."""
+def _new_messages(db: Connection, change: Change) -> list[dict[str, Any]]:
+    """Return what webhooks are told of a change, as rows of the outbox."""
+    return new_messages(db, change.job.tenant, webhook_events(change.job, change.events))
+
+
+def _write_rows(db: Connection, change: Change, messages: Iterable[Mapping[str, Any]]) -> None:
     job = change.job
-    db.execute(jobs.update().where(jobs.c.id == job.id).values(job_values(job)))
-    db.execute(leases.update().where(leases.c.job == job.id).values(lease_values(job)))
-    if change.events:
-        db.execute(events.insert(), [event_values(event) for event in change.events])
-        for event in change.events:
-            if (told := webhook_event(job, event)) is not None:
-                enqueue(db, job.tenant, told)
-    return job
+    db.execute(_UPDATE_JOB, {"changed": job.id, **job_values(job)})
+    db.execute(_UPDATE_LEASE, {"changed": job.id, **lease_values(job)})
+    _insert_events(db, change)
+    enqueue(db, messages)
+
+
+def _insert_events(db: Connection, change: Change) -> None:
+    for event in change.events:
+        db.execute(_INSERT_EVENT, event_values(event))

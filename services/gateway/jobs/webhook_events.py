@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from services.gateway.jobs import job as nouns
@@ -11,8 +12,12 @@ from services.gateway.webhooks.outbox import Event
 _TOLD = {State.RUNNING, State.SUCCEEDED, State.FAILED, State.CANCELLED}
 
 
-def webhook_event(job: Job, event: nouns.Event) -> Event | None:
-    """Return what webhooks are told of an event of a job; None for what they are not told, such as progress."""
+def webhook_events(job: Job, events: Iterable[nouns.Event]) -> list[Event]:
+    """Return what webhooks are told of the events of a change; nothing of progress, for one."""
+    return [told for event in events if (told := _webhook_event(job, event)) is not None]
+
+
+def _webhook_event(job: Job, event: nouns.Event) -> Event | None:
     name = f"{job.id} {event.seq}"
     if event.kind == "published":
         return Event("asset.published", name, {**event.data["asset"], "job": job.id, "label": job.order.label})

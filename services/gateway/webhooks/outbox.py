@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -78,16 +78,27 @@ class Delivery:
     secrets: tuple[str, ...]
 
 
-def enqueue(db: Connection, tenant: str, event: Event) -> None:
-    """Put an event into the outbox, for each of the tenant's webhooks that wants it; a second time nothing."""
-    select = sa.select(webhooks.c.id, webhooks.c.events).where(
-        webhooks.c.tenant == tenant, webhooks.c.disabled.is_(None)
-    )
-    wanting = [row.id for row in db.execute(select) if not row.events or event.type in row.events]
-    if wanting:
-        payload, now = _payload(event), time.time()
-        for webhook in wanting:
-            insert_if_absent(db, messages, new_message(webhook, tenant, event, payload, now))
+_ENABLED = sa.select(webhooks.c.id, webhooks.c.events).where(
+    webhooks.c.tenant == sa.bindparam("of_tenant"), webhooks.c.disabled.is_(None)
+)
+
+
+def new_messages(db: Connection, tenant: str, events: Sequence[Event]) -> list[dict[str, Any]]:
+    """Return the new rows of the outbox for a tenant's events: one for each of its webhooks that wants the event."""
+    enabled = db.execute(_ENABLED, {"of_tenant": tenant}).all() if events else []
+    now = time.time()
+    return [
+        new_message(row.id, tenant, event, _payload(event), now)
+        for event in events
+        for row in enabled
+        if not row.events or event.type in row.events
+    ]
+
+
+def enqueue(db: Connection, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Put rows of `new_messages` into the outbox; one that is there already stays as it is."""
+    for row in rows:
+        insert_if_absent(db, messages, row)
 
 
 def new_message(webhook: str, tenant: str, event: Event, payload: str, now: float) -> dict[str, Any]:
@@ -125,7 +136,7 @@ class Outbox:
     def enqueue(self, tenant: str, event: Event) -> None:
         """Put an event into the outbox."""
         with self._writer.begin() as db:
-            enqueue(db, tenant, event)
+            enqueue(db, new_messages(db, tenant, (event,)))
 
     def claim(self, now: float, most: int, busy: set[str]) -> list[Delivery]:
         """Lease at most `most` messages that are due, one for each webhook that is not `busy`; the oldest first."""

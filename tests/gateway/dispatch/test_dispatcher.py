@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from contextlib import AsyncExitStack
 from pathlib import Path
 
 import pytest
 
+from services.gateway.database import create_engine
+from services.gateway.jobs.tables import jobs
 from services.storage.catalogue.entry import read_entry
 from services.storage.memory import MemoryStore
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
@@ -135,6 +138,45 @@ async def test_many_jobs_over_two_workers_are_each_done_once(tmp_path: Path) -> 
     assert works[1].runs
     for job, number in zip(jobs, range(20), strict=True):
         assert [version["job"] for version in read_entry(store, f"key{number}").versions] == [job, job]
+
+
+async def test_a_run_ends_though_the_next_job_cannot_be_read(tmp_path: Path, url: str) -> None:
+    """A row of a newer gateway, say: it must not keep the run before it from ending."""
+    store = memory()
+    work = Making(store)
+    async with (
+        worker(work, tmp_path / "edge", slots=1) as port,
+        gateway(tmp_path / "gw", store, port, database_url=url) as client,
+    ):
+        first = await start(client, capture(store, wait=True))
+        await job_when(client, first, lambda found: found["fraction"] > 0)
+        second = await start(client, capture(store, "cap_2"), "hat")
+        engine = create_engine(url)
+        with engine.begin() as db:
+            order = {"capture": "cap_2", "preset": "draft", "asset_key": "hat", "no_such_field": 1}
+            db.execute(jobs.update().where(jobs.c.id == second).values(order=order))
+        work.release.set()
+        assert (await ended(client, first))["state"] == "SUCCEEDED"
+        with engine.begin() as db:
+            del order["no_such_field"]
+            db.execute(jobs.update().where(jobs.c.id == second).values(order=order))
+        engine.dispose()
+        assert (await ended(client, second))["state"] == "SUCCEEDED"
+
+
+async def test_a_worker_that_does_not_answer_holds_up_no_other(tmp_path: Path) -> None:
+    """It accepts connections and says nothing, so that every call to it takes its whole deadline."""
+    store = memory()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        away = silent.getsockname()[1]
+        async with (
+            worker(Making(store), tmp_path / "edge", slots=1) as port,
+            gateway(tmp_path / "gw", store, away, port) as client,
+        ):
+            name = capture(store, steps=1)
+            jobs = [await start(client, name, f"key{n}") for n in range(6)]
+            done = [await ended(client, job) for job in jobs]
+    assert [(each["state"], each["attempts"]) for each in done] == [("SUCCEEDED", 1)] * 6
 
 
 async def test_a_capture_that_vanished_fails_the_job(tmp_path: Path, unused_tcp_port: int) -> None:

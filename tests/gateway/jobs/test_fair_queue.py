@@ -87,12 +87,12 @@ def test_the_oldest_job_that_may_start_is_first_whatever_its_preset(store: JobSt
 
     assert claimed(LATE, "draft", "fine") == 1
     store.change(made[1].id, partial(requeue_refused, fence=1, now=LATE, pause_s=100))
-    assert store.next_start(LATE) == LATE
+    assert store.queue_state(LATE).start == LATE
     assert [claimed(LATE, "draft", "fine") for _ in range(4)] == [2, 3, 4, None], "the first waits for its next attempt"
     assert claimed(LATE, "scene") == 0
-    assert store.next_start(LATE) == LATE + 100
+    assert store.queue_state(LATE).start == LATE + 100
     assert claimed(LATE + 100, "draft", "fine") == 1
-    assert store.next_start(LATE) is None
+    assert store.queue_state(LATE).start is None
 
 
 @settings(max_examples=15)

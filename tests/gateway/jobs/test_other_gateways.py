@@ -122,6 +122,23 @@ async def test_a_job_that_waits_for_its_next_attempt_wakes_nobody(
         assert not mine.woken.is_set(), "of three changes one was a job for the queue"
 
 
+async def test_a_job_that_its_gateway_finds_a_worker_for_wakes_no_other(
+    url: str, other: JobStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(other_gateways, "_FIRST_REFUSAL_S", PATIENCE_S)
+    async with listening(url) as mine:
+        await _heard(mine.woken)
+        job = other.create(HOME, ORDER).id
+        with mine.jobs.notifier.listen(job) as news:
+            lease = partial(lease_to_worker, holder="other", worker="w:1", now=1e12, lease_s=10)
+            assert other.claim(1e12, ("draft",), lease) is not None
+            await _heard(news)
+        monkeypatch.setattr(other_gateways, "_FIRST_REFUSAL_S", 0.0)
+        other.create(HOME, ORDER)
+        await _heard(mine.woken)  # what came later has been heard
+        assert not mine.others._queued
+
+
 async def test_own_changes_are_not_heard_twice(url: str, other: JobStore) -> None:
     async with listening(url) as mine:
         await _heard(mine.woken)

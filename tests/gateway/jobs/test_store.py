@@ -15,7 +15,7 @@ from services.gateway.database import open_engine
 from services.gateway.errors import Problem
 from services.gateway.jobs import tables
 from services.gateway.jobs.job import Job, Order, State
-from services.gateway.jobs.reports import RunFinished, RunProgress, VersionPublished
+from services.gateway.jobs.reports import Report, RunFinished, RunProgress, VersionPublished
 from services.gateway.jobs.state_machine import (
     Change,
     LeaseLost,
@@ -25,7 +25,7 @@ from services.gateway.jobs.state_machine import (
     request_cancel,
     take_over,
 )
-from services.gateway.jobs.store import JobStore, Slot, SlotTaken
+from services.gateway.jobs.store import JobStore, NextJob, Slot, SlotTaken
 from services.storage.tenant_store import DEFAULT_TENANT
 
 ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object", box=(0.25, 0.125, 0.75, 1.0))
@@ -129,6 +129,56 @@ def test_a_free_slot_is_leased_once(store: JobStore, url: str) -> None:
     done = [VersionPublished(1, "dress", 1, "refined", "m"), RunFinished(2, (), {})]
     store.change(got[0], partial(apply_reports, fence=1, reports=done, now=1e12, retry=RETRY))
     assert store.claim(1e12, ("draft",), lease(), Slot("w:1", 2)) is not None
+
+
+def published(seq: int = 1) -> list[Report]:
+    return [VersionPublished(seq, "dress", 1, "refined", "m"), RunFinished(seq + 1, (), {})]
+
+
+def ends(fence: int = 1, reports: list[Report] | None = None) -> partial[Change]:
+    told = published() if reports is None else reports
+    return partial(apply_reports, fence=fence, reports=told, now=1e12, retry=RETRY)
+
+
+def behind(slots: int = 1, worker: str = "w:1") -> NextJob:
+    return NextJob(Slot(worker, slots), frozenset({"draft"}), 1e12, lease())
+
+
+def test_the_end_of_a_run_leases_its_slot_to_the_next_job(store: JobStore) -> None:
+    first, second = store.create(HOME, ORDER), store.create(HOME, ORDER)
+    assert store.claim(1e12, ("draft",), lease(), Slot("w:1", 1)) is not None
+    ended, following = store.end_run(first.id, ends(), behind())
+    assert (ended.id, ended.state) == (first.id, State.SUCCEEDED)
+    assert following is not None
+    assert (following.id, following.state, following.lease.attempts) == (second.id, State.RUNNING, 1)
+    assert [store.get(HOME, job.id) for job in (first, second)] == [ended, following]
+    ended, following = store.end_run(second.id, ends(), behind())
+    assert (ended.state, following) == (State.SUCCEEDED, None), "nothing waits"
+
+
+def test_a_run_ends_where_its_slot_is_not_free_for_the_next_job(store: JobStore) -> None:
+    jobs = [store.create(HOME, ORDER) for _ in range(4)]
+    for _ in range(2):  # one more than the worker has slots, as where it was restarted with fewer
+        store.claim(1e12, ("draft",), lease())
+    ended, following = store.end_run(jobs[0].id, ends(), behind())
+    assert (ended.state, following) == (State.SUCCEEDED, None)
+    assert store.get(HOME, jobs[0].id) == ended
+    going_on, following = store.end_run(jobs[1].id, ends(reports=[RunProgress(1, "FITTING", 0.5)]), behind(slots=2))
+    assert (going_on.state, following) == (State.RUNNING, None), "it goes on, and keeps its slot"
+    assert store.count_by_state()[State.QUEUED] == 2
+
+
+def test_the_end_of_a_run_and_the_next_lease_are_stored_together_or_not_at_all(store: JobStore) -> None:
+    first, second = store.create(HOME, ORDER), store.create(HOME, ORDER)
+    running = store.claim(1e12, ("draft",), lease())
+    refuses = replace(behind(), lease=partial(apply_reports, fence=9, reports=[], now=0, retry=RETRY))
+    with pytest.raises(LeaseLost):
+        store.end_run(first.id, ends(), refuses)
+    assert store.get(HOME, first.id) == running
+    assert store.get(HOME, second.id) == second
+    with pytest.raises(LeaseLost):
+        store.end_run(first.id, ends(fence=9), behind())
+    assert store.get(HOME, second.id) == second
 
 
 def test_an_idempotency_key_makes_one_job(store: JobStore) -> None:
