@@ -117,6 +117,20 @@ def run_captures(folder: Path) -> dict[str, Any]:
     }
 
 
+def run_scene(folder: Path) -> dict[str, Any]:
+    """What `capture2vr run` makes of a scene of two tiles, in a process of its own."""
+    folder.mkdir()
+    scene = write_ply(folder / "hall.ply", hall())
+    command = [sys.executable, "-m", "services.cli", "run", str(scene), "-o", str(folder / "out")]
+    flags = ["--preset", "scene-tiles", "--resolution", "500"]
+    done = subprocess.run(
+        [*command, *flags], env={**os.environ, "EDGE_ENGINE": ADDRESS}, capture_output=True, text=True
+    )
+    report = folder / "out" / "report.json"
+    tiles = json.loads(report.read_text())["tileset"]["tiles"] if report.exists() else 0
+    return {"status": done.returncode, "said": done.stderr, "tiles": tiles}
+
+
 def lose_a_node(engine: Engine, cluster: RayCluster, folder: Path) -> dict[str, Any]:
     """Kill a node while both work: what ran there runs again, and all results are there."""
     folder.mkdir()
@@ -167,6 +181,7 @@ def on_a_cluster(folder: Path) -> dict[str, Any]:
             gpu = engine.submit(needs, engine_tasks.environment, "CUDA_VISIBLE_DEVICES")
             said["gpu"] = gpu.result(HANG_S)
             said["captures"] = run_captures(folder / "captures")
+            said["scene"] = run_scene(folder / "scene")
             said["tiles are the same"] = mesh_tiles(engine)
             said["lost node"] = lose_a_node(engine, cluster, folder / "node")
             said["lost head"] = lose_the_head(engine, cluster, folder / "head")

@@ -103,6 +103,12 @@ def test_captures_are_reconstructed_on_the_cluster(ray_story: dict[str, Any]) ->
     assert ran["states"] == {"leaf": "preview", "twig": "preview"}
 
 
+def test_a_scene_is_made_on_the_cluster(ray_story: dict[str, Any]) -> None:
+    scene = ray_story["scene"]
+    assert scene["status"] == 0, scene["said"]
+    assert scene["tiles"] == 2
+
+
 def test_tiles_are_meshed_as_here(ray_story: dict[str, Any]) -> None:
     assert ray_story["tiles are the same"]
 
