@@ -15,7 +15,7 @@ from services.cli.deploy import app as deploy
 from services.cli.errors import BadInput, printable
 from services.cli.gateway import app as gateway
 from services.cli.keys import app as keys
-from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Open, Trusted, parse_box
+from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Open, Tags, Trusted, parse_box
 from services.cli.shares import app as shares
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.strict_settings import SettingsError
@@ -147,6 +147,8 @@ def push(
         str, typer.Option(help="Method of reconstruction, see `capture2vr presets`. Default: the gateway's.")
     ] = "",
     label: Annotated[str, typer.Option(help="A name for people. Default: the key.")] = "",
+    description: Annotated[str, typer.Option(help="Some lines about the asset, for people.")] = "",
+    tag: Tags = None,
     collection: Collection = "",
     cut: CutOption = "auto",
     longest: Longest = None,
@@ -171,6 +173,8 @@ def push(
         "box": rectangle.values if rectangle else None,
         "target": target or None,
         "visibility": visibility,
+        "description": description or None,
+        "labels": tag,
     }
     push_capture(capture, gateway, key=key, label=label, options=options)
 
@@ -229,6 +233,21 @@ def restore(
     from services.cli.assets import set_removed
 
     set_removed(key, gateway, "restore", collection=collection)
+
+
+@app.command()
+def name(
+    key: Annotated[str, typer.Argument(help="Asset key.")],
+    label: Annotated[str | None, typer.Option(help="A name for people; empty: the key.")] = None,
+    description: Annotated[str | None, typer.Option(help="Some lines about the asset; empty: none.")] = None,
+    tag: Tags = None,
+    no_tags: Annotated[bool, typer.Option("--no-tags", help="Take all search words away.")] = False,
+    gateway: Gateway = DEFAULT_GATEWAY,
+) -> None:
+    """Change what people call an asset. What is not named stays; the tags that are named replace those it has."""
+    from services.cli.names import change_names
+
+    change_names(key, gateway, label=label, description=description, labels=[] if no_tags else tag)
 
 
 @app.command()

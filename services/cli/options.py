@@ -25,6 +25,10 @@ Open = Annotated[
     bool,
     typer.Option("--open", help="Let everybody who reaches the port in, without an access key, from anywhere."),
 ]
+Tags = Annotated[
+    list[str] | None,
+    typer.Option("--tag", help="A search word of the asset, such as summer; may be repeated."),
+]
 Box = Annotated[
     str,
     typer.Option(

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from services.asset_names import AssetNames
 from services.cli.assets import check_collection
 from services.cli.errors import INVALID_KEY, BadInput, printable, sentence
 from services.cli.progress import StageBar, console, warn
@@ -211,7 +212,7 @@ def _reconstruct_into(
             longest_m=options.longest_m,
             box=options.box,
             fill=options.fill,
-            label=label,
+            names=AssetNames(label),
             target=target,
             encode=encode,
             engine=engine,

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from services.asset_names import UNNAMED, AssetNames
 from services.edge.arrays import DistanceFn, Floats, part_of
 from services.edge.asset.assemble import assemble_bundle, colour_levels
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface
@@ -95,7 +96,7 @@ def reconstruct(
     hold_out: int | None = None,
     box: PhotoBox | None = None,
     fill: Fill | None = None,
-    label: str = "",
+    names: AssetNames = UNNAMED,
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
     engine: OpenEngine | None = None,
@@ -110,7 +111,7 @@ def reconstruct(
     hold_out    number of photos that the result is not made from, but compared with; None: a few of 16 or more
     box         rectangle of a single photo that the thing lies in; None: what stands out, or is near the middle
     fill        which holes of the mesh are filled; None: "unseen" for photos and depth images, "none" for clouds
-    label       the asset's name for people, in the manifest
+    names       of the asset, in the manifest
     target      device class whose budget the bundles must meet
     encode      encoder of KTX2 textures, for a target that wants them
     engine      works at the tiles of a large scene; None: this process
@@ -136,7 +137,7 @@ def reconstruct(
         device=device,
         checkpoint=checkpoint,
         fill=fill,
-        label=label,
+        names=names,
         target=target,
         encode=encode,
         engine=engine,
@@ -152,7 +153,7 @@ def bundles(
     device: str = "cpu",
     checkpoint: Path | None = None,
     fill: Fill | None = None,
-    label: str = "",
+    names: AssetNames = UNNAMED,
     target: Target = NO_TARGET,
     encode: EncodeKtx2 | None = None,
     engine: OpenEngine | None = None,
@@ -185,7 +186,7 @@ def bundles(
     evidence = Evidence.of(xyz_unit, unit.to_unit(points.xyz[held_out == 1]))
     fill = fill or ("unseen" if points.texture_views else "none")
     subject = AssetSubject(
-        prepared.source, preset, because, label, target, fill, inputs, points, unit, xyz_unit, evidence
+        prepared.source, preset, because, names, target, fill, inputs, points, unit, xyz_unit, evidence
     )
 
     finest = min(preset.finest, PREVIEW_FINEST) if refines else preset.finest

@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from services.asset_names import DESCRIPTION_CHARS, LABEL_CHARS, MOST_LABELS, check_description, check_labels
 from services.gateway.jobs.job import Job, Order, State
-from services.gateway.one_line import one_line
 from services.gateway.worker_types import WorkerPreset
+from services.one_line import one_line
 from services.storage.tenant_store import TENANT_PATTERN
 
 _EXAMPLE_JOB = "job_019b2f7c8a3e5d1f0a9b8c7d6e5f4a3b"
@@ -24,6 +25,20 @@ class StrictBody(BaseModel):
 
 
 Label = Annotated[str, Field(max_length=200), AfterValidator(one_line)]
+Description = Annotated[
+    str,
+    Field(max_length=DESCRIPTION_CHARS, description="Some lines about the asset, for people."),
+    AfterValidator(check_description),
+]
+Labels = Annotated[
+    tuple[str, ...],
+    Field(
+        max_length=MOST_LABELS,
+        description="Search words of the asset, such as a season or a room; also labels in Unity's catalogues.",
+        examples=[["summer", "wardrobe"]],
+    ),
+    AfterValidator(check_labels),
+]
 TenantName = Annotated[str, Field(pattern=f"^{TENANT_PATTERN}$", max_length=32)]
 CutName = Literal["", "auto", "object", "scene"]
 _CUT = (
@@ -48,9 +63,11 @@ class JobRequest(BaseModel):
     preset: Annotated[str, Field(max_length=100, description="A name from GET /v1/presets; empty: the default.")] = ""
     label: Annotated[
         str,
-        Field(max_length=200, description="A name for people; empty: the asset key."),
+        Field(max_length=LABEL_CHARS, description="A name for people; empty: the asset key."),
         AfterValidator(one_line),
     ] = ""
+    description: Description = ""
+    labels: Labels = ()
     target: Annotated[
         str, Field(max_length=100, description="Device class whose budget the levels of detail must meet; empty: none.")
     ] = ""
@@ -97,6 +114,8 @@ class JobRequest(BaseModel):
             preset=preset,
             asset_key=self.asset_key,
             label=self.label,
+            description=self.description,
+            labels=self.labels,
             target=self.target,
             cut=self.cut,
             longest_m=self.longest_m,

@@ -284,6 +284,8 @@ def _header(job: Job, size: int) -> pb.Header:
         target=order.target,
         capture_bytes=size,
         label=order.label,
+        description=order.description,
+        labels=order.labels,
         longest_m=order.longest_m or 0.0,
         collection=order.collection,
         fill=order.fill,

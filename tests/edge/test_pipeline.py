@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from services.asset_names import AssetNames
 from services.edge.arrays import Tick
 from services.edge.asset.target import Target, target_of
 from services.edge.capture.nouns import Capture, Cloud, Frame, Intrinsics
@@ -42,7 +43,7 @@ def _bowl(points: int = 5000, *, radius: float = 1.0, centre: float = 0.0) -> Ca
 def steps() -> list[Progress | Bundle]:
     """All that one reconstruction says."""
     inside: list[Progress | Bundle] = []
-    for step in reconstruct(_bowl(), load_preset("draft"), label="Bowl", watch=inside.append):
+    for step in reconstruct(_bowl(), load_preset("draft"), names=AssetNames("Bowl"), watch=inside.append):
         inside.append(step)
     return inside
 

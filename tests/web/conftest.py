@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
 
+from services.asset_names import AssetNames
 from services.cli.up import Stack, run_stack
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.pipeline import reconstruct
@@ -126,7 +127,7 @@ def bundle() -> Bundle:
     capture = Capture("points", "ply", Cloud(direction * 0.5, rgb), scale_confidence="metric")
     with pytest.MonkeyPatch.context() as patch:
         draw_small(patch)
-        steps = reconstruct(capture, replace(load_preset("draft"), resolution=32), label="Bowl")
+        steps = reconstruct(capture, replace(load_preset("draft"), resolution=32), names=AssetNames("Bowl"))
         return next(step for step in steps if isinstance(step, Bundle))
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import services
+from services.asset_names import AssetNames
 from services.edge.arrays import Bytes, Floats
 from services.edge.asset.photo_check import PhotoCheck
 from services.edge.asset.target import Cost, Target
@@ -53,7 +54,7 @@ def rotation_between(source: Floats, target: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class AssetSubject:
-    """Inputs of an asset that all its bundles share: capture, preset, label, target and points.
+    """Inputs of an asset that all its bundles share: capture, preset, names, target and points.
 
     preset     as named, or as chosen from the points: then `because` says why
     points     points that the field is fitted to; xyz_unit (N,3) the same, denoised, in the unit frame
@@ -66,7 +67,7 @@ class AssetSubject:
     source: CaptureSummary
     preset: Preset
     because: str
-    label: str
+    names: AssetNames
     target: Target
     fill: Fill
     points: Points
@@ -142,7 +143,7 @@ def build_manifest(
         all_warnings.append("The capture does not say which way is up: its Y axis was taken as up.")
     return {
         "generator": f"capture2vr {services.__version__}",
-        "label": subject.label,
+        **subject.names.as_json,
         "preset": subject.preset.name,
         "preset_because": subject.because,
         "capture": {

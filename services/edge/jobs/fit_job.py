@@ -70,7 +70,7 @@ class FieldFitter:
             device=self._device.name,
             checkpoint=checkpoint,
             fill=request.fill,
-            label=request.label,
+            names=request.names,
             target=target_of(request.target),
             encode=self._encode,
             engine=self._engine,

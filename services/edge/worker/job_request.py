@@ -9,6 +9,7 @@ from typing import TypeVar, get_args
 
 import grpc
 
+from services.asset_names import AssetNames
 from services.edge.api import edge_pb2 as pb
 from services.edge.asset.target import require_encoder, target_of
 from services.edge.errors import EdgeError
@@ -24,13 +25,6 @@ T = TypeVar("T")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
 """Job ids, keys, collections: they become object names and log lines, so no character may mean anything to a path or a
 shell."""
-
-_LINE = re.compile(r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]*")
-"""One line of text: no control characters and no line ends. Joiners are allowed: emoji and Persian need them."""
-
-LABEL_MAX_CHARS = 200
-"""Longest label: it is a caption in a headset, and nobody would read more."""
-
 
 LEAST_M, MOST_M = 0.001, 1_000.0
 """Shortest and longest length in metres that a person can have measured on an object: a tick, a street."""
@@ -54,6 +48,7 @@ def invalid(code: str, message: str) -> RefusedError:
 class ReconstructionRequest:
     """A validated header: the fields of the wire's `Header`, with the defaults of `preset` and `label` filled in.
 
+    names       of the asset; its label is the asset key where none was given
     collection  collection that lists the asset; "": this worker's default collection
     fill        which holes of the mesh are filled; None: by the kind of capture
     cut         what of the capture is kept
@@ -70,7 +65,7 @@ class ReconstructionRequest:
     asset_key: str
     target: str
     longest_m: float | None
-    label: str
+    names: AssetNames
     prepared: bool
     collection: str = ""
     fill: Fill | None = None
@@ -98,11 +93,9 @@ class ReconstructionRequest:
             raise invalid("TENANT_INVALID", "tenant must be 1 to 32 of a-z 0-9 - and begin with a letter or digit")
         if header.target:
             _require_target(header.target, offer)
-        if len(header.label) > LABEL_MAX_CHARS or not _LINE.fullmatch(header.label):
-            raise invalid("LABEL_INVALID", f"label must be one line of at most {LABEL_MAX_CHARS} characters")
+        names = _checked_names(header)
         preset = header.preset or offer.names[0]
         _require_offered(preset, offer)
-        label = header.label or header.asset_key
         longest_m = _checked_length("longest_m", header.longest_m) if header.longest_m else None
         return cls(
             job=header.job,
@@ -111,7 +104,7 @@ class ReconstructionRequest:
             asset_key=header.asset_key,
             target=header.target,
             longest_m=longest_m,
-            label=label,
+            names=names,
             prepared=header.prepared,
             collection=header.collection,
             fill=_checked_choice("fill", header.fill, get_args(Fill)) if header.fill else None,
@@ -149,6 +142,14 @@ def _require_name(code: str, field: str, value: str) -> None:
         raise invalid(
             code, f"{field} must be 1 to 100 of the characters A-Z a-z 0-9 . _ - and begin with a letter or digit"
         )
+
+
+def _checked_names(header: pb.Header) -> AssetNames:
+    names = AssetNames(header.label or header.asset_key, header.description, tuple(header.labels))
+    try:
+        return names.checked()
+    except ValueError as error:
+        raise invalid("LABEL_INVALID", str(error)) from None
 
 
 def _require_target(name: str, offer: Capabilities) -> None:

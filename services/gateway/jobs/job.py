@@ -40,6 +40,8 @@ class Order:
     collection: str = ""  # collection that lists the asset; "": the worker's default
     fill: str = ""  # holes of the mesh to fill: none, unseen or all; "": by the kind of capture
     box: tuple[float, ...] = ()  # left, top, right, bottom of the thing in a single photo, as shares; (): look for it
+    description: str = ""
+    labels: tuple[str, ...] = ()  # search words of the asset
     visibility: str = ""  # of the asset: private, unlisted or public; "": as it is, or as its collection
 
 

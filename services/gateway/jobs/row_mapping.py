@@ -35,7 +35,7 @@ def job_from_row(row: sa.Row[Any]) -> Job:
 
 def _order_of(stored: Mapping[str, Any]) -> Order:
     """Convert a stored order. One of before `cut` has `isolate` instead: true, false, or null for "auto"."""
-    values = {**stored, "box": tuple(stored.get("box", ()))}  # JSON has lists only
+    values = {**stored, **{name: tuple(stored.get(name, ())) for name in ("box", "labels")}}  # JSON has lists only
     isolate = values.pop("isolate", None)
     return Order(**{"cut": {True: "object", False: "scene"}.get(isolate, ""), **values})
 

@@ -17,8 +17,8 @@ from typing import Any
 from starlette.datastructures import Headers
 
 from services.gateway.errors import Problem
-from services.gateway.one_line import one_line
 from services.gateway.resumable.store import Upload
+from services.one_line import one_line
 
 VERSION = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,termination,checksum,expiration"

@@ -41,7 +41,7 @@ InCollection = Annotated[
 
 class AssetSummary(BaseModel):
     """One asset in a list. `preview` is the URL of a picture, `self` the URL of the whole entry, `view` the URL of its
-    viewer page; `collections` names the collections that list it.
+    viewer page; `labels` are search words, `collections` names the collections that list it.
     """
 
     key: str
@@ -49,6 +49,7 @@ class AssetSummary(BaseModel):
     state: str
     updated: str
     label: str
+    labels: list[str]
     collections: list[str]
     preview: str
     self: str
@@ -263,7 +264,8 @@ def _summary(request: Request, found: Entry) -> AssetSummary:
         version=found.version,
         state=found.state,
         updated=found.document["updated"],
-        label=found.document["label"] or found.key,
+        label=found.names.label or found.key,
+        labels=list(found.names.labels),
         collections=found.collections,
         preview=object_url(request, preview["name"]) if preview else "",
         self=page_path(request, f"/v1/assets/{found.key}"),

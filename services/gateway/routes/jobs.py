@@ -16,6 +16,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
+from services.asset_names import AssetNames
 from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
@@ -30,7 +31,9 @@ from services.gateway.routes.access_rules import caller_of, limits_of, needs
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
-from services.storage.catalogue.entry import valid_key
+from services.storage.catalogue.entry import read_entry, valid_key
+from services.storage.catalogue.faults import CatalogueFault
+from services.storage.store import Store
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -83,7 +86,10 @@ async def repeat_job(
     async def changed_order() -> Order:
         earlier: Job = await request.app.state.job_store.read(JobStore.get, caller_of(request).tenant, job)
         await _require_capture(earlier.order.capture, request)
-        return replace(earlier.order, cut=body.cut)
+        names = await in_thread(lambda: _names_of(store_of(request), earlier.order))
+        return replace(
+            earlier.order, cut=body.cut, label=names.label, description=names.description, labels=names.labels
+        )
 
     content = f"{job} {body.model_dump_json()}"
     repeated = await _create_once(content, changed_order, request, idempotency_key)
@@ -268,6 +274,14 @@ async def _make_order(body: JobRequest, request: Request) -> Order:
     await _require_capture(body.capture, request)
     choose = partial(choose_collection, named=body.collection, capture=body.capture, key=body.asset_key)
     return body.order(preset, await in_thread(lambda: choose(store_of(request))))
+
+
+def _names_of(store: Store, order: Order) -> AssetNames:
+    """Return the names that the order's asset has now, which somebody may have changed; else those of the order."""
+    try:
+        return read_entry(store, order.asset_key).names
+    except (FileNotFoundError, CatalogueFault):
+        return AssetNames(order.label, order.description, order.labels)
 
 
 async def _require_capture(capture: str, request: Request) -> None:

@@ -22,7 +22,6 @@ from starlette.requests import ClientDisconnect, Request
 from services.gateway.errors import Problem, storage_full
 from services.gateway.jobs.capture_objects import capture_name, put_private, receipt_name
 from services.gateway.jobs.collection_choice import require_collection
-from services.gateway.one_line import one_line
 from services.gateway.settings import GatewaySettings
 from services.gateway.uploads.check_and_pack import CheckOrder
 from services.gateway.uploads.check_processes import CheckProcesses
@@ -30,6 +29,7 @@ from services.gateway.uploads.receive import ReceivedUpload, UploadBody, UploadL
 from services.gateway.uploads.refusal import Refused
 from services.gateway.uploads.validate import FileReport
 from services.gateway.worker_client import Inspection, WorkerPool
+from services.one_line import one_line
 from services.photo_box import PhotoBox
 from services.storage.store import Store
 from services.traces import capture_span

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from services.asset_names import AssetNames
 from services.storage.bundle import Json
 from services.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
 from services.storage.catalogue.visibility import Visibility, parse_visibility
@@ -65,6 +66,11 @@ class Entry:
     def visibility(self) -> Visibility | None:
         """The asset's own visibility; None: that of its collections."""
         return parse_visibility(self.document.get("visibility"))
+
+    @property
+    def names(self) -> AssetNames:
+        """What people call the asset."""
+        return AssetNames.of(self.document)
 
     @property
     def collections(self) -> list[str]:

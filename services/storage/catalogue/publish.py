@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from services.asset_names import AssetNames
 from services.storage.bundle import Bundle, Json, content_name, content_type, sha256_hex
 from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
 from services.storage.catalogue.entry import (
@@ -31,7 +32,7 @@ from services.storage.catalogue.visibility import Visibility
 from services.storage.store import Store
 
 SCHEMA = 1
-_MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "label", "labels", "origin")
+_MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "origin")
 
 
 class StaleFence(Exception):  # noqa: N818 - not a fault: the job has moved to another worker
@@ -90,8 +91,28 @@ class _PublishRequest:
         """
         if present is None:
             return self.visibility
-        has_published = self.job and any(each["job"] == self.job for each in present.versions)
-        return present.visibility if has_published or self.visibility is None else self.visibility
+        return present.visibility if self.has_published(present) or self.visibility is None else self.visibility
+
+    def has_published(self, present: Entry) -> bool:
+        """Whether a version of this job is there already."""
+        return bool(self.job) and any(each["job"] == self.job for each in present.versions)
+
+    def names_of(self, present: Entry | None, given: AssetNames, key: str) -> AssetNames:
+        """Return the asset's names from this version on: those that were given, in place of those that it has.
+
+        A job gives them once, with its first version, so that what its owner changes afterwards stays. A label that is
+        the key was given by nobody.
+        """
+        if present is None:
+            return given
+        if self.has_published(present):
+            return present.names
+        had = present.names
+        return AssetNames(
+            label=had.label if given.label in ("", key) and had.label else given.label,
+            description=given.description or had.description,
+            labels=given.labels or had.labels,
+        )
 
 
 class Publish(Protocol):
@@ -198,6 +219,7 @@ def _add_version(
         present_collections = present.collections if present else []
         document["collections"] = list(dict.fromkeys((*present_collections, request.collection)))
         document["visibility"] = request.visibility_of(present)
+        document |= request.names_of(present, AssetNames.of(bundle.manifest), key).as_json
         if request.keys.signers:
             document["proof"] = sign_proof(key, document, request.keys.signers)
         put_mutable(store, entry_name(key), canonical_json(document), present.etag if present else None)

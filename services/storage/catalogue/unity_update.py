@@ -17,7 +17,7 @@ from services.storage.catalogue.entry import Entry, list_keys, read_entry
 from services.storage.catalogue.visibility import Visibility, lists
 from services.storage.store import NO_CACHE, ConditionFailed, Store
 from services.storage.unity.json_reader import read_json_catalogue
-from services.storage.unity.locations import build_listing, parse_assets
+from services.storage.unity.locations import PREFIX, build_listing, parse_assets
 from services.storage.unity.nouns import Asset, Catalogue, LodFile
 from services.storage.unity.publication import catalogue_files, catalogue_names
 
@@ -119,7 +119,9 @@ def _unity_asset(found: Entry, visibility: Visibility | None) -> tuple[Asset, ..
     if found.removed or not lods or not lists(visibility, found.visibility):
         return ()
     files = tuple(LodFile(lod["level"], lod["name"], lod["sha256"], lod["bytes"]) for lod in lods)
-    asset = Asset(found.key, found.version, tuple(sorted(set(found.document.get("labels") or ()))), files)
+    # A label that is another asset's address would make the whole catalogue one that Unity misreads.
+    labels = sorted({label for label in found.names.labels if not label.startswith(PREFIX)})
+    asset = Asset(found.key, found.version, tuple(labels), files)
     try:
         build_listing(Catalogue("", (asset,)))
     except ValueError as fault:

@@ -22,7 +22,7 @@ from services.storage.unity.listing import (
 )
 from services.storage.unity.nouns import BASE_URL, LABEL_LIMIT, Asset, Catalogue, LodFile, check_catalogue
 
-_PREFIX = "captures/"
+PREFIX = "captures/"
 _HASH_DIGITS = 32  # hex digits of Unity's Hash128; the whole SHA-256 is in the file's name
 _LEVEL = re.compile(r"lod([0-9]{1,9})")
 _VERSION = re.compile(r'\{"version":([0-9]{1,9})\}')  # nine digits: more versions than an asset ever has
@@ -53,12 +53,12 @@ def build_listing(catalogue: Catalogue) -> Listing:
 def _file_location(asset: Asset, file: LodFile, base_url: str) -> Location:
     name = f"lod{file.level}"
     options = BundleOptions(file.sha256[:_HASH_DIGITS], 0, name, file.size)
-    key = f"{_PREFIX}{asset.key}/{name}"
+    key = f"{PREFIX}{asset.key}/{name}"
     return Location(key, f"{base_url}/{file.url}", FILE_PROVIDER.name, STRING, options, ())
 
 
 def _prefab_location(asset: Asset, files: range) -> Location:
-    key = f"{_PREFIX}{asset.key}"
+    key = f"{PREFIX}{asset.key}"
     data = f'{{"version":{asset.version}}}'
     # Addressables returns the same loaded object for the same id as long as it is referenced. So each version needs an
     # id of its own; files have one through the hash in their names.
@@ -116,7 +116,7 @@ def _asset(listing: Listing, location: Location, labels: Sequence[str], base_url
             raise ValueError(f"{listing.locations[index].key!r:.200} belongs to two assets")
         claimed.add(index)
         files.append(_file(listing.locations[index], base_url))
-    return Asset(location.key.removeprefix(_PREFIX), _version(location), tuple(labels), tuple(files))
+    return Asset(location.key.removeprefix(PREFIX), _version(location), tuple(labels), tuple(files))
 
 
 def _file(location: Location, base_url: str) -> LodFile:

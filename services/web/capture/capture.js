@@ -8,6 +8,7 @@ import { sendCapture, unfinishedFiles } from './resumable-upload.js';
 import { showAccount } from '../shared/account.js';
 import { getJson, keyFrom, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { splitWords } from '../shared/search-words.js';
 
 /** @import { CaptureReceipt, Cut, Job, JobRequest, Presets, Visibility } from '../shared/types.d.ts' */
 
@@ -15,6 +16,10 @@ document.body.dataset.started = 'yes';
 const page = {
   form: element('form', HTMLFormElement),
   preset: element('preset', HTMLSelectElement),
+  description: element('description', HTMLTextAreaElement),
+  words: element('words', HTMLInputElement),
+  collection: element('collection', HTMLInputElement),
+  target: element('target', HTMLSelectElement),
   cut: element('cut', HTMLSelectElement),
   fill: element('fill', HTMLSelectElement),
   longest: element('longest', HTMLInputElement),
@@ -81,6 +86,10 @@ function jobRequest({ capture }, name) {
     capture,
     asset_key: keyFrom(name),
     label: name,
+    description: page.description.value,
+    labels: splitWords(page.words.value),
+    collection: page.collection.value.trim(),
+    target: page.target.value,
     preset: page.preset.value,
     cut: /** @type {Cut} */ (page.cut.value),
     longest_m: centimetres > 0 ? centimetres / 100 : null,

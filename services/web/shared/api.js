@@ -108,8 +108,18 @@ export const postJson = (url, body, headers = {}) => sendJson('POST', url, body,
 export const putJson = (url, body) => sendJson('PUT', url, body, {});
 
 /**
+ * PATCH a JSON document.
  * @template T
- * @param {'POST' | 'PUT'} method
+ * @param {string} url
+ * @param {unknown} body
+ * @returns {Promise<T>} what the caller declares
+ * @throws {Problem} as `getJson`
+ */
+export const patchJson = (url, body) => sendJson('PATCH', url, body, {});
+
+/**
+ * @template T
+ * @param {'POST' | 'PUT' | 'PATCH'} method
  * @param {string} url
  * @param {unknown} body
  * @param {Record<string, string>} headers

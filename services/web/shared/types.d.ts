@@ -78,6 +78,8 @@ export interface AssetEntry {
   version: number;
   state: AssetState;
   label?: string;
+  description?: string;
+  labels?: string[] | null;
   origin?: 'measured' | 'guess';
   scale_confidence: string;
   size_m: SizeM;
@@ -90,6 +92,14 @@ export interface AssetEntry {
   effective_visibility?: Visibility;
   may_place?: boolean;
   proof?: SignedEnvelope;
+}
+
+/** PATCH /v1/assets/{key}: what people call a thing. */
+export interface AssetNames {
+  key: string;
+  label: string;
+  description: string;
+  labels: string[];
 }
 
 /** Who may read a thing besides its tenant. */
@@ -233,6 +243,10 @@ export interface JobRequest {
   capture: string;
   asset_key: string;
   label: string;
+  description: string;
+  labels: string[];
+  collection: string;
+  target: string;
   preset: string;
   cut: Cut;
   longest_m: number | null;

@@ -12,6 +12,7 @@ const NOTICE_MS = 10_000; // long enough to read; later it may no longer be true
 const page = {
   label: element('label', HTMLElement),
   summary: element('said', HTMLElement),
+  description: element('description', HTMLElement),
   notice: element('notice', HTMLElement),
   retry: element('again', HTMLButtonElement),
   list: element('things', HTMLElement),
@@ -33,6 +34,8 @@ export function showCaption(items, wanted, failed) {
   document.title = `${name} · capture2vr`;
   page.label.textContent = name;
   page.summary.textContent = wanted === 1 ? aboutOne(entries[0]) : aboutAll(entries, wanted, failed);
+  page.description.textContent = items.length === 1 ? (entries[0].description ?? '') : '';
+  page.description.hidden = !page.description.textContent;
   const { dataset } = document.body;
   dataset.version = entries.map(({ version }) => version).join('; ');
   dataset.state = entries.every(({ state }) => state === 'refined') ? 'refined' : 'preview';

@@ -1,7 +1,7 @@
 // The panel of the viewer's page for who manages a thing: who may see it, and its share links with QR codes, to be revoked.
 import { deleteAt, getJson, postJson, putJson } from '../shared/api.js';
+import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
-import { sentences } from '../shared/problems.js';
 
 /** @import { AssetEntry, Share, SharePage, Visibility } from '../shared/types.d.ts' */
 
@@ -21,12 +21,12 @@ const panel = {
  */
 export async function showSharing(key) {
   const path = `/v1/assets/${encodeURIComponent(key)}`;
-  panel.visibility.addEventListener('change', () => attempt(() => putJson(`${path}/visibility`, { visibility: panel.visibility.value || null })));
+  panel.visibility.addEventListener('change', () => attempt(panel.trouble, () => putJson(`${path}/visibility`, { visibility: panel.visibility.value || null })));
   panel.form.addEventListener('submit', (event) => {
     event.preventDefault();
-    attempt(() => createLink(key));
+    attempt(panel.trouble, () => createLink(key));
   });
-  await attempt(async () => {
+  await attempt(panel.trouble, async () => {
     /** @type {AssetEntry} */
     const { visibility } = await getJson(path);
     panel.visibility.value = visibility ?? '';
@@ -70,7 +70,7 @@ function createItem(share, key) {
   const link = create('a', { href: share.url, textContent: share.url });
   const facts = create('p', { className: 'quiet', textContent: factsOf(share) });
   const revoke = create('button', { type: 'button', textContent: 'Revoke' });
-  revoke.addEventListener('click', () => attempt(async () => {
+  revoke.addEventListener('click', () => attempt(panel.trouble, async () => {
     await deleteAt(`/v1/shares/${share.id}`);
     await showLinks(key);
   }));
@@ -83,18 +83,4 @@ function factsOf({ mode, expires, has_password: hasPassword, opened }) {
   const end = expires ? `until ${new Date(expires).toLocaleDateString()}` : 'until it is revoked';
   const may = mode === 'place' ? 'look and move' : 'look';
   return [may, end, hasPassword ? 'with a password' : '', `opened ${opened} ${opened === 1 ? 'time' : 'times'}`].filter(Boolean).join(' · ');
-}
-
-/**
- * Does something that the server may refuse, and says so where it does.
- * @param {() => Promise<unknown>} action
- */
-async function attempt(action) {
-  panel.trouble.hidden = true;
-  try {
-    await action();
-  } catch (error) {
-    panel.trouble.textContent = sentences(error);
-    panel.trouble.hidden = false;
-  }
 }

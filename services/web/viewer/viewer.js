@@ -24,7 +24,7 @@ import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { LoadedItem } from './scene-item.js' */
-/** @import { AssetEntry, Manifest, Session } from '../shared/types.d.ts' */
+/** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 
 const MOST = 24; // things in one scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
@@ -42,6 +42,7 @@ const page = {
   ar: element('enter-ar', HTMLButtonElement),
   qr: element('qr', HTMLImageElement),
   address: element('address', HTMLElement),
+  names: element('names', HTMLDetailsElement),
   share: element('share', HTMLDetailsElement),
 };
 
@@ -312,15 +313,24 @@ function showMode(mode) {
 }
 
 /**
- * Offers to share the thing to somebody who manages it. The panel's module is loaded when it is opened.
+ * Offers to name and to share the thing to somebody who manages it. A panel's module is loaded when it is opened.
  * @param {Session | null} session
  */
-function offerSharing(session) {
+function offerManaging(session) {
   const [item] = items;
-  const isOwn = session?.via === 'session' && session.scopes.includes('manage') && ofShownTenant('') === '';
-  if (!isOwn || !item || items.length > 1) return;
+  const manages = session?.scopes.includes('manage') && ofShownTenant('') === '';
+  if (!manages || !item || items.length > 1) return;
+  page.names.hidden = false;
+  page.names.addEventListener('toggle', () => import('./naming.js').then(({ showNaming }) => showNaming(item.key, showNames)), { once: true });
+  if (session?.via !== 'session') return; // without accounts there is nobody to share it with
   page.share.hidden = false;
   page.share.addEventListener('toggle', () => import('./sharing.js').then(({ showSharing }) => showSharing(item.key)), { once: true });
+
+  /** @param {AssetNames} names */
+  function showNames({ label, description, labels }) {
+    if (item.entry) item.entry = { ...item.entry, label, description, labels };
+    showTexts();
+  }
 }
 
 // ---- errors -----------------------------------------------------------------------------------------------------------
@@ -373,4 +383,4 @@ page.qr.src = ofShownTenant(`/v1/assets/${encodeURIComponent(items[0]?.key ?? ''
 page.qr.hidden = items.length !== 1; // the code of several would be that of the first
 registerServiceWorker();
 updates.poll();
-showAccount().then(offerSharing);
+showAccount().then(offerManaging);

@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from services.asset_names import AssetNames
 from services.edge.arrays import Floats
 from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
@@ -332,7 +333,9 @@ def test_a_black_capture_says_so(walk: Walkaround) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
 def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Capture) -> None:
-    steps = list(reconstruct(posed, replace(load_preset("draft"), resolution=48), cut="object", label="Shell"))
+    steps = list(
+        reconstruct(posed, replace(load_preset("draft"), resolution=48), cut="object", names=AssetNames("Shell"))
+    )
     stages = list(dict.fromkeys(step.stage for step in steps if isinstance(step, Progress)))
     assert stages[:2] == ["ALIGNING", "POINT_CLOUD"]
     fractions = [step.fraction for step in steps if isinstance(step, Progress)]

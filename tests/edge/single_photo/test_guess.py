@@ -14,6 +14,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.asset_names import AssetNames
 from services.edge.arrays import Bytes, no_tick
 from services.edge.capture.detect import read_capture
 from services.edge.errors import Cancelled, CaptureError, EdgeError
@@ -286,7 +287,7 @@ def test_weights_that_are_missing_or_of_another_head_are_named(tmp_path: Path) -
 @pytest.mark.usefixtures("small_pictures")
 def test_one_photo_in_an_asset_out_that_says_it_is_a_guess(tmp_path: Path, dress: tuple[Bytes, torch.Tensor]) -> None:
     cv2.imwrite(str(tmp_path / "dress.png"), dress[0][..., ::-1])
-    steps = reconstruct(read_capture(tmp_path), replace(load_preset("draft"), resolution=48), label="Dress")
+    steps = reconstruct(read_capture(tmp_path), replace(load_preset("draft"), resolution=48), names=AssetNames("Dress"))
     (bundle,) = (step for step in steps if isinstance(step, Bundle))
     manifest = bundle.manifest
     assert manifest["origin"] == "guess"

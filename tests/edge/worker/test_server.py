@@ -83,7 +83,7 @@ async def test_a_job_runs_to_its_end(client: Client, work: Scripted, scratch: Pa
     assert [event.WhichOneof("what") for event in events] == ["progress"] * 3 + ["published", "finished"]
     assert events[-1].finished == pb.Finished(warnings=["one"], seconds={"FITTING": 1.5})
     seen = work.seen["job_1"]
-    assert (seen.preset, seen.cut, seen.fence, seen.label) == ("fine", "object", 7, "dress")
+    assert (seen.preset, seen.cut, seen.fence, seen.names.label) == ("fine", "object", 7, "dress")
     assert leftovers(scratch) == []
 
 

@@ -105,7 +105,7 @@ def test_what_was_lost_behind_the_table_is_written_again(store: MemoryStore) -> 
 
 def test_an_asset_that_unity_would_misread_keeps_nobody_from_publishing(store: MemoryStore) -> None:
     publish(bundle("preview"), store, key="dress")
-    document = {**read_entry(store, "dress").document, "labels": ["captures/dress"]}
+    document = {**read_entry(store, "dress").document, "labels": list(map(str, range(101)))}
     store.put(entry_name("dress"), json.dumps(document).encode(), content_type="application/json")
     publish(bundle("preview"), store, key="chair")
     update_unity_catalogues(store, "dress")

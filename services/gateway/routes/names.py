@@ -1,0 +1,67 @@
+"""PATCH /v1/assets/{key}: change what people call an asset."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Request
+from pydantic import BaseModel
+
+from services.gateway.access.caller import Scope
+from services.gateway.errors import Problem
+from services.gateway.routes.access_rules import needs
+from services.gateway.routes.read_rules import unknown_asset
+from services.gateway.routes.store_access import in_thread, store_of
+from services.gateway.schemas import Description, Label, Labels, StrictBody, problems
+from services.storage.catalogue.entry import valid_key
+from services.storage.catalogue.names_update import change_names
+
+router = APIRouter(prefix="/v1", tags=["assets"])
+
+
+class NamesRequest(StrictBody):
+    """New names of an asset; what is left out, or null, stays as it is. An empty label is the key."""
+
+    label: Label | None = None
+    description: Description | None = None
+    labels: Labels | None = None
+
+
+class NamesView(BaseModel):
+    """What people call an asset. `updated`: when its catalogue entry last changed."""
+
+    key: str
+    label: str
+    description: str
+    labels: list[str]
+    updated: str
+
+
+@router.patch(
+    "/assets/{key}",
+    response_model=NamesView,
+    dependencies=[needs(Scope.MANAGE)],
+    responses=problems(404, 415, 422, 503),
+)
+async def change_names_of_asset(
+    key: Annotated[str, Path(max_length=200, description="The asset's key.")], body: NamesRequest, request: Request
+) -> NamesView:
+    """Change an asset's label, description or search words, without a new version. A later job keeps them, unless it
+    names others.
+    """
+    if not valid_key(key):
+        raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
+    changes: dict[str, Any] = body.model_dump(exclude_none=True)
+    store, keys = store_of(request), request.app.state.keys
+    try:
+        entry = await in_thread(lambda: change_names(store, key, keys, **changes))
+    except FileNotFoundError:
+        raise unknown_asset(key) from None
+    names = entry.names
+    return NamesView(
+        key=key,
+        label=names.label or key,
+        description=names.description,
+        labels=list(names.labels),
+        updated=str(entry.document["updated"]),
+    )

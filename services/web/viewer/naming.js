@@ -1,0 +1,49 @@
+// The panel of the viewer's page for who manages a thing: its name, description and search words.
+import { getJson, patchJson } from '../shared/api.js';
+import { attempt } from '../shared/attempt.js';
+import { element } from '../shared/dom.js';
+import { joinWords, splitWords } from '../shared/search-words.js';
+
+/** @import { AssetEntry, AssetNames } from '../shared/types.d.ts' */
+
+const panel = {
+  form: element('names-form', HTMLFormElement),
+  label: element('names-label', HTMLInputElement),
+  description: element('names-description', HTMLTextAreaElement),
+  words: element('names-words', HTMLInputElement),
+  saved: element('names-saved', HTMLElement),
+  trouble: element('names-trouble', HTMLElement),
+};
+
+/**
+ * Shows the panel's content for an asset of one's own.
+ * @param {string} key
+ * @param {(names: AssetNames) => void} onChange is called with what was saved
+ */
+export async function showNaming(key, onChange) {
+  const path = `/v1/assets/${encodeURIComponent(key)}`;
+  panel.form.addEventListener('submit', (event) => {
+    event.preventDefault();
+    attempt(panel.trouble, async () => {
+      const changes = { label: panel.label.value, description: panel.description.value, labels: splitWords(panel.words.value) };
+      /** @type {AssetNames} */
+      const names = await patchJson(path, changes);
+      fill(names);
+      onChange(names);
+      panel.saved.textContent = 'Saved.';
+    });
+  });
+  panel.form.addEventListener('input', () => (panel.saved.textContent = ''));
+  await attempt(panel.trouble, async () => {
+    /** @type {AssetEntry} */
+    const entry = await getJson(path);
+    fill({ label: entry.label || key, description: entry.description ?? '', labels: entry.labels ?? [] });
+  });
+}
+
+/** @param {Pick<AssetNames, 'label' | 'description' | 'labels'>} names */
+function fill({ label, description, labels }) {
+  panel.label.value = label;
+  panel.description.value = description;
+  panel.words.value = joinWords(labels);
+}
