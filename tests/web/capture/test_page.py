@@ -8,6 +8,7 @@ import time
 import urllib.request
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 from playwright.sync_api import Page, Route, expect
@@ -51,6 +52,11 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     expect(page.locator("#name")).to_have_value("blue bowl")
     page.locator("#name").fill("My blue bowl")
     expect(page.locator("#key")).to_have_text("My-blue-bowl")
+    page.get_by_text("Description, search words").click()
+    page.get_by_label("A description").fill("Thrown in Wales.\nBlue.")
+    page.get_by_label("Search words").fill("kitchen, , <b>blue</b>")
+    page.get_by_label("The collection that lists it").fill("pottery")
+    page.get_by_label("For which device").select_option("quest3")
     page.get_by_role("button", name="Send").click()
 
     await_data(page, state="working")
@@ -71,7 +77,10 @@ def test_from_the_phone_to_the_viewer(page: Page, stack: Stack, bowl: Path) -> N
     page.get_by_role("link", name="View", exact=True).click()
     expect(page).to_have_url(f"{stack.url}/view/My-blue-bowl")
     expect(page.locator("#label")).to_have_text("My blue bowl")
+    expect(page.locator("#description")).to_have_text("Thrown in Wales.\nBlue.")
     assert drawn(stage(page)) > 0.03
+    entry = httpx.get(f"{stack.url}/v1/assets/My-blue-bowl").json()
+    assert (entry["labels"], entry["collections"]) == (["kitchen", "<b>blue</b>"], ["pottery"])
 
     with urllib.request.urlopen(f"{stack.url}/v1/assets/My-blue-bowl") as answer:
         entry = json.load(answer)

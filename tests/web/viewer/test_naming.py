@@ -1,0 +1,71 @@
+"""The panel that names a thing: who manages it changes its names on its page, and nobody else sees the panel."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect
+
+from services.asset_names import AssetNames
+from services.storage.bundle import Bundle
+from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.visibility import Visibility
+from tests.support.pages import await_data
+from tests.support.sites import Site
+from tests.support.things import GREEN, box
+from tests.web.conftest import PHONE, GuardedSite, without_a_past
+
+pytestmark = pytest.mark.browser
+HOSTILE = '<img src=x onerror="document.body.dataset.bad=1">'
+
+
+def open_panel(page: Page) -> None:
+    page.get_by_text("Name it", exact=True).click()
+    expect(page.get_by_label("Name", exact=True)).not_to_have_value("")
+
+
+def test_a_thing_is_named_where_it_is_shown(page: Page, site: Site, bundle: Bundle) -> None:
+    publish(bundle, site.store, key="named")
+    page.goto(f"{site.url}/view/named")
+    await_data(page, loaded="2 1 0")
+    open_panel(page)
+    page.get_by_label("Name", exact=True).fill(f" Bowl {HOSTILE}")
+    page.get_by_label("Description").fill("Two\nlines.")
+    page.get_by_label("Search words").fill("blue, Blue, kitchen")
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("#names-saved")).to_have_text("Saved.")
+    expect(page.get_by_label("Search words")).to_have_value("blue, kitchen")
+    expect(page.locator("#label")).to_have_text(f"Bowl {HOSTILE}")
+    expect(page.locator("#description")).to_have_text("Two\nlines.")
+    assert page.locator("body").get_attribute("data-bad") is None
+    names = AssetNames(f"Bowl {HOSTILE}", "Two\nlines.", ("blue", "kitchen"))
+    assert read_entry(site.store, "named").names == names
+    page.reload()
+    await_data(page, loaded="2 1 0")
+    expect(page.locator("#label")).to_have_text(f"Bowl {HOSTILE}")
+
+
+def test_what_is_no_name_is_said_and_nothing_is_lost(page: Page, site: Site, bundle: Bundle) -> None:
+    publish(bundle, site.store, key="kept")
+    page.goto(f"{site.url}/view/kept")
+    await_data(page, loaded="2 1 0")
+    open_panel(page)
+    page.get_by_label("Search words").fill("a" * 60)
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("#names-trouble")).to_contain_text("at most 50 characters, and this one has 60")
+    expect(page.get_by_label("Search words")).to_have_value("a" * 60)
+    assert read_entry(site.store, "kept").names.labels == ()
+
+
+def test_only_who_manages_it_sees_the_panel(context: BrowserContext, browser: Browser, guarded: GuardedSite) -> None:
+    publish(box("Cup", GREEN), guarded.store, key="cup", visibility=Visibility.PUBLIC)
+    guarded.log_in(context)
+    owner = context.new_page()
+    owner.goto(f"{guarded.url}/view/cup")
+    await_data(owner, loaded="2 1 0", tenant="ada")
+    open_panel(owner)
+    with without_a_past(browser, PHONE, has_touch=True) as anonymous:
+        visitor = anonymous.new_page()
+        visitor.goto(f"{guarded.url}/view/cup?tenant=ada")
+        await_data(visitor, loaded="2 1 0")
+        expect(visitor.locator("#names")).to_be_hidden()
