@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
-import io
 import json
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -25,62 +21,21 @@ from tests.support.in_process_gateway import ended, start, until
 from tests.support.patience import PATIENCE_S
 from tests.support.private_pictures import jpeg
 from tests.support.service_processes import ServiceProcess, killed_at_the_end
+from tests.support.trace_collector import TraceCollector, collecting
 
 pytest.importorskip("opentelemetry.sdk")
 
 
-class Collector(ThreadingHTTPServer):
-    """An OTLP collector: keeps (service, name, trace id, span id, parent's id, failed) of every span."""
-
-    def __init__(self) -> None:
-        super().__init__(("127.0.0.1", 0), _Receiver)
-        self.spans: list[tuple[str, str, str, str, str, bool]] = []
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.server_address[1]}"
-
-    def names(self, capture: str) -> set[tuple[str, str]]:
-        return {(service, name) for service, name, trace, *_ in self.spans if trace == trace_id(capture)}
-
-
-class _Receiver(BaseHTTPRequestHandler):
-    def do_POST(self) -> None:
-        from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
-
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        if self.headers.get("Content-Encoding") == "gzip":
-            body = gzip.GzipFile(fileobj=io.BytesIO(body)).read()
-        assert self.path == "/v1/traces"
-        for resource in ExportTraceServiceRequest.FromString(body).resource_spans:
-            named = {each.key: each.value.string_value for each in resource.resource.attributes}
-            for scope in resource.scope_spans:
-                for span in scope.spans:
-                    ids = span.trace_id.hex(), span.span_id.hex(), span.parent_span_id.hex()
-                    assert isinstance(self.server, Collector)
-                    self.server.spans.append((named["service.name"], span.name, *ids, span.status.code == 2))
-        self.send_response(200)
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-
-    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - its name in the base class
-        pass
-
-
 @pytest.fixture
-def collector() -> Iterator[Collector]:
-    with Collector() as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
+def collector() -> Iterator[TraceCollector]:
+    with collecting() as server:
         yield server
-        server.shutdown()
-        thread.join()
 
 
 async def test_a_capture_has_one_trace_from_upload_to_publishing(
-    tmp_path: Path, collector: Collector, unused_tcp_port: int
+    tmp_path: Path, collector: TraceCollector, unused_tcp_port: int
 ) -> None:
-    sends = {traces.ENDPOINT: collector.url, "OTEL_BSP_SCHEDULE_DELAY": 100}
+    sends = collector.variables
     options = {"workers": f"127.0.0.1:{unused_tcp_port}", "GATEWAY_PRESETS": "draft,fine", **sends}
     with running(tmp_path, **options) as gateway, ExitStack() as stack:
         async with httpx.AsyncClient(base_url=gateway.url, timeout=PATIENCE_S) as client:
@@ -103,19 +58,20 @@ async def test_a_capture_has_one_trace_from_upload_to_publishing(
             assert (await ended(client, job))["state"] == "SUCCEEDED"
 
             async def is_told() -> bool:
-                return {("capture2vr-gateway", "run job"), ("capture2vr-edge", "reconstruct")} <= collector.names(
-                    uploaded
-                )
+                return {"run job", "reconstruct"} <= {span.name for span in collector.of_capture(uploaded)}
 
             await until(is_told)
-    assert collector.names(uploaded) == {
+    spans = collector.of_capture(uploaded)
+    assert {(span.service, span.name) for span in spans} == {
         ("capture2vr-gateway", "receive capture"),
         ("capture2vr-gateway", "run job"),
         ("capture2vr-edge", "reconstruct"),
         ("capture2vr-edge", "FITTING"),
     }
-    by_name = {name: span for _, name, _, *span in collector.spans}
-    assert by_name["FITTING"][1] == by_name["reconstruct"][0], "a stage lies within its run"
+    by_name = {span.name: span for span in spans}
+    assert by_name["FITTING"].parent == by_name["reconstruct"].id, "a stage lies within its run"
+    assert [span.name for span in spans] == ["receive capture", "run job", "reconstruct", "FITTING"], "by their starts"
+    assert not any(span.failed for span in spans)
     lines = [json.loads(line) for line in (tmp_path / "edge.log").read_text().splitlines()]
     assert any(line.get("job") == job for line in lines)
 

@@ -26,6 +26,7 @@ BENCHES = {
     "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "service": "many people on one service: what keys cost, 10,000 tenants, turns in the queue, kills",
     "dispatch": "10,000 queued jobs, 4 gateways, 50 pretend workers, one Postgres: no job twice, milliseconds, CPU",
+    "trace": "one capture's trace over gateway and worker, drawn as a waterfall: where the seconds of a job go",
     "engine": "16 jobs on a real Ray cluster of 1, 2 and 4 nodes: seconds, share of k times one node",
     "fuzz": "hostile files of every format: answers, CPU seconds, memory, what is left; resumable",
     "uploads": "32 phones of 20 MB each, plain and resumable: seconds, memory, latency; a film of 1 GB with 20 cuts",

@@ -50,6 +50,17 @@ def exported() -> dict[str, set[str]]:
     }
 
 
+def test_traces_go_to_a_service_of_the_profile() -> None:
+    """The endpoint that the runbook names, by Jaeger's own port for OTLP over HTTP."""
+    services = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
+    (endpoint,) = set(re.findall(r"OTEL_EXPORTER_OTLP_ENDPOINT=(\S+)", (ROOT / "deploy" / "runbook.md").read_text()))
+    assert endpoint == "http://jaeger:4318"
+    assert services["jaeger"]["profiles"] == services["grafana"]["profiles"] == ["observe"]
+    for name in ("gateway", "edge"):
+        assert set(services[name]["networks"]) <= set(services["jaeger"]["networks"])
+        assert services[name]["environment"]["OTEL_EXPORTER_OTLP_ENDPOINT"] == "${OTEL_EXPORTER_OTLP_ENDPOINT:-}"
+
+
 @pytest.mark.parametrize("query", QUERIES)
 def test_a_query_asks_for_what_there_is(query: str, exported: dict[str, set[str]]) -> None:
     bare = re.sub(r'"[^"]*"|\[[^\]]*\]', "", query)
