@@ -288,6 +288,24 @@ def _shares(stack: Stack, line: str) -> str:
     return " and ".join(str(stack.logs(gateway).count(line)) for gateway in stack.containers("gateway"))
 
 
+def test_a_gateway_takes_over_the_run_of_one_that_is_gone(stack: Stack, dome: Path, figures: Figures) -> None:
+    client = Client(stack)
+    job = client.start(client.upload(dome), "taken-over", "standard")
+    client.await_stage(job, "FITTING")
+    (gone,) = (each for each in stack.containers("gateway") if f"job {job} is given to worker" in stack.logs(each))
+    stack.kill_for_good(gone)
+    ended = client.await_end(job)
+    (survivor,) = stack.containers("gateway")
+    assert survivor != gone
+    assert f"job {job}: reattaching to its run" in stack.logs(survivor)
+    assert ended["attempts"] == 1
+    figures.note(
+        "kill -9 of the gateway that follows a job, for good",
+        f"{ended['elapsed_s']:.1f} s, taken over by the other, attempts 1, ended once",
+    )
+    stack.up("--scale", "gateway=2", "--no-recreate")
+
+
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_gateway_is_killed_beside_another(stack: Stack, dome: Path, figures: Figures, number: int) -> None:
     """Whichever of the two follows the job: its end comes once."""

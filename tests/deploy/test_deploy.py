@@ -390,16 +390,16 @@ def test_the_store_can_be_another_service(compose: list[str]) -> None:
 def test_nothing_waits_for_the_stores_own_health_check(compose: list[str]) -> None:
     services = _config(compose)["services"]
     assert services["bucket"]["depends_on"]["minio"]["condition"] == "service_started"
-    assert services["gateway"]["depends_on"]["bucket"]["condition"] == "service_completed_successfully"
+    assert services["cdn"]["depends_on"]["bucket"]["condition"] == "service_completed_successfully"
     assert "healthcheck" not in services["minio"]
 
 
 @pytest.mark.docker
-def test_workers_and_the_edge_cache_start_at_once(compose: list[str]) -> None:
+def test_workers_and_gateways_start_at_once(compose: list[str]) -> None:
     """What they need they look for when they are asked: a chain of healthy services would start in twice the time."""
     services = _config(compose, "gpu", "postgres")["services"]
     waiting = {name: set(service["depends_on"]) for name, service in services.items() if service.get("depends_on")}
-    assert waiting == {"gateway": {"bucket", "postgres"}, "bucket": {"minio"}}
+    assert waiting == {"gateway": {"postgres"}, "cdn": {"bucket"}, "bucket": {"minio"}}
 
 
 @pytest.mark.docker

@@ -72,6 +72,14 @@ class Stack:
         """End a container's first process as `kill -9` does: the engine starts the container again by its policy."""
         os.kill(int(self.inspect(container)["State"]["Pid"]), signal.SIGKILL)
 
+    def kill_for_good(self, container: str) -> None:
+        """End a container's first process as `kill -9` does, and have the engine not start it again until `up`."""
+        policy = self.inspect(container)["HostConfig"]["RestartPolicy"]["Name"]
+        self.engine.docker("update", "--restart=no", container)
+        self.kill(container)
+        wait_until(lambda: not self.inspect(container)["State"]["Running"], f"{container} has ended")
+        self.engine.docker("update", f"--restart={policy}", container)
+
     def healthy_after(self, service: str) -> float:
         """Seconds from the start of a service's container until its first good health check."""
         state = self.inspect(self.containers(service)[0])["State"]
