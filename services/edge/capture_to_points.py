@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from services.edge.arrays import Tick, no_tick, pick
@@ -22,12 +23,18 @@ from services.edge.points.denoise_stereo import smooth_stereo_points
 from services.edge.points.flatness import flatness_warning
 from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
+from services.edge.points.fuse_scene import fuse_scene
 from services.edge.points.isolate import isolate_object
 from services.edge.points.nouns import Cut, CutReport, Points, TextureView
 from services.edge.points.orbit import sees_a_scene
 from services.edge.points.outliers import inliers
 from services.edge.points.scale import scale_to_longest
-from services.edge.points.texture_views import hold_out_frames, select_texture_views, texture_view
+from services.edge.points.texture_views import (
+    hold_out_frames,
+    select_scene_views,
+    select_texture_views,
+    texture_view,
+)
 from services.edge.points.upright import find_up
 from services.edge.progress import Bar, Clock, Progress
 from services.photo_box import PhotoBox
@@ -109,6 +116,7 @@ def prepare(
             points,
             texture_views=tuple(map(_at_texture_resolution, points.texture_views)),
             held_out_views=tuple(map(_at_texture_resolution, points.held_out_views)),
+            scene_views=tuple(map(_at_texture_resolution, points.scene_views)),
         )
     bar.advance("POINT_CLOUD", 1.0)
     return PreparedPoints(points, source, clock.seconds)
@@ -168,7 +176,8 @@ def to_points(
         return isolate_object(replace(points, whole=None), tick=tick) if cut == "object" else replace(points, cut=kept)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     held_out = tuple(frame for frame in held_out if FrameFaults().read_picture(frame) is not None)
-    fused = fuse(frames, voxel=voxel, tick=lambda fraction: tick(0.8 * share * fraction))
+    in_parts = not has_stereo_depth(frames) and cut != "object"  # which is cut out of points in memory
+    fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
     capture = replace(capture, frames=fused.frames)
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
     points = replace(points, held_out_views=tuple(map(texture_view, held_out)))
@@ -208,7 +217,10 @@ def _second_part(tick: Tick, fraction: float) -> None:
 def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
     """Points of fused depth images: without outliers, and smoothed where the depth comes from stereo."""
     stereo = has_stereo_depth(capture.frames)
-    keep = inliers(fused.xyz - fused.cameras[0], (lambda part: tick(0.4 * part)) if stereo else tick)
+    if fused.whole is None:
+        keep = inliers(fused.xyz - fused.cameras[0], (lambda part: tick(0.4 * part)) if stereo else tick)
+    else:
+        keep = np.ones(len(fused.xyz), bool)
     if keep.sum() < MIN_POINTS:
         raise CaptureError(
             "CAPTURE_TOO_FEW_POINTS",
@@ -230,4 +242,6 @@ def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
         # Tracking and fusion may have met the same damaged picture.
         warnings=tuple(dict.fromkeys(capture.warnings + fused.warnings)),
         texture_views=select_texture_views(capture.frames, fused.sharpness),
+        whole=fused.whole,
+        scene_views=() if fused.whole is None else select_scene_views(capture.frames, fused.sharpness),
     )

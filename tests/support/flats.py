@@ -16,7 +16,7 @@ from services.edge.capture.nouns import Cloud
 
 ROOM = np.array([2.6, 2.4, 2.8])
 """Metres of a room: width, height, depth, with Y up."""
-_DOOR_M, _DOOR_HIGH_M, _WALL_M = 0.8, 2.0, 0.1
+_DOOR_M, _DOOR_HIGH_M, WALL_M = 0.8, 2.0, 0.1
 _NOISE_M = 0.002  # of a laser scanner, along each axis
 
 
@@ -45,7 +45,7 @@ class Patch:
             xyz = self.corner + self.radius * outward / np.linalg.norm(outward, axis=1, keepdims=True)
         else:
             xyz = self.corner + s[:, None] * self.u + t[:, None] * self.v
-        return xyz, _paint(self.paint, xyz)
+        return xyz, paint(self.paint, xyz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ def flat(rooms: int) -> Flat:
 
 def _room(x: int, z: int, side: int) -> list[Patch]:
     """Surfaces of the room at a place of the square: shell with doors to the rooms beside it, and furniture."""
-    step = ROOM + _WALL_M
+    step = ROOM + WALL_M
     at = np.array([x * step[0], 0.0, z * step[2]])
     width, height, depth = ROOM
     rng = np.random.default_rng(1000 * x + z)
@@ -121,7 +121,7 @@ def _room(x: int, z: int, side: int) -> list[Patch]:
             patches += _wall(corner, along, length, height, has_door, paint=2 + (x + z + far + axis // 2) % 3)
             if has_door and far:
                 outward = np.zeros(3)
-                outward[axis] = _WALL_M
+                outward[axis] = WALL_M
                 patches += _frame(corner, along, length, outward)
     return patches + _furniture(at, rng)
 
@@ -183,7 +183,7 @@ def _vector(x: float, y: float, z: float) -> Floats:
     return np.array([x, y, z], np.float64)
 
 
-def _paint(number: int, xyz: Floats) -> Bytes:
+def paint(number: int, xyz: Floats) -> Bytes:
     """Colours (N,3) of places (N,3): planks, plaster, wallpapers with stripes and dots, wood, cloth, china, glass."""
     x, y, z = xyz.T
     base = np.array(

@@ -125,8 +125,8 @@ def film(
     frames = []
     for number, pose in enumerate(poses):
         depth_m, rgb = _render(world, caster, pose, camera)
-        depth_m = _spoil(depth_m, sensor, rng)
-        frames.append(_frame(f"{number:04d}", camera, _jitter(pose, sensor, rng), depth_m, rgb))
+        depth_m = spoil_depth(depth_m, sensor, rng)
+        frames.append(_frame(f"{number:04d}", camera, spoil_pose(pose, sensor, rng), depth_m, rgb))
     return tuple(frames)
 
 
@@ -158,7 +158,7 @@ def _render(world: Scene, caster: object, pose: Floats, camera: Intrinsics) -> t
     return depth_m.reshape(camera.height, camera.width), rgb.reshape(camera.height, camera.width, 3)
 
 
-def _spoil(depth_m: Floats, sensor: Sensor, rng: np.random.Generator) -> Floats:
+def spoil_depth(depth_m: Floats, sensor: Sensor, rng: np.random.Generator) -> Floats:
     noisy = depth_m + sensor.noise_m * depth_m**2 * rng.standard_normal(depth_m.shape)
     if sensor.flying:
         beside = np.roll(depth_m, 1, axis=1)
@@ -169,7 +169,7 @@ def _spoil(depth_m: Floats, sensor: Sensor, rng: np.random.Generator) -> Floats:
     return np.where(depth_m > 0, noisy, 0).astype(np.float32)
 
 
-def _jitter(pose: Floats, sensor: Sensor, rng: np.random.Generator) -> Floats:
+def spoil_pose(pose: Floats, sensor: Sensor, rng: np.random.Generator) -> Floats:
     from scipy.spatial.transform import Rotation
 
     turned = pose.copy()

@@ -23,7 +23,7 @@ import numpy as np
 from services.edge.arrays import Floats, Ints
 from services.edge.capture.nouns import Frame, Intrinsics
 from services.edge.points.frame_faults import FrameFaults
-from services.edge.points.fuse import at_resolution
+from services.edge.points.observe import at_resolution
 
 _MOST_FRAMES = 24
 _STEPS = (-2, -1, 1, 2)  # from a frame to those that it is compared with, among the chosen ones

@@ -25,7 +25,7 @@ from services.edge.odometry.relocalise import relocalise
 from services.edge.points.depth_limits import DepthLimits
 from services.edge.points.depth_range import survey_frames
 from services.edge.points.frame_faults import FrameFaults
-from services.edge.points.fuse import at_resolution
+from services.edge.points.observe import at_resolution
 
 _MAX_SIDE = 320
 """Longer side, in pixels, at which frames are aligned: at 640 the pose is no better and takes four times as long."""

@@ -76,6 +76,8 @@ class Points:
     held_out_views: pictures that neither points nor textures are made from, to compare the result with;
     cut: what was kept, None where there was no choice;
     whole: all points of the capture where these are only some of them, and none were cut away;
+    scene_views: many more pictures than texture_views, all along a walk through a scene that has a `whole`, so that
+    each part of it can be textured from those that show it;
     uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine.
     """
 
@@ -92,6 +94,7 @@ class Points:
     cut: CutReport | None = None
     uncut: Cloud | None = None
     whole: CloudParts | None = None
+    scene_views: tuple[TextureView, ...] = ()
     up_source: UpSource | None = None
 
     def __len__(self) -> int:

@@ -5,6 +5,7 @@ Memory is bounded, however many observations are added.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,15 +86,20 @@ class Samples:
         )
 
 
+class GridFullError(Exception):
+    """More voxels than a grid may have, which may not be any larger."""
+
+
 class VoxelGrid:
     """Weighted averages of observations per voxel, for at most `limit` voxels: with more, the voxel size grows.
 
+    coarsest  largest voxel size; where a larger one were needed, `add` and `averages` raise GridFullError
     Memory is that of the voxels plus `_MERGE_ROWS` buffered rows, however many observations are added.
     """
 
-    def __init__(self, voxel: float, limit: int) -> None:
+    def __init__(self, voxel: float, limit: int, coarsest: float = math.inf) -> None:
         self.voxel = voxel
-        self._limit = limit
+        self._limit, self._coarsest = limit, coarsest
         self._keys: Ints = np.zeros(0, np.int64)
         self._sums: Floats = np.zeros((0, 12), np.float32)
         self._buffer: list[tuple[Ints, Floats]] = []
@@ -117,6 +123,8 @@ class VoxelGrid:
         self._keys, self._sums = sum_groups(all_keys, sums)
         self._buffer.clear()
         while len(self._keys) > self._limit:
+            if self.voxel * _COARSER > self._coarsest:
+                raise GridFullError
             self.voxel *= _COARSER
             means = self._sums[:, 1:4] / self._sums[:, :1]
             self._keys, self._sums = sum_groups(voxel_keys(means, self.voxel), self._sums)

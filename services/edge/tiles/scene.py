@@ -115,7 +115,7 @@ def reconstruct_tiles(
         files.begin(_fingerprint(points, parts.count, to_asset, grid, target))
         tiles = _sorted_tiles(parts, points, to_asset, grid, files, tick)
         noise = noise_of_tiles(files, tiles)
-    views = TileViews([posed_picture(view, to_asset) for view in points.texture_views])
+    views = TileViews([posed_picture(view, to_asset) for view in points.scene_views or points.texture_views])
     levels = LevelFiles(files, grid, views, target, encode if target.ktx2 else None)
     with engine() if engine else nullcontext() as running:
         yield bar.begin("EXTRACTING", f"{len(tiles):,} tiles of {grid.sides.max() * grid.cell:.2f} m")

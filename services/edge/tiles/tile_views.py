@@ -13,34 +13,61 @@ from services.edge.render.posed_picture import PosedPicture
 
 MOST = 12
 """Pictures of a tile: it is 2.5 m wide, and each takes half a second."""
+_ASKED = 48
+"""Pictures whose depth is read for a tile, 5 ms each: those that would show most of it if nothing stood before it."""
 _PROBES = 400  # vertices that are projected
 _SEEN = 0.05  # share of them in a picture from which on it shows the tile
 _NEAR = 0.1  # of the depth: a vertex is what the picture shows there
+_NEAREST = 1.5  # times the usual resolution: a finer picture counts no more, or one close-up would replace all others
 
 
 @dataclass(frozen=True, slots=True)
 class TileViews:
-    """All pictures of a scene, placed in the asset frame."""
+    """All pictures of a scene, placed in the asset frame; hundreds for a long walk. They stay on disk."""
 
     pictures: Sequence[PosedPicture] = ()
 
     def that_see(self, mesh: Mesh) -> tuple[PosedPicture, ...]:
-        """The pictures that show most of a mesh, the best first, and only those that show some of it."""
+        """The pictures that together show most of a mesh, and finest, the best first; only those that show some of it.
+
+        Each next one is that which adds most to those before it, over the places that it shows for the first time, or
+        finer than they do.
+        """
         some = mesh.vertices[:: max(1, len(mesh.vertices) // _PROBES)]
-        shares = [_share_seen(picture, some) for picture in self.pictures]
-        order = np.argsort(-np.array(shares), kind="stable")[:MOST]
-        return tuple(self.pictures[number] for number in order if shares[number] >= _SEEN)
+        fineness = np.array([_fineness(picture, some) for picture in self.pictures]).reshape(-1, len(some))
+        asked = np.argsort(-np.count_nonzero(fineness, axis=1), kind="stable")[:_ASKED]
+        able = [number for number in asked if np.count_nonzero(fineness[number]) >= _SEEN * len(some)]
+        shown = np.array([_unhidden(self.pictures[number], some, fineness[number]) for number in able])
+        enough = np.count_nonzero(shown, axis=1) >= _SEEN * len(some) if able else np.zeros(0, bool)
+        order = _greedy(shown[enough]) if enough.any() else []
+        return tuple(self.pictures[np.array(able)[enough][row]] for row in order)
 
 
-def _share_seen(picture: PosedPicture, places: Floats) -> float:
-    """Share of places (N,3) that a picture shows: inside of it, and at the depth that it has there, if any."""
+def _fineness(picture: PosedPicture, places: Floats) -> Floats:
+    """Resolution (N,) in which a picture shows places (N,3), in shares of its width per metre; 0 outside of it."""
     at, away = picture.project(places)
     inside = (away > 0) & ((at > 0) & (at < 1)).all(axis=1)
-    if not inside.any():
-        return 0.0
+    fineness: Floats = np.where(inside, picture.focal[0] / np.maximum(away, 1e-9), 0)
+    return fineness
+
+
+def _unhidden(picture: PosedPicture, places: Floats, fineness: Floats) -> Floats:
+    """The fineness (N,) of places (N,3), 0 also where the depth image shows something else."""
+    at, away = picture.project(places)
     depth = picture.depth()
     size = np.array(depth.shape[::-1])
-    column, row = np.clip((at[inside] * size).astype(np.int64), 0, size - 1).T
+    column, row = np.clip((at * size).astype(np.int64), 0, size - 1).T
     known = depth[row, column]
-    shown = (known <= 0) | (np.abs(known - away[inside]) < _NEAR * known)
-    return float(shown.sum()) / len(places)
+    return np.where((known <= 0) | (np.abs(known - away) < _NEAR * known), fineness, 0)
+
+
+def _greedy(fineness: Floats) -> list[int]:
+    """Rows of pictures (P,N), at most MOST, each the one that adds most to the best of those before it."""
+    worth = np.minimum(fineness / np.median(fineness[fineness > 0]), _NEAREST)
+    best, order = np.zeros(worth.shape[1]), list[int]()
+    while len(order) < min(MOST, len(worth)):
+        gain = np.maximum(worth - best, 0).sum(axis=1)
+        gain[order] = -1
+        order.append(int(gain.argmax()))
+        best = np.maximum(best, worth[order[-1]])
+    return order
