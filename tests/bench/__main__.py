@@ -33,6 +33,7 @@ BENCHES = {
 }
 ON_DEMAND = {
     "scenes": "flats of 1 to 64 million points by tiles: time over area, memory, distance from the truth; resumable",
+    "rgbd-walk": "RGB-D walks of 500 and 2,000 frames through a flat: time, memory, distance; --track: drift",
     "fleet": "10 to 100,000 captures a day, simulated: first look, workers, cost, what a pool bears; --measure first",
     "tables": "the paper's Tables 2 and 3 on the ShapeNet shapes, 3D scenes, DeepFashion3D that you have",
     "table2": "the paper's Table 2: dress and truck, printed figures beside those reached",

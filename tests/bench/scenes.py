@@ -36,7 +36,7 @@ SIZES = (1, 4, 16, 64)
 """Millions of points: a room has one."""
 _DEFAULT = (1, 4)
 _PER_M2 = 2_000  # samples of the surfaces that are compared
-_NEAR_M = 0.02  # from the truth, or from the mesh: two cells
+NEAR_M = 0.02  # from the truth, or from the mesh: two cells
 _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from the flat's frame, Y up, to a LAS file's, Z up
 _CEILING_M = 2.25  # where the pictures cut the rooms open
 _PICTURE_PX = 640
@@ -157,7 +157,7 @@ def _measure(millions: int, state: Path) -> SceneFigures:
     scan = folder / "flat.las"
     if not scan.exists():
         _write_las(truth, millions * 1_000_000, scan)
-    resource_before, began, preview_s = _cpu_seconds(), time.monotonic(), 0.0
+    resource_before, began, preview_s = cpu_seconds(), time.monotonic(), 0.0
     checkpoint = folder / "1.checkpoint"
     clock = _Clock(folder / "spent.json")
     refined = None
@@ -166,17 +166,17 @@ def _measure(millions: int, state: Path) -> SceneFigures:
     with peak_memory() as peak:
         for step in steps:
             if isinstance(step, Bundle):
-                preview_s = preview_s or _cpu_seconds() - resource_before
+                preview_s = preview_s or cpu_seconds() - resource_before
                 refined = step
             elif isinstance(step, Progress) and clock.is_due():
                 print(f"{step.stage} {step.fraction:.3f} {step.message}", file=sys.stderr, flush=True)
-                clock.save(_cpu_seconds() - resource_before, time.monotonic() - began)
+                clock.save(cpu_seconds() - resource_before, time.monotonic() - began)
     assert refined is not None
-    cpu, wall = clock.total(_cpu_seconds() - resource_before, time.monotonic() - began)
+    cpu, wall = clock.total(cpu_seconds() - resource_before, time.monotonic() - began)
     to_truth = _Z_UP.T @ np.linalg.inv(np.array(refined.manifest["capture_to_asset"]).reshape(4, 4))[:3]
     leaves = sorted((tiles_folder(checkpoint) / "level").glob("0-*.npz"))
-    mean, off, coverage = _compare(leaves, to_truth, truth)
-    (RESULTS / f"scenes-{millions}.jpg").write_bytes(_pictures(leaves, to_truth))
+    mean, off, coverage = compare(leaves, to_truth, truth)
+    (RESULTS / f"scenes-{millions}.jpg").write_bytes(pictures(leaves, to_truth))
     entry = refined.manifest["tileset"]
     stored = sum(len(refined.files[file]) for file in refined.files if file.startswith("tile-"))
     shutil.rmtree(folder)
@@ -217,7 +217,7 @@ class _Clock:
         return self._before[0] + cpu, self._before[1] + wall
 
 
-def _cpu_seconds() -> float:
+def cpu_seconds() -> float:
     """CPU seconds of this process and of its children that have ended."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(each.ru_utime + each.ru_stime for each in used)
@@ -247,7 +247,7 @@ def _leaf(path: Path, to_truth: Floats) -> Mesh:
         return Mesh(vertices, arrays["faces"].astype(np.int64), arrays["rgb"] if len(arrays["rgb"]) else None)
 
 
-def _compare(leaves: Sequence[Path], to_truth: Floats, truth: Flat) -> tuple[float, float, float]:
+def compare(leaves: Sequence[Path], to_truth: Floats, truth: Flat) -> tuple[float, float, float]:
     """Mean distance of the tiles from the truth, share that is off, and share of the truth that is covered."""
     rng = np.random.default_rng(5)
     true = np.concatenate([part.xyz for part in truth.parts(int(_PER_M2 * truth.area), seed=9, noise_m=0.0)])
@@ -258,14 +258,14 @@ def _compare(leaves: Sequence[Path], to_truth: Floats, truth: Flat) -> tuple[flo
             continue
         away.append(truth.distance(sample(mesh, max(int(_PER_M2 * area(mesh)), 10), rng).xyz))
         dense = sample(mesh, max(int(8 * _PER_M2 * area(mesh)), 100), rng).xyz
-        low, high = dense.min(axis=0) - _NEAR_M, dense.max(axis=0) + _NEAR_M
+        low, high = dense.min(axis=0) - NEAR_M, dense.max(axis=0) + NEAR_M
         inside = np.flatnonzero(((true > low) & (true < high)).all(axis=1) & ~covered)
-        covered[inside] = cKDTree(dense).query(true[inside])[0] < _NEAR_M
+        covered[inside] = cKDTree(dense).query(true[inside])[0] < NEAR_M
     every = np.concatenate(away)
-    return float(every.mean()), float((every > _NEAR_M).mean()), float(covered.mean())
+    return float(every.mean()), float((every > NEAR_M).mean()), float(covered.mean())
 
 
-def _pictures(leaves: Sequence[Path], to_truth: Floats) -> bytes:
+def pictures(leaves: Sequence[Path], to_truth: Floats) -> bytes:
     """Two pictures side by side as JPEG, ceilings cut away: the whole flat, and the room at its corner."""
     from PIL import Image
 

@@ -27,10 +27,17 @@ SENSOR = Sensor(noise_m=0.0025, jitter_m=0.002, jitter_deg=0.1, flying=0.3)
 _EYE_M = 1.45
 _BEHIND_M = 0.4  # from the middle of a room to the person, who looks across it
 _TURNS = 2  # around each room: looking down, and then up
-_AHEAD, _DOWN, _UP = -0.5, -0.85, 0.35  # slopes of looks: a floor or a ceiling is in view, a bare wall alone tells nothing
+_AHEAD, _DOWN, _UP = (
+    -0.5,
+    -0.85,
+    0.35,
+)  # slopes of looks: a floor or a ceiling is in view, a bare wall alone tells nothing
 _SHARES = (0.0, 0.1, 0.4, 0.55, 0.62, 0.93, 1.0)  # of the turns, at which the slopes are
 _SLOPES = (_AHEAD, _DOWN, _DOWN, _AHEAD, _UP, _UP, _AHEAD)
 _THROUGH = 0.2  # share of the frames on the way from one room to the next
+_WALLS = (2, 3, 4)  # paints
+_PICTURE_M, _MOSAIC_M, _HUNG = 0.5, 0.06, 0.35  # pictures on the walls: their side, that of their stones, their share
+_PRIMES = np.array([73_856_093, 19_349_663, 83_492_791])  # of a spatial hash (M. Teschner et al., 2003)
 _STEPS_PER_M = 1000.0
 _JPEG_QUALITY = 92
 
@@ -64,9 +71,7 @@ class FlatWalk:
             steps = np.rint(frame.load_depth_m() * _STEPS_PER_M).astype(np.uint16)
             cv2.imwrite(str(folder / "depth" / f"{number:05d}.png"), steps, [cv2.IMWRITE_PNG_COMPRESSION, 1])
             bgr = cv2.cvtColor(frame.load_rgb(), cv2.COLOR_RGB2BGR)
-            cv2.imwrite(
-                str(folder / "color" / f"{number:05d}.jpg"), bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-            )
+            cv2.imwrite(str(folder / "color" / f"{number:05d}.jpg"), bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
             rows = "\n".join(" ".join(f"{value:.9f}" for value in row) for row in np.asarray(frame.camera_to_world))
             log.append(f"{number} {number} {number + 1}\n{rows}\n")
         c = self.camera
@@ -163,5 +168,21 @@ def _render(scene: Scene, numbers: Ints, pose: Floats, camera: Intrinsics) -> tu
     for number in np.unique(seen[seen >= 0]):
         own = np.flatnonzero(seen == number)
         rgb[own] = paint(int(number), places[own])
+        if number in _WALLS:
+            _hang_pictures(rgb, own, places[own])
     shape = (camera.height, camera.width)
     return depth_m.reshape(shape), rgb.reshape(*shape, 3)
+
+
+def _hang_pictures(rgb: Bytes, own: Ints, places: Floats) -> None:
+    """Paint mosaics on walls here and there, each unlike all others: what a tracked camera holds on to."""
+    hung = _hash(places, _PICTURE_M) % 1000 < 1000 * _HUNG
+    stones = _hash(places[hung], _MOSAIC_M)
+    rgb[own[hung]] = np.stack([40 + stones // shift % 180 for shift in (1, 180, 32_400)], axis=1).astype(np.uint8)
+
+
+def _hash(places: Floats, side: float) -> Ints:
+    """A number (N,) of the cube of that side that a place (N,3) lies in; walls do not lie between two."""
+    cells = np.floor(places / side + 0.123).astype(np.int64)
+    mixed: Ints = np.bitwise_xor.reduce(cells * _PRIMES, axis=1) * 2_654_435_761 % (1 << 31) // 7
+    return mixed

@@ -9,7 +9,7 @@ import numpy as np
 from services.edge.arrays import Floats, Tick
 from services.edge.odometry.icp import align
 from services.edge.odometry.pose_graph import Edge
-from services.edge.odometry.pyramid import Level, pyramid
+from services.edge.odometry.pyramid import PackedLevel, pyramid
 from services.edge.odometry.relocalise import relocalise
 
 _APART = 2
@@ -21,13 +21,15 @@ _SHARED = 0.4
 """Least share of a key frame's pixels that project onto the other one's surface, for an attempt."""
 _DRIFT = 0.2
 """Relative depth by which a pixel may miss that surface, given how far the poses may have drifted."""
+_REACH = 1.5
+"""Largest distance between two cameras that may see the same surface, over the sum of their median depths."""
 _PROBE = 400
 """Pixels sampled to estimate that share."""
 _SPREAD_DEG = 60.0
 """Largest angle between the optical axes of two cameras: beyond it they share too little."""
 
 
-def close_loops(keys: Sequence[Level], poses: Floats, tick: Tick) -> list[Edge]:
+def close_loops(keys: Sequence[PackedLevel], poses: Floats, tick: Tick) -> list[Edge]:
     """Align the key frames that overlap according to the tracked poses (K,4,4); return an edge for each success."""
     pairs = _overlapping_pairs(keys, poses)
     edges = []
@@ -38,45 +40,54 @@ def close_loops(keys: Sequence[Level], poses: Floats, tick: Tick) -> list[Edge]:
     return edges
 
 
-def _align_pair(keys: Sequence[Level], old: int, new: int, guess: Floats) -> Edge | None:
+def _align_pair(keys: Sequence[PackedLevel], old: int, new: int, guess: Floats) -> Edge | None:
     """Align two key frames from a guess, or else from matched features; None where both fail."""
-    source = pyramid(keys[new])
-    fit = align(source, pyramid(keys[old]), guess)
+    source, target = pyramid(keys[new].unpacked()), pyramid(keys[old].unpacked())
+    fit = align(source, target, guess)
     if fit is None or not fit.sound:
-        fit = relocalise(source, keys[old])
+        fit = relocalise(source, target[-1])
     return None if fit is None else Edge(old, new, fit.pose, fit.information)
 
 
-def _overlapping_pairs(keys: Sequence[Level], poses: Floats) -> list[tuple[int, int]]:
-    """Return the pairs (old, new) of key frames that overlap enough to be aligned."""
+def _overlapping_pairs(keys: Sequence[PackedLevel], poses: Floats) -> list[tuple[int, int]]:
+    """Return the pairs (old, new) of key frames that overlap enough to be aligned.
+
+    Only key frames near each other that look the same way are compared: their number does not grow with the way.
+    """
     probes = [_sample_points(level) for level in keys]
+    eyes, axes = poses[:, :3, 3], poses[:, :3, 2]
+    reach = np.array([float(np.median(points[:, 2])) if len(points) else 0.0 for points in probes])
     pairs = []
     for new in range(_APART, len(keys)):
-        shares = np.array([_overlap(keys, probes, poses, old, new) for old in range(new - _APART + 1)])
-        meets = np.flatnonzero(shares > _SHARED)
+        before = slice(0, new - _APART + 1)
+        near = np.linalg.norm(eyes[before] - eyes[new], axis=1) < _REACH * (reach[before] + reach[new])
+        olds = np.flatnonzero(near & (axes[before] @ axes[new] > np.cos(np.radians(_SPREAD_DEG))))
+        shares = np.array([_overlap(keys[old], probes[new], np.linalg.inv(poses[old]) @ poses[new]) for old in olds])
+        meets = olds[shares > _SHARED] if len(olds) else olds
         if len(meets):
-            pairs += [(int(old), new) for old in sorted({int(meets[0]), int(np.argmax(shares))})][:_PER_KEY]
+            pairs += [(int(old), new) for old in sorted({int(meets[0]), int(olds[np.argmax(shares)])})][:_PER_KEY]
     return pairs
 
 
-def _sample_points(level: Level) -> Floats:
+def _sample_points(level: PackedLevel) -> Floats:
     """Sample up to _PROBE points (N,3) in the camera's frame, evenly over the image."""
     q = level.inverse_depth.ravel()
     known = np.flatnonzero(q)
     at = known[np.linspace(0, len(known) - 1, min(len(known), _PROBE)).astype(int)]
-    points: Floats = level.rays[at] / q[at, None]
-    return points
+    camera, z = level.camera, 1 / q[at].astype(np.float64)
+    x, y = (at % camera.width - camera.cx) / camera.fx, (at // camera.width - camera.cy) / camera.fy
+    return np.stack([x * z, y * z, z], axis=1)
 
 
-def _overlap(keys: Sequence[Level], probes: Sequence[Floats], poses: Floats, old: int, new: int) -> float:
-    """Estimate the share of the new key frame's points that the old one sees, with tolerance for drift."""
-    if poses[old][:3, 2] @ poses[new][:3, 2] < np.cos(np.radians(_SPREAD_DEG)):
-        return 0.0
-    between = np.linalg.inv(poses[old]) @ poses[new]
-    x, y, z = between[:3, :3] @ probes[new].T + between[:3, 3:]
+def _overlap(old: PackedLevel, points: Floats, between: Floats) -> float:
+    """Estimate the share of a new key frame's points (N,3) that an old one sees, with tolerance for drift.
+
+    between (4,4): the new one's pose in the old one
+    """
+    x, y, z = between[:3, :3] @ points.T + between[:3, 3:]
     z = np.maximum(z, 1e-6)
-    camera, q = keys[old].camera, keys[old].inverse_depth
+    camera, q = old.camera, old.inverse_depth
     u, v = np.rint(x / z * camera.fx + camera.cx), np.rint(y / z * camera.fy + camera.cy)
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    seen = q[v[inside].astype(int), u[inside].astype(int)]
+    seen = q[v[inside].astype(int), u[inside].astype(int)].astype(np.float64)
     return float(np.count_nonzero(np.abs(seen * z[inside] - 1) < _DRIFT)) / max(len(z), 1)

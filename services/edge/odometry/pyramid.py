@@ -79,6 +79,30 @@ class Level:
         return Level(camera, np.where(one, blocks.mean(axis=0), near * (far > 0)), grey)
 
 
+@dataclass(frozen=True, slots=True)
+class PackedLevel:
+    """A level to be kept: 300 kB at 320 x 240. Half precision rounds depth to 0.02 %, a fifth of what the best sensor
+    errs by, and grey to a tenth of a level.
+
+    inverse_depth (H,W) float16 1/m, 0 where unknown; grey (H,W) float16 0..1 or None
+    """
+
+    camera: Intrinsics
+    inverse_depth: Floats
+    grey: Floats | None
+
+    @classmethod
+    def of(cls, level: Level) -> PackedLevel:
+        """Pack a level, without what it has cached."""
+        grey = None if level.grey is None else level.grey.astype(np.float16)
+        return cls(level.camera, level.inverse_depth.astype(np.float16), grey)
+
+    def unpacked(self) -> Level:
+        """Return the level."""
+        grey = None if self.grey is None else self.grey.astype(np.float32)
+        return Level(self.camera, self.inverse_depth.astype(np.float32), grey)
+
+
 def pyramid(level: Level) -> tuple[Level, ...]:
     """Build the pyramid of a level: from coarse to fine, `level` last."""
     levels = [level]

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick
+from services.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
 from services.edge.capture.nouns import Frame
 from services.edge.errors import CaptureError
 from services.edge.odometry.icp import MIN_PAIRS, IcpFit, align
 from services.edge.odometry.loop_closure import close_loops
 from services.edge.odometry.pose_graph import Edge, optimise_poses
-from services.edge.odometry.pyramid import Level, pyramid
+from services.edge.odometry.pyramid import Level, PackedLevel, pyramid
 from services.edge.odometry.relocalise import relocalise
 from services.edge.points.depth_limits import DepthLimits
 from services.edge.points.depth_range import survey_frames
@@ -58,29 +58,35 @@ class TrackedFrames:
 def track_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> TrackedFrames:
     """Compute the poses of depth frames, in metres and in the axes of the first tracked frame's camera.
 
-    One frame is in memory at a time, and half a megabyte per key frame. Raises CaptureError: CAPTURE_NO_POSES where
+    One frame is in memory at a time, and a third of a megabyte per key frame. Raises CaptureError: CAPTURE_NO_POSES where
     less than half can be tracked, naming the first lost frame; CAPTURE_TOO_FEW_POINTS where there is hardly any depth.
     `tick` may raise `Cancelled`.
     """
+    faults = FrameFaults()
+    way = follow_frames(frames, faults, part_of(tick, 0, 0.7))
+    _require_tracked(frames, way)
+    loops = close_loops(way.keys, np.stack(way.poses), part_of(tick, 0.7, 0.98))
+    poses = optimise_poses(np.stack(way.poses), way.edges + loops)
+    tick(1.0)
+    return TrackedFrames(way.posed(frames, poses), _lost_warning(frames, way) + faults.warnings(len(frames)))
+
+
+def follow_frames(frames: Sequence[Frame], faults: FrameFaults, tick: Tick = no_tick) -> CameraWay:
+    """Follow the camera from frame to frame, without closing loops; ends where it is lost for good."""
     limits = survey_frames(frames).limits
-    state, faults = _TrackState(), FrameFaults()
+    way = CameraWay()
     for number, frame in enumerate(frames):
         level = _level(frame, limits, faults)
         if level is not None:
-            state.track(number, level)
-        if state.lost_in_a_row(number) > _MAX_LOST:
+            way.track(number, level)
+        if way.lost_in_a_row(number) > _MAX_LOST:
             break
-        tick(0.7 * (number + 1) / len(frames))
-    _require_tracked(frames, state)
-    loops = close_loops(state.keys, np.stack(state.poses), lambda part: tick(0.7 + 0.28 * part))
-    poses = optimise_poses(np.stack(state.poses), state.edges + loops)
-    tick(1.0)
-    posed = (replace(frames[at], camera_to_world=poses[key] @ inside) for at, (key, inside) in state.places.items())
-    return TrackedFrames(tuple(posed), _lost_warning(frames, state) + faults.warnings(len(frames)))
+        tick((number + 1) / len(frames))
+    return way
 
 
-class _TrackState:
-    """State of the tracker: the camera's path so far.
+class CameraWay:
+    """The camera's path so far.
 
     keys, poses  the key frames and their (4,4) camera-to-world poses
     edges        measured poses between each key frame and the one before
@@ -88,11 +94,12 @@ class _TrackState:
     """
 
     def __init__(self) -> None:
-        self.keys: list[Level] = []
+        self.keys: list[PackedLevel] = []
         self.poses: list[Floats] = []
         self.edges: list[Edge] = []
         self.places: dict[int, tuple[int, Floats]] = {}
         self._key: tuple[Level, ...] = ()
+        self._newest: int | None = None
         self._last_pose = self._motion = np.eye(4)
 
     def track(self, number: int, level: Level) -> None:
@@ -110,19 +117,28 @@ class _TrackState:
         key, fit = found
         pose = self.poses[key] @ fit.pose
         self._motion, self._last_pose = np.linalg.inv(self._last_pose) @ pose, pose
-        self.places[number] = (key, fit.pose)
+        self._place(number, key, fit.pose)
         if _is_next_key(fit, level):
             self.edges.append(Edge(key, len(self.keys), fit.pose, fit.information))
             self._add_key(number, levels, pose)
 
     def lost_in_a_row(self, number: int) -> int:
         """Return how many frames up to `number` are lost since the last tracked one."""
-        return number - max(self.places, default=number)
+        return 0 if self._newest is None else number - self._newest
+
+    def posed(self, frames: Sequence[Frame], poses: Floats) -> tuple[Frame, ...]:
+        """Return the tracked frames with their poses, given the key frames' (K,4,4)."""
+        return tuple(
+            replace(frames[at], camera_to_world=poses[key] @ inside) for at, (key, inside) in self.places.items()
+        )
+
+    def _place(self, number: int, key: int, inside: Floats) -> None:
+        self.places[number], self._newest = (key, inside), number
 
     def _add_key(self, number: int, levels: tuple[Level, ...], pose: Floats) -> None:
         """Make frame `number` the newest key frame."""
-        self.places[number] = (len(self.keys), np.eye(4))
-        self.keys.append(replace(levels[-1]))  # a copy without the cached properties, which are five times its size
+        self._place(number, len(self.keys), np.eye(4))
+        self.keys.append(PackedLevel.of(levels[-1]))
         self.poses.append(pose)
         self._key = levels
 
@@ -135,7 +151,7 @@ class _TrackState:
             if fit is not None and fit.sound:
                 return newest, fit
         for key in range(newest, max(newest - _RELOCALISATION_KEYS, -1), -1):
-            fit = relocalise(levels, self.keys[key])
+            fit = relocalise(levels, self.keys[key].unpacked())
             if fit is not None:
                 return key, fit
         return None
@@ -172,15 +188,15 @@ def _grey(rgb: Bytes | None, shape: tuple[int, ...]) -> Floats | None:
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR_PX), np.float32)
 
 
-def _require_tracked(frames: Sequence[Frame], state: _TrackState) -> None:
+def _require_tracked(frames: Sequence[Frame], way: CameraWay) -> None:
     """Raise CAPTURE_NO_POSES when too few frames were tracked."""
-    if len(state.places) >= max(_MIN_TRACKED * len(frames), min(2, len(frames))):
+    if len(way.places) >= max(_MIN_TRACKED * len(frames), min(2, len(frames))):
         return
-    lost = _lost(frames, state)
+    lost = _lost(frames, way)
     raise CaptureError(
         "CAPTURE_NO_POSES",
         "the recording has no camera poses, and they could not be computed: tracking works for only"
-        f" {len(state.places)} of {len(frames)} frames, and fails here first",
+        f" {len(way.places)} of {len(frames)} frames, and fails here first",
         file=frames[lost[0]].name,
         hints=(
             "Move slowly, so that each frame shows most of what the last one showed.",
@@ -190,13 +206,13 @@ def _require_tracked(frames: Sequence[Frame], state: _TrackState) -> None:
     )
 
 
-def _lost(frames: Sequence[Frame], state: _TrackState) -> list[int]:
+def _lost(frames: Sequence[Frame], way: CameraWay) -> list[int]:
     """Return the numbers of the frames that were not tracked."""
-    return [number for number in range(len(frames)) if number not in state.places]
+    return [number for number in range(len(frames)) if number not in way.places]
 
 
-def _lost_warning(frames: Sequence[Frame], state: _TrackState) -> tuple[str, ...]:
-    lost = _lost(frames, state)
+def _lost_warning(frames: Sequence[Frame], way: CameraWay) -> tuple[str, ...]:
+    lost = _lost(frames, way)
     if not lost:
         return ()
     return (

@@ -56,7 +56,7 @@ def _unhidden(picture: PosedPicture, places: Floats, fineness: Floats) -> Floats
     at, away = picture.project(places)
     depth = picture.depth()
     size = np.array(depth.shape[::-1])
-    column, row = np.clip((at * size).astype(np.int64), 0, size - 1).T
+    column, row = np.clip(at * size, 0, size - 1).astype(np.int64).T
     known = depth[row, column]
     return np.where((known <= 0) | (np.abs(known - away) < _NEAR * known), fineness, 0)
 
