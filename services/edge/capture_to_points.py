@@ -219,8 +219,9 @@ def _rgbd_points(capture: Capture, fused: FusedPoints, tick: Tick) -> Points:
     stereo = has_stereo_depth(capture.frames)
     if fused.whole is None:
         keep = inliers(fused.xyz - fused.cameras[0], (lambda part: tick(0.4 * part)) if stereo else tick)
-    else:
+    else:  # box by box they were removed
         keep = np.ones(len(fused.xyz), bool)
+        tick(1.0)
     if keep.sum() < MIN_POINTS:
         raise CaptureError(
             "CAPTURE_TOO_FEW_POINTS",

@@ -2,8 +2,8 @@
 
 A phone's depth camera is carried through every room of a flat and back (`tests/support/flat_walks.py`), 125 frames a
 room. The folder is read and reconstructed by preset scene-tiles in a process of its own, and its finest tiles are
-compared with the truth; so are the fused points alone, and the way of the camera where it is computed without the poses,
-before and after loops are closed. What is finished is kept; `--show` only prints.
+compared with the truth; so are the fused points alone, and the way of the camera where it is computed without the
+poses, before and after loops are closed. What is finished is kept; `--show` only prints.
 """
 
 from __future__ import annotations

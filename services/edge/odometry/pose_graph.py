@@ -14,13 +14,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from services.edge.arrays import Floats
-from services.edge.odometry.icp import cross_matrix
+from services.edge.arrays import Floats, Ints
 
 _PIXELS_PER_MEASUREMENT = 400.0
 """Pixels that count as one measurement, 20 x 20: errors of neighbours are correlated, by smoothing and calibration."""
-_MAX_STEPS = 50
-"""Most evaluations of the solver per round."""
+_STEPS = 60
+"""Most Gauss-Newton steps."""
+_STILL = 1e-9
+"""Largest change, in radians and metres, of a last step."""
+_DAMPING = 1e-9
+"""Share of the normal equations' diagonal that is added to it: a camera that hardly anything holds stays there."""
+_SCALE_FALL = 0.5
+"""Factor from step to step of the scale at which an error counts as wrong: from the largest error down to 1, so that
+what is wrong shows itself against the many that agree before anything is given up (graduated non-convexity)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,26 +39,78 @@ class Edge:
     information: Floats
 
 
-def optimise_poses(poses: Floats, edges: Sequence[Edge]) -> Floats:
-    """Fit camera-to-world poses (K,4,4) to the edges; the first pose is fixed, and wrong edges have little weight."""
-    from scipy.optimize import least_squares
+@dataclass(frozen=True, slots=True)
+class _Graph:
+    """All edges as arrays: target, source (E,) cameras; back (E,4,4) inverse measured poses; roots (E,6,6) of their
+    information; rows, columns: places of the Jacobian's elements, of the targets' blocks and then of the sources'."""
 
-    if len(poses) < 2:
+    target: Ints
+    source: Ints
+    back: Floats
+    roots: Floats
+    rows: Ints
+    columns: Ints
+
+    @classmethod
+    def of(cls, edges: Sequence[Edge]) -> _Graph:
+        target, source = (np.array(each) for each in zip(*((edge.target, edge.source) for edge in edges), strict=True))
+        counted = np.stack([_regularise(edge.information) for edge in edges]) / _PIXELS_PER_MEASUREMENT
+        roots = np.linalg.cholesky(counted).transpose(0, 2, 1)
+        inner_row, inner_column = np.mgrid[:6, :6]
+        row = 6 * np.arange(len(edges))[:, None, None] + inner_row
+        columns = np.concatenate([6 * (each[:, None, None] - 1) + inner_column for each in (target, source)])
+        back = np.linalg.inv(np.stack([edge.pose for edge in edges]))
+        return cls(target, source, back, roots, np.concatenate([row, row]), columns)
+
+    def errors(self, poses: Floats) -> Floats:
+        """Weighted errors (E,6) of all edges."""
+        gap = np.linalg.inv(poses[self.target]) @ poses[self.source] @ self.back
+        motion = np.concatenate([Rotation.from_matrix(gap[:, :3, :3]).as_rotvec(), gap[:, :3, 3]], axis=1)
+        errors: Floats = np.einsum("eij,ej->ei", self.roots, motion)
+        return errors
+
+    def jacobian(self, poses: Floats, weights: Floats) -> Any:
+        """Sparse Jacobian (6·E, 6·(K-1)) of the errors times weights (E,); the first pose has no columns."""
+        from scipy.sparse import csc_array
+
+        between = np.linalg.inv(poses[self.target]) @ poses[self.source]
+        roots = self.roots * weights[:, None, None]
+        values = np.concatenate([-roots, roots @ _adjoints(between)])
+        free = self.columns >= 0
+        shape = (6 * len(self.target), 6 * (len(poses) - 1))
+        return csc_array((values[free], (self.rows[free], self.columns[free])), shape=shape)
+
+
+def optimise_poses(poses: Floats, edges: Sequence[Edge]) -> Floats:
+    """Fit camera-to-world poses (K,4,4) to the edges; the first pose is fixed, and wrong edges have hardly any weight.
+
+    Gauss-Newton steps, reweighted by Cauchy's function of each edge's error. Time grows with the number of edges.
+    """
+    if len(poses) < 2 or not edges:
         return poses
-    roots = [np.linalg.cholesky(_regularise(edge.information) / _PIXELS_PER_MEASUREMENT).T for edge in edges]
-    # The second round starts at the first one's solution, where the Jacobian is exact except for the size of E.
-    for _ in range(2):
-        solved = least_squares(
-            lambda change, at=poses: _errors(_apply_changes(at, change), edges, roots),
-            np.zeros(6 * (len(poses) - 1)),
-            jac=lambda change, at=poses: _jacobian(_apply_changes(at, change), edges, roots),
-            loss="soft_l1",
-            tr_solver="lsmr",
-            x_scale="jac",
-            max_nfev=_MAX_STEPS,
-        )
-        poses = _apply_changes(poses, solved.x)
+    graph = _Graph.of(edges)
+    scale = float(np.linalg.norm(graph.errors(poses), axis=1).max())
+    for _ in range(_STEPS):
+        scale = max(scale * _SCALE_FALL, 1.0)
+        step = _gauss_newton_step(graph, poses, scale)
+        poses = _apply_changes(poses, step)
+        if scale == 1.0 and np.abs(step).max() < _STILL:
+            break
     return poses
+
+
+def _gauss_newton_step(graph: _Graph, poses: Floats, scale: float) -> Floats:
+    """Change (6·(K-1),) of all poses but the first that reduces the errors, those beyond `scale` hardly counted."""
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    errors = graph.errors(poses)
+    weights = 1 / np.sqrt(1 + np.square(errors).sum(axis=1) / scale**2)
+    jacobian = graph.jacobian(poses, weights)
+    normal = jacobian.T @ jacobian
+    damped = (normal + diags_array(_DAMPING * normal.diagonal() + 1e-12)).tocsc()
+    step: Floats = splu(damped).solve(-(jacobian.T @ (weights[:, None] * errors).ravel()))
+    return step
 
 
 def _regularise(information: Floats) -> Floats:
@@ -70,36 +128,10 @@ def _apply_changes(poses: Floats, change: Floats) -> Floats:
     return moved
 
 
-def _errors(poses: Floats, edges: Sequence[Edge], roots: Sequence[Floats]) -> Floats:
-    """Return the weighted errors of all edges (6·edges,)."""
-    parts = []
-    for edge, root in zip(edges, roots, strict=True):
-        gap = np.linalg.inv(poses[edge.target]) @ poses[edge.source] @ np.linalg.inv(edge.pose)
-        parts.append(root @ np.concatenate([Rotation.from_matrix(gap[:3, :3]).as_rotvec(), gap[:3, 3]]))
-    return np.concatenate(parts)
-
-
-def _jacobian(poses: Floats, edges: Sequence[Edge], roots: Sequence[Floats]) -> Any:
-    """Return the sparse Jacobian (6·edges, 6·(K-1)) of the errors; the first pose has no columns."""
-    from scipy.sparse import csr_array
-
-    rows, columns, values = [], [], []
-    inner_row, inner_column = np.mgrid[:6, :6]
-    for number, (edge, root) in enumerate(zip(edges, roots, strict=True)):
-        between = np.linalg.inv(poses[edge.target]) @ poses[edge.source]
-        for camera, block in ((edge.target, -root), (edge.source, root @ _adjoint(between))):
-            if camera:
-                rows.append(6 * number + inner_row)
-                columns.append(6 * (camera - 1) + inner_column)
-                values.append(block)
-    flat = [np.concatenate([part.ravel() for part in parts]) for parts in (rows, columns, values)]
-    return csr_array((flat[2], (flat[0], flat[1])), shape=(6 * len(edges), 6 * (len(poses) - 1)))
-
-
-def _adjoint(pose: Floats) -> Floats:
-    """Return the adjoint (6,6) of a pose: it transforms a motion (ω, t) from the pose's source frame to its target."""
-    turn = pose[:3, :3]
-    adjoint = np.zeros((6, 6))
-    adjoint[:3, :3] = adjoint[3:, 3:] = turn
-    adjoint[3:, :3] = cross_matrix(pose[:3, 3]) @ turn
-    return adjoint
+def _adjoints(poses: Floats) -> Floats:
+    """Adjoints (N,6,6) of poses (N,4,4): each transforms a motion (ω, t) from its pose's source frame to its target."""
+    turn = poses[:, :3, :3]
+    adjoints = np.zeros((len(poses), 6, 6))
+    adjoints[:, :3, :3] = adjoints[:, 3:, 3:] = turn
+    adjoints[:, 3:, :3] = np.cross(poses[:, None, :3, 3], turn, axisa=2, axisb=1, axisc=1)
+    return adjoints

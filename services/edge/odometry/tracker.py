@@ -58,9 +58,9 @@ class TrackedFrames:
 def track_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> TrackedFrames:
     """Compute the poses of depth frames, in metres and in the axes of the first tracked frame's camera.
 
-    One frame is in memory at a time, and a third of a megabyte per key frame. Raises CaptureError: CAPTURE_NO_POSES where
-    less than half can be tracked, naming the first lost frame; CAPTURE_TOO_FEW_POINTS where there is hardly any depth.
-    `tick` may raise `Cancelled`.
+    One frame is in memory at a time, and a third of a megabyte per key frame; time grows with the number of frames.
+    Raises CaptureError: CAPTURE_NO_POSES where less than half can be tracked, naming the first lost frame;
+    CAPTURE_TOO_FEW_POINTS where there is hardly any depth. `tick` may raise `Cancelled`.
     """
     faults = FrameFaults()
     way = follow_frames(frames, faults, part_of(tick, 0, 0.7))

@@ -44,7 +44,7 @@ from services.edge.points.voxel_grid import GridFullError, Samples, VoxelGrid
 from services.edge.srgb import to_srgb
 
 SCENE_VOXEL_M = 0.005
-"""Least voxel of a scene that does not fit in memory, metres: tiles have cells of 1 cm, and average what lies in one."""
+"""Least voxel of a scene that does not fit in memory, metres: tiles have cells of 1 cm, and average what is in one."""
 BOX_POINTS = 5_000_000
 """Most voxels of a box: 2 GB at 640 x 480, with the views that vote. Smaller boxes have each frame read more often."""
 SOME_POINTS = 1_000_000
@@ -63,8 +63,8 @@ def fuse_scene(
     most_of_box: int = BOX_POINTS,
     tick: Tick = no_tick,
 ) -> FusedPoints:
-    """Fuse posed depth frames into points, as `fuse` does. Where there are more voxels than `most`, not even with voxels
-    of SCENE_VOXEL_M, the result holds some of the points, and all of them in `whole`.
+    """Fuse posed depth frames into points, as `fuse` does, or box by box where there are more voxels than `most` even
+    of SCENE_VOXEL_M: then the result holds some of the points, and all of them in `whole`.
 
     most_of_box  voxels of a box, before the views vote
     Raises CaptureError as `fuse`.

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats
+from services.edge.arrays import Bools, Floats
 from services.edge.mesh.nouns import Mesh
 from services.edge.render.posed_picture import PosedPicture
 
 MOST = 12
 """Pictures of a tile: it is 2.5 m wide, and each takes half a second."""
-_ASKED = 48
-"""Pictures whose depth is read for a tile, 5 ms each: those that would show most of it if nothing stood before it."""
+_ASKED = 96
+"""Pictures whose depth is read for a tile, 5 ms each: those that would show most of it, and finest, if nothing stood
+before it."""
 _PROBES = 400  # vertices that are projected
 _SEEN = 0.05  # share of them in a picture from which on it shows the tile
 _NEAR = 0.1  # of the depth: a vertex is what the picture shows there
@@ -35,12 +36,13 @@ class TileViews:
         """
         some = mesh.vertices[:: max(1, len(mesh.vertices) // _PROBES)]
         fineness = np.array([_fineness(picture, some) for picture in self.pictures]).reshape(-1, len(some))
-        asked = np.argsort(-np.count_nonzero(fineness, axis=1), kind="stable")[:_ASKED]
-        able = [number for number in asked if np.count_nonzero(fineness[number]) >= _SEEN * len(some)]
-        shown = np.array([_unhidden(self.pictures[number], some, fineness[number]) for number in able])
-        enough = np.count_nonzero(shown, axis=1) >= _SEEN * len(some) if able else np.zeros(0, bool)
-        order = _greedy(shown[enough]) if enough.any() else []
-        return tuple(self.pictures[np.array(able)[enough][row]] for row in order)
+        if not fineness.any():
+            return ()
+        worth = np.minimum(fineness / np.median(fineness[fineness > 0]), _NEAREST)
+        asked = np.argsort(-worth.sum(axis=1), kind="stable")[:_ASKED]
+        shown = np.stack([worth[number] * _shown_mask(self.pictures[number], some) for number in asked])
+        enough = np.count_nonzero(shown, axis=1) >= _SEEN * len(some)
+        return tuple(self.pictures[asked[enough][row]] for row in _greedy(shown[enough]))
 
 
 def _fineness(picture: PosedPicture, places: Floats) -> Floats:
@@ -51,19 +53,19 @@ def _fineness(picture: PosedPicture, places: Floats) -> Floats:
     return fineness
 
 
-def _unhidden(picture: PosedPicture, places: Floats, fineness: Floats) -> Floats:
-    """The fineness (N,) of places (N,3), 0 also where the depth image shows something else."""
+def _shown_mask(picture: PosedPicture, places: Floats) -> Bools:
+    """Mask (N,) of places (N,3) where the depth image of a picture shows nothing else."""
     at, away = picture.project(places)
     depth = picture.depth()
     size = np.array(depth.shape[::-1])
     column, row = np.clip(at * size, 0, size - 1).astype(np.int64).T
     known = depth[row, column]
-    return np.where((known <= 0) | (np.abs(known - away) < _NEAR * known), fineness, 0)
+    shown: Bools = (known <= 0) | (np.abs(known - away) < _NEAR * known)
+    return shown
 
 
-def _greedy(fineness: Floats) -> list[int]:
+def _greedy(worth: Floats) -> list[int]:
     """Rows of pictures (P,N), at most MOST, each the one that adds most to the best of those before it."""
-    worth = np.minimum(fineness / np.median(fineness[fineness > 0]), _NEAREST)
     best, order = np.zeros(worth.shape[1]), list[int]()
     while len(order) < min(MOST, len(worth)):
         gain = np.maximum(worth - best, 0).sum(axis=1)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from services.edge.capture.nouns import Capture, Frame, Intrinsics
 from services.edge.capture_to_points import to_points
-from services.edge.points.texture_views import HOLD_OUT_FROM, hold_out_frames
+from services.edge.points.texture_views import HOLD_OUT_FROM, MAX_TEXTURE_VIEWS, hold_out_frames, select_scene_views
 
 CAMERA = Intrinsics(60.0, 60.0, 31.5, 23.5, 64, 48)
 
@@ -72,3 +72,16 @@ def test_neither_points_nor_textures_are_made_from_them(pictures: int, asked: in
     assert sorted([*compared, *used], key=int) == [each.name for each in frames]
     assert points.rgb is not None
     assert points.rgb.max() == 0, "all other pictures are black"
+
+
+def test_scenes_get_the_sharpest_picture_of_each_few_steps() -> None:
+    """Frames a centimetre apart, 25 of which are one place; one of each 30 is sharpest"""
+    walk = [frame(number, pictured=number != 40) for number in range(100)]
+    sharpness = np.array([2.0 if number % 30 == 7 else 1.0 for number in range(100)])
+    chosen = [int(view.name) for view in select_scene_views(walk, sharpness)]
+    assert chosen == [7, 37, 67, 97]
+
+
+def test_a_scene_of_any_length_has_its_pictures() -> None:
+    walk = [frame(26 * number) for number in range(200)]
+    assert len(select_scene_views(walk, np.ones(200))) == 200 > MAX_TEXTURE_VIEWS

@@ -7,7 +7,7 @@ import numpy as np
 from services.edge.arrays import Floats
 from services.edge.mesh.nouns import Mesh
 from services.edge.render.posed_picture import PosedPicture
-from services.edge.tiles.tile_views import TileViews
+from services.edge.tiles.tile_views import MOST, TileViews
 
 SHEET = Mesh(
     np.array([[x, y, 2.0] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)]), np.array([[0, 1, 4], [4, 5, 8]])
@@ -43,3 +43,21 @@ def test_the_picture_that_shows_most_comes_first() -> None:
 
 def test_a_scene_without_pictures_has_none() -> None:
     assert TileViews().that_see(SHEET) == ()
+
+
+def test_pictures_of_all_parts_come_before_more_of_one() -> None:
+    """Many pictures of the left half, and one of the right."""
+    left, right = (np.eye(4) for _ in range(2))
+    left[0, 3], right[0, 3] = 1.2, -1.2
+    pictures = [*(picture(left, focal=0.5) for _ in range(20)), picture(right, focal=0.5)]
+    assert any(each is pictures[-1] for each in TileViews(pictures).that_see(SHEET)[:2])
+
+
+def test_of_many_pictures_the_nearest_are_chosen() -> None:
+    """A hundred from afar, and one from half as far that shows as much: it comes first."""
+    near = np.eye(4)
+    near[2, 3] = -0.9
+    far, close = [picture(AHEAD, focal=0.2) for _ in range(100)], picture(near, focal=0.2)
+    chosen = TileViews([*far, close]).that_see(SHEET)
+    assert chosen[0] is close
+    assert len(chosen) <= MOST
