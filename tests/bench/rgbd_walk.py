@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -270,7 +270,8 @@ def _errors_m(frames: Sequence[Frame], truth: Floats) -> Floats:
     numbers = [int(Path(frame.name).stem) for frame in frames]
     true = np.linalg.inv(truth[numbers[0]]) @ truth[numbers]
     found = np.stack([np.asarray(frame.camera_to_world) for frame in frames])
-    return np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
+    errors: Floats = np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
+    return errors
 
 
 def _peak_mb() -> float:
@@ -278,9 +279,17 @@ def _peak_mb() -> float:
     return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1e3
 
 
-_FIGURES = {"points": PointFigures, "tiles": TileFigures, "drift": DriftFigures}
-_MEASURES = {"points": _measure_points, "tiles": _measure_tiles, "drift": _measure_drift}
-_TABLES = {"points": point_table, "tiles": tile_table, "drift": drift_table}
+_FIGURES: dict[str, Any] = {"points": PointFigures, "tiles": TileFigures, "drift": DriftFigures}
+_MEASURES: dict[str, Callable[[int, Path], Any]] = {
+    "points": _measure_points,
+    "tiles": _measure_tiles,
+    "drift": _measure_drift,
+}
+_TABLES: dict[str, Callable[[Sequence[Any]], Iterator[str]]] = {
+    "points": point_table,
+    "tiles": tile_table,
+    "drift": drift_table,
+}
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -59,7 +59,7 @@ class FlatWalk:
             depth_m, rgb = _render(scene, numbers, pose, self.camera)
             noisy = spoil_depth(depth_m, self.sensor, rng)
             measured = spoil_pose(pose, self.sensor, rng)
-            yield Frame(f"{number:04d}", self.camera, measured, lambda z=noisy: z.copy(), None, lambda c=rgb: c.copy())
+            yield Frame(f"{number:04d}", self.camera, measured, noisy.copy, None, rgb.copy)
 
     def write(self, folder: Path, *, posed: bool = True) -> Path:
         """Write the walk as a folder that `read_capture` reads; without the log of poses where not `posed`."""
@@ -127,7 +127,7 @@ def _look(middle: Floats, angle: float, slope: float, ahead_m: float) -> Floats:
     """The pose of one who looks across a room, or has gone on from there."""
     ahead = np.array([np.cos(angle), 0.0, np.sin(angle)])
     eye = middle + (ahead_m - _BEHIND_M) * ahead
-    return look_at(eye, eye + ahead + [0, slope, 0], (0, 1, 0))
+    return look_at(eye.tolist(), (eye + ahead + [0, slope, 0]).tolist(), (0, 1, 0))
 
 
 def mesh_of(truth: Flat) -> tuple[Mesh, Ints]:

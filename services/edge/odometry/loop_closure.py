@@ -62,7 +62,9 @@ def _overlapping_pairs(keys: Sequence[PackedLevel], poses: Floats) -> list[tuple
         before = slice(0, new - _APART + 1)
         near = np.linalg.norm(eyes[before] - eyes[new], axis=1) < _REACH * (reach[before] + reach[new])
         olds = np.flatnonzero(near & (axes[before] @ axes[new] > np.cos(np.radians(_SPREAD_DEG))))
-        shares = np.array([_overlap(keys[old], probes[new], np.linalg.inv(poses[old]) @ poses[new]) for old in olds])
+        shares = np.array(
+            [_overlap(keys[old], probes[new], np.linalg.inv(poses[old]) @ poses[new]) for old in olds.tolist()]
+        )
         meets = olds[shares > _SHARED] if len(olds) else olds
         if len(meets):
             pairs += [(int(old), new) for old in sorted({int(meets[0]), int(olds[np.argmax(shares)])})][:_PER_KEY]

@@ -64,5 +64,5 @@ class SceneBox:
 
 def within(xyz: Floats, low: Floats, high: Floats) -> Bools:
     """Mask (N,) of places between low and high (3,), as is each place of space in one box of several."""
-    inside: Bools = ((xyz >= low) & (xyz < high)).all(axis=1)
+    inside: Bools = np.asarray(((xyz >= low) & (xyz < high)).all(axis=1))
     return inside

@@ -41,7 +41,8 @@ class SceneWalk:
 
     def frames_that_show(self, low: Floats, high: Floats) -> Ints:
         """Indices of the frames with a surface point between `low` and `high` (3,)."""
-        return np.unique(self.owners[((self.places >= low) & (self.places < high)).all(axis=1)])
+        shown: Ints = np.unique(self.owners[((self.places >= low) & (self.places < high)).all(axis=1)])
+        return shown
 
     def frames_that_look_through(self, low: Floats, high: Floats, most: int) -> Ints:
         """Indices of at most `most` frames with rays that end in a box or go through it.

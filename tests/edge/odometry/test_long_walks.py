@@ -77,9 +77,14 @@ def test_packed_levels_come_back_nearly_exact() -> None:
 
 def test_far_key_frames_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     """Along a corridor, ten times as many key frames make about ten times as many comparisons."""
-    asked = []
+    asked: list[Floats] = []
     overlap = loop_closure._overlap
-    monkeypatch.setattr(loop_closure, "_overlap", lambda *given: asked.append(0) or overlap(*given))
+
+    def counted(old: PackedLevel, points: Floats, between: Floats) -> float:
+        asked.append(between)
+        return overlap(old, points, between)
+
+    monkeypatch.setattr(loop_closure, "_overlap", counted)
     key = PackedLevel.of(Level(PHONE, np.full((PHONE.height, PHONE.width), 0.5, np.float32), None))
     counts = []
     for length in (60, 600):

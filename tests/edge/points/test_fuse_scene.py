@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Floats
+from services.edge import capture_to_points
+from services.edge.arrays import Bytes, Floats
 from services.edge.capture.nouns import Capture, Frame
 from services.edge.capture_to_points import to_points
 from services.edge.errors import CaptureError
@@ -80,11 +81,12 @@ def test_points_are_not_thinned() -> None:
 def test_colours_are_those_of_fusing_at_once() -> None:
     fused = by_boxes()
     assert fused.whole is not None
-    assert known().rgb is not None
+    colours = known().rgb
+    assert colours is not None
     parts = list(fused.whole.read())
     rgb = np.concatenate([part.rgb for part in parts if part.rgb is not None])
     away, nearest = cKDTree(known().xyz).query(np.concatenate([part.xyz for part in parts]))
-    off = np.abs(rgb.astype(float) - known().rgb[nearest]).max(axis=1)
+    off = np.abs(rgb.astype(float) - colours[nearest]).max(axis=1)
     assert np.percentile(off[away < 0.1 * VOXEL], 99) < 3
 
 
@@ -101,7 +103,7 @@ def test_a_damaged_frame_in_the_middle_loses_only_itself() -> None:
 
 
 def test_a_picture_that_cannot_be_read_costs_only_its_colours() -> None:
-    def fail() -> np.ndarray:
+    def fail() -> Bytes:
         raise CaptureError("CAPTURE_UNREADABLE", "is cut off", file="0006.jpg")
 
     fused = fused_by_boxes((*frames()[:6], replace(frames()[6], load_rgb=fail), *frames()[7:]))
@@ -118,7 +120,7 @@ def test_a_scene_that_fits_is_fused_at_once() -> None:
 
 def test_a_walk_reaches_the_tiles_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """Through `to_points`, whose limits are lowered to those of a small room."""
-    monkeypatch.setattr(fuse_scene, "__kwdefaults__", {**fuse_scene.__kwdefaults__, "most": MOST, "most_of_box": BOX})
+    monkeypatch.setattr(capture_to_points, "fuse_scene", partial(fuse_scene, most=MOST, most_of_box=BOX))
     ticks: list[float] = []
     capture = Capture("rgbd", "test", frames=frames(), scale_confidence="metric")
     points = to_points(capture, voxel=VOXEL, cut="scene", tick=ticks.append)
