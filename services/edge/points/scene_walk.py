@@ -52,7 +52,8 @@ class SceneWalk:
         rays = np.bincount(self.owners[self._crosses(low, high)], minlength=len(self.frames))
         best = np.argsort(-rays, kind="stable")[: 2 * most]
         able = np.sort(best[rays[best] > 0])
-        return able[np.linspace(0, len(able) - 1, min(most, len(able))).round().astype(int)]
+        spread: Ints = able[np.linspace(0, len(able) - 1, min(most, len(able))).round().astype(int)]
+        return spread
 
     def _crosses(self, low: Floats, high: Floats) -> Bools:
         """Mask (N,) of the rays, from camera to surface, that meet a box: by the slab method."""
