@@ -1,5 +1,6 @@
 // The collection page (/browse/{name}): pictures of all assets of a collection, to search, to open, and to choose from.
 import { Card } from './card.js';
+import { offerManaging, showManaging } from './manage.js';
 import { PER_PAGE, search } from './search.js';
 import { showAccount } from '../shared/account.js';
 import { element } from '../shared/dom.js';
@@ -21,6 +22,8 @@ const page = {
   name: element('name', HTMLElement),
   form: element('form', HTMLFormElement),
   search: element('search', HTMLInputElement),
+  order: element('order', HTMLSelectElement),
+  state: element('state', HTMLSelectElement),
   summary: element('said', HTMLElement),
   retry: element('again', HTMLButtonElement),
   grid: element('grid', HTMLElement),
@@ -43,6 +46,9 @@ const cards = new Map(); // by their elements
 const visibility = new IntersectionObserver(loadVisible, { rootMargin: LOAD_AHEAD });
 
 let query = parameters.get('q') || '';
+let order = parameters.get('order') || '';
+let state = parameters.get('state') || '';
+let notice = ''; // of what was done, shown before the next summary
 let pageNumber = Math.max(1, Math.floor(Number(parameters.get('page'))) || 1);
 let lastRequest = 0; // an older one that is still loading shows nothing any more
 let shownVersion = 0; // of the collection
@@ -57,7 +63,7 @@ async function show() {
   page.retry.hidden = true;
   if (document.body.dataset.state === 'error') page.summary.textContent = 'Loading …';
   try {
-    const result = await withNewest(name, (collection) => search(collection, query, pageNumber));
+    const result = await withNewest(name, (collection) => search(collection, { words: query, order, state }, pageNumber));
     if (request === lastRequest) showResult(result);
   } catch (error) {
     if (request === lastRequest) showError(error);
@@ -84,7 +90,8 @@ function showResult({ rows, count, exact, collection }) {
   page.grid.append(...cards.keys());
   for (const item of cards.keys()) visibility.observe(item);
   const size = collection.shards.reduce((sum, shard) => sum + shard.count, 0);
-  page.summary.textContent = summaryText(count, exact, size);
+  page.summary.textContent = [notice, summaryText(count, exact, size)].filter(Boolean).join(' ');
+  notice = '';
   showPageNumber(exact ? Math.ceil(count / PER_PAGE) : null);
   shownVersion = collection.version;
   document.body.dataset.state = 'shown';
@@ -108,7 +115,9 @@ function showPageNumber(pages) {
 function summaryText(count, exact, size) {
   /** @param {number} many */
   const things = (many) => `${formatCount(many)} ${many === 1 ? 'thing' : 'things'}`;
+  if (count === 0 && state && !query) return `There are no ${state} things.`;
   if (count === 0) return query ? `Nothing matches “${query}”.` : 'Nothing is here yet.';
+  if (!query && state) return `${exact ? '' : 'More than '}${things(count)}, ${state}`;
   if (!query) return exact ? things(count) : `About ${things(size)}`;
   return `${exact ? things(count) : `More than ${things(count)}`} for “${query}”`;
 }
@@ -171,6 +180,8 @@ function goToPage(number) {
 function writeAddress() {
   const written = new URLSearchParams();
   if (query) written.set('q', query);
+  if (order) written.set('order', order);
+  if (state) written.set('state', state);
   if (pageNumber > 1) written.set('page', String(pageNumber));
   history.replaceState(null, '', ofShownTenant([location.pathname, written.toString()].filter(Boolean).join('?')));
 }
@@ -186,6 +197,15 @@ function listenToSearch() {
     event.preventDefault();
     searchFor(page.search.value);
   });
+  page.order.value = order;
+  page.state.value = state;
+  for (const choice of [page.order, page.state]) {
+    choice.addEventListener('change', () => {
+      [order, state] = [page.order.value, page.state.value];
+      clearChoice();
+      goToPage(1);
+    });
+  }
   page.previous.addEventListener('click', () => goToPage(pageNumber - 1));
   page.next.addEventListener('click', () => goToPage(pageNumber + 1));
 }
@@ -202,6 +222,8 @@ function choose(key, yes) {
   if (yes && chosenKeys.size < MOST_CHOSEN) chosenKeys.add(key);
   if (!yes) chosenKeys.delete(key);
   const count = chosenKeys.size;
+  showManaging(state === 'removed');
+  page.open.hidden = state === 'removed';
   page.choice.hidden = count === 0;
   page.choiceCount.textContent = count < MOST_CHOSEN ? `${count} chosen` : `${count} chosen, which is as many as a headset draws`;
   page.open.textContent = count === 1 ? 'Open it' : 'Open together';
@@ -213,7 +235,16 @@ function choose(key, yes) {
 function clearChoice() {
   for (const key of [...chosenKeys]) choose(key, false);
   for (const box of page.grid.querySelectorAll('input')) box.checked = false;
-  page.search.focus();
+}
+
+/**
+ * Shows the collection after something was done with the chosen things.
+ * @param {string} said
+ */
+function showDone(said) {
+  notice = said;
+  clearChoice();
+  show();
 }
 
 /** Shows the collection as it is by now, when the person comes back to this page. */
@@ -229,7 +260,10 @@ async function reloadIfChanged() {
 
 listenToSearch();
 page.retry.addEventListener('click', show);
-page.clear.addEventListener('click', clearChoice);
+page.clear.addEventListener('click', () => {
+  clearChoice();
+  page.search.focus();
+});
 document.addEventListener('visibilitychange', reloadIfChanged);
 if (name !== 'default') {
   page.name.textContent = name;
@@ -237,4 +271,4 @@ if (name !== 'default') {
 }
 registerServiceWorker();
 show();
-showAccount();
+showAccount().then((session) => offerManaging(ofShownTenant('') === '' ? session : null, { chosen: () => [...chosenKeys], onDone: showDone }));

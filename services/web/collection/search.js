@@ -1,4 +1,4 @@
-// Search in a collection: the assets whose name, key or labels contain all words, a page at a time.
+// Search in a collection: the assets of a state whose name, key or labels contain all words, in an order, a page at a time.
 import { loadRows } from '../shared/signed-catalogue.js';
 
 /** @import { Collection, CollectionRow, Shard } from '../shared/types.d.ts' */
@@ -12,19 +12,55 @@ import { loadRows } from '../shared/signed-catalogue.js';
  * @property {Collection} collection
  */
 
+/**
+ * What is searched for. `order`: "" (by key), "name" or "newest"; `state`: "" (all but removed ones) or the one state.
+ * @typedef {{ words: string, order: string, state: string }} Query
+ */
+
 export const PER_PAGE = 48; // divides into rows of 2, 3, 4 and 6
 
 /** @type {Map<string, CollectionRow[]>} */
 const rowCache = new Map(); // by the sha256 of a shard: typing a word searches all of them with every letter
 
+/** @type {Record<string, (one: CollectionRow, other: CollectionRow) => number>} */
+const ORDERS = {
+  name: (one, other) => one.label.localeCompare(other.label, undefined, { numeric: true, sensitivity: 'base' }),
+  newest: (one, other) => other.updated - one.updated,
+};
+
 /**
- * Finds a page of the assets that match. Reads only as many shards as it needs.
+ * Finds a page of the assets that match. By key it reads only as many shards as it needs.
  * @param {Collection} collection
- * @param {string} query
+ * @param {Query} query
  * @param {number} pageNumber from 1
  * @returns {Promise<SearchResult>}
  */
 export async function search(collection, query, pageNumber) {
+  return ORDERS[query.order] ? searchAll(collection, query, pageNumber) : searchByKey(collection, query, pageNumber);
+}
+
+/**
+ * @param {Collection} collection
+ * @param {Query} query
+ * @param {number} pageNumber
+ * @returns {Promise<SearchResult>}
+ */
+async function searchAll(collection, query, pageNumber) {
+  const matches = matcherFor(query);
+  const found = [];
+  for (const shard of collection.shards) found.push(...(await rowsOf(collection, shard)).filter(matches));
+  found.sort(ORDERS[query.order]);
+  const end = pageNumber * PER_PAGE;
+  return { rows: found.slice(end - PER_PAGE, end), count: found.length, exact: true, collection };
+}
+
+/**
+ * @param {Collection} collection
+ * @param {Query} query
+ * @param {number} pageNumber
+ * @returns {Promise<SearchResult>}
+ */
+async function searchByKey(collection, query, pageNumber) {
   const end = pageNumber * PER_PAGE;
   const matches = matcherFor(query);
   /** @type {CollectionRow[]} */
@@ -36,7 +72,7 @@ export async function search(collection, query, pageNumber) {
       exact = false; // enough for this page, and to know that another one follows
       break;
     }
-    for (const row of (await rowsOf(collection, shard)).filter((each) => each.state !== 'removed' && matches(each))) {
+    for (const row of (await rowsOf(collection, shard)).filter(matches)) {
       count += 1;
       if (count > end - PER_PAGE && count <= end) rows.push(row);
     }
@@ -57,16 +93,17 @@ async function rowsOf(collection, shard) {
 }
 
 /**
- * Returns a function that says whether an asset matches: every word is part of its name, key or labels. Case and accents do
- * not count.
- * @param {string} query
+ * Returns a function that says whether an asset matches: its state, and every word is part of its name, key or labels. Case
+ * and accents do not count.
+ * @param {Query} query
  * @returns {(row: CollectionRow) => boolean}
  */
-function matcherFor(query) {
-  const words = simplify(query).split(/\s+/).filter(Boolean);
-  return ({ key, label, labels }) => {
-    const text = simplify([label, key, ...labels].join('\n'));
-    return words.every((word) => text.includes(word));
+function matcherFor({ words: text, state: wanted }) {
+  const words = simplify(text).split(/\s+/).filter(Boolean);
+  return ({ key, label, labels, state }) => {
+    if (wanted ? state !== wanted : state === 'removed') return false;
+    const named = simplify([label, key, ...labels].join('\n'));
+    return words.every((word) => named.includes(word));
   };
 }
 

@@ -245,3 +245,49 @@ def test_a_collection_that_is_none_is_said(page: Page, shelf: Site) -> None:
     await_data(page, code="COLLECTION_UNKNOWN")
     expect(page.locator("#said")).to_contain_text("nobodys")
     assert page.request.get(f"{shelf.url}/browse/-x").status == 404
+
+
+def test_things_are_put_in_order_and_told_apart_by_their_state(page: Page, shelf: Site) -> None:
+    visit(page, shelf)
+    page.get_by_label("Order").select_option("name")
+    expect(page.locator("#grid > li").first).to_have_attribute("data-key", "zz")
+    assert shown(page) == ["zz", "sofa", "shoe", "boot"], "<img…, Sofa, Straßenschuh, Walking Boot"
+    page.get_by_label("Order").select_option("newest")
+    expect(page.locator("#grid > li").first).to_have_attribute("data-key", "zz")
+    page.get_by_label("Show").select_option("preview")
+    expect(page.locator("#said")).to_have_text("1 thing, preview")
+    assert shown(page) == ["shoe"]
+    assert page.url.endswith("?order=newest&state=preview")
+    page.reload()
+    await_data(page, state="shown")
+    assert shown(page) == ["shoe"]
+
+
+def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page, tmp_path: Path) -> None:
+    with site_at(tmp_path) as site:
+        for key in ("a", "b", "c"):
+            publish(box(key.upper(), RED), site.store, key=key)
+        visit(page, site)
+
+        def do(name: str, *keys: str) -> None:
+            for key in keys:
+                page.get_by_role("checkbox", name=f"Choose {key}").check()
+            page.get_by_role("button", name=name).click()
+
+        do("Remove", "A", "B")
+        expect(page.locator("#said")).to_have_text("2 removed; “Show: removed ones” has them. 1 thing")
+        assert shown(page) == ["c"]
+        page.get_by_label("Show").select_option("removed")
+        expect(page.locator("#said")).to_have_text("2 things, removed")
+        expect(page.get_by_role("button", name="Remove")).to_be_hidden()
+        do("Restore", "A")
+        expect(page.locator("#said")).to_have_text("1 restored. 1 thing, removed")
+        do("Delete for good", "B")
+        assert read_entry(site.store, "b").removed, "once is not enough"
+        page.get_by_role("button", name="Tap again").click()
+        expect(page.locator("#said")).to_have_text("1 deleted for good. There are no removed things.")
+        with pytest.raises(FileNotFoundError):
+            read_entry(site.store, "b")
+        page.get_by_label("Show").select_option("")
+        expect(page.locator("#said")).to_have_text("2 things")
+        assert shown(page) == ["a", "c"]
