@@ -37,6 +37,6 @@ ENV PATH=/venv/bin:$PATH PYTHONUNBUFFERED=1 EDGE_HOST=0.0.0.0 EDGE_PORT=50051 ED
 USER 10001
 EXPOSE 50051
 STOPSIGNAL SIGTERM
-HEALTHCHECK --interval=5s --timeout=3s --start-period=20s CMD ["python", "-m", "services.edge.worker.health"]
+HEALTHCHECK --interval=5s --timeout=10s --start-period=20s CMD ["python", "-m", "services.edge.worker.health"]
 ENTRYPOINT ["capture2vr"]
 CMD ["edge"]
