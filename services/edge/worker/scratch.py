@@ -48,6 +48,23 @@ class Scratch:
             claimed.callback(self.drop, self._own)
             yield
 
+    @contextmanager
+    def with_temporary_files(self) -> Iterator[None]:
+        """Let this process and its children keep their temporary files in this worker's part, during the block.
+
+        /tmp may be in memory, as in containers; and what a killed worker leaves is removed with its part.
+        """
+        before = tempfile.tempdir, os.environ.get("TMPDIR")
+        tempfile.tempdir = os.environ["TMPDIR"] = str(self._own)
+        try:
+            yield
+        finally:
+            tempfile.tempdir = before[0]
+            if before[1] is None:
+                del os.environ["TMPDIR"]
+            else:
+                os.environ["TMPDIR"] = before[1]
+
     def folder(self, capture_bytes: int) -> Path:
         """Create an empty folder for a capture of that size. Raises RefusedError where the disk has too little room."""
         with translate_disk_errors():

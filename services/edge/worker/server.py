@@ -151,7 +151,7 @@ def serve(settings: EdgeSettings, work: Work, *, out_of_memory: bool = False) ->
     scratch = Scratch(settings.scratch)
     try:
         start_tracing("capture2vr-edge")
-        with scratch.claim():
+        with scratch.claim(), scratch.with_temporary_files():
             asyncio.run(_serve(settings, work, scratch, out_of_memory=out_of_memory))
     except (AddressError, SettingsError) as error:
         _log.error("%s", error)
