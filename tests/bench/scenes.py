@@ -129,7 +129,7 @@ def plot(figures: Sequence[SceneFigures], path: Path) -> None:
     left.legend()
     right.semilogx(areas, [each.peak_mb for each in figures], "o-")
     right.axhline(3_000, linestyle="--", color="grey")
-    right.set(xlabel="surface, m²", ylabel="MB", title="Peak memory of all processes", ylim=(0, 3_300))
+    right.set(xlabel="surface, m²", ylabel="MB", title="Peak memory of all processes", ylim=(0, None))
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

@@ -24,6 +24,7 @@ import grpc
 import numpy as np
 import pytest
 
+from services.asset_names import AssetNames
 from services.edge.api import edge_pb2 as pb
 from services.edge.capture_to_points import STARTS
 from services.edge.field.device import find_device
@@ -434,16 +435,17 @@ async def test_the_job_goes_up_as_it_was_asked_for(
                 asked = {
                     "asset_key": "k",
                     "preset": "quick",
-                    "label": "L",
                     "target": "quest3",
                     "collection": "ada",
                     "fence": 7,
                 }
-                events = await edge.ended(dome, "job_x", cut="scene", longest_m=2.0, **asked)
+                named = {"label": "L", "description": "D", "labels": ["a", "b"]}
+                events = await edge.ended(dome, "job_x", cut="scene", longest_m=2.0, **named, **asked)
                 await edge.ended(dome, "job_y", preset="quick")
     assert standing.seen["job_y"].collection == "default", "what nobody named is named by the worker near the phone"
     seen = standing.seen["job_x"]
     assert {name: getattr(seen, name) for name in asked} == asked
+    assert seen.names == AssetNames("L", "D", ("a", "b"))
     assert (seen.prepared, seen.cut, seen.longest_m) == (True, "auto", None)
     assert events[-1].finished.warnings == ["one"]
     begun, ended = STARTS["FITTING"], [event.progress.fraction for event in events if event.HasField("progress")][-1]
