@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
-from services.storage.catalogue.entry import Entry, check_key, entry_name, read_entry
+from services.storage.catalogue.change_entry import change_entry
+from services.storage.catalogue.entry import Entry
 from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.catalogue.unity_update import update_unity_catalogues
-from services.storage.catalogue.update import update_collections
 from services.storage.store import Store
 
 
@@ -25,15 +23,7 @@ def restore(store: Store, key: str, keys: Keys = NO_KEYS) -> Entry:
 
 
 def _set_removed(store: Store, key: str, keys: Keys, *, removed: bool) -> Entry:
-    def attempt() -> None:
-        present = read_entry(store, key)
-        if present.removed != removed:
-            now = now_iso()
-            document = {**present.document, "updated": now, "removed": now if removed else None}
-            put_mutable(store, entry_name(key), canonical_json(document), present.etag)
+    def changes(present: Entry, now: str) -> dict[str, str | None]:
+        return {} if present.removed == removed else {"removed": now if removed else None}
 
-    check_key(key)
-    retry_on_conflict(attempt)
-    update_collections(store, key, keys)
-    update_unity_catalogues(store, key)
-    return read_entry(store, key)
+    return change_entry(store, key, keys, changes)

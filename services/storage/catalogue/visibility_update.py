@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from services.storage.catalogue.change_entry import change_entry
 from services.storage.catalogue.collection import Index
-from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
-from services.storage.catalogue.entry import Entry, check_key, entry_name, read_entry
+from services.storage.catalogue.entry import Entry
 from services.storage.catalogue.signing import NO_KEYS, Keys
-from services.storage.catalogue.unity_update import rebuild_unity_catalogues, update_unity_catalogues
-from services.storage.catalogue.update import change_visibility, update_collections
+from services.storage.catalogue.unity_update import rebuild_unity_catalogues
+from services.storage.catalogue.update import change_visibility
 from services.storage.catalogue.visibility import Visibility
 from services.storage.store import Store
 
@@ -19,17 +19,10 @@ def set_asset_visibility(store: Store, key: str, visibility: Visibility | None, 
     that, set it again.
     """
 
-    def attempt() -> None:
-        present = read_entry(store, key)
-        if present.visibility != visibility:
-            document = {**present.document, "visibility": visibility, "updated": now_iso()}
-            put_mutable(store, entry_name(key), canonical_json(document), present.etag)
+    def changes(present: Entry, _: str) -> dict[str, Visibility | None]:
+        return {} if present.visibility == visibility else {"visibility": visibility}
 
-    check_key(key)
-    retry_on_conflict(attempt)
-    update_collections(store, key, keys)
-    update_unity_catalogues(store, key)
-    return read_entry(store, key)
+    return change_entry(store, key, keys, changes)
 
 
 def set_collection_visibility(store: Store, name: str, visibility: Visibility | None, keys: Keys = NO_KEYS) -> Index:
