@@ -56,6 +56,8 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/jobs/{job}/cancel": None,
     "post /v1/assets/{key}/remove": None,
     "post /v1/assets/{key}/restore": None,
+    "patch /v1/assets/{key}": {"label": "Mine"},
+    "patch /v1/uploads/{upload}": None,
     "put /v1/assets/{key}/visibility": {"visibility": "public"},
     "put /v1/collections/{name}/visibility": {"visibility": "public"},
     "post /v1/shares": {"asset": "{asset}"},
@@ -131,7 +133,7 @@ class Operation:
         """Send the request with these ids."""
         path = self.template.format(**ids.of(self.template))
         body = None
-        if self.method in ("post", "put"):
+        if self.method in ("post", "put", "patch"):
             body = _BODIES[self.name]
             if isinstance(body, dict):
                 named = {"{capture}": ids.capture, "{asset}": ids.asset}
