@@ -24,7 +24,7 @@ class StrictBody(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-Label = Annotated[str, Field(max_length=200), AfterValidator(one_line)]
+Label = Annotated[str, Field(max_length=LABEL_CHARS), AfterValidator(one_line)]
 Description = Annotated[
     str,
     Field(max_length=DESCRIPTION_CHARS, description="Some lines about the asset, for people."),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +13,7 @@ from pydantic import ConfigDict, Field
 from services.edge.arrays import Floats
 from services.edge.capture.nouns import Cloud, CloudParts
 from services.edge.jobs.archived_arrays import invalid
+from services.edge.record_files import records_in_parts
 
 WHOLE = "whole.bin"
 """Name of the file in the archive."""
@@ -22,7 +22,6 @@ MOST_WHOLE = 200_000_000
 RECORD = np.dtype([("xyz", "<f4", (3,)), ("rgb", "u1", (3,))])
 """A point: its place from the origin of the head, and sRGB, 0 where the capture has no colours."""
 
-_PART = 1_000_000  # points that are read at once: 40 MB
 _FARTHEST = 1e12  # capture units from the origin
 
 
@@ -66,16 +65,10 @@ def read_whole(path: Path, head: ArchivedWhole) -> CloudParts:
         raise invalid(f"has {size:,} bytes instead of those of {head.points:,} points", WHOLE)
     if not np.abs(head.origin).max() <= _FARTHEST:
         raise invalid(f"has an origin beyond {_FARTHEST:g}", WHOLE)
-    for records in _records(path):
+    for records in records_in_parts(path, RECORD):
         if not (np.abs(records["xyz"]) <= _FARTHEST).all():  # false for NaN
             raise invalid(f"has coordinates that are not finite, or beyond {_FARTHEST:g}", WHOLE)
-    return CloudParts(head.points, lambda: (_cloud(records, head) for records in _records(path)))
-
-
-def _records(path: Path) -> Iterator[np.ndarray]:
-    with path.open("rb") as file:
-        while len(records := np.fromfile(file, RECORD, _PART)):
-            yield records
+    return CloudParts(head.points, lambda: (_cloud(each, head) for each in records_in_parts(path, RECORD)))
 
 
 def _cloud(records: np.ndarray, head: ArchivedWhole) -> Cloud:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.nouns import Cloud, CloudParts
+from services.edge.record_files import records_in_parts
 
 _RECORD = np.dtype([("xyz", "<f4", (3,)), ("rgb", "u1", (3,)), ("confidence", "<f4")])
-_PART = 1_000_000  # points that are read at once: 50 MB
 _GREY = 128  # sRGB of points that no picture shows, in a scene with pictures
 _SEED = 0
 
@@ -61,11 +61,10 @@ class FusedFiles:
             yield Cloud(self._placed(part), np.ascontiguousarray(part["rgb"]) if self.coloured else None)
 
     def _parts(self) -> Iterator[tuple[int, NDArray[Any]]]:
-        with self._path.open("rb") as stream:
-            start = 0
-            while len(part := np.fromfile(stream, _RECORD, _PART)):
-                yield start, part
-                start += len(part)
+        start = 0
+        for part in records_in_parts(self._path, _RECORD):
+            yield start, part
+            start += len(part)
 
     def _placed(self, records: NDArray[Any]) -> Floats:
         placed: Floats = records["xyz"].astype(np.float64) + self.origin

@@ -17,6 +17,7 @@ from services.edge.parallel import one_ahead
 from services.edge.points.depth_limits import DepthLimits
 from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.observe import at_resolution, back_project, sharpness_of
+from services.edge.points.scene_boxes import within
 
 _RAYS = 800
 """Pixels of a frame that stand for all: at 2 m they are 8 cm apart."""
@@ -41,7 +42,7 @@ class SceneWalk:
 
     def frames_that_show(self, low: Floats, high: Floats) -> Ints:
         """Indices of the frames with a surface point between `low` and `high` (3,)."""
-        shown: Ints = np.unique(self.owners[((self.places >= low) & (self.places < high)).all(axis=1)])
+        shown: Ints = np.unique(self.owners[within(self.places, low, high)])
         return shown
 
     def frames_that_look_through(self, low: Floats, high: Floats, most: int) -> Ints:

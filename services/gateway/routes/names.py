@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Request
 from pydantic import BaseModel
 
 from services.gateway.access.caller import Scope
-from services.gateway.errors import Problem
 from services.gateway.routes.access_rules import needs
+from services.gateway.routes.assets import Key, check_key
 from services.gateway.routes.read_rules import unknown_asset
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import Description, Label, Labels, StrictBody, problems
-from services.storage.catalogue.entry import valid_key
 from services.storage.catalogue.names_update import change_names
 
 router = APIRouter(prefix="/v1", tags=["assets"])
@@ -43,14 +42,11 @@ class NamesView(BaseModel):
     dependencies=[needs(Scope.MANAGE)],
     responses=problems(404, 415, 422, 503),
 )
-async def change_names_of_asset(
-    key: Annotated[str, Path(max_length=200, description="The asset's key.")], body: NamesRequest, request: Request
-) -> NamesView:
+async def change_names_of_asset(key: Key, body: NamesRequest, request: Request) -> NamesView:
     """Change an asset's label, description or search words, without a new version. A later job keeps them, unless it
     names others.
     """
-    if not valid_key(key):
-        raise Problem(422, "KEY_INVALID", "this is not a valid asset key", hints=("check the key in the URL",))
+    check_key(key)
     changes: dict[str, Any] = body.model_dump(exclude_none=True)
     store, keys = store_of(request), request.app.state.keys
     try:
