@@ -10,6 +10,8 @@ from dataclasses import asdict, replace
 from functools import partial
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from services.gateway.database import open_engine
 from services.gateway.errors import Problem
@@ -25,7 +27,7 @@ from services.gateway.jobs.state_machine import (
     request_cancel,
     take_over,
 )
-from services.gateway.jobs.store import JobStore, NextJob, Slot, SlotTaken
+from services.gateway.jobs.store import JOB_ID, JobStore, NextJob, Slot, SlotTaken, new_job_id
 from services.storage.tenant_store import DEFAULT_TENANT
 
 ORDER = Order("cap_1", "draft", "dress", "Dress", cut="object", box=(0.25, 0.125, 0.75, 1.0))
@@ -73,6 +75,14 @@ def test_an_order_of_before_the_cut_keeps_its_choice(store: JobStore, url: str, 
         connection.execute(tables.jobs.update().where(tables.jobs.c.id == made.id).values(order=older))
     engine.dispose()
     assert store.get(HOME, made.id).order == replace(ORDER, cut=cut)
+
+
+@given(st.floats(1.7e9, 2.2e9), st.integers(0, 1 << 20))
+def test_ids_sort_by_creation_time_within_a_millisecond_too(now: float, microseconds: int) -> None:
+    later = now + (1 + microseconds) / 1e6
+    assert JOB_ID.fullmatch(new_job_id(now))
+    assert new_job_id(now) < new_job_id(later)
+    assert len({new_job_id(now) for _ in range(50)}) == 50
 
 
 def test_the_queue_is_first_come_first_served(store: JobStore) -> None:
