@@ -15,7 +15,18 @@ from services.cli.deploy import app as deploy
 from services.cli.errors import BadInput, printable
 from services.cli.gateway import app as gateway
 from services.cli.keys import app as keys
-from services.cli.options import DEFAULT_GATEWAY, Box, Collection, Gateway, Open, Tags, Trusted, parse_box
+from services.cli.options import (
+    DEFAULT_GATEWAY,
+    Box,
+    Collection,
+    EditsFile,
+    Gateway,
+    Open,
+    Tags,
+    Trusted,
+    parse_box,
+    read_edits,
+)
 from services.cli.shares import app as shares
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.strict_settings import SettingsError
@@ -37,11 +48,11 @@ FillChoice = Literal["none", "unseen", "all"]
 CutChoice = Literal["auto", "object", "scene"]
 
 CutOption = Annotated[
-    CutChoice,
+    CutChoice | None,
     typer.Option(
         "--cut",
         help="What to keep: object, without the floor or table and the surroundings; scene: everything that was seen; "
-        "auto: the object if the photos were taken around one.",
+        "auto, the default: the object if the photos were taken around one.",
     ),
 ]
 Longest = Annotated[
@@ -83,10 +94,11 @@ def run(
     resolution: Annotated[
         int, typer.Option(min=0, max=1024, help="Grid cells along the longest side; 0: automatic.")
     ] = 0,
-    cut: CutOption = "auto",
+    cut: CutOption = None,
     longest: Longest = None,
     fill: Fill = None,
     box: Box = "",
+    edits: EditsFile = None,
     target: Target = "",
     key: Annotated[str, typer.Option(help="Asset key. Default: made from the capture's name.")] = "",
     collection: Collection = DEFAULT_COLLECTION,
@@ -102,7 +114,19 @@ def run(
     from services.cli.run import RunOptions, run_capture
     from services.edge.engine.address import engine_for_parts
 
-    options = RunOptions(key, collection, cut, longest, target, reference, fill, parse_box(box))
+    recipe = read_edits(edits)
+    options = RunOptions(
+        key=key,
+        collection=collection,
+        cut=cut or recipe.cut or "auto",
+        longest_m=longest,
+        target=target or recipe.target,
+        reference=reference,
+        fill=fill or recipe.fill or None,
+        box=parse_box(box),
+        edits=recipe,
+    )
+    preset = preset or recipe.preset
     if len(captures) == 1:
         engine = engine_for_parts(edge_settings().engine, machine_room())
         run_capture(captures[0], out, options, preset=preset, device=device, resolution=resolution, engine=engine)
@@ -150,10 +174,11 @@ def push(
     description: Annotated[str, typer.Option(help="Some lines about the asset, for people.")] = "",
     tag: Tags = None,
     collection: Collection = "",
-    cut: CutOption = "auto",
+    cut: CutOption = None,
     longest: Longest = None,
     fill: Fill = None,
     box: Box = "",
+    edits: EditsFile = None,
     target: Target = "",
     visibility: Annotated[
         Literal["private", "unlisted", "public"] | None,
@@ -171,6 +196,7 @@ def push(
         "longest_m": longest,
         "fill": fill,
         "box": rectangle.values if rectangle else None,
+        "edits": read_edits(edits).as_json if edits else None,
         "target": target or None,
         "visibility": visibility,
         "description": description or None,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from services.cli.errors import BadInput
+from services.edits import MOST_BYTES, NO_EDITS, Edits, InvalidEdits
 from services.photo_box import HOW, InvalidBox, PhotoBox
 
 DEFAULT_GATEWAY = "http://127.0.0.1:8080"
@@ -37,6 +38,15 @@ Box = Annotated[
     ),
 ]
 
+EditsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--edits",
+        help="Recipe (JSON) of what to cut away, which way is up and the true size, such as `edits` of a manifest. "
+        "What it says of cut, fill, preset and target holds where the command line says nothing.",
+    ),
+]
+
 
 def parse_box(text: str) -> PhotoBox | None:
     """Parse the option --box; None where it is not given. Raises BadInput."""
@@ -44,3 +54,16 @@ def parse_box(text: str) -> PhotoBox | None:
         return PhotoBox.parse(text) if text else None
     except InvalidBox as error:
         raise BadInput(f"--box: {error} ({HOW})") from None
+
+
+def read_edits(path: Path | None) -> Edits:
+    """Read the file of the option --edits; the empty recipe where it is not given. Raises BadInput."""
+    if path is None:
+        return NO_EDITS
+    try:
+        with path.open("rb") as file:
+            return Edits.parse(file.read(MOST_BYTES + 1))
+    except InvalidEdits as error:
+        raise BadInput(f"{path}: {error} (docs/edits.md describes a recipe)") from None
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read: {error.strerror}; name a recipe with --edits") from None

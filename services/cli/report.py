@@ -162,6 +162,7 @@ def _is_refused(report: Mapping[str, Any]) -> bool:
 
 
 _UP_SOURCES = {
+    "person": "the edits",
     "app": "the capture itself",
     "gravity": "gravity, as the photos' metadata have it",
     "turntable": "the turntable's axis",

@@ -32,6 +32,7 @@ from services.edge.mesh.fill_gaps import Fill
 from services.edge.mesh.nouns import Mesh
 from services.edge.points.nouns import Cut
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes
+from services.edits import NO_EDITS, Edits
 from services.photo_box import PhotoBox
 from services.storage.archives import ArchiveError, is_zip, unpack
 from services.storage.bundle import Bundle
@@ -55,6 +56,7 @@ class RunOptions:
     target     device class whose budget the levels of detail must meet; "": none
     reference  a mesh of the same object to measure the result's error, or None
     box        rectangle of a single photo that the thing lies in, or None
+    edits      recipe of what to cut away, what is up and the scale
     """
 
     key: str = ""
@@ -65,6 +67,7 @@ class RunOptions:
     reference: Path | None = None
     fill: Fill | None = None
     box: PhotoBox | None = None
+    edits: Edits = NO_EDITS
 
 
 DEFAULTS = RunOptions()
@@ -211,6 +214,9 @@ def _reconstruct_into(
             cut=options.cut,
             longest_m=options.longest_m,
             box=options.box,
+            edits=options.edits.completed(
+                cut=options.cut, fill=options.fill or "", preset=preset.name, target=options.target
+            ),
             fill=options.fill,
             names=AssetNames(label),
             target=target,

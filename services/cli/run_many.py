@@ -18,6 +18,7 @@ from services.edge.arrays import Tick
 from services.edge.engine.address import open_engine
 from services.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
 from services.edge.errors import EdgeError
+from services.edits import NO_EDITS
 
 _MEMORY_BYTES = 2 << 30  # of one capture: most of the bench's take less (tests/bench/results/pipeline.md)
 _REPORT = "report.json"
@@ -63,8 +64,8 @@ def reconstruct_packed(
 
 def _places(sources: Sequence[Path], out: Path, options: RunOptions) -> dict[str, Path]:
     """Return the captures by their keys. Raises BadInput, so that nothing is found out after an hour."""
-    if options.key or options.reference or options.box:
-        raise BadInput("--key, --reference and --box are of one capture: leave them out, or name one capture")
+    if options.key or options.reference or options.box or options.edits != NO_EDITS:
+        raise BadInput("--key, --reference, --box and --edits are of one capture: leave them out, or name one capture")
     places: dict[str, Path] = {}
     for source in sources:
         if not source.exists():

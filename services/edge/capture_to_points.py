@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from services.edge.arrays import Tick, no_tick, pick
+from services.edge.arrays import Tick, no_tick, part_of, pick
 from services.edge.capture.nouns import Capture, CaptureKind, PhotoVerdict
 from services.edge.errors import CaptureError
 from services.edge.odometry.posed_frames import with_poses
@@ -20,6 +20,7 @@ from services.edge.photos.to_depth import to_depth
 from services.edge.points.clean_cloud import MIN_POINTS, cloud_points
 from services.edge.points.coverage import unseen_sides
 from services.edge.points.denoise_stereo import smooth_stereo_points
+from services.edge.points.edit import cut_away, set_frame
 from services.edge.points.flatness import flatness_warning
 from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
@@ -37,6 +38,7 @@ from services.edge.points.texture_views import (
 )
 from services.edge.points.upright import find_up
 from services.edge.progress import Bar, Clock, Progress
+from services.edits import NO_EDITS, Edits
 from services.photo_box import PhotoBox
 
 # Fraction of the progress up to the preview at which each stage begins; measured on a 10,000-point cloud and on an
@@ -93,6 +95,7 @@ def prepare(
     longest_m: float | None = None,
     hold_out: int | None = None,
     box: PhotoBox | None = None,
+    edits: Edits = NO_EDITS,
 ) -> Generator[Progress, None, PreparedPoints]:
     """Make the points of a capture, and move `bar` to where fitting begins. Arguments and errors as of `reconstruct`.
 
@@ -111,7 +114,9 @@ def prepare(
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
         points = _points(capture, cut, hold_out, box, bar)
+        points = cut_away(points, edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
         points = scale_to_longest(points, longest_m) if longest_m else points
+        points = set_frame(points, edits)
         points = replace(
             points,
             texture_views=tuple(map(_at_texture_resolution, points.texture_views)),

@@ -56,6 +56,7 @@ from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
 from services.edge.tiles.folder import tiles_folder
 from services.edge.tiles.scene import TILE_STARTS, TiledScene, reconstruct_tiles
 from services.edge.training import FieldTraining, train
+from services.edits import NO_EDITS, Edits
 from services.photo_box import PhotoBox
 from services.storage.bundle import Bundle, FilesOnDisk
 
@@ -95,6 +96,7 @@ def reconstruct(
     longest_m: float | None = None,
     hold_out: int | None = None,
     box: PhotoBox | None = None,
+    edits: Edits = NO_EDITS,
     fill: Fill | None = None,
     names: AssetNames = UNNAMED,
     target: Target = NO_TARGET,
@@ -110,15 +112,18 @@ def reconstruct(
     longest_m   greatest distance between two points of the object in metres, where it is known
     hold_out    number of photos that the result is not made from, but compared with; None: a few of 16 or more
     box         rectangle of a single photo that the thing lies in; None: what stands out, or is near the middle
+    edits       recipe of what to cut away, what is up and the scale; what it says of cut, fill, preset and target is
+                with the caller
     fill        which holes of the mesh are filled; None: "unseen" for photos and depth images, "none" for clouds
     names       of the asset, in the manifest
     target      device class whose budget the bundles must meet
     encode      encoder of KTX2 textures, for a target that wants them
     engine      works at the tiles of a large scene; None: this process
 
-    Raises CaptureError where the capture cannot give a surface; Cancelled when `watch` does; EdgeError KTX2_UNAVAILABLE
-    at once where `target` wants KTX2 and there is no `encode`; after a preview and before a refined bundle EdgeError
-    BUDGET_UNREACHABLE where one costs more than `target` allows, and KTX2_FAILED where a texture cannot be encoded.
+    Raises CaptureError where the capture cannot give a surface; EdgeError EDITS_NOTHING_LEFT where too few points
+    remain; Cancelled when `watch` does; EdgeError KTX2_UNAVAILABLE at once where `target` wants KTX2 and there is no
+    `encode`; after a preview and before a refined bundle EdgeError BUDGET_UNREACHABLE where one costs more than
+    `target` allows, and KTX2_FAILED where a texture cannot be encoded.
     Any other failure after the preview is not raised, but yields `PreviewKept`. A caller that stops early should close
     the generator.
     """
@@ -126,7 +131,15 @@ def reconstruct(
     bar = Bar(watch)
     refines = preset.refines or preset.name == AUTOMATIC
     prepared = yield from prepare(
-        capture, bar, refines=refines, device=device, cut=cut, longest_m=longest_m, hold_out=hold_out, box=box
+        capture,
+        bar,
+        refines=refines,
+        device=device,
+        cut=cut,
+        longest_m=longest_m,
+        hold_out=hold_out,
+        box=box,
+        edits=edits,
     )
     share = preview_share(prepared.source.kind)
     yield from bundles(

@@ -17,6 +17,7 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as NoConnection
 from starlette.exceptions import HTTPException
 
+from services.edits import SEE, fault_sentence
 from services.gateway.database_faults import Fault, fault_of
 
 MEDIA_TYPE = "application/problem+json"
@@ -125,7 +126,9 @@ async def _on_invalid_request(request: Request, error: Exception) -> JSONRespons
     if any(fault["loc"] == ("body",) for fault in error.errors()) and not _is_json(request):
         detail = "the body must be JSON, sent as Content-Type: application/json"
         return Problem(415, "REQUEST_MEDIA_TYPE", detail, hints=_SEE_OPENAPI).response()
-    faults = tuple(f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}" for fault in error.errors())
+    faults = [fault_sentence(fault["loc"], fault["msg"]) for fault in error.errors()]
+    if all(fault["loc"][:2] == ("body", "edits") for fault in error.errors()):
+        return Problem(422, "EDITS_INVALID", "; ".join(faults), hints=(SEE,)).response()
     return Problem(422, "REQUEST_INVALID", "; ".join(faults), hints=_SEE_OPENAPI).response()
 
 

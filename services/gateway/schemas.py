@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from services.asset_names import DESCRIPTION_CHARS, LABEL_CHARS, MOST_LABELS, check_description, check_labels
+from services.edits import NO_EDITS, CutName, Edits, FillName
 from services.gateway.jobs.job import Job, Order, State
 from services.gateway.worker_types import WorkerPreset
 from services.one_line import one_line
@@ -40,10 +42,13 @@ Labels = Annotated[
     AfterValidator(check_labels),
 ]
 TenantName = Annotated[str, Field(pattern=f"^{TENANT_PATTERN}$", max_length=32)]
-CutName = Literal["", "auto", "object", "scene"]
 _CUT = (
     "What to keep. object: without the floor or table and the surroundings; scene: everything that was seen; auto or "
     "empty: the object if photos were taken around one."
+)
+_EDITS = (
+    "Recipe of what to cut away of the points, which way is up and the true size (docs/edits.md); what it says of cut, "
+    "fill, preset and target holds where the job itself says nothing."
 )
 
 
@@ -85,7 +90,7 @@ class JobRequest(BaseModel):
         ),
     ] = ""
     fill: Annotated[
-        Literal["", "none", "unseen", "all"],
+        FillName,
         Field(
             description="Holes of the mesh to fill. none; unseen: those in its surface that no photo sees "
             "through; all: also open ends and undersides; empty: unseen for photos and depth, none for clouds."
@@ -106,32 +111,60 @@ class JobRequest(BaseModel):
             "address; public: everybody; empty: as it is, or as its collection."
         ),
     ] = ""
+    edits: Annotated[Edits, Field(description=_EDITS)] = NO_EDITS
 
     def order(self, preset: str, collection: str) -> Order:
         """Convert to the job's order, with the preset and the collection that were chosen."""
         return Order(
             capture=self.capture,
-            preset=preset,
             asset_key=self.asset_key,
             label=self.label,
             description=self.description,
             labels=self.labels,
-            target=self.target,
-            cut=self.cut,
             longest_m=self.longest_m,
             collection=collection,
-            fill=self.fill,
             box=tuple(self.box or ()),
             visibility=self.visibility,
+            **_choices(
+                self.edits,
+                cut=self.cut or self.edits.cut,
+                fill=self.fill or self.edits.fill,
+                preset=preset,
+                target=self.target or self.edits.target,
+            ),
         )
 
 
 class JobAgain(BaseModel):
-    """What a repeated job does differently. Everything else is as in the earlier job."""
+    """What a repeated job does differently: another cut, other edits, or both. The rest is as in the earlier job.
+
+    Other edits take the place of the earlier ones; {} takes them away.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"cut": "scene"}})
 
-    cut: Annotated[CutName, Field(description=_CUT)]
+    cut: Annotated[CutName | None, Field(description=_CUT)] = None
+    edits: Annotated[Edits | None, Field(description=_EDITS)] = None
+
+    @model_validator(mode="after")
+    def _require_change(self) -> JobAgain:
+        if self.cut is None and self.edits is None:
+            raise ValueError("say what is to be different: cut or edits")
+        return self
+
+    def order(self, earlier: Order) -> Order:
+        """Change the order of the earlier job."""
+        changed = self.edits or NO_EDITS
+        return replace(
+            earlier,
+            **_choices(
+                earlier.edits if self.edits is None else self.edits,
+                cut=(changed.cut or earlier.cut) if self.cut is None else self.cut,
+                fill=changed.fill or earlier.fill,
+                preset=changed.preset or earlier.preset,
+                target=changed.target or earlier.target,
+            ),
+        )
 
 
 class ProblemView(BaseModel):
@@ -173,8 +206,8 @@ class PublishedView(BaseModel):
 
 
 class Links(BaseModel):
-    """URLs of a job and its asset. `again` takes a POST with another cut. `collection` and `place` (the asset in its
-    collection) are "" until it is chosen.
+    """URLs of a job and its asset. `again` takes a POST with another cut or other edits. `collection` and `place` (the
+    asset in its collection) are "" until it is chosen.
     """
 
     self: str
@@ -189,7 +222,8 @@ class Links(BaseModel):
 
 class JobView(BaseModel):
     """State, progress and result of a job. `fraction` never decreases; `elapsed_s` counts from the job's creation, also
-    across restarts. `collection` lists the asset; "" until the worker has chosen it, if nobody named one.
+    across restarts. `edits`: the recipe. `collection` lists the asset; "" until the worker has chosen it, if nobody
+    named one.
     """
 
     id: str
@@ -203,6 +237,7 @@ class JobView(BaseModel):
     collection: str
     capture: str
     cut: str
+    edits: dict[str, Any]
     label: str
     attempts: int
     created: datetime
@@ -229,6 +264,7 @@ class JobView(BaseModel):
             collection=_collection(job),
             capture=job.order.capture,
             cut=job.order.cut,
+            edits=job.order.edits.as_json,
             label=job.order.label,
             attempts=job.lease.attempts,
             created=datetime.fromtimestamp(job.created, UTC),
@@ -318,6 +354,11 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI `responses` of a route that may answer with problem documents of these statuses."""
     content = {"application/problem+json": {"schema": ProblemView.model_json_schema()}}
     return {status: {"description": "A problem document (RFC 9457)", "content": content} for status in statuses}
+
+
+def _choices(edits: Edits, **choices: Any) -> dict[str, Any]:
+    """Return the fields of an order that a recipe may say too, and the recipe with what was chosen."""
+    return {**choices, "edits": edits.completed(**choices)}
 
 
 def _published(asset: Mapping[str, Any] | None) -> PublishedView | None:

@@ -19,6 +19,7 @@ import grpc
 
 import services
 from services.edge.api import edge_pb2 as pb
+from services.edits import NO_EDITS
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job
 from services.gateway.jobs.reports import (
@@ -295,6 +296,7 @@ def _header(job: Job, size: int) -> pb.Header:
         token=job.token,
         visibility=order.visibility,
         capture=order.capture,
+        edits="" if order.edits == NO_EDITS else order.edits.text,
     )
 
 

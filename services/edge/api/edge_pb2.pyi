@@ -39,7 +39,7 @@ class Chunk(_message.Message):
     def __init__(self, header: _Optional[_Union[Header, _Mapping]] = ..., data: _Optional[_Union[Data, _Mapping]] = ..., trailer: _Optional[_Union[Trailer, _Mapping]] = ...) -> None: ...
 
 class Header(_message.Message):
-    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut", "tenant", "token", "visibility", "capture", "description", "labels")
+    __slots__ = ("job", "fence", "preset", "asset_key", "target", "capture_bytes", "label", "longest_m", "prepared", "collection", "fill", "box", "cut", "tenant", "token", "visibility", "capture", "description", "labels", "edits")
     JOB_FIELD_NUMBER: _ClassVar[int]
     FENCE_FIELD_NUMBER: _ClassVar[int]
     PRESET_FIELD_NUMBER: _ClassVar[int]
@@ -59,6 +59,7 @@ class Header(_message.Message):
     CAPTURE_FIELD_NUMBER: _ClassVar[int]
     DESCRIPTION_FIELD_NUMBER: _ClassVar[int]
     LABELS_FIELD_NUMBER: _ClassVar[int]
+    EDITS_FIELD_NUMBER: _ClassVar[int]
     job: str
     fence: int
     preset: str
@@ -78,7 +79,8 @@ class Header(_message.Message):
     capture: str
     description: str
     labels: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ..., visibility: _Optional[str] = ..., capture: _Optional[str] = ..., description: _Optional[str] = ..., labels: _Optional[_Iterable[str]] = ...) -> None: ...
+    edits: str
+    def __init__(self, job: _Optional[str] = ..., fence: _Optional[int] = ..., preset: _Optional[str] = ..., asset_key: _Optional[str] = ..., target: _Optional[str] = ..., capture_bytes: _Optional[int] = ..., label: _Optional[str] = ..., longest_m: _Optional[float] = ..., prepared: _Optional[bool] = ..., collection: _Optional[str] = ..., fill: _Optional[str] = ..., box: _Optional[_Union[Box, _Mapping]] = ..., cut: _Optional[str] = ..., tenant: _Optional[str] = ..., token: _Optional[str] = ..., visibility: _Optional[str] = ..., capture: _Optional[str] = ..., description: _Optional[str] = ..., labels: _Optional[_Iterable[str]] = ..., edits: _Optional[str] = ...) -> None: ...
 
 class Box(_message.Message):
     __slots__ = ("left", "top", "right", "bottom")

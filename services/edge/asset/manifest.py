@@ -159,6 +159,7 @@ def build_manifest(
         "confidence": round(float(points.confidence.mean()), 3),
         "points": len(points) + quality["held_out"],
         "anchors": {"xyz_m": anchors.ravel().tolist(), "rgb": anchor_colours.ravel().tolist()},
+        "edits": points.edits.as_json,
         "scale_confidence": points.scale_confidence,
         "capture_to_asset": [float(value) for value in to_asset.ravel()],
         "unit_frame": {"centre": [float(value) for value in unit.centre], "size": float(unit.size)},

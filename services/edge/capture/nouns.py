@@ -17,10 +17,10 @@ MIN_PHOTOS = 3  # depth from two views needs a third view that confirms it
 WALK_AROUND_ADVICE = "take 15 to 30 photos around the thing, each overlapping the last by two thirds"
 
 
-UpTeller = Literal["app", "gravity", "turntable", "lines", "walk", "plane", "cameras"]
-"""What tells which way is up. app: the format or the app, from its sensors; gravity: the photos' metadata; turntable:
-its axis; lines: vertical lines in the pictures; walk: the plane of the cameras' way; plane: a floor, a table or what
-the thing stands on; cameras: how they were held."""
+UpTeller = Literal["person", "app", "gravity", "turntable", "lines", "walk", "plane", "cameras"]
+"""What tells which way is up. person: the edits; app: the format or the app, from its sensors; gravity: the photos'
+metadata; turntable: its axis; lines: vertical lines in the pictures; walk: the plane of the cameras' way; plane: a
+floor, a table or what the thing stands on; cameras: how they were held."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -176,7 +176,7 @@ class _Forwarding:
 
 
 def _header(request: ReconstructionRequest, size: int) -> pb.Header:
-    """Header for central: the request, without `cut`, `longest_m` and `box`, which the prepared points have applied."""
+    """Header for central: the request, without `cut`, `longest_m`, `box` and `edits`, which are in the points."""
     return pb.Header(
         job=request.job,
         fence=request.fence,

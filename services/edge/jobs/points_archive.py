@@ -38,9 +38,10 @@ from services.edge.jobs.archived_views import (
 from services.edge.jobs.archived_whole import MOST_WHOLE, RECORD, WHOLE, ArchivedWhole, read_whole, write_whole
 from services.edge.points.clean_cloud import MIN_POINTS
 from services.edge.points.nouns import CutReport, Points, UnseenSide
+from services.edits import Edits
 from services.storage.archives import ArchiveError, ArchiveLimits, unpack
 
-VERSION = 4
+VERSION = 5
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
@@ -80,6 +81,7 @@ class _Head:
     cut: CutReport | None
     whole: ArchivedWhole | None
     views: Annotated[tuple[ArchivedView, ...], Field(max_length=MOST_VIEWS)]
+    edits: Edits
     source: CaptureSummary
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
 
@@ -135,6 +137,7 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         unseen=head.unseen,
         up_source=head.up_source,
         cut=head.cut,
+        edits=head.edits,
         whole=None if head.whole is None else read_whole(scratch / WHOLE, head.whole),
     )
     return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
@@ -154,6 +157,7 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         warnings=points.warnings,
         unseen=points.unseen,
         cut=points.cut,
+        edits=points.edits,
         whole=whole,
         views=views,
         source=prepared.source,

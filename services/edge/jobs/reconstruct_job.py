@@ -158,6 +158,7 @@ class Reconstructor:
             cut=request.cut,
             longest_m=request.longest_m,
             box=request.box,
+            edits=request.edits,
         )
         prepared = _run_to_end(steps, report)
         report(_anchor_points(prepared.points))

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
 from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, ScaleConfidence, UpSource
+from services.edits import NO_EDITS, Edits
 
 Cut = Literal["auto", "object", "scene"]
 """auto: the object where photos were taken around one, else the scene; object: without what it stands on and what
@@ -75,10 +76,11 @@ class Points:
     unseen: sides to photograph again, the largest first; texture_views: sharp pictures from all sides, for texturing;
     held_out_views: pictures that neither points nor textures are made from, to compare the result with;
     cut: what was kept, None where there was no choice;
-    whole: all points of the capture where these are only some of them, and none were cut away;
+    whole: all points of the capture where these are only some of them, without those that the edits cut away;
     scene_views: many more pictures than texture_views, all along a walk through a scene that has a `whole`, so that
     each part of it can be textured from those that show it;
-    uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine.
+    uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine;
+    edits: the recipe that was applied.
     """
 
     xyz: Floats
@@ -96,6 +98,7 @@ class Points:
     whole: CloudParts | None = None
     scene_views: tuple[TextureView, ...] = ()
     up_source: UpSource | None = None
+    edits: Edits = NO_EDITS
 
     def __len__(self) -> int:
         return len(self.xyz)

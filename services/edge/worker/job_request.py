@@ -16,6 +16,7 @@ from services.edge.errors import EdgeError
 from services.edge.mesh.fill_gaps import Fill
 from services.edge.points.nouns import Cut
 from services.edge.worker.capabilities import Capabilities
+from services.edits import LEAST_M, MOST_M, NO_EDITS, SEE, Edits, InvalidEdits
 from services.photo_box import HOW, InvalidBox, PhotoBox
 from services.storage.catalogue.visibility import Visibility
 from services.storage.tenant_store import DEFAULT_TENANT, valid_tenant
@@ -25,9 +26,6 @@ T = TypeVar("T")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", re.ASCII)
 """Job ids, keys, collections: they become object names and log lines, so no character may mean anything to a path or a
 shell."""
-
-LEAST_M, MOST_M = 0.001, 1_000.0
-"""Shortest and longest length in metres that a person can have measured on an object: a tick, a street."""
 
 
 class RefusedError(Exception):
@@ -53,6 +51,7 @@ class ReconstructionRequest:
     fill        which holes of the mesh are filled; None: by the kind of capture
     cut         what of the capture is kept
     box         rectangle of a single photo that the thing lies in; None: it is looked for
+    edits       recipe of what to cut away, what is up and the scale
     tenant      whose job it is: key and collection are the tenant's
     token       secret that Attach and Cancel must show; "": none
     visibility  the asset's, from its first version on; None: as it is, or as its collection
@@ -71,6 +70,7 @@ class ReconstructionRequest:
     fill: Fill | None = None
     cut: Cut = "auto"
     box: PhotoBox | None = None
+    edits: Edits = NO_EDITS
     tenant: str = DEFAULT_TENANT
     token: str = ""
     visibility: Visibility | None = None
@@ -110,6 +110,7 @@ class ReconstructionRequest:
             fill=_checked_choice("fill", header.fill, get_args(Fill)) if header.fill else None,
             cut=_checked_choice("cut", header.cut or "auto", get_args(Cut)),
             box=checked_box(header),
+            edits=_checked_edits(header),
             tenant=header.tenant or DEFAULT_TENANT,
             token=header.token,
             visibility=_checked_choice("visibility", header.visibility, tuple(Visibility))
@@ -127,6 +128,16 @@ def checked_box(header: pb.Header) -> PhotoBox | None:
         return PhotoBox.of((header.box.left, header.box.top, header.box.right, header.box.bottom))
     except InvalidBox as error:
         raise invalid("BOX_INVALID", f"{error}; {HOW}") from None
+
+
+def _checked_edits(header: pb.Header) -> Edits:
+    """Return a header's recipe; the empty one where it has none."""
+    try:
+        edits = Edits.parse(header.edits) if header.edits else NO_EDITS
+        edits.require_capture(header.capture)
+    except InvalidEdits as error:
+        raise invalid("EDITS_INVALID", f"edits: {error}; {SEE}") from None
+    return edits
 
 
 def _checked_choice(field: str, name: str, choices: Sequence[T]) -> T:

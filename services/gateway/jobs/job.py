@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from services.edits import NO_EDITS, Edits
 from services.storage.tenant_store import DEFAULT_TENANT
 
 Json = Mapping[str, Any]
@@ -43,6 +44,7 @@ class Order:
     description: str = ""
     labels: tuple[str, ...] = ()  # search words of the asset
     visibility: str = ""  # of the asset: private, unlisted or public; "": as it is, or as its collection
+    edits: Edits = NO_EDITS  # recipe of what to cut away, what is up and the scale
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from services.edits import Edits
 from services.gateway.jobs.job import Event, Job, Lease, Order, State
 from services.gateway.jobs.tables import events, jobs, leases
 
@@ -36,6 +37,7 @@ def job_from_row(row: sa.Row[Any]) -> Job:
 def _order_of(stored: Mapping[str, Any]) -> Order:
     """Convert a stored order. One of before `cut` has `isolate` instead: true, false, or null for "auto"."""
     values = {**stored, **{name: tuple(stored.get(name, ())) for name in ("box", "labels")}}  # JSON has lists only
+    values["edits"] = Edits.of(stored.get("edits") or {})
     isolate = values.pop("isolate", None)
     return Order(**{"cut": {True: "object", False: "scene"}.get(isolate, ""), **values})
 
@@ -45,7 +47,7 @@ def job_values(job: Job) -> dict[str, Any]:
     values = {column.name: getattr(job, column.name) for column in jobs.c if column.computed is None}
     return {
         **values,
-        "order": asdict(job.order),
+        "order": {**asdict(job.order), "edits": job.order.edits.as_json},
         "state": job.state.value,
         "warnings": list(job.warnings),
     }

@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from services.asset_names import AssetNames
+from services.edits import InvalidEdits, json_schema
 from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
@@ -27,7 +28,7 @@ from services.gateway.jobs.state_machine import request_cancel
 from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.photo_boxes import require_box
-from services.gateway.routes.access_rules import caller_of, limits_of, needs
+from services.gateway.routes.access_rules import ANYONE, caller_of, limits_of, needs
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
@@ -81,15 +82,19 @@ async def create_job(
 async def repeat_job(
     job: str, body: JobAgain, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
 ) -> JobView:
-    """Create a job with the same capture, key and options as an earlier one, but another cut. Nothing is uploaded."""
+    """Create a job with the same capture, key and options as an earlier one, but another cut, or edited.
+
+    Nothing is uploaded.
+    """
 
     async def changed_order() -> Order:
         earlier: Job = await request.app.state.job_store.read(JobStore.get, caller_of(request).tenant, job)
         await _require_capture(earlier.order.capture, request)
+        order = body.order(earlier.order)
+        _require_edits(order)
+        await _known_preset(order.preset, request)
         names = await in_thread(lambda: _names_of(store_of(request), earlier.order))
-        return replace(
-            earlier.order, cut=body.cut, label=names.label, description=names.description, labels=names.labels
-        )
+        return replace(order, label=names.label, description=names.description, labels=names.labels)
 
     content = f"{job} {body.model_dump_json()}"
     repeated = await _create_once(content, changed_order, request, idempotency_key)
@@ -183,6 +188,17 @@ async def list_presets(request: Request) -> Presets:
     return Presets(presets=[PresetView.of(preset) for preset in known.values()], default=next(iter(known)))
 
 
+@router.get(
+    "/schemas/edits",
+    response_class=Response,
+    dependencies=[ANYONE],
+    responses={200: {"content": {"application/schema+json": {}}}},
+)
+async def edits_schema() -> Response:
+    """Get the JSON Schema of `edits`: a recipe of what to cut away, which way is up and the true size."""
+    return Response(json.dumps(json_schema()), media_type="application/schema+json")
+
+
 async def _create_once(
     content: str, make_order: Callable[[], Awaitable[Order]], request: Request, idempotency_key: str
 ) -> Job:
@@ -270,10 +286,21 @@ async def _make_order(body: JobRequest, request: Request) -> Order:
             hints=("put a name for people into `label`",),
         )
     require_box(body.box)
-    preset = await _known_preset(body.preset, request)
+    preset = await _known_preset(body.preset or body.edits.preset, request)
     await _require_capture(body.capture, request)
     choose = partial(choose_collection, named=body.collection, capture=body.capture, key=body.asset_key)
-    return body.order(preset, await in_thread(lambda: choose(store_of(request))))
+    order = body.order(preset, await in_thread(lambda: choose(store_of(request))))
+    _require_edits(order)
+    return order
+
+
+def _require_edits(order: Order) -> None:
+    """Raises Problem EDITS_OTHER_CAPTURE for a recipe that was made for another capture."""
+    try:
+        order.edits.require_capture(order.capture)
+    except InvalidEdits as error:
+        hints = ("the frame of another capture is another one: make the edits again", "or leave `capture` out of them")
+        raise Problem(422, "EDITS_OTHER_CAPTURE", f"edits: {error}", hints=hints) from None
 
 
 def _names_of(store: Store, order: Order) -> AssetNames:

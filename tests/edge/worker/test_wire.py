@@ -88,6 +88,9 @@ MALFORMED = {
     "a reversed box": [head(box=pb.Box(left=0.8, top=0.1, right=0.2, bottom=0.9))],
     "a box beyond the photo": [head(box=pb.Box(left=0.1, top=0.1, right=900, bottom=0.9))],
     "an empty box": [head(box=pb.Box())],
+    "edits that are no JSON": [head(edits="{")],
+    "edits with a box inside out": [head(edits='{"crop": {"centre": [0, 0, 0], "size": [1, -1, 1]}}')],
+    "edits of another capture": [head(capture="cap_1", edits='{"capture": "cap_2"}')],
     "an over-long collection": [head(collection="c" * 300)],
     "a hidden collection": [head(collection=".ada")],
     "a collection above": [head(collection="..")],
@@ -258,7 +261,7 @@ async def _stream(chunks: Iterable[pb.Chunk]) -> AsyncIterator[pb.Chunk]:
 
 NUMBERS = {
     "Header": "job fence preset asset_key target - capture_bytes label longest_m prepared collection fill box cut "
-    "tenant token visibility capture description labels",
+    "tenant token visibility capture description labels edits",
     "AttachRequest": "job after_seq token",
     "CancelRequest": "job token",
     "Box": "left top right bottom",

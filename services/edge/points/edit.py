@@ -1,0 +1,100 @@
+"""Apply a recipe of edits to points: cut away what is outside a box or behind planes, set what is up and the scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from services.edge.arrays import Bools, Floats, Tick, no_tick
+from services.edge.capture.nouns import Capture, Cloud, CloudParts, UpSource
+from services.edge.errors import EdgeError
+from services.edge.points.clean_cloud import MAX_POINTS, MIN_POINTS, cloud_points
+from services.edge.points.nouns import Points
+from services.edits import CropBox, CutPlane, Edits
+
+_BY_PERSON = UpSource("person", 1.0)
+
+
+def cut_away(points: Points, edits: Edits, tick: Tick = no_tick) -> Points:
+    """Keep the points that are inside the recipe's box and before its planes, also of a large scene's `whole`.
+
+    Where so little of a scene remains that all of it fits, all its points are taken instead of the few that showed the
+    scene. Raises EdgeError EDITS_NOTHING_LEFT where fewer than `MIN_POINTS` points remain.
+    """
+    if not edits.cuts_away:
+        return points
+    keep = kept_mask(points.xyz, edits)
+    if keep.sum() < MIN_POINTS:
+        raise EdgeError(
+            "EDITS_NOTHING_LEFT",
+            f"the edits leave {int(keep.sum()):,} of {len(points):,} points; at least {MIN_POINTS} are needed",
+            hints=("make the crop box larger, or leave a plane out", "check that the edits are of this capture"),
+        )
+    kept = points.subset(keep)
+    if points.whole is None:
+        return kept
+    whole = kept_parts(points.whole, edits, tick)
+    if whole.count <= len(kept):
+        return replace(kept, whole=None)
+    return replace(kept, whole=whole) if whole.count > MAX_POINTS else _with_all(kept, whole)
+
+
+def set_frame(points: Points, edits: Edits) -> Points:
+    """Set what is up and how long a unit is, as far as the recipe says. The points stay where they are.
+
+    A length that a person measured gives the scale the confidence "estimated", as the longest side does.
+    """
+    if edits.up is not None:
+        up = np.array(edits.up, np.float64)
+        points = replace(points, up=up / np.linalg.norm(up), up_source=_BY_PERSON)
+    if edits.length is not None:
+        scale = edits.length.metres_per_unit
+        points = replace(points, metres_per_unit=scale, scale_confidence="estimated")
+    return replace(points, edits=edits)
+
+
+def kept_mask(xyz: Floats, edits: Edits) -> Bools:
+    """Return a mask (N,) of the points (N,3) that a recipe keeps; those on a box's side or on a plane are kept."""
+    keep = np.ones(len(xyz), bool)
+    if edits.crop is not None:
+        keep &= _inside(xyz, edits.crop)
+    for plane in edits.planes:
+        keep &= _before(xyz, plane)
+    return keep
+
+
+def _inside(xyz: Floats, box: CropBox) -> Bools:
+    along = (np.asarray(xyz, np.float64) - np.array(box.centre)) @ np.array(box.axes).T
+    return np.asarray((np.abs(along) <= np.array(box.size) / 2).all(axis=1))
+
+
+def _before(xyz: Floats, plane: CutPlane) -> Bools:
+    return np.asarray((np.asarray(xyz, np.float64) - np.array(plane.point)) @ np.array(plane.normal) >= 0)
+
+
+def kept_parts(whole: CloudParts, edits: Edits, tick: Tick = no_tick) -> CloudParts:
+    """Return the parts of a large scene without the points that are cut away. It is read once, to count them."""
+
+    def read() -> Iterator[Cloud]:
+        for part in whole.read():
+            if (keep := kept_mask(part.xyz, edits)).any():
+                yield part.subset(keep)
+
+    count, done = 0, 0
+    for part in whole.read():
+        done += len(part.xyz)
+        count += int(kept_mask(part.xyz, edits).sum())
+        tick(min(1.0, done / whole.count))
+    return CloudParts(count, read)
+
+
+def _with_all(points: Points, whole: CloudParts) -> Points:
+    """Return the points with all of a scene's, cleaned; their confidence is the mean, as a scene's points have none."""
+    parts = list(whole.read())
+    rgb = [part.rgb for part in parts if part.rgb is not None]
+    cloud = Cloud(np.concatenate([part.xyz for part in parts]), np.concatenate(rgb) if rgb else None)
+    clean = cloud_points(Capture("points", "edited", cloud=cloud))
+    confidence = np.full(len(clean), points.confidence.mean(), np.float32)
+    return replace(points, xyz=clean.xyz, rgb=clean.rgb, confidence=confidence, whole=None)
