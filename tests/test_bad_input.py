@@ -361,11 +361,17 @@ def test_an_order_that_makes_no_sense_is_refused(name: str, product: Product) ->
     assert (document["status"], document["code"]) == (status, code), document
 
 
+INSIDE_OUT = b'{"edits": {"crop": {"centre": [0, 0, 0], "size": [-1, 1, 1]}}}'
+ZERO_LENGTH = b'{"edits": {"length": {"start": [0, 0, 0], "end": [1, 0, 0], "metres": 0}}}'
 AGAIN: dict[str, tuple[str, bytes, int, str]] = {
     "an unknown job": ("job_unknown", b'{"cut": "scene"}', 404, "JOB_UNKNOWN"),
     "a job of 0 bytes": ("%00", b'{"cut": "scene"}', 404, "JOB_UNKNOWN"),
     "no cut": ("job_unknown", b"{}", 422, "REQUEST_INVALID"),
     "a cut that does not exist": ("job_unknown", b'{"cut": "half"}', 422, "REQUEST_INVALID"),
+    "edits that are none": ("job_unknown", b'{"edits": {"crop": {}}}', 422, "EDITS_INVALID"),
+    "a box inside out": ("job_unknown", INSIDE_OUT, 422, "EDITS_INVALID"),
+    "a length of zero": ("job_unknown", ZERO_LENGTH, 422, "EDITS_INVALID"),
+    "NaN": ("job_unknown", b'{"edits": {"up": [NaN, 0, 0]}}', 422, "EDITS_INVALID"),
     "another capture": ("job_unknown", b'{"cut": "scene", "capture": "cap_1"}', 422, "REQUEST_INVALID"),
     "60,000 brackets": ("job_unknown", b"[" * 60_000, 400, "BAD_REQUEST"),
     "a megabyte": ("job_unknown", b'{"cut": "' + b"x" * 1_000_000 + b'"}', 413, "REQUEST_TOO_LARGE"),

@@ -65,6 +65,7 @@ from services.gateway.routes import (
     shares,
     tenants,
     uploads,
+    versions,
     visibility,
     webhooks,
 )
@@ -89,7 +90,7 @@ from services.traces import start_tracing
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _ROUTES = (
-    *(captures, uploads, jobs, assets, names, collections, files, visibility, shares),
+    *(captures, uploads, jobs, assets, versions, names, collections, files, visibility, shares),
     *(access, tenants, webhooks, data, health, service, pages),
 )
 _GRACE_S = 5  # for answers in progress when the gateway stops

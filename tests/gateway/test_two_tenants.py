@@ -32,7 +32,7 @@ _PARAMETERS = {
     "/v1/captures": {"capture": "capture"},
     "/v1/uploads": {"upload": "upload"},
     "/v1/jobs": {"job": "job"},
-    "/v1/assets": {"key": "asset", "level": "level"},
+    "/v1/assets": {"key": "asset", "level": "level", "version": "version"},
     "/v1/collections": {"name": "collection", "key": "asset"},
     "/v1/files": {"name": "file"},
     "/v1/api-keys": {"key": "api_key"},
@@ -56,6 +56,7 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/jobs/{job}/cancel": None,
     "post /v1/assets/{key}/remove": None,
     "post /v1/assets/{key}/restore": None,
+    "post /v1/assets/{key}/versions/{version}/restore": None,
     "patch /v1/assets/{key}": {"label": "Mine"},
     "patch /v1/uploads/{upload}": None,
     "put /v1/assets/{key}/visibility": {"visibility": "public"},
@@ -85,7 +86,7 @@ _HEADERS: Mapping[str, Mapping[str, str]] = {
 """Headers without which a request says nothing, by the beginning of the path."""
 _WITHOUT_KEY = {  # what anyone may ask
     "get /", "get /admin", "get /login", "get /pair", "get /view", "get /view/{key}", "get /browse/{name}",
-    "get /web/shell.json",
+    "get /web/shell.json", "get /v1/schemas/edits",
     "get /livez", "get /readyz", "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session",
     "post /v1/pairings/claim", "get /s/{token}", "post /v1/shares/open",
 }  # fmt: skip
@@ -110,6 +111,7 @@ class Ids:
     folder: str
     tenant: str = "ada"
     level: str = "0"
+    version: str = "1"
 
     def of(self, template: str) -> dict[str, str]:
         """The values of a path's parameters."""
@@ -194,7 +196,7 @@ def nothing() -> Ids:
 def masked(answer: httpx.Response, ids: Ids) -> tuple[int, str]:
     """Status and text of an answer, without the ids that were asked for and what changes with every request."""
     text = answer.text
-    values = [getattr(ids, field.name) for field in fields(ids) if field.name not in ("tenant", "level")]
+    values = [getattr(ids, field.name) for field in fields(ids) if field.name not in ("tenant", "level", "version")]
     for value in sorted(values, key=len, reverse=True):
         text = text.replace(value, "…")
     return answer.status_code, text

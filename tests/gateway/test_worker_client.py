@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.edge.api import edge_pb2 as pb
+from services.edits import Edits
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job, Lease, Order
 from services.gateway.jobs.reports import AnchorsFound, Report, RunFinished, RunHeartbeat, VersionPublished
@@ -136,6 +137,9 @@ def test_the_header_has_what_was_ordered() -> None:
     boxed = replace(ordered, order=replace(ordered.order, box=(0.25, 0.125, 0.75, 1.0)))
     box = _header(boxed, 7).box
     assert (box.left, box.top, box.right, box.bottom) == (0.25, 0.125, 0.75, 1.0)
+    assert _header(ordered, 7).edits == ""
+    edits = Edits(up=(0.0, 0.0, 1.0), fill="none")
+    assert Edits.parse(_header(replace(ordered, order=replace(ordered.order, edits=edits)), 7).edits) == edits
 
 
 async def test_refusals_have_names(tmp_path: Path) -> None:

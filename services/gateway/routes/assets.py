@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 from urllib.parse import urljoin
 
@@ -101,10 +101,7 @@ async def get_asset(key: Key, request: Request) -> Response:
     """Get an asset's catalogue entry, with the URL of every file. Answers 304 for an ETag in If-None-Match."""
     found = await _entry(request, key)
     reading = reading_of(request)
-    document = _document(found, reading)
-    for file in [document["manifest"], document["preview"], *document["lods"], *document["files"]]:
-        if file is not None:
-            file["url"] = object_url(request, file["name"])
+    document = add_urls(request, _document(found, reading))
     body = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
     etag = hashlib.sha256(body).hexdigest()[:32]
     headers = {"ETag": f'"{etag}"', "Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
@@ -167,12 +164,21 @@ async def restore_asset(key: Key, request: Request, collection: InCollection = "
     return await _set_removed(request, key, restore, collection)
 
 
+def add_urls(request: Request, document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a copy of an entry's document with the URL of every file."""
+    copy: dict[str, Any] = json.loads(json.dumps(document))
+    for file in [copy["manifest"], copy["preview"], *copy["lods"], *copy["files"]]:
+        if file is not None:
+            file["url"] = object_url(request, file["name"])
+    return copy
+
+
 def _document(found: Entry, reading: Reading) -> dict[str, Any]:
-    """Return a copy of an entry's document with the visibility that holds; for others without what only its tenant
-    needs: its versions with their jobs, and collections that the reader may not read.
+    """Return an entry's document with the visibility that holds; for others without what only its tenant needs: its
+    versions with their jobs, and collections that the reader may not read.
     """
-    document: dict[str, Any] = json.loads(json.dumps(found.document))
-    document |= {
+    document: dict[str, Any] = {
+        **found.document,
         "effective_visibility": reading.visibility,
         "collections": list(reading.collections),
         "may_place": reading.may_place,

@@ -32,7 +32,7 @@ from services.storage.catalogue.visibility import Visibility
 from services.storage.store import Store
 
 SCHEMA = 1
-_MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "origin")
+MANIFEST_FIELDS = ("scale_confidence", "capture_to_asset", "bounds_m", "size_m", "origin")
 
 
 class StaleFence(Exception):  # noqa: N818 - not a fault: the job has moved to another worker
@@ -167,7 +167,7 @@ def publish(
         files = [_put_content(store, key, file, bundle.files[file]) for file in sorted(bundle.files)]
         manifest = _put_manifest(store, key, bundle, files)
         asset = _add_version(store, key, bundle, files, manifest, request)
-    _move_alias(store, asset)
+    move_alias(store, asset)
     update_collections(store, key, keys)
     update_unity_catalogues(store, key)
     return asset
@@ -293,7 +293,7 @@ def _entry_document(
         "lods": _lods(bundle.manifest, files),
         "preview": next((file.document() for file in files if file.file == "preview.png"), None),
         "files": [file.document() for file in files],
-        **{field: bundle.manifest.get(field) for field in _MANIFEST_FIELDS},
+        **{field: bundle.manifest.get(field) for field in MANIFEST_FIELDS},
         "versions": [*versions, record],
     }
 
@@ -302,7 +302,7 @@ def _published_asset(key: str, record: Mapping[str, Json]) -> PublishedAsset:
     return PublishedAsset(key, int(record["version"]), str(record["state"]), str(record["manifest"]))
 
 
-def _move_alias(store: Store, asset: PublishedAsset) -> None:
+def move_alias(store: Store, asset: PublishedAsset) -> None:
     """Point the alias at this version, unless it names a newer one: a slow publisher must not undo a faster one."""
     name = alias_name(asset.key)
 

@@ -38,6 +38,7 @@ from services.edge.worker.memory_budget import MemoryBudget
 from services.edge.worker.scratch import Scratch
 from services.edge.worker.server import EdgeServer
 from services.edge.worker.settings import EdgeSettings
+from services.edits import NO_EDITS
 from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
@@ -439,14 +440,15 @@ async def test_the_job_goes_up_as_it_was_asked_for(
                     "collection": "ada",
                     "fence": 7,
                 }
+                level = '{"up": [0, 0, 1]}'
                 named = {"label": "L", "description": "D", "labels": ["a", "b"]}
-                events = await edge.ended(dome, "job_x", cut="scene", longest_m=2.0, **named, **asked)
+                events = await edge.ended(dome, "job_x", cut="scene", longest_m=2.0, edits=level, **named, **asked)
                 await edge.ended(dome, "job_y", preset="quick")
     assert standing.seen["job_y"].collection == "default", "what nobody named is named by the worker near the phone"
     seen = standing.seen["job_x"]
     assert {name: getattr(seen, name) for name in asked} == asked
     assert seen.names == AssetNames("L", "D", ("a", "b"))
-    assert (seen.prepared, seen.cut, seen.longest_m) == (True, "auto", None)
+    assert (seen.prepared, seen.cut, seen.longest_m, seen.edits) == (True, "auto", None, NO_EDITS)
     assert events[-1].finished.warnings == ["one"]
     begun, ended = STARTS["FITTING"], [event.progress.fraction for event in events if event.HasField("progress")][-1]
     assert ended == pytest.approx(begun + (1 - begun) * 2 / 3), "central's bar is the rest of this one"

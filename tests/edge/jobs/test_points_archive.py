@@ -26,6 +26,7 @@ from services.edge.jobs.archived_views import MOST_VIEWS
 from services.edge.jobs.points_archive import MOST_POINTS, VERSION, read_prepared, write_prepared
 from services.edge.jobs.points_cache import load_points, save_points
 from services.edge.points.nouns import CutReport, Points, TextureView, UnseenSide
+from services.edits import CropBox, Edits
 from services.storage.archives import unpack
 
 VERDICTS = (PhotoVerdict("a.jpg", "ok"), PhotoVerdict("b.jpg", "blur", "hold still"))
@@ -61,6 +62,7 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         unseen=(UnseenSide("shoot from the left", (-1.0, 0.0, 0.0), 0.25),),
         cut=CutReport("object", "it stands in the middle", "a box was removed", 0.5),
         up_source=UpSource("lines", 0.9),
+        edits=Edits(crop=CropBox((0.1, 0.0, 0.0), (9.0, 9.0, 9.0)), up=(0.0, 0.6, 0.8), fill="none"),
         texture_views=(view(0), view(1)) if pictured else (),
         held_out_views=(view(2),) if pictured else (),
     )
@@ -102,7 +104,15 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
                 (ours.up, theirs.up),
             ]
         )
-        and (ours.metres_per_unit, ours.scale_confidence, ours.warnings, ours.unseen, ours.cut, ours.up_source)
+        and (
+            ours.metres_per_unit,
+            ours.scale_confidence,
+            ours.warnings,
+            ours.unseen,
+            ours.cut,
+            ours.up_source,
+            ours.edits,
+        )
         == (
             theirs.metres_per_unit,
             theirs.scale_confidence,
@@ -110,6 +120,7 @@ def same(first: PreparedPoints, second: PreparedPoints) -> bool:
             theirs.unseen,
             theirs.cut,
             theirs.up_source,
+            theirs.edits,
         )
         and (first.source, dict(first.seconds)) == (second.source, dict(second.seconds))
     )
@@ -251,6 +262,7 @@ HEADS: dict[str, Any] = {
     "no direction": {"up": [0, 0, 0]},
     "a direction from nowhere": {"up_source": {"teller": "a dream", "confidence": 1}},
     "a direction surer than sure": {"up_source": {"teller": "walk", "confidence": 1.5}},
+    "edits inside out": {"edits": {"crop": {"centre": [0, 0, 0], "size": [0, 1, 1]}}},
     "a cut that does not exist": {"cut": {"kept": "half", "because": "", "doubt": "", "removed": 0}},
     "half a direction": {"up": [0, 1]},
     "a side that is no direction": {"unseen": [{"advice": "a", "toward": [0, 0, 9], "share": 0.5}]},

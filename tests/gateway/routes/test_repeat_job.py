@@ -1,4 +1,4 @@
-"""A job again with another cut: the stored capture and every other option stay, and nothing is uploaded."""
+"""A job again with another cut, or edited: the stored capture and every other option stay, and nothing is uploaded."""
 
 from __future__ import annotations
 
@@ -72,3 +72,61 @@ async def test_an_unknown_job_and_a_capture_that_is_gone_have_names(tmp_path: Pa
         store.delete(capture_name(first["capture"]))
         gone = await client.post(first["links"]["again"], json={"cut": "scene"})
         assert (gone.status_code, gone.json()["code"]) == (404, "CAPTURE_UNKNOWN")
+
+
+BOX = {"centre": [0.0, 0.0, 0.0], "size": [1.0, 1.0, 1.0]}
+
+
+async def test_edits_are_a_job_on_the_same_capture(tmp_path: Path) -> None:
+    """What the recipe says of fill, preset and target holds; what it leaves out stays, and is written into it."""
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        first = (
+            await client.post("/v1/jobs", json={"capture": capture(store), "asset_key": "dress", **OPTIONS})
+        ).json()
+        edits = {"capture": first["capture"], "crop": BOX, "fill": "none", "preset": "fine"}
+        again = (await client.post(first["links"]["again"], json={"edits": edits})).json()
+        recut = (await client.post(again["links"]["again"], json={"cut": "scene"})).json()
+        bare = (await client.post(recut["links"]["again"], json={"edits": {}})).json()
+    assert first["edits"] == {"schema": 1}
+    assert again["edits"] == {"schema": 1, **edits, "target": "quest3"}
+    assert recut["edits"] == {**again["edits"], "cut": "scene"}
+    assert (bare["edits"], bare["cut"]) == ({"schema": 1}, "scene")
+    order = stored_order(tmp_path / "gw", again["id"])
+    assert (order.fill, order.preset, order.target, order.longest_m) == ("none", "fine", "quest3", 0.31)
+    assert order.edits.as_json == again["edits"]
+
+
+async def test_a_first_job_may_be_edited_too(tmp_path: Path) -> None:
+    """What the job itself names comes first, and the recipe then says it."""
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        order = {"capture": capture(store), "asset_key": "dress", "fill": "all", "edits": {"crop": BOX, "fill": "none"}}
+        job = (await client.post("/v1/jobs", json=order)).json()
+        assert job["edits"]["fill"] == "all"
+        plain = (await client.post("/v1/jobs", json={"capture": "cap_1", "asset_key": "coat"})).json()
+        assert plain["edits"] == {"schema": 1}
+
+
+async def test_edits_of_another_capture_are_refused(tmp_path: Path) -> None:
+    store = memory()
+    async with gateway(tmp_path / "gw", store) as client:
+        order = {"capture": capture(store), "asset_key": "dress"}
+        first = (await client.post("/v1/jobs", json=order)).json()
+        foreign = {"capture": "cap_2", "crop": BOX}
+        for answer in (
+            await client.post(first["links"]["again"], json={"edits": foreign}),
+            await client.post("/v1/jobs", json={**order, "edits": foreign}),
+        ):
+            problem = answer.json()
+            assert (answer.status_code, problem["code"]) == (422, "EDITS_OTHER_CAPTURE")
+            assert "cap_2" in problem["detail"]
+        unknown = await client.post(first["links"]["again"], json={"edits": {"preset": "nonesuch"}})
+        assert (unknown.status_code, unknown.json()["code"]) == (422, "PRESET_UNKNOWN")
+
+
+async def test_the_schema_of_edits_is_served(tmp_path: Path) -> None:
+    async with gateway(tmp_path / "gw", memory()) as client:
+        answer = await client.get("/v1/schemas/edits")
+    assert answer.headers["content-type"] == "application/schema+json"
+    assert "crop" in answer.json()["properties"]

@@ -1,0 +1,90 @@
+"""Earlier versions of an asset: read one, and restore one as the newest. A version number only ever grows."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from services.storage.bundle import Json, content_name, sha256_hex
+from services.storage.catalogue.change_entry import change_entry
+from services.storage.catalogue.entry import Entry, read_entry
+from services.storage.catalogue.faults import FILE_MISSING, MANIFEST_CHANGED, MANIFEST_MISSING, CatalogueFault
+from services.storage.catalogue.proof import sign_proof
+from services.storage.catalogue.publish import MANIFEST_FIELDS, PublishedAsset, move_alias
+from services.storage.catalogue.signing import NO_KEYS, Keys
+from services.storage.store import Store
+
+
+class UnknownVersion(LookupError):  # noqa: N818 - a mistake of who asks
+    """An asset has no version of this number."""
+
+
+def read_version(store: Store, key: str, version: int) -> Entry:
+    """Read an asset's entry as it was with this version; its names, collections and visibility are those of now.
+
+    Raises UnknownVersion, FileNotFoundError for an unknown key, OSError (CatalogueFault too) where the store fails.
+    """
+    present = read_entry(store, key)
+    return Entry(key, present.etag, {**present.document, **_facts_of(store, present, version)})
+
+
+def restore_version(store: Store, key: str, version: int, keys: Keys = NO_KEYS) -> Entry:
+    """Publish an earlier version's files again as the newest version, and return the new entry.
+
+    Does nothing where the newest version has the same files. A removed asset is shown again. Raises as `read_version`
+    does, CatalogueFault FILE_MISSING too; after a failure of the store, restore it again.
+    """
+
+    def changes(present: Entry, now: str) -> dict[str, Any]:
+        facts = _facts_of(store, present, version)
+        if facts["manifest"]["name"] == present.manifest and not present.removed:
+            return {}
+        _require_files(store, facts["files"])
+        number = 1 + max(int(each["version"]) for each in present.versions)
+        record = {**_record_of(present, version), "version": number, "created": now, "restored": version}
+        facts |= {"version": number, "updated": now, "versions": [*present.versions, record], "removed": None}
+        return {**facts, "proof": sign_proof(key, facts, keys.signers) if keys.signers else None}
+
+    entry = change_entry(store, key, keys, changes)
+    move_alias(store, PublishedAsset(key, entry.version, entry.state, entry.manifest))
+    return entry
+
+
+def _record_of(present: Entry, version: int) -> dict[str, Any]:
+    for record in present.versions:
+        if record["version"] == version:
+            return record
+    known = ", ".join(str(each["version"]) for each in present.versions)
+    raise UnknownVersion(f"asset {present.key} has no version {version}; it has {known}")
+
+
+def _facts_of(store: Store, present: Entry, version: int) -> dict[str, Any]:
+    """Return the fields of an entry that follow from a version, by its manifest."""
+    record = _record_of(present, version)
+    name = str(record["manifest"])
+    try:
+        data = store.get(name)
+    except FileNotFoundError:
+        raise CatalogueFault(MANIFEST_MISSING, name, f"the files of version {version} were deleted") from None
+    sha256 = sha256_hex(data)
+    if not name.endswith(f"/{content_name('manifest.json', sha256)}"):
+        raise CatalogueFault(MANIFEST_CHANGED, name, "its content is not what its name says")
+    manifest: dict[str, Json] = json.loads(data)
+    return {
+        "version": version,
+        "state": record["state"],
+        "updated": record["created"],
+        "manifest": {"name": name, "sha256": sha256, "bytes": len(data)},
+        "lods": manifest["lods"],
+        "preview": next((each for each in manifest["files"] if each["file"] == "preview.png"), None),
+        "files": manifest["files"],
+        **{field: manifest.get(field) for field in MANIFEST_FIELDS},
+    }
+
+
+def _require_files(store: Store, files: list[dict[str, Any]]) -> None:
+    for file in files:
+        try:
+            store.head(file["name"])
+        except FileNotFoundError:
+            raise CatalogueFault(FILE_MISSING, file["name"], "the file of the earlier version was deleted") from None
