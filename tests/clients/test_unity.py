@@ -133,8 +133,8 @@ def test_the_editor_part_and_the_sample_compile(compiler: Compiler, engine: Path
 
 def test_the_examples_of_the_readme_compile(compiler: Compiler, engine: Path, tmp_path: Path) -> None:
     blocks = re.findall(r"```csharp\n(.*?)```", (_PACKAGE / "README.md").read_text(), re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 4
     source = tmp_path / "Readme.cs"
-    using = "using System.Threading.Tasks; using Capture2vr; using UnityEngine;"
+    using = "using System.Collections.Generic; using System.Threading.Tasks; using Capture2vr; using UnityEngine;"
     source.write_text(f"{using} class Readme {{ async Task Run() {{ {''.join(blocks)} }} }}")
     compiler("Readme.dll", [source], "Capture2vr.Plain.dll", "Stubs.dll", engine.name)

@@ -97,7 +97,7 @@ def test_the_property_that_addresses_begin_with_is_there_and_kept() -> None:
     kind, _, name = BASE_URL.strip("{}").rpartition(".")
     text = _sources("Runtime")["Catalogue.cs"]
     assert re.search(rf"\[Preserve\]\s+public static class {kind.removeprefix('Capture2vr.')}\n", text)
-    assert re.search(rf"\[Preserve\]\s+public static string {name}\n", text)
+    assert re.search(rf"\[Preserve\]\s+public static string {name} =>", text)
     assert f'"{BASE_URL.strip("{}")}"' in text
 
 
@@ -105,7 +105,7 @@ def test_the_files_that_it_asks_for_are_those_that_are_published() -> None:
     text = _sources("Runtime")["Catalogue.cs"]
     asked = {f"collections/default/unity/{name}" for name in re.findall(r'return "(catalog[^"]*)"', text)}
     assert asked == {names.catalogue for names in catalogue_names("default")}
-    assert "{BaseUrl}/collections/{collection}/unity/{FileName}" in text
+    assert '$"{BaseUrl}/collections/{Name}/unity/{file}"' in _sources("Runtime")["OpenCollection.cs"]
 
 
 def test_the_linker_keeps_what_only_catalogues_name() -> None:

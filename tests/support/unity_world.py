@@ -4,6 +4,7 @@ v1/, v2/, removed/   the store before and after a new version of "bowl", and aft
 forged/              v2 whose unsigned Unity catalogue gives the bowl, as version 3, the files of the cup
 spoilt/              v2 whose Unity catalogue offers a third version, of which every file is damaged
 partly/              v2 in which the bowl's finest file is missing
+damaged/             v2 whose Unity catalogue is none
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def _snapshot(store: LocalStore, folder: Path) -> None:
 
 
 def _variants(root: Path) -> None:
-    for name in ("forged", "spoilt", "partly"):
+    for name in ("forged", "spoilt", "partly", "damaged"):
         shutil.copytree(root / "v2", root / name)
     bowl, cup = parse_assets(_tabulate(root / "v2"))
     _replace(root / "forged", replace(bowl, version=3, files=cup.files), replace(cup, files=bowl.files))
@@ -87,6 +88,7 @@ def _variants(root: Path) -> None:
     for file in bowl.files:
         shutil.copy(root / "v2" / file.url, root / "spoilt" / _renamed(file).url)
     (root / "partly" / bowl.files[0].url).unlink()
+    (root / "damaged" / _table_of("default")).write_text("{")
 
 
 def _renamed(file: LodFile) -> LodFile:
@@ -104,11 +106,14 @@ def _replace(folder: Path, *listed: Asset) -> None:
 
 def _tabulate(folder: Path) -> Listing:
     """The table that the Unity catalogues hold, written beside them for a stub that reads none of their forms."""
-    path = folder / catalogue_names("default")[0].catalogue
-    listing = read_json_catalogue(path.read_bytes())
+    listing = read_json_catalogue((folder / catalogue_names("default")[0].catalogue).read_bytes())
     providers = [asdict(FILE_PROVIDER), asdict(PREFAB_PROVIDER)]
-    path.with_name(path.name + ".table").write_text(json.dumps(asdict(listing) | {"providers": providers}))
+    (folder / _table_of("default")).write_text(json.dumps(asdict(listing) | {"providers": providers}))
     return listing
+
+
+def _table_of(collection: str) -> str:
+    return catalogue_names(collection)[0].catalogue + ".table"
 
 
 def _signatures(private: Ed25519PrivateKey) -> list[dict[str, Any]]:

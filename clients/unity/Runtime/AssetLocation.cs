@@ -13,6 +13,9 @@ namespace Capture2vr
         /// <summary>The asset's key in its collection.</summary>
         public static string Key(IResourceLocation location) => location.PrimaryKey.Substring(Prefix.Length);
 
+        /// <summary>Whether a key of the catalogue is an asset's or one of its files', and no label.</summary>
+        public static bool IsAssets(string key) => key.StartsWith(Prefix, StringComparison.Ordinal);
+
         /// <summary>The asset's version, from data such as {"version":3}. Throws CaptureFault LOCATION_INVALID.</summary>
         public static int Version(IResourceLocation location)
         {

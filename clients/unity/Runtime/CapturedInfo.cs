@@ -2,22 +2,25 @@ using UnityEngine;
 
 namespace Capture2vr
 {
-    /// <summary>On the prefab of every asset, and so on its clones: what one needs to know of it.</summary>
+    /// <summary>On the object of every asset, and so on clones of a prefab: what one needs to know of it.</summary>
     public sealed class CapturedInfo : MonoBehaviour
     {
         // Serialized, since only such fields are copied into clones.
         [SerializeField] private int version;
-        [SerializeField] private Vector3 size;
+        [SerializeField] private Bounds box;
 
         public int Version => version;
 
-        /// <summary>Sides in metres at true size.</summary>
-        public Vector3 Size => size;
+        /// <summary>Where it is about its origin, in metres at true size.</summary>
+        public Bounds Box => box;
 
-        internal void Tell(int itsVersion, Vector3 itsSize)
+        /// <summary>Sides in metres at true size.</summary>
+        public Vector3 Size => box.size;
+
+        internal void Tell(int itsVersion, Bounds itsBox)
         {
             version = itsVersion;
-            size = itsSize;
+            box = itsBox;
         }
     }
 }

@@ -7,72 +7,44 @@ using UnityEngine;
 using UnityEngine.AddressableAssets;
 using UnityEngine.AddressableAssets.Initialization;
 using UnityEngine.Networking;
-using UnityEngine.ResourceManagement.AsyncOperations;
+using UnityEngine.ResourceManagement.ResourceLocations;
 using UnityEngine.Scripting;
 
 namespace Capture2vr
 {
-    /// <summary>The collection that this app shows: where it is, whose signature it bears, what the device has of it.</summary>
+    /// <summary>The collections that this app has opened, from one server or from several.</summary>
     [Preserve]
     public static class Catalogue
     {
-        private static readonly AccessHeaders Access = new AccessHeaders(); // first: what follows is made of it
-
-        /// <summary>Bytes that assets may take on the device; set it before the catalogue is opened.</summary>
-        public static long CacheBytes { get; set; } = 512L << 20;
-
         private const string BaseUrlProperty = "Capture2vr.Catalogue.BaseUrl";
 
-        private static string _baseUrl;
-        private static Task _updating;
+        private static readonly object Gate = new object();
+        private static readonly List<AccessHeaders> Servers = new List<AccessHeaders>();
+        private static readonly List<OpenCollection> Collections = new List<OpenCollection>();
+        private static FileCache _cache;
 
         /// <summary>
-        /// Below which address the objects are. Catalogues do not say it, but name this property, so that one catalogue
-        /// serves any host.
+        /// What the addresses of all files begin with in Unity's catalogues: no host, since one catalogue serves any. The
+        /// collection that a file belongs to knows the host. It begins with http because Addressables counts as downloads
+        /// only what does.
         /// </summary>
         [Preserve]
-        public static string BaseUrl
-        {
-            get => _baseUrl;
-            set
-            {
-                _baseUrl = value.TrimEnd('/');
-                // Addressables remembers what it once read here.
-                AddressablesRuntimeProperties.SetPropertyValue(BaseUrlProperty, _baseUrl);
-            }
-        }
+        public static string BaseUrl => "http://capture2vr.invalid";
 
-        /// <summary>The files on this device.</summary>
-        public static FileCache Cache { get; private set; }
+        /// <summary>Bytes that assets may take on the device; set it before the first collection is opened.</summary>
+        public static long CacheBytes { get; set; } = 512L << 20;
 
-        /// <summary>The versions that this device has seen.</summary>
-        public static Versions Versions { get; private set; }
+        /// <summary>How files are fetched instead of by .NET's HTTP client, without AccessTo's headers; null for that.</summary>
+        public static Fetch Fetch { get; set; }
 
-        /// <summary>What the signed catalogue allows, or null where the app gave no keys.</summary>
-        public static Trust Trust { get; private set; }
+        /// <summary>The collections that are open, the first one first.</summary>
+        public static IReadOnlyList<OpenCollection> Opened => Collections;
 
-        /// <summary>
-        /// HTTP headers for private assets, such as Authorization with an access key; sent to the server of the catalogue alone,
-        /// with its catalogues and its files.
-        /// </summary>
-        public static IReadOnlyDictionary<string, string> Headers
-        {
-            get => Access.Current;
-            set => Access.Current = value;
-        }
+        /// <summary>The files on this device, of all collections.</summary>
+        public static FileCache Cache => _cache = _cache ?? new FileCache(Path.Combine(Folder, "files"), CacheBytes, FetchAsync);
 
-        /// <summary>
-        /// Returns new headers when the server has refused the present ones, so that a key may expire while the app runs. Called
-        /// away from the main thread. Null where there is no way to get any.
-        /// </summary>
-        public static Func<Task<IReadOnlyDictionary<string, string>>> RefreshHeaders
-        {
-            get => Access.Renewal;
-            set => Access.Renewal = value;
-        }
-
-        /// <summary>How files are fetched; to be replaced by apps with a way of their own, before the catalogue is opened.</summary>
-        public static Fetch Fetch { get; set; } = Access.Fetch;
+        // Not the folder for caches, which systems clear: an asset seen once must be there without a network.
+        internal static string Folder => Path.Combine(Application.persistentDataPath, "capture2vr");
 
         /// <summary>Name of the catalogue's file that the installed Addressables reads.</summary>
         public static string FileName
@@ -92,92 +64,88 @@ namespace Capture2vr
         }
 
         /// <summary>
-        /// Make the assets of a collection loadable as captures/&lt;key&gt;. Throws CaptureFault UNREACHABLE where its
-        /// catalogue cannot be had and this device does not have it from an earlier visit.
+        /// The HTTP headers for the private assets below an address, such as Authorization with an access key; to be set before
+        /// a collection there is opened. No other address gets them.
         /// </summary>
-        /// <param name="baseUrl">of the bucket or CDN</param>
-        /// <param name="keys">public keys in base64, as GET /v1/keys gives them; with none no signature is asked for</param>
-        public static async Task OpenAsync(string baseUrl, string collection = "default", params string[] keys)
+        public static AccessHeaders AccessTo(string baseUrl)
         {
-            BaseUrl = baseUrl;
-            Access.Server = BaseUrl;
-            Addressables.WebRequestOverride = SetHeaders;
-            Prepare(collection, keys);
-            var headers = Headers;
-            var fault = await Load(collection);
-            // Addressables does not tell a refusal from another fault.
-            if (fault != null && RefreshHeaders != null && await Access.RenewAsync(headers)) fault = await Load(collection);
-            if (fault == null) return;
-            throw new CaptureFault(CaptureFault.Unreachable, $"the catalogue of {collection} cannot be had: {fault.Message}",
-                "Check the connection", fault);
+            var address = baseUrl.TrimEnd('/');
+            lock (Gate)
+            {
+                var known = Servers.FirstOrDefault(each => each.BaseUrl == address);
+                if (known == null) Servers.Add(known = new AccessHeaders(address));
+                return known;
+            }
         }
 
         /// <summary>
-        /// Take newer catalogues where there are any. Whoever asks while somebody's question is under way gets its answer.
-        /// Never throws: without a network the assets of the catalogue at hand go on.
+        /// Open a collection: its assets are then loadable, by CapturedAsset or as captures/&lt;key&gt;. One that is open
+        /// already is looked through for newer versions instead, and believes the new keys too. Throws CaptureFault
+        /// UNREACHABLE where its catalogue cannot be had and this device does not have it from an earlier visit,
+        /// FILE_MISSING where the server has no such collection, ACCESS_REFUSED, and CATALOGUE_UNREADABLE.
         /// </summary>
-        public static Task UpdateAsync()
+        /// <param name="baseUrl">of the bucket or CDN</param>
+        /// <param name="keys">public keys in base64, as GET /v1/keys gives them; with none no signature is asked for</param>
+        public static async Task<OpenCollection> OpenAsync(string baseUrl, string name = "default", params string[] keys)
         {
-            if (_updating == null || _updating.IsCompleted) _updating = Update();
-            return _updating;
+            Addressables.WebRequestOverride = SetHeaders;
+            AddressablesRuntimeProperties.SetPropertyValue(BaseUrlProperty, BaseUrl);
+            var address = baseUrl.TrimEnd('/');
+            var known = Collections.FirstOrDefault(each => each.BaseUrl == address && each.Name == name);
+            var collection = known ?? new OpenCollection(AccessTo(address), name);
+            collection.Believe(keys.Select(Convert.FromBase64String));
+            await collection.OpenAsync();
+            if (!Collections.Contains(collection)) Collections.Add(collection);
+            return collection;
         }
 
-        /// <summary>The fault of this package behind an exception of Addressables, or null.</summary>
+        /// <summary>Take the newer catalogues of all open collections. Without a network, what there is stays.</summary>
+        public static Task UpdateAsync() => Task.WhenAll(Collections.Select(each => each.UpdateAsync()));
+
+        /// <summary>The fault that an exception of Addressables wraps, or null.</summary>
         public static CaptureFault FaultOf(Exception exception)
         {
             while (exception != null && !(exception is CaptureFault)) exception = exception.InnerException;
             return (CaptureFault)exception;
         }
 
-        private static async Task<Exception> Load(string collection)
+        /// <summary>
+        /// The collection whose catalogue has a location, as it is now or was before the last update. Where two have the
+        /// same, with files of the same hashes, either serves. Throws CaptureFault LOCATION_INVALID.
+        /// </summary>
+        internal static OpenCollection Of(IResourceLocation location)
         {
-            var loading = Addressables.LoadContentCatalogAsync($"{BaseUrl}/collections/{collection}/unity/{FileName}", false);
-            await loading.Task;
-            var fault = loading.Status == AsyncOperationStatus.Succeeded ? null : loading.OperationException;
-            Addressables.Release(loading);
-            return fault;
+            return Collections.FirstOrDefault(each => each.Has(location)) ?? throw new CaptureFault(CaptureFault.LocationInvalid,
+                $"{location.PrimaryKey}: no open collection has it", "Open it with Catalogue.OpenAsync, and ask for the location again");
+        }
+
+        internal static Task FetchAsync(string url, Stream into)
+        {
+            return Fetch != null ? Fetch(url, into) : Access(url)?.Fetch(url, into) ?? Http.Fetch(url, into);
         }
 
         /// <summary>Addressables fetches the catalogues itself.</summary>
         private static void SetHeaders(UnityWebRequest request)
         {
-            foreach (var header in Access.For(request.url)) request.SetRequestHeader(header.Key, header.Value);
+            var access = Access(request.url);
+            if (access == null) return;
+            foreach (var header in access.For(request.url)) request.SetRequestHeader(header.Key, header.Value);
         }
 
-        private static void Prepare(string collection, string[] keys)
+        /// <summary>The headers for an address: those of the longest address that it lies below, or null.</summary>
+        private static AccessHeaders Access(string url)
         {
-            // Not the folder for caches, which systems clear: an asset seen once must be there without a network.
-            var folder = Path.Combine(Application.persistentDataPath, "capture2vr");
-            Directory.CreateDirectory(folder);
-            Cache = Cache ?? new FileCache(Path.Combine(folder, "files"), CacheBytes, Fetch);
-            Versions = Versions ?? new Versions(Path.Combine(folder, "versions.txt"));
-            var raw = keys.Select(Convert.FromBase64String).ToList();
-            Trust = raw.Count == 0 ? null : new Trust(BaseUrl, collection, raw, folder, Cache, Versions, Fetch);
-        }
-
-        private static async Task Update()
-        {
-            var checking = Addressables.CheckForCatalogUpdates(false);
-            await checking.Task;
-            if (checking.Status == AsyncOperationStatus.Succeeded && checking.Result.Count > 0)
-            {
-                var updating = Addressables.UpdateCatalogs(checking.Result, false);
-                await updating.Task;
-                Addressables.Release(updating);
-            }
-            Addressables.Release(checking);
+            lock (Gate) return Servers.Where(each => each.Covers(url)).OrderBy(each => each.BaseUrl.Length).LastOrDefault();
         }
 
         /// <summary>Statics outlive play mode where the editor does not reload them.</summary>
         [RuntimeInitializeOnLoadMethod(RuntimeInitializeLoadType.SubsystemRegistration)]
         private static void Forget()
         {
-            Cache = null;
-            Versions = null;
-            Trust = null;
-            Headers = null;
-            RefreshHeaders = null;
-            _updating = null;
+            _cache = null;
+            Collections.Clear();
+            lock (Gate) Servers.Clear();
+            SharedLevel.Forget();
         }
     }
 }

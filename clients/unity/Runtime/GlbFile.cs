@@ -1,5 +1,4 @@
 using System;
-using UnityEngine.ResourceManagement;
 using UnityEngine.ResourceManagement.ResourceLocations;
 using UnityEngine.ResourceManagement.ResourceProviders;
 
@@ -12,18 +11,23 @@ namespace Capture2vr
         public readonly string Sha256;
         public readonly long Size;
 
-        private GlbFile(string url, string sha256, long size)
+        /// <summary>Level of detail, 0 the finest.</summary>
+        public readonly int Level;
+
+        private GlbFile(string url, string sha256, long size, int level)
         {
             Url = url;
             Sha256 = sha256;
             Size = size;
+            Level = level;
         }
 
         /// <summary>
         /// Unity's Hash128 has room for half a SHA-256 only; the whole one is in the file's name, and both must agree.
         /// Throws CaptureFault LOCATION_INVALID.
         /// </summary>
-        public static GlbFile Of(IResourceLocation location, ResourceManager manager)
+        /// <param name="collection">says which host has it</param>
+        public static GlbFile Of(IResourceLocation location, OpenCollection collection)
         {
             var options = location.Data as AssetBundleRequestOptions;
             if (options == null) throw Invalid(location, "it has no size and no hash");
@@ -33,7 +37,12 @@ namespace Capture2vr
             {
                 throw Invalid(location, "its name and its data have different hashes");
             }
-            return new GlbFile(manager.TransformInternalId(location), sha256, options.BundleSize);
+            if (!location.InternalId.StartsWith(Catalogue.BaseUrl + "/", StringComparison.Ordinal))
+            {
+                throw Invalid(location, $"it does not begin with {Catalogue.BaseUrl}");
+            }
+            var url = collection.BaseUrl + location.InternalId.Substring(Catalogue.BaseUrl.Length);
+            return new GlbFile(url, sha256, options.BundleSize, AssetLocation.Level(location));
         }
 
         private static CaptureFault Invalid(IResourceLocation location, string reason)

@@ -1,5 +1,4 @@
 using System;
-using System.IO;
 using UnityEngine.ResourceManagement.AsyncOperations;
 using UnityEngine.ResourceManagement.ResourceLocations;
 using UnityEngine.ResourceManagement.ResourceProviders;
@@ -8,7 +7,7 @@ using UnityEngine.Scripting;
 namespace Capture2vr
 {
     /// <summary>
-    /// Brings the .glb of a location onto the device and checks it; the result is its path. Network, hashing and storage
+    /// Brings the .glb of a location onto the device and checks it; the result is a GlbFileResource. Network, hashing and storage
     /// are the business of other threads. The catalogue names this class.
     /// </summary>
     [Preserve]
@@ -23,22 +22,22 @@ namespace Capture2vr
         {
             try
             {
-                var file = GlbFile.Of(handle.Location, handle.ResourceManager);
+                var file = GlbFile.Of(handle.Location, Catalogue.Of(handle.Location));
                 var download = Catalogue.Cache.Load(file.Url, file.Sha256, file.Size);
                 handle.SetProgressCallback(() => Status(download).Percent);
                 handle.SetDownloadProgressCallbacks(() => Status(download));
                 handle.SetWaitForCompletionCallback(Waiting.Refuse);
-                handle.Complete(await download.Task, true, null);
+                handle.Complete(new GlbFileResource(await download.Task, file.Sha256), true, null);
             }
             catch (Exception fault)
             {
-                handle.Complete<string>(null, false, fault);
+                handle.Complete<GlbFileResource>(null, false, fault);
             }
         }
 
         public override void Release(IResourceLocation location, object asset)
         {
-            if (asset is string path) Catalogue.Cache.Release(Path.GetFileName(path));
+            if (asset is GlbFileResource file) Catalogue.Cache.Release(file.Sha256);
         }
 
         private static DownloadStatus Status(Download download)

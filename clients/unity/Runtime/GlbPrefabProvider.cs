@@ -1,12 +1,12 @@
 using System;
 using System.Collections.Generic;
-using System.IO;
 using System.Linq;
 using System.Threading.Tasks;
 using UnityEngine;
 using UnityEngine.ResourceManagement.ResourceLocations;
 using UnityEngine.ResourceManagement.ResourceProviders;
 using UnityEngine.Scripting;
+using Object = UnityEngine.Object;
 
 namespace Capture2vr
 {
@@ -17,7 +17,9 @@ namespace Capture2vr
     [Preserve]
     public sealed class GlbPrefabProvider : ResourceProviderBase
     {
-        private readonly Dictionary<GameObject, LodPrefab> _made = new Dictionary<GameObject, LodPrefab>();
+        private static GameObject _shelf;
+
+        private readonly Dictionary<GameObject, LodRoot> _made = new Dictionary<GameObject, LodRoot>();
 
         [Preserve]
         public GlbPrefabProvider()
@@ -27,15 +29,16 @@ namespace Capture2vr
 
         public override async void Provide(ProvideHandle handle)
         {
-            LodPrefab prefab = null;
+            LodRoot prefab = null;
             try
             {
                 handle.SetWaitForCompletionCallback(Waiting.Refuse);
-                var levels = Levels(handle);
-                var version = AssetLocation.Version(handle.Location);
-                await Check(handle.Location, version, levels);
-                prefab = new LodPrefab(handle.Location.PrimaryKey, version);
-                await Fill(prefab, levels);
+                var location = handle.Location;
+                var collection = Catalogue.Of(location);
+                var files = collection.Files(location);
+                await collection.Check(location, files);
+                prefab = new LodRoot(location.PrimaryKey, AssetLocation.Version(location), Shelf());
+                await Fill(prefab, files);
                 _made[prefab.Root] = prefab;
                 handle.Complete(prefab.Root, true, null);
             }
@@ -53,37 +56,39 @@ namespace Capture2vr
             prefab.Dispose();
         }
 
-        /// <summary>Paths by level of detail, of the files that are there.</summary>
-        private static SortedDictionary<int, string> Levels(ProvideHandle handle)
+        /// <summary>
+        /// The coarsest first: it is the smallest, so what is wrong with an asset shows early. Out of the device's cache, not
+        /// out of the dependencies: of those Addressables takes all away when one fails.
+        /// </summary>
+        private static async Task Fill(LodRoot prefab, IReadOnlyList<GlbFile> files)
         {
-            var paths = new List<object>();
-            handle.GetDependencies(paths);
-            var locations = handle.Location.Dependencies;
-            var levels = new SortedDictionary<int, string>();
-            for (var place = 0; place < paths.Count; place++)
+            CaptureFault missing = null;
+            foreach (var file in files.Reverse())
             {
-                if (paths[place] is string path) levels[AssetLocation.Level(locations[place])] = path;
+                try
+                {
+                    await prefab.AddAsync(file);
+                }
+                catch (CaptureFault fault) when (fault.Code != CaptureFault.MeshInvalid)
+                {
+                    missing = fault;
+                }
             }
-            if (levels.Count > 0) return levels;
-            throw new CaptureFault(CaptureFault.FileMissing, $"{handle.Location.PrimaryKey}: none of its files can be had",
-                "The log tells why of each");
+            if (prefab.Levels.Count > 0) return;
+            throw new CaptureFault(CaptureFault.FileMissing, $"{prefab.Root.name}: none of its files can be had; the last: {missing?.Message}",
+                "", missing);
         }
 
-        /// <summary>Signature before version: what nobody signed must not count as seen.</summary>
-        private static async Task Check(IResourceLocation location, int version, SortedDictionary<int, string> levels)
+        /// <summary>Inactive, so that the prefabs on it are never drawn, while their clones, put elsewhere, are.</summary>
+        private static Transform Shelf()
         {
-            // A file's name on the device is its hash.
-            var files = levels.Values.Select(Path.GetFileName).ToList();
-            var key = AssetLocation.Key(location);
-            if (Catalogue.Trust != null) await Task.Run(() => Catalogue.Trust.Check(key, files));
-            Catalogue.Versions.Check(location.PrimaryKey, version);
-        }
-
-        /// <summary>The coarsest first: it is the smallest, so what is wrong with an asset shows early.</summary>
-        private static async Task Fill(LodPrefab prefab, SortedDictionary<int, string> levels)
-        {
-            foreach (var level in levels.Reverse()) await prefab.Add(level.Key, level.Value);
-            prefab.Finish();
+            if (_shelf == null)
+            {
+                _shelf = new GameObject("capture2vr prefabs");
+                _shelf.SetActive(false);
+                Object.DontDestroyOnLoad(_shelf);
+            }
+            return _shelf.transform;
         }
     }
 }

@@ -58,6 +58,10 @@ GAME_OBJECT = TypeName("UnityEngine.CoreModule", "UnityEngine.GameObject")
 BUNDLE_OPTIONS = TypeName(
     "Unity.ResourceManager", "UnityEngine.ResourceManagement.ResourceProviders.AssetBundleRequestOptions"
 )
+BUNDLE_RESOURCE = TypeName(
+    "Unity.ResourceManager", "UnityEngine.ResourceManagement.ResourceProviders.IAssetBundleResource"
+)
+"""What files are to Unity: it downloads in advance only what is of this type."""
 FILE_PROVIDER = TypeName("Capture2vr", "Capture2vr.GlbFileProvider")
 PREFAB_PROVIDER = TypeName("Capture2vr", "Capture2vr.GlbPrefabProvider")
 INSTANCE_PROVIDER = TypeName(

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from services.storage.unity.listing import (
+    BUNDLE_RESOURCE,
     FILE_PROVIDER,
     GAME_OBJECT,
     PREFAB_PROVIDER,
-    STRING,
     BundleOptions,
     Listing,
     Location,
@@ -54,7 +54,7 @@ def _file_location(asset: Asset, file: LodFile, base_url: str) -> Location:
     name = f"lod{file.level}"
     options = BundleOptions(file.sha256[:_HASH_DIGITS], 0, name, file.size)
     key = f"{PREFIX}{asset.key}/{name}"
-    return Location(key, f"{base_url}/{file.url}", FILE_PROVIDER.name, STRING, options, ())
+    return Location(key, f"{base_url}/{file.url}", FILE_PROVIDER.name, BUNDLE_RESOURCE, options, ())
 
 
 def _prefab_location(asset: Asset, files: range) -> Location:

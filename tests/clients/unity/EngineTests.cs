@@ -29,6 +29,7 @@ public static class EngineTests
         Object.MainThread = Thread.CurrentThread;
         Time.unscaledTime = 0;
         Camera.main = null;
+        GltfImport.Fault = null;
         Debug.Errors.Clear();
         GltfImport.Alive.Clear();
         Object.Alive.Clear();
@@ -42,7 +43,7 @@ public static class EngineTests
         await Facts.Ask("turn/" + live);
     }
 
-    private static Task Open(string way = "live", params string[] keys) => Catalogue.OpenAsync($"{Facts.Server}/{way}/", "default", keys);
+    private static Task<OpenCollection> Open(string way = "live", params string[] keys) => Catalogue.OpenAsync($"{Facts.Server}/{way}/", "default", keys);
 
     private static void Invoke(Type type, object target, string method)
     {
@@ -61,6 +62,18 @@ public static class EngineTests
         var asset = new GameObject("asset").AddComponent<CapturedAsset>();
         asset.Key = key;
         return asset;
+    }
+
+    /// <summary>Shown, and as fine as there is.</summary>
+    private static async Task ShowAll(CapturedAsset asset)
+    {
+        await asset.ShowAsync();
+        await RefineAll(asset);
+    }
+
+    private static async Task RefineAll(CapturedAsset asset)
+    {
+        for (var step = 0; step < 3 && asset.Info != null; step++) await asset.RefineAsync();
     }
 
     private static List<string> Codes(CapturedAsset asset)
@@ -169,10 +182,23 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task WhatIsDownloadedInAdvanceIsThereWithoutANetwork()
+    {
+        await Open();
+        var downloading = Addressables.DownloadDependenciesAsync(Bowl);
+        Expect.Equal(3, (await downloading.Task).Count);
+        await Facts.Ask("turn/off");
+        var handle = await Load();
+        Expect.Equal(3, handle.Result.GetComponent<LODGroup>().GetLODs().Length);
+        Addressables.Release(handle);
+        Addressables.Release(downloading);
+        NothingIsLeft();
+    }
+
     public static async Task FilesThatWereChangedOnTheWayAreNotShown()
     {
         await Open("www/spoilt");
-        var file = Addressables.LoadAssetAsync<string>(Bowl + "/lod0");
+        var file = Addressables.LoadAssetAsync<IAssetBundleResource>(Bowl + "/lod0");
         await file.Task;
         Expect.Equal(CaptureFault.FileChanged, Catalogue.FaultOf(file.OperationException).Code);
         var handle = await Load();
@@ -182,19 +208,28 @@ public static class EngineTests
         NothingIsLeft();
     }
 
-    public static async Task AFileThatIsNoMeshFailsAndFreesEverything()
+    public static async Task AFileThatIsNoMeshFailsWithWhatGltfastSaysAndFreesEverything()
     {
         await Open();
-        var file = (await Location(Bowl)).Dependencies[0];
-        var path = Catalogue.Cache.PathOf(Sha256.InName(file.InternalId));
-        var fetch = Addressables.LoadAssetAsync<string>(Bowl + "/lod0");
-        await fetch.Task;
-        File.WriteAllText(path, "no mesh at all, but longer than a header"); // after the check
+        GltfImport.Fault = "extension EXT_meshopt_compression is not supported";
         var handle = await Load();
-        Expect.Equal(CaptureFault.MeshInvalid, Catalogue.FaultOf(handle.OperationException).Code);
+        var fault = Catalogue.FaultOf(handle.OperationException);
+        Expect.Equal(CaptureFault.MeshInvalid, fault.Code);
+        Expect.True(fault.Message.Contains(GltfImport.Fault), fault.Message);
         Addressables.Release(handle);
-        Addressables.Release(fetch);
         NothingIsLeft();
+        GltfImport.Fault = null;
+        Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
+    }
+
+    public static async Task AFileThatWasDamagedOnTheDeviceIsFetchedAgain()
+    {
+        await Open();
+        var file = Addressables.LoadAssetAsync<IAssetBundleResource>(Bowl + "/lod0");
+        var path = ((GlbFileResource)await file.Task).Path;
+        Addressables.Release(file);
+        File.WriteAllText(path, "no mesh at all, but longer than a header");
+        Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
     }
 
     public static async Task ALocationWhoseHashesDisagreeIsRefused()
@@ -204,7 +239,7 @@ public static class EngineTests
         var options = (AssetBundleRequestOptions)told.Data;
         var datas = new object[] { null, "text", Options(new string('0', 32), options), Options("", options) };
         foreach (var data in datas) await Refused(told.InternalId, data);
-        await Refused(told.InternalId.Replace(".glb", ".glb.x"), options);
+        await Refused(told.InternalId.Replace(".glb", ".glb.x"), options); // in no open collection
     }
 
     private static AssetBundleRequestOptions Options(string hash, AssetBundleRequestOptions options)
@@ -214,8 +249,8 @@ public static class EngineTests
 
     private static async Task Refused(string id, object data)
     {
-        var location = new ResourceLocationBase("x", id, "Capture2vr.GlbFileProvider", typeof(string)) { Data = data };
-        var handle = Addressables.LoadAssetAsync<string>(location);
+        var location = new ResourceLocationBase(Bowl + "/lod0", id, "Capture2vr.GlbFileProvider", typeof(IAssetBundleResource)) { Data = data };
+        var handle = Addressables.LoadAssetAsync<IAssetBundleResource>(location);
         await handle.Task;
         Expect.Equal(CaptureFault.LocationInvalid, Catalogue.FaultOf(handle.OperationException).Code);
         Addressables.Release(handle);
@@ -262,6 +297,7 @@ public static class EngineTests
         Expect.True(Math.Abs(place.y - (1.2 - 0.3)) < 1e-3, $"a bowl of 0.6 m stands at {place.y}");
         Expect.Near(-90, asset.transform.rotation.eulerAngles.y);
         Expect.Equal(1, asset.transform.childCount);
+        Expect.True(asset.gameObject.GetComponent<BoxCollider>() == null, "nobody asked for a collider");
         Invoke(typeof(CapturedAsset), asset, "OnDestroy");
         NothingIsLeft();
     }
@@ -282,7 +318,7 @@ public static class EngineTests
         await Restart("v1");
         await Open();
         CapturedAsset one = Asset(), two = Asset();
-        await Task.WhenAll(one.ShowAsync(), two.ShowAsync());
+        await Task.WhenAll(ShowAll(one), ShowAll(two));
         one.transform.position = new Vector3(7, 0, 0);
         Expect.Equal(1, one.Info.Version);
         await one.FollowAsync();
@@ -295,6 +331,7 @@ public static class EngineTests
         await two.FollowAsync();
         Expect.Equal(2, two.Info.Version);
         Expect.Near(7, one.transform.position.x);
+        await Task.WhenAll(RefineAll(one), RefineAll(two));
         Expect.Equal(3, GltfImport.Alive.Count); // both share the new version, and nothing of the old one is left
         foreach (var each in new[] { one, two }) each.Release();
         NothingIsLeft();
@@ -398,11 +435,12 @@ public static class EngineTests
         var asset = Asset();
         var codes = Codes(asset);
         await asset.ShowAsync();
-        Expect.Lines(new[] { CaptureFault.FileMissing }, codes);
+        Expect.Lines(new[] { CaptureFault.Unreachable }, codes);
         await Facts.Ask("turn/v2");
         Time.unscaledTime = 60;
         Invoke(typeof(CapturedAsset), asset, "Update");
         await Expect.Comes(() => asset.Info != null);
+        await RefineAll(asset);
         asset.Release();
         Time.unscaledTime = 120;
         Invoke(typeof(CapturedAsset), asset, "Update");
@@ -427,11 +465,12 @@ public static class EngineTests
 
     public static async Task PrivateAssetsAreShownWithHeadersThatAreRenewed()
     {
-        await Expect.Fault(CaptureFault.Unreachable, () => Open("keyed"));
-        Catalogue.RefreshHeaders = () => Task.FromResult<IReadOnlyDictionary<string, string>>(
+        await Expect.Fault(CaptureFault.AccessRefused, () => Open("keyed"));
+        Catalogue.AccessTo($"{Facts.Server}/keyed").Renewal = () => Task.FromResult<IReadOnlyDictionary<string, string>>(
             new Dictionary<string, string> { { "Authorization", "Bearer good" } });
         await Open("keyed", Key);
-        Expect.Equal(1, Catalogue.Headers.Count);
+        Expect.Equal(1, Catalogue.AccessTo($"{Facts.Server}/keyed/").Current.Count);
+        Expect.Equal(0, Catalogue.AccessTo($"{Facts.Server}/live").Current.Count);
         var asset = Asset();
         await asset.ShowAsync();
         Expect.Equal(2, asset.Info.Version);
@@ -466,6 +505,7 @@ public static class EngineTests
         await Task.Delay(50);
         asset.Release();
         await showing;
+        await Expect.Comes(() => GltfImport.Alive.Count == 0);
         Expect.True(asset.Info == null, "nothing is shown");
         NothingIsLeft();
     }
@@ -481,5 +521,185 @@ public static class EngineTests
         Expect.Equal(1, asset.transform.childCount);
         asset.Release();
         NothingIsLeft();
+    }
+
+    // Levels of detail of the component.
+
+    public static async Task TheCoarsestLevelIsShownFirstAndFinerOnesOnApproach()
+    {
+        Camera.main = new GameObject("camera").AddComponent<Camera>();
+        Camera.main.transform.position = new Vector3(0, 0.3f, -30);
+        await Open();
+        var asset = Asset();
+        var levels = new List<string>();
+        asset.Shown += shown => levels.Add(string.Join(" ", shown.Levels));
+        await asset.ShowAsync();
+        Expect.Lines(new[] { "2" }, levels);
+        asset.transform.position = new Vector3(0, 0, 0);
+        foreach (var away in new[] { 30f, 4f, 1.5f })
+        {
+            Camera.main.transform.position = new Vector3(0, 0.3f, -away);
+            await RefineAll(asset);
+            levels.Add(string.Join(" ", asset.Levels));
+        }
+        Expect.Lines(new[] { "2", "2", "1 2", "0 1 2" }, levels);
+        Expect.Equal(3, asset.transform.GetChild(0).gameObject.GetComponent<LODGroup>().GetLODs().Length);
+        asset.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task FineLevelsAreFreedSomeSecondsAfterTheViewerHasGone()
+    {
+        Camera.main = new GameObject("camera").AddComponent<Camera>();
+        Camera.main.transform.position = new Vector3(0, 0.3f, -1);
+        await Open();
+        CapturedAsset near = Asset(), other = Asset();
+        foreach (var each in new[] { near, other }) await ShowAll(each);
+        foreach (var each in new[] { near, other }) Expect.Lines(new[] { "0", "1", "2" }, each.Levels.Select(level => level.ToString()));
+        Expect.Equal(3, GltfImport.Alive.Count);
+        near.transform.position = new Vector3(0, 0, 100);
+        await near.RefineAsync();
+        Expect.Equal(3, near.Levels.Count); // the viewer may come back
+        Time.unscaledTime = 4;
+        await near.RefineAsync();
+        Expect.Equal(3, near.Levels.Count);
+        Time.unscaledTime = 6;
+        await near.RefineAsync();
+        Expect.Equal("2", string.Join(" ", near.Levels));
+        Expect.Equal(3, GltfImport.Alive.Count); // the other one uses them
+        other.Release();
+        Expect.Equal(1, GltfImport.Alive.Count);
+        near.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task ALevelThatIsMissingIsToldOnceAndDoneWithout()
+    {
+        await Open("www/partly");
+        var asset = Asset();
+        var codes = Codes(asset);
+        await ShowAll(asset);
+        await RefineAll(asset);
+        Expect.Equal("1 2", string.Join(" ", asset.Levels));
+        Expect.Lines(new[] { CaptureFault.FileMissing }, codes);
+        asset.Release();
+        NothingIsLeft();
+    }
+
+    public static async Task ItMayHaveABoxToBeGrabbedBy()
+    {
+        await Open();
+        var asset = Asset();
+        asset.HasBoxCollider = true;
+        await asset.ShowAsync();
+        var box = asset.gameObject.GetComponent<BoxCollider>();
+        Expect.True(Math.Abs(box.size.x - 1.2) < 0.02 && Math.Abs(box.center.y - 0.3) < 0.02, $"{box.size.x}, {box.center.y}");
+        asset.Release();
+    }
+
+    // Several collections, and what of them is on the device.
+
+    public static async Task TwoServersMayHaveTheSameKeys()
+    {
+        var first = await Open("www/v1", Key);
+        var second = await Open("www/v2");
+        CapturedAsset old = Asset(), fresh = Asset();
+        fresh.Collection = second;
+        Expect.True(old.Collection == first, "the first one is meant where nothing is said");
+        foreach (var each in new[] { old, fresh }) await ShowAll(each);
+        Expect.Equal(1, old.Info.Version);
+        Expect.Equal(2, fresh.Info.Version);
+        // By the key alone the first one counts, which asks for signatures still.
+        Expect.Equal(1, (await Load()).Result.GetComponent<CapturedInfo>().Version);
+        foreach (var each in new[] { old, fresh }) each.Release();
+    }
+
+    public static async Task EachCollectionAsksForItsOwnSignatures()
+    {
+        await Open("live");
+        var forged = await Open("www/forged", Key);
+        var asset = Asset();
+        asset.Collection = forged;
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Lines(new[] { CaptureFault.FileNotSigned }, codes);
+    }
+
+    public static async Task OpeningAgainIsALookForNewerVersionsAndDropsNoKey()
+    {
+        await Restart("forged");
+        var first = await Open("live", Key);
+        await Facts.Ask("turn/v2");
+        var again = await Open("live");
+        Expect.True(first == again && Catalogue.Opened.Count == 1, "one collection");
+        Expect.Equal(1, Addressables.Updated.Count);
+        Expect.Equal(2, (await Load()).Result.GetComponent<CapturedInfo>().Version);
+        await Facts.Ask("turn/forged");
+        await Open("live");
+        var handle = await Load();
+        Expect.Equal(CaptureFault.FileNotSigned, Catalogue.FaultOf(handle.OperationException).Code);
+    }
+
+    public static async Task OnlyItsOwnCatalogueIsUpdatedAndOnlyWhenItHasChanged()
+    {
+        await Restart("v1");
+        var live = await Open();
+        var other = await Open("www/v1");
+        await Catalogue.UpdateAsync();
+        Expect.Equal(0, Addressables.Updated.Count);
+        await Facts.Ask("turn/v2");
+        await Catalogue.UpdateAsync();
+        Expect.Lines(new[] { $"{live.BaseUrl}/collections/default/unity/{Catalogue.FileName}" }, Addressables.Updated);
+        Expect.True(other.BaseUrl != live.BaseUrl, "the other one stays as it is");
+    }
+
+    public static async Task AnAssetIsDownloadedAheadCountedAndCleared()
+    {
+        var collection = await Open("live", Key);
+        Expect.Lines(new[] { "bowl", "cup" }, collection.Keys);
+        Expect.Equal(0, collection.WithLabel("nothing").Count);
+        var bytes = Facts.All.In("lods").List().Sum(lod => lod.In("bytes").Whole());
+        Expect.Equal(bytes, collection.RemainingBytes("bowl"));
+        var told = new Told();
+        await collection.DownloadAsync("bowl", told);
+        Expect.Equal(1f, told.Shares.Last());
+        Expect.True(collection.IsCached("bowl") && !collection.IsCached("cup"), "one of two is here");
+        await Facts.Ask("turn/off");
+        var asset = Asset();
+        await ShowAll(asset);
+        Expect.Equal(3, asset.Levels.Count);
+        asset.Release();
+        Expect.Equal(bytes, collection.Clear("bowl"));
+        Expect.Equal(bytes, collection.RemainingBytes("bowl"));
+        await Expect.Fault(CaptureFault.Unreachable, () => collection.DownloadAsync("bowl"));
+        await Expect.Fault(CaptureFault.AssetUnknown, () => collection.DownloadAsync("nobody"));
+        NothingIsLeft();
+    }
+
+    private sealed class Told : IProgress<float>
+    {
+        public readonly List<float> Shares = new List<float>();
+
+        public void Report(float value) => Shares.Add(value);
+    }
+
+    public static async Task WhatIsShownStaysOnTheDeviceWhenItIsCleared()
+    {
+        var collection = await Open();
+        var asset = Asset();
+        await ShowAll(asset);
+        Expect.Equal(0L, collection.Clear("bowl"));
+        asset.Release();
+        Expect.True(collection.Clear("bowl") > 0, "now nobody uses it");
+    }
+
+    public static async Task ACollectionThatIsNotThereAndOneThatCannotBeReadAreToldApart()
+    {
+        await Expect.Fault(CaptureFault.FileMissing, () => Catalogue.OpenAsync($"{Facts.Server}/live", "nobodys"));
+        await Expect.Fault(CaptureFault.CatalogueUnreadable, () => Open("www/damaged"));
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Lines(new[] { CaptureFault.CollectionClosed }, codes);
     }
 }

@@ -54,7 +54,7 @@ public static class PlainTests
     {
         await Facts.Ask("turn/v2");
         var url = $"{Facts.Server}/keyed/{Name}";
-        var access = new AccessHeaders { Server = Facts.Server };
+        var access = new AccessHeaders(Facts.Server);
         await Expect.Fault(CaptureFault.AccessRefused, () => Cache(fetch: access.Fetch).Load(url, Sha, Size).Task);
         access.Current = Shown("Bearer good");
         Expect.Equal(Sha, Sha256.Of(File.ReadAllBytes(await Cache(fetch: access.Fetch).Load(url, Sha, Size).Task)));
@@ -64,7 +64,7 @@ public static class PlainTests
     {
         await Facts.Ask("turn/v2");
         var asked = 0;
-        var access = new AccessHeaders { Server = Facts.Server, Current = Shown("Bearer old") };
+        var access = new AccessHeaders(Facts.Server) { Current = Shown("Bearer old") };
         access.Renewal = () =>
         {
             asked++;
@@ -78,16 +78,32 @@ public static class PlainTests
         await Expect.Fault(CaptureFault.AccessRefused, () => Cache(fetch: access.Fetch).Load(url, Sha, Size).Task);
     }
 
-    public static void NoOtherServerGetsTheHeaders()
+    public static void NothingElsewhereGetsTheHeaders()
     {
-        var access = new AccessHeaders { Server = "https://vr.example/v1/files", Current = Shown("Bearer good") };
-        Expect.Equal(1, access.For("https://vr.example/assets/a.glb").Count);
-        var others = new[] { "http://vr.example/a", "https://vr.example:8443/a", "https://vr.example.evil/a", "https://evil.example/", "", null };
+        var access = new AccessHeaders("https://vr.example/t/ada/") { Current = Shown("Bearer good") };
+        foreach (var each in new[] { "/assets/a.glb", "/", "/x/../y" }) Expect.Equal(1, access.For("https://vr.example/t/ada" + each).Count);
+        var others = new[]
+        {
+            "http://vr.example/t/ada/a", "https://vr.example:8443/t/ada/a", "https://vr.example.evil/t/ada/a", "https://evil.example/t/ada/", "",
+            null, "https://vr.example/t/adam/a", "https://vr.example/t/bob/a", "https://vr.example/t/ada/../bob/a", "https://vr.example/t/ada/%2e%2e/bob/a"
+        };
         foreach (var each in others) Expect.Equal(0, access.For(each).Count);
-        Expect.Equal(0, new AccessHeaders { Current = Shown("Bearer good") }.For("https://vr.example/a").Count);
+        Expect.Equal(0, new AccessHeaders("nowhere") { Current = Shown("Bearer good") }.For("https://vr.example/a").Count);
     }
 
     // The cache.
+
+    public static async Task WhatNobodyUsesMayBeRemoved()
+    {
+        var cache = Cache();
+        Expect.True(!cache.Has(Sha, Size) && !cache.Remove(Sha), "nothing is here yet");
+        await cache.Load(Url(), Sha, Size).Task;
+        Expect.True(cache.Has(Sha, Size) && cache.Has(Sha, -1) && !cache.Has(Sha, Size + 1), "it is here, of its size");
+        Expect.True(!cache.Remove(Sha), "somebody uses it");
+        cache.Release(Sha);
+        Expect.True(cache.Remove(Sha) && !cache.Has(Sha, Size), "it is gone");
+        Expect.Equal(0L, cache.Bytes);
+    }
 
     public static async Task WhatWasLoadedOnceIsThereWithoutANetwork()
     {

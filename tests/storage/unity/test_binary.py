@@ -9,6 +9,7 @@ from base64 import b64decode
 import pytest
 
 from services.storage.unity.json_reader import read_json_catalogue
+from services.storage.unity.listing import BUNDLE_RESOURCE
 from services.storage.unity.nouns import BASE_URL, Catalogue
 from tests.support.unity_catalogues import asset, catalogue, written
 
@@ -70,7 +71,9 @@ def test_the_newest_form_names_assemblies_in_short(version: int, core: str, unit
     (keys_at,) = struct.unpack_from("<I", data, 8)
     pairs = struct.unpack("<4I", block(data, keys_at))
     file, prefab = (struct.unpack_from("<7I", data, *struct.unpack("<I", block(data, each))) for each in pairs[1::2])
-    assert type_names(data, file[6]) == (core, "System.String")
+    assert string_object(data, prefab[5]) == '{"version":1}'
+    assert type_names(data, struct.unpack_from("<I", data, prefab[5])[0]) == (core, "System.String")
+    assert type_names(data, file[6])[1] == BUNDLE_RESOURCE.name
     assert type_names(data, prefab[6])[0].startswith(unity)
     assert (", " in type_names(data, prefab[6])[0]) == (version < 3)
 
@@ -125,7 +128,10 @@ def test_the_json_tables_byte_by_byte() -> None:
     files = [f"{BASE_URL}/{file.url}" for file in asset("a", levels=2).files]
     assert document["m_InternalIds"] == [*files, "captures/a@1"]
     assert document["m_InternalIdPrefixes"] == []
-    assert [each["m_ClassName"] for each in document["m_resourceTypes"]] == ["System.String", "UnityEngine.GameObject"]
+    assert [each["m_ClassName"] for each in document["m_resourceTypes"]] == [
+        BUNDLE_RESOURCE.name,
+        "UnityEngine.GameObject",
+    ]
 
 
 def test_json_data_is_unitys_class_with_its_field_names() -> None:

@@ -206,7 +206,7 @@ def as_meant(made: Catalogue) -> dict[str, list[dict[str, Any]]]:
                     "key": f"{address}/lod{file.level}",
                     "id": f"{BASE_URL}/{file.url}",
                     "provider": "Capture2vr.GlbFileProvider",
-                    "type": "System.String",
+                    "type": "UnityEngine.ResourceManagement.ResourceProviders.IAssetBundleResource",
                     "data": {"hash": file.sha256[:32], "crc": 0, "name": f"lod{file.level}", "size": file.size},
                     "dependencies": [],
                 }

@@ -6,8 +6,8 @@ using System.Threading.Tasks;
 namespace Capture2vr
 {
     /// <summary>
-    /// HTTP headers that tell a server who asks, for private assets: sent to the server of the catalogue and to no other,
-    /// and renewed where it refuses them. Used by several threads at once.
+    /// HTTP headers that tell a server who asks, for private assets: sent to what is below one address and to nobody else,
+    /// and renewed where they are refused. Used by several threads at once.
     /// </summary>
     public sealed class AccessHeaders
     {
@@ -17,7 +17,15 @@ namespace Capture2vr
         private IReadOnlyDictionary<string, string> _current = None;
         private Task<bool> _renewing;
 
-        /// <summary>The headers, such as Authorization. Null is none.</summary>
+        /// <param name="baseUrl">what lies below it gets the headers</param>
+        public AccessHeaders(string baseUrl)
+        {
+            BaseUrl = baseUrl.TrimEnd('/');
+        }
+
+        public string BaseUrl { get; }
+
+        /// <summary>The headers, such as Authorization with an access key. Null is none.</summary>
         public IReadOnlyDictionary<string, string> Current
         {
             get
@@ -30,17 +38,21 @@ namespace Capture2vr
             }
         }
 
-        /// <summary>Returns new headers, when the server has refused the present ones. Null where there is no way to get any.</summary>
+        /// <summary>
+        /// Returns new headers when the server has refused the present ones, so that a key may expire while the app runs. Called
+        /// away from the main thread. Null where there is no way to get any.
+        /// </summary>
         public Func<Task<IReadOnlyDictionary<string, string>>> Renewal { get; set; }
 
-        /// <summary>Any address at the server that gets the headers.</summary>
-        public string Server { get; set; }
-
-        /// <summary>The headers of a request: none for another server than the catalogue's.</summary>
-        public IReadOnlyDictionary<string, string> For(string url)
+        /// <summary>Whether an address lies below this one, with ".." and the like resolved.</summary>
+        public bool Covers(string url)
         {
-            return IsServers(url) ? Current : None;
+            return Uri.TryCreate(BaseUrl + "/", UriKind.Absolute, out var own) && Uri.TryCreate(url, UriKind.Absolute, out var asked)
+                && asked.AbsoluteUri.StartsWith(own.AbsoluteUri, StringComparison.Ordinal);
         }
+
+        /// <summary>The headers of a request: none for what lies elsewhere.</summary>
+        public IReadOnlyDictionary<string, string> For(string url) => Covers(url) ? Current : None;
 
         /// <summary>
         /// Ask for new headers after the server has refused some. Whoever asks while others do gets the same. False where there
@@ -67,7 +79,7 @@ namespace Capture2vr
                 await Http.Fetch(url, into, headers).ConfigureAwait(false);
                 return;
             }
-            catch (CaptureFault fault) when (fault.Code == CaptureFault.AccessRefused && IsServers(url))
+            catch (CaptureFault fault) when (fault.Code == CaptureFault.AccessRefused && Covers(url))
             {
                 if (!await RenewAsync(headers).ConfigureAwait(false)) throw;
             }
@@ -79,12 +91,6 @@ namespace Capture2vr
             await Task.Yield(); // the app's code must not run inside the lock
             Current = await Renewal().ConfigureAwait(false);
             return true;
-        }
-
-        private bool IsServers(string url)
-        {
-            return Uri.TryCreate(Server, UriKind.Absolute, out var own) && Uri.TryCreate(url, UriKind.Absolute, out var asked)
-                && own.Scheme == asked.Scheme && own.Host == asked.Host && own.Port == asked.Port;
         }
     }
 }

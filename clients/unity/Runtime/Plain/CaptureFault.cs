@@ -11,7 +11,7 @@ namespace Capture2vr
         public const string FileMissing = "FILE_MISSING";
         /// <summary>No answer, or one that is no success. Worth another try.</summary>
         public const string Unreachable = "UNREACHABLE";
-        /// <summary>The server wants to know who asks, and does not let this one in: Catalogue.Headers.</summary>
+        /// <summary>The server wants to know who asks, and does not let this one in: Catalogue.AccessTo.</summary>
         public const string AccessRefused = "ACCESS_REFUSED";
         /// <summary>The device cannot keep the file: its storage is full or closed.</summary>
         public const string StorageFailed = "STORAGE_FAILED";
@@ -21,6 +21,8 @@ namespace Capture2vr
         public const string MeshInvalid = "MESH_INVALID";
         /// <summary>A catalogue that is cut off, or that no catalogue can be read from.</summary>
         public const string CatalogueTruncated = "CATALOGUE_TRUNCATED";
+        /// <summary>Addressables' catalogue is there, and Addressables cannot read it.</summary>
+        public const string CatalogueUnreadable = "CATALOGUE_UNREADABLE";
         /// <summary>The catalogue of another collection.</summary>
         public const string CatalogueOther = "CATALOGUE_OTHER";
         /// <summary>An older version than this device has seen.</summary>
@@ -31,6 +33,8 @@ namespace Capture2vr
         public const string SignatureWrong = "SIGNATURE_WRONG";
         /// <summary>Signed, but by none of the keys that this app believes.</summary>
         public const string KeyUnknown = "KEY_UNKNOWN";
+        /// <summary>The collection was not opened, or could not be.</summary>
+        public const string CollectionClosed = "COLLECTION_CLOSED";
         /// <summary>The signed catalogue does not have the asset.</summary>
         public const string AssetUnknown = "ASSET_UNKNOWN";
         /// <summary>The asset was taken out of sight.</summary>

@@ -47,6 +47,24 @@ namespace Capture2vr
         /// <summary>Bytes of all files.</summary>
         public long Bytes => Files().Sum(file => file.Length);
 
+        /// <summary>Whether a file is here, by its name and its size: its bytes are looked at when it is loaded.</summary>
+        public bool Has(string sha256, long size)
+        {
+            var file = new FileInfo(PathOf(sha256));
+            return file.Exists && (size < 0 || file.Length == size);
+        }
+
+        /// <summary>Take a file off the device. False where somebody uses it, or it is not here.</summary>
+        public bool Remove(string sha256)
+        {
+            lock (_lock)
+            {
+                if (_users.Held(sha256) || !File.Exists(PathOf(sha256))) return false;
+                File.Delete(PathOf(sha256));
+                return true;
+            }
+        }
+
         /// <summary>
         /// The file with this hash, from the device or else from the address; loads of the same file at the same time
         /// download it once. `size` in bytes, or -1 where it is not known. Where it succeeds, Release is due once.

@@ -40,6 +40,30 @@ namespace UnityEngine.AddressableAssets.ResourceLocators
     public interface IResourceLocator
     {
         string LocatorId { get; }
+        IEnumerable<object> Keys { get; }
+        bool Locate(object key, Type type, out IList<IResourceLocation> locations);
+    }
+
+    /// <summary>What a catalogue says, as of the moment it was read. Its id is the catalogue's address.</summary>
+    public sealed class ResourceLocationMap : IResourceLocator
+    {
+        private readonly Dictionary<string, List<IResourceLocation>> _keys;
+
+        public ResourceLocationMap(string id, Dictionary<string, List<IResourceLocation>> keys)
+        {
+            LocatorId = id;
+            _keys = keys;
+        }
+
+        public string LocatorId { get; }
+        public IEnumerable<object> Keys => _keys.Keys;
+
+        public bool Locate(object key, Type type, out IList<IResourceLocation> locations)
+        {
+            locations = _keys.TryGetValue((string)key, out var all) ? all.Where(each => type == null || type.IsAssignableFrom(each.ResourceType)).ToList() : null;
+            if (locations != null && locations.Count == 0) locations = null;
+            return locations != null;
+        }
     }
 }
 
@@ -50,20 +74,39 @@ namespace UnityEngine.AddressableAssets
 
     public static class Addressables
     {
-        private static Dictionary<string, List<IResourceLocation>> _keys = new Dictionary<string, List<IResourceLocation>>();
-        private static string _address;
-        private static string _hash;
+        private static readonly List<IResourceLocator> Locators = new List<IResourceLocator>();
+        private static bool _initialized;
 
         public static ResourceManager ResourceManager { get; private set; } = new ResourceManager();
+
+        /// <summary>Ids of the catalogues that were updated, in order.</summary>
+        public static readonly List<string> Updated = new List<string>();
+
+        public static Action<UnityWebRequest> WebRequestOverride { get; set; }
 
         /// <summary>Forget everything, as a new start of the app does.</summary>
         public static void Restart()
         {
             ResourceManager = new ResourceManager();
-            _keys.Clear();
+            Locators.Clear();
+            Updated.Clear();
+            _initialized = false;
         }
 
-        public static AsyncOperationHandle<TObject> LoadAssetAsync<TObject>(object key) => LoadAssetAsync<TObject>(_keys[(string)key].First());
+        public static AsyncOperationHandle<IResourceLocator> InitializeAsync(bool autoReleaseHandle)
+        {
+            return Started<IResourceLocator>(() =>
+            {
+                _initialized = true;
+                return Task.FromResult<object>(null);
+            });
+        }
+
+        /// <summary>Of several catalogues with the key, the first that was loaded has it.</summary>
+        public static AsyncOperationHandle<TObject> LoadAssetAsync<TObject>(object key)
+        {
+            return LoadAssetAsync<TObject>(All(key, typeof(TObject)).First());
+        }
 
         public static AsyncOperationHandle<TObject> LoadAssetAsync<TObject>(IResourceLocation location)
         {
@@ -71,32 +114,54 @@ namespace UnityEngine.AddressableAssets
             return new AsyncOperationHandle<TObject>(ResourceManager.Provide(location));
         }
 
+        /// <summary>Loads and keeps what is a bundle of the key's locations and of what they depend on; nothing else.</summary>
+        public static AsyncOperationHandle<IList<IAssetBundleResource>> DownloadDependenciesAsync(object key, bool autoReleaseHandle = false)
+        {
+            return Started<IList<IAssetBundleResource>>(async () =>
+            {
+                var wanted = All(key, null).SelectMany(each => each.Dependencies.Concat(new[] { each })).Where(each => each.ResourceType == typeof(IAssetBundleResource));
+                var operations = wanted.Select(ResourceManager.Provide).ToList();
+                foreach (var each in operations) await each.Done.Task;
+                var found = operations.Select(each => (IAssetBundleResource)each.Done.Task.Result).ToList();
+                foreach (var each in operations) each.Release();
+                return found;
+            });
+        }
+
         public static AsyncOperationHandle<IList<IResourceLocation>> LoadResourceLocationsAsync(object key, Type type = null)
         {
-            var found = _keys.TryGetValue((string)key, out var all) ? all.Where(each => type == null || each.ResourceType == type) : new IResourceLocation[0];
-            return Started<IList<IResourceLocation>>(() => Task.FromResult<object>(found.ToList()));
+            return Started<IList<IResourceLocation>>(() => Task.FromResult<object>(All(key, type)));
         }
 
         public static AsyncOperationHandle<IResourceLocator> LoadContentCatalogAsync(string catalogPath, bool autoReleaseHandle, string providerSuffix = null)
         {
-            return Started<IResourceLocator>(() => Read(catalogPath));
-        }
-
-        public static AsyncOperationHandle<List<string>> CheckForCatalogUpdates(bool autoReleaseHandle = true)
-        {
-            return Started<List<string>>(async () => await Text(HashOf(_address)) == _hash ? new List<string>() : new List<string> { _address });
+            return Started<IResourceLocator>(async () =>
+            {
+                if (!_initialized) throw new InvalidOperationException("No catalog provider registered for extension");
+                var found = await Read(catalogPath);
+                Locators.Add(found);
+                return found;
+            });
         }
 
         public static AsyncOperationHandle<List<IResourceLocator>> UpdateCatalogs(IEnumerable<string> catalogs = null, bool autoReleaseHandle = true)
         {
             return Started<List<IResourceLocator>>(async () =>
             {
-                foreach (var each in catalogs) await Read(each);
-                return new List<IResourceLocator>();
+                var found = new List<IResourceLocator>();
+                foreach (var each in catalogs) found.Add(await Read(each));
+                foreach (var each in found) Locators[Locators.FindIndex(old => old.LocatorId == each.LocatorId)] = each;
+                Updated.AddRange(catalogs);
+                return found;
             });
         }
 
         public static void Release<TObject>(AsyncOperationHandle<TObject> handle) => handle.Operation.Release();
+
+        private static List<IResourceLocation> All(object key, Type type)
+        {
+            return Locators.SelectMany(each => each.Locate(key, type, out var found) ? found : new IResourceLocation[0]).ToList();
+        }
 
         private static AsyncOperationHandle<T> Started<T>(Func<Task<object>> work)
         {
@@ -114,13 +179,10 @@ namespace UnityEngine.AddressableAssets
             }
             catch (Exception fault)
             {
-                operation.Complete(null, false, fault);
+                // Unity's message tells no cause, and its exception holds none.
+                operation.Complete(null, false, new Exception($"Unable to load: {fault.Message}"));
             }
         }
-
-        private static string HashOf(string address) => address.Substring(0, address.LastIndexOf('.')) + ".hash";
-
-        public static Action<UnityWebRequest> WebRequestOverride { get; set; }
 
         private static async Task<string> Text(string address)
         {
@@ -133,17 +195,15 @@ namespace UnityEngine.AddressableAssets
             }
         }
 
-        private static async Task<object> Read(string address)
+        private static async Task<IResourceLocator> Read(string address)
         {
-            _hash = await Text(HashOf(address));
             var table = Json.Parse(await Text(address + ".table"));
-            _address = address;
             var locations = new List<IResourceLocation>();
             foreach (var each in table.In("locations").List()) locations.Add(Location(each, locations));
             var places = (Dictionary<string, object>)table.In("keys");
-            _keys = places.ToDictionary(each => each.Key, each => each.Value.List().Select(place => locations[(int)place.Whole()]).ToList());
             foreach (var provider in table.In("providers").List()) Register(provider);
-            return null;
+            return new ResourceLocationMap(address, places.ToDictionary(each => each.Key,
+                each => each.Value.List().Select(place => locations[(int)place.Whole()]).ToList()));
         }
 
         private static IResourceLocation Location(object told, List<IResourceLocation> before)
@@ -165,9 +225,9 @@ namespace UnityEngine.AddressableAssets
         private static Type Named(object told)
         {
             var assembly = told.In("assembly").Text();
-            // Unity's GameObject is in an assembly of its own.
-            var name = assembly == "" ? told.In("name").Text() : $"{told.In("name").Text()}, {assembly.Replace("UnityEngine.CoreModule", "Stubs")}";
-            return Type.GetType(name, true);
+            // Unity's types are in assemblies of their own.
+            if (assembly.StartsWith("Unity", StringComparison.Ordinal)) assembly = "Stubs";
+            return Type.GetType(assembly == "" ? told.In("name").Text() : $"{told.In("name").Text()}, {assembly}", true);
         }
 
         private static void Register(object told)

@@ -6,11 +6,58 @@ using System.Threading;
 using System.Threading.Tasks;
 using UnityEngine;
 
+namespace GLTFast.Logging
+{
+    public interface ICodeLogger
+    {
+        void Error(string message);
+    }
+
+    public class LogItem
+    {
+        private readonly string _text;
+
+        public LogItem(string text)
+        {
+            _text = text;
+        }
+
+        public override string ToString() => _text;
+    }
+
+    public class CollectingLogger : ICodeLogger
+    {
+        private List<LogItem> _items;
+
+        public int Count => _items == null ? 0 : _items.Count;
+
+        /// <summary>Null as long as nothing was logged, as glTFast's is.</summary>
+        public IEnumerable<LogItem> Items => _items;
+
+        public void Error(string message) => (_items = _items ?? new List<LogItem>()).Add(new LogItem(message));
+    }
+}
+
 namespace GLTFast
 {
+    using GLTFast.Logging;
+
+    public interface IDownloadProvider
+    {
+    }
+
+    public interface IDeferAgent
+    {
+    }
+
+    public interface IMaterialGenerator
+    {
+    }
+
     public class ImportSettings
     {
         public bool GenerateMipMaps { get; set; }
+        public int AnisotropicFilterLevel { get; set; } = 1;
     }
 
     public class GltfImport : IDisposable
@@ -18,12 +65,18 @@ namespace GLTFast
         /// <summary>Imports that nobody has disposed of.</summary>
         public static readonly List<GltfImport> Alive = new List<GltfImport>();
 
+        /// <summary>What every import says and fails with, or null.</summary>
+        public static string Fault;
+
+        private readonly ICodeLogger _log;
         private object _document;
         private Mesh _mesh;
 
-        public GltfImport()
+        public GltfImport(IDownloadProvider downloadProvider = null, IDeferAgent deferAgent = null,
+            IMaterialGenerator materialGenerator = null, ICodeLogger logger = null)
         {
             UnityEngine.Object.OnMainThread();
+            _log = logger;
             Alive.Add(this);
         }
 
@@ -31,8 +84,14 @@ namespace GLTFast
             CancellationToken cancellationToken = default(CancellationToken))
         {
             await Task.Yield();
+            if (Fault != null)
+            {
+                _log?.Error(Fault);
+                return false;
+            }
             if (data.Length < 20 || Encoding.ASCII.GetString(data, 0, 4) != "glTF") return false;
             _document = Capture2vr.Json.Parse(Encoding.UTF8.GetString(data, 20, BitConverter.ToInt32(data, 12)));
+            _mesh = new Mesh { bounds = BoundsOf() };
             return true;
         }
 
@@ -42,7 +101,6 @@ namespace GLTFast
             var node = new GameObject("node");
             node.transform.SetParent(parent, false);
             Place(node.transform, (Dictionary<string, object>)Capture2vr.JsonSteps.List(Capture2vr.JsonSteps.In(_document, "nodes"))[0]);
-            _mesh = new Mesh { bounds = BoundsOf() };
             node.AddComponent<MeshFilter>().sharedMesh = _mesh;
             node.AddComponent<MeshRenderer>();
             return true;

@@ -4,6 +4,7 @@ using System;
 using System.Collections.Generic;
 using System.Linq;
 using System.Threading.Tasks;
+using UnityEngine;
 using UnityEngine.ResourceManagement.AsyncOperations;
 using UnityEngine.ResourceManagement.ResourceLocations;
 using UnityEngine.ResourceManagement.ResourceProviders;
@@ -124,6 +125,11 @@ namespace UnityEngine.ResourceManagement.ResourceProviders
         public long BundleSize { get; set; }
     }
 
+    public interface IAssetBundleResource
+    {
+        AssetBundle GetAssetBundle();
+    }
+
     public interface IResourceProvider
     {
         string ProviderId { get; }
@@ -161,9 +167,11 @@ namespace UnityEngine.ResourceManagement.ResourceProviders
         public ResourceManager ResourceManager { get; }
         public IResourceLocation Location { get; }
 
+        /// <summary>All of them or none: Unity empties the group of which one fails, also for who can do without.</summary>
         public void GetDependencies(IList<object> list)
         {
-            foreach (var each in _operation.Dependencies) list.Add(each.Status == AsyncOperationStatus.Succeeded ? each.Done.Task.Result : null);
+            if (_operation.Dependencies.Any(each => each.Status != AsyncOperationStatus.Succeeded)) return;
+            foreach (var each in _operation.Dependencies) list.Add(each.Done.Task.Result);
         }
 
         public void SetProgressCallback(Func<float> callback)
@@ -189,19 +197,24 @@ namespace UnityEngine.ResourceManagement
 
         public int Loaded => _operations.Count;
 
-        public string TransformInternalId(IResourceLocation location) => location.InternalId;
-
         public Operation Provide(IResourceLocation location)
         {
-            if (_operations.TryGetValue(location.InternalId, out var shared))
+            var key = KeyOf(location);
+            if (_operations.TryGetValue(key, out var shared))
             {
                 shared.Users++;
                 return shared;
             }
-            var made = _operations[location.InternalId] = new Operation();
+            var made = _operations[key] = new Operation();
             made.Dependencies.AddRange(location.Dependencies.Select(Provide));
             Run(location, made);
             return made;
+        }
+
+        /// <summary>Locations are the same whose ids and providers are, and those of what they depend on.</summary>
+        private static string KeyOf(IResourceLocation location)
+        {
+            return string.Join(" ", new[] { location }.Concat(location.Dependencies).Select(each => $"{each.ProviderId} {each.InternalId}"));
         }
 
         private async void Run(IResourceLocation location, Operation operation)
@@ -222,7 +235,7 @@ namespace UnityEngine.ResourceManagement
         /// <summary>Unity asks a provider to release only what it has provided.</summary>
         private void Free(IResourceProvider provider, IResourceLocation location, Operation operation)
         {
-            _operations.Remove(location.InternalId);
+            _operations.Remove(KeyOf(location));
             if (operation.Status != AsyncOperationStatus.Succeeded) return;
             Log.Add("release " + location.PrimaryKey);
             provider.Release(location, operation.Done.Task.Result);

@@ -156,6 +156,12 @@ namespace UnityEngine
             var mine = new Vector3(point.x * localScale.x, point.y * localScale.y, point.z * localScale.z) + position;
             return (object)parent == null ? mine : parent.TransformPoint(mine);
         }
+
+        public Vector3 InverseTransformPoint(Vector3 point)
+        {
+            var above = ((object)parent == null ? point : parent.InverseTransformPoint(point)) + position * -1;
+            return new Vector3(above.x / localScale.x, above.y / localScale.y, above.z / localScale.z);
+        }
     }
 
     public class Renderer : Component
@@ -179,6 +185,38 @@ namespace UnityEngine
     public sealed class Camera : Behaviour
     {
         public static Camera main { get; set; }
+        public float fieldOfView { get; set; } = 90;
+    }
+
+    public class Collider : Component
+    {
+    }
+
+    public sealed class BoxCollider : Collider
+    {
+        public Vector3 center { get; set; }
+        public Vector3 size { get; set; }
+    }
+
+    public sealed class Rigidbody : Component
+    {
+        public bool isKinematic { get; set; }
+        public bool useGravity { get; set; } = true;
+    }
+
+    public sealed class AssetBundle : Object
+    {
+    }
+
+    public static class QualitySettings
+    {
+        public static float lodBias { get; set; } = 1;
+    }
+
+    public enum LODFadeMode
+    {
+        None = 0,
+        CrossFade = 1
     }
 
     public struct LOD
@@ -201,6 +239,8 @@ namespace UnityEngine
 
         public Vector3 localReferencePoint { get; set; }
         public float size { get; set; }
+        public LODFadeMode fadeMode { get; set; }
+        public bool animateCrossFading { get; set; }
         public LOD[] GetLODs() => _lods;
 
         /// <summary>Unity logs an error for heights that do not fall; here it is one.</summary>
@@ -229,6 +269,12 @@ namespace UnityEngine
         public static Vector3 zero => new Vector3();
         public static Vector3 one => new Vector3(1, 1, 1);
         public static Vector3 operator +(Vector3 a, Vector3 b) => new Vector3(a.x + b.x, a.y + b.y, a.z + b.z);
+        public static float Distance(Vector3 a, Vector3 b)
+        {
+            var d = a + b * -1;
+            return (float)Math.Sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
+        }
+
         public static Vector3 operator *(Vector3 a, float d) => new Vector3(a.x * d, a.y * d, a.z * d);
     }
 
@@ -261,6 +307,8 @@ namespace UnityEngine
     public struct Mathf
     {
         public const float Rad2Deg = 57.29578f;
+        public const float Deg2Rad = 1 / Rad2Deg;
+        public static float Tan(float f) => (float)Math.Tan(f);
         public static float Max(float a, float b) => Math.Max(a, b);
         public static float Min(float a, float b) => Math.Min(a, b);
     }
@@ -280,6 +328,14 @@ namespace UnityEngine
         public static readonly List<string> Errors = new List<string>();
         public static void Log(object message) => Console.WriteLine(message);
         public static void LogError(object message, Object context) => Errors.Add(message.ToString());
+    }
+
+    [AttributeUsage(AttributeTargets.Class)]
+    public sealed class RequireComponent : Attribute
+    {
+        public RequireComponent(Type requiredComponent)
+        {
+        }
     }
 
     [AttributeUsage(AttributeTargets.Field)]
