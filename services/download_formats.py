@@ -1,0 +1,89 @@
+"""The formats in which a finished asset can be downloaded for other programs: names, words for people, and what each
+is made from. The gateway lists them, the worker makes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+WRITERS = 1
+"""Version of all that writes these formats. Raised when a file comes out different: files that were made before are
+then made again."""
+
+MESH, FINEST, POINTS, CAMERAS = "mesh.ply", "lod0.glb", "points.laz", "cameras.json"
+"""Files of a bundle: the full mesh, the finest level of detail, points of the capture, the cameras of its photos."""
+
+
+@dataclass(frozen=True, slots=True)
+class DownloadFormat:
+    """A format of downloads.
+
+    name    in the API and on the command line; title, about: in words for people
+    ending  of a file's name, behind the asset's key
+    needs   files of the bundle that it is made from: without one of them the asset cannot have the format
+    uses    files of the bundle that help where they are there
+    """
+
+    name: str
+    title: str
+    about: str
+    ending: str
+    needs: tuple[str, ...]
+    uses: tuple[str, ...] = ()
+
+    def file_name(self, key: str) -> str:
+        """Return the name of an asset's file in this format."""
+        return key + self.ending
+
+
+FORMATS = {
+    each.name: each
+    for each in (
+        DownloadFormat(
+            "glb", "GLB", "For nearly every 3D program: mesh and texture in one file. Metres, Y up.", ".glb", (FINEST,)
+        ),
+        DownloadFormat(
+            "glb-meshopt",
+            "GLB, compressed",
+            "For web pages and game engines with a meshopt decoder: a quarter of the bytes. Metres, Y up.",
+            "-meshopt.glb",
+            (FINEST,),
+        ),
+        DownloadFormat(
+            "obj",
+            "OBJ with texture",
+            "For older 3D programs: a zip of OBJ, MTL and JPEG. Metres, Y up.",
+            "-obj.zip",
+            (FINEST,),
+        ),
+        DownloadFormat(
+            "ply",
+            "PLY mesh",
+            "For MeshLab, CloudCompare and scripts: every triangle, colours at the vertices. Metres, Z up.",
+            ".ply",
+            (MESH,),
+        ),
+        DownloadFormat(
+            "stl",
+            "STL",
+            "For 3D printing: every triangle, no colours. Millimetres, Z up, as slicers expect.",
+            ".stl",
+            (MESH,),
+        ),
+        DownloadFormat(
+            "usdz",
+            "USDZ",
+            "For iPhone, iPad and Mac: opens in Quick Look. Metres, Y up.",
+            ".usdz",
+            (FINEST,),
+            ("asset.usdz",),
+        ),
+    )
+}
+"""All formats by name, in the order in which people are shown them."""
+
+
+def formats_of(files: Collection[str]) -> list[DownloadFormat]:
+    """Return the formats that an asset can have whose bundle has these files."""
+    return [each for each in FORMATS.values() if all(file in files for file in each.needs)]

@@ -1,0 +1,123 @@
+"""Convert the files of a bundle to a format for other programs: `python -m services.edge.convert` does it for a worker,
+`capture2vr convert` on a desk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from trimesh.exchange.stl import export_stl
+
+from services.download_formats import FINEST, MESH
+from services.edge.arrays import Floats
+from services.edge.convert.read_glb import StoredLevel, read_glb
+from services.edge.export.glb import to_glb
+from services.edge.export.obj import to_obj_zip
+from services.edge.export.ply import ply_bytes
+from services.edge.export.usdz import to_usdz
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.texture.nearest_colour import transfer_colours
+
+_MM = 1000.0  # per metre
+
+
+@dataclass(frozen=True, slots=True)
+class BundleFolder:
+    """A bundle's files in a folder, by their plain names, with its manifest."""
+
+    folder: Path
+    manifest: Mapping[str, Any]
+
+    def read(self, file: str) -> bytes:
+        """Read a file. Raises FileNotFoundError."""
+        return (self.folder / file).read_bytes()
+
+    def has(self, file: str) -> bool:
+        return (self.folder / file).is_file()
+
+    @property
+    def to_asset(self) -> Floats:
+        """(4,4) from the capture frame, in which the full mesh and the points are, to the asset frame."""
+        matrix: Floats = np.array(self.manifest["capture_to_asset"], np.float64).reshape(4, 4)
+        return matrix
+
+
+def convert(bundle: BundleFolder, format_name: str, key: str) -> bytes:
+    """Convert a bundle to a format of `services.download_formats`; key: what the files inside a zip are named by.
+
+    Raises ValueError where a file of the bundle is not what it should be, FileNotFoundError where one is missing.
+    """
+    return _WRITERS[format_name](bundle, key)
+
+
+def _glb(bundle: BundleFolder, key: str) -> bytes:
+    level = _finest(bundle)
+    return to_glb(level.mesh, "float", unlit=level.unlit)
+
+
+def _glb_meshopt(bundle: BundleFolder, key: str) -> bytes:
+    data = bundle.read(FINEST)
+    level = read_glb(data)
+    return data if level.is_packed else to_glb(level.mesh, "meshopt", unlit=level.unlit)
+
+
+def _obj(bundle: BundleFolder, key: str) -> bytes:
+    return to_obj_zip(_finest(bundle).mesh, key)
+
+
+def _ply(bundle: BundleFolder, key: str) -> bytes:
+    return ply_bytes(z_up(_full(bundle)))
+
+
+def _stl(bundle: BundleFolder, key: str) -> bytes:
+    mesh = z_up(_full(bundle))
+    data: bytes = export_stl(trimesh.Trimesh(mesh.vertices * _MM, mesh.faces, process=False))
+    return data
+
+
+def _usdz(bundle: BundleFolder, key: str) -> bytes:
+    """The bundle's own file, which is of a level that phones can show; a preview has none yet."""
+    return bundle.read("asset.usdz") if bundle.has("asset.usdz") else to_usdz(_finest(bundle).mesh)
+
+
+_WRITERS: Mapping[str, Callable[[BundleFolder, str], bytes]] = {
+    "glb": _glb,
+    "glb-meshopt": _glb_meshopt,
+    "obj": _obj,
+    "ply": _ply,
+    "stl": _stl,
+    "usdz": _usdz,
+}
+
+
+def _finest(bundle: BundleFolder) -> StoredLevel:
+    """The finest level. One with a KTX2 texture, which these formats cannot have, gets the full mesh's colours."""
+    level = read_glb(bundle.read(FINEST))
+    if not level.ktx2 or isinstance(level.mesh, TexturedMesh):
+        return level
+    full = _full(bundle)
+    coloured = level.mesh if full.rgb is None else transfer_colours(level.mesh, full.vertices, full.rgb)
+    return replace(level, mesh=coloured)
+
+
+def _full(bundle: BundleFolder) -> Mesh:
+    """The full mesh, in the asset frame. Raises ValueError."""
+    with (bundle.folder / MESH).open("rb") as file:
+        found = trimesh.load(file, file_type="ply", process=False)
+    if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
+        raise ValueError(f"{MESH} has no triangles")
+    rgb = np.asarray(found.visual.vertex_colors, np.uint8)[:, :3] if found.visual.kind == "vertex" else None
+    to_asset = bundle.to_asset
+    vertices = np.asarray(found.vertices, np.float64) @ to_asset[:3, :3].T + to_asset[:3, 3]
+    return Mesh(vertices, np.asarray(found.faces, np.int64), rgb)
+
+
+def z_up(mesh: Mesh) -> Mesh:
+    """Turn a mesh of the asset frame (Y up) upright for programs whose Z axis is up: a quarter turn about X."""
+    x, y, z = mesh.vertices.T
+    return replace(mesh, vertices=np.stack([x, -z, y], axis=1))
