@@ -129,6 +129,11 @@ class GrpcClient:
             await asyncio.wait([sending])
         return answer
 
+    async def make_download(self, request: pb.DownloadRequest, timeout_s: float) -> pb.Download:
+        """Have the worker convert a published asset, and return the file's name on the store."""
+        answer: pb.Download = await self._stub.MakeDownload(request, timeout=timeout_s)
+        return answer
+
     async def reconstruct(
         self, header: pb.Header, data: AsyncGenerator[bytes, None], *, admit_s: float | None = None
     ) -> AsyncGenerator[pb.Event, None]:

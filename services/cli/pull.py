@@ -184,7 +184,7 @@ def _manifest(found: _FoundAsset) -> tuple[bytes, list[AssetFile]]:
     """Download the asset's manifest, and return it and the files that it lists. Raises CatalogueFault."""
     name = found.row.manifest_name
     data = found.objects.read(name, DOCUMENT_BYTES, absent=MANIFEST_MISSING, changed=MANIFEST_CHANGED)
-    return data, parse_manifest(data, found.row)
+    return data, parse_manifest(data, found.row.manifest_name)
 
 
 def _install(out: Path, files: dict[str, Path], manifest: bytes) -> None:

@@ -35,6 +35,7 @@ from services.gateway.access.usage import Usage
 from services.gateway.connections import ConnectionLimits, LimitedProtocol
 from services.gateway.database import open_engine
 from services.gateway.dispatch.dispatcher import Dispatcher
+from services.gateway.dispatch.downloads import Downloads
 from services.gateway.dispatch.run_supervisor import Dependencies
 from services.gateway.instance_lock import FolderInUse, Instance, lock_instance, lock_replica
 from services.gateway.jobs.async_store import AsyncJobStore
@@ -56,6 +57,7 @@ from services.gateway.routes import (
     captures,
     collections,
     data,
+    downloads,
     files,
     health,
     jobs,
@@ -90,7 +92,7 @@ from services.traces import start_tracing
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _ROUTES = (
-    *(captures, uploads, jobs, assets, versions, names, collections, files, visibility, shares),
+    *(captures, uploads, jobs, assets, versions, downloads, names, collections, files, visibility, shares),
     *(access, tenants, webhooks, data, health, service, pages),
 )
 _GRACE_S = 5  # for answers in progress when the gateway stops
@@ -106,7 +108,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
     limits, usage, check_processes, code_guesses, password_guesses, readers, sharing, job_store, resumable, webhooks,
-    outbox, deliveries, dispatcher.
+    outbox, deliveries, downloads, dispatcher.
 
     Raises SettingsError where the workers' certificate or token cannot be used.
     """
@@ -230,6 +232,8 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
             app.state.deliveries,
             resumable.database,
         )
+        app.state.downloads = Downloads(workers, app.state.store)
+        stack.push_async_callback(app.state.downloads.close)
         app.state.dispatcher = Dispatcher(dependencies, holder=instance.id, lease_s=settings.lease_s)
         others = OtherGateways(job_store, wake=app.state.dispatcher.wake, cancel=app.state.dispatcher.cancel)
         for background in (

@@ -46,11 +46,13 @@ from services.gateway.worker_types import (
 from services.grpc_client import RUN_S, SILENCE_S, GrpcClient, StreamEnded, file_chunks
 from services.grpc_security import NO_CREDENTIALS, ClientCredentials
 from services.photo_box import PhotoBox
+from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
 
 _log = logging.getLogger(__name__)
 
 POLL_S = 1.0  # deadline of a status request: a worker that needs longer counts as absent
 INSPECT_S = 120.0  # deadline of an inspection: uploading 1 GB within a data centre and reading its headers
+DOWNLOAD_S = 900.0  # deadline of a download: those before it in the worker's line, and then its own five minutes
 CANCEL_S = 2.0  # deadline of a cancellation; it is repeated until the run ends
 _MOST_ANCHORS = 1_000  # points: every event is stored, and sent to every page that follows the job
 
@@ -160,6 +162,25 @@ class WorkerPool:
             except (WorkerBusy, WorkerLost):
                 continue
         return None
+
+    async def make_download(self, address: str, tenant: str, order: DownloadOrder) -> StoredDownload:
+        """Have a worker convert an asset of a tenant to another format, and write the file to the store.
+
+        Raises WorkerBusy, WorkerLost, and Problem where the asset cannot be converted.
+        """
+        request = pb.DownloadRequest(
+            tenant=tenant, asset_key=order.key, manifest=order.manifest, format=order.format.name
+        )
+        with self._calling(address) as client:
+            try:
+                answer = await client.make_download(request, DOWNLOAD_S)
+            except grpc.aio.AioRpcError as error:
+                raise _to_exception(error.code(), error.details() or error.code().name) from None
+        if not answer.HasField("failure"):
+            return StoredDownload(answer.name, answer.bytes)
+        if answer.failure.retryable:
+            raise WorkerBusy(answer.failure.message)
+        raise problem_of(_failed(0, answer.failure))
 
     async def reconstruct(
         self, address: str, job: Job, data: AsyncGenerator[bytes, None], size: int

@@ -370,7 +370,7 @@ def test_a_manifest_lists_each_file_once_with_its_hash() -> None:
     for bad in ([good, good], [{**good, "sha256": "../x"}], [{**good, "bytes": "many"}], [{}], None):
         data = json.dumps({"files": bad}).encode()
         with pytest.raises(OSError, match="it lists"):
-            parse_manifest(data, Row(KEY, "", (), 1, "refined", 1, sha256_hex(data), ""))
+            parse_manifest(data, Row(KEY, "", (), 1, "refined", 1, sha256_hex(data), "").manifest_name)
 
 
 def test_a_pulled_scene_in_tiles_is_a_tileset_of_its_own(site: Site, pull: Pull, tmp_path: Path) -> None:

@@ -301,3 +301,25 @@ class Preset(_message.Message):
     literature: bool
     takes: str
     def __init__(self, name: _Optional[str] = ..., summary: _Optional[str] = ..., trained: _Optional[bool] = ..., memory_bytes: _Optional[int] = ..., literature: _Optional[bool] = ..., takes: _Optional[str] = ...) -> None: ...
+
+class DownloadRequest(_message.Message):
+    __slots__ = ("tenant", "asset_key", "manifest", "format")
+    TENANT_FIELD_NUMBER: _ClassVar[int]
+    ASSET_KEY_FIELD_NUMBER: _ClassVar[int]
+    MANIFEST_FIELD_NUMBER: _ClassVar[int]
+    FORMAT_FIELD_NUMBER: _ClassVar[int]
+    tenant: str
+    asset_key: str
+    manifest: str
+    format: str
+    def __init__(self, tenant: _Optional[str] = ..., asset_key: _Optional[str] = ..., manifest: _Optional[str] = ..., format: _Optional[str] = ...) -> None: ...
+
+class Download(_message.Message):
+    __slots__ = ("name", "bytes", "failure")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    BYTES_FIELD_NUMBER: _ClassVar[int]
+    FAILURE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    bytes: int
+    failure: Failure
+    def __init__(self, name: _Optional[str] = ..., bytes: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ...) -> None: ...

@@ -59,6 +59,11 @@ class EdgeReconstructionStub:
                 request_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.GetWorkerRequest.SerializeToString,
                 response_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.Worker.FromString,
                 _registered_method=True)
+        self.MakeDownload = channel.unary_unary(
+                '/capture2vr.edge.v1.EdgeReconstruction/MakeDownload',
+                request_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.DownloadRequest.SerializeToString,
+                response_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.Download.FromString,
+                _registered_method=True)
 
 
 class EdgeReconstructionServicer:
@@ -114,6 +119,18 @@ class EdgeReconstructionServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def MakeDownload(self, request, context):
+        """Convert a published asset to a format for other programs, and write the file to the store beside the asset's own;
+        at once where that was done before. It is made to its end even if the caller hangs up.
+        RESOURCE_EXHAUSTED  too many wait already, or the worker's disk is full
+        UNAVAILABLE         the worker is draining
+        INVALID_ARGUMENT    request malformed
+        A format that this asset cannot be made into is an answer with `failure` set, not a status.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_EdgeReconstructionServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -141,6 +158,11 @@ def add_EdgeReconstructionServicer_to_server(servicer, server):
                     servicer.GetWorker,
                     request_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.GetWorkerRequest.FromString,
                     response_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.Worker.SerializeToString,
+            ),
+            'MakeDownload': grpc.unary_unary_rpc_method_handler(
+                    servicer.MakeDownload,
+                    request_deserializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.DownloadRequest.FromString,
+                    response_serializer=capture2vr_dot_edge_dot_v1_dot_edge__pb2.Download.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -278,6 +300,33 @@ class EdgeReconstruction:
             '/capture2vr.edge.v1.EdgeReconstruction/GetWorker',
             capture2vr_dot_edge_dot_v1_dot_edge__pb2.GetWorkerRequest.SerializeToString,
             capture2vr_dot_edge_dot_v1_dot_edge__pb2.Worker.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def MakeDownload(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/capture2vr.edge.v1.EdgeReconstruction/MakeDownload',
+            capture2vr_dot_edge_dot_v1_dot_edge__pb2.DownloadRequest.SerializeToString,
+            capture2vr_dot_edge_dot_v1_dot_edge__pb2.Download.FromString,
             options,
             channel_credentials,
             insecure,

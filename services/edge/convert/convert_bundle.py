@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from trimesh.exchange.stl import export_stl
+from trimesh.visual import ColorVisuals
 
 from services.download_formats import FINEST, MESH
 from services.edge.arrays import Floats
@@ -111,7 +112,8 @@ def _full(bundle: BundleFolder) -> Mesh:
         found = trimesh.load(file, file_type="ply", process=False)
     if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
         raise ValueError(f"{MESH} has no triangles")
-    rgb = np.asarray(found.visual.vertex_colors, np.uint8)[:, :3] if found.visual.kind == "vertex" else None
+    colours = found.visual if isinstance(found.visual, ColorVisuals) and found.visual.kind == "vertex" else None
+    rgb = None if colours is None else np.asarray(colours.vertex_colors, np.uint8)[:, :3]
     to_asset = bundle.to_asset
     vertices = np.asarray(found.vertices, np.float64) @ to_asset[:3, :3].T + to_asset[:3, 3]
     return Mesh(vertices, np.asarray(found.faces, np.int64), rgb)

@@ -23,12 +23,12 @@ def to_obj_zip(subject: Mesh | TexturedMesh, name: str) -> bytes:
 
     Vertex colours follow the positions, as MeshLab and Blender read them. Equal meshes give equal bytes.
     """
-    textured = isinstance(subject, TexturedMesh)
     text = _geometry(shaded(subject))
     head = f"# capture2vr {services.__version__}: metres, Y up\nmtllib {name}.mtl\no {name}\nusemtl captured\n"
-    material = _MATERIAL.format(1 if textured or subject.rgb is not None else _NEUTRAL)
+    grey = isinstance(subject, Mesh) and subject.rgb is None
+    material = _MATERIAL.format(_NEUTRAL if grey else 1)
     files = {f"{name}.obj": (head + text).encode(), f"{name}.mtl": material.encode()}
-    if textured:
+    if isinstance(subject, TexturedMesh):
         files[f"{name}.mtl"] += f"map_Kd {name}.jpg\n".encode()
         files[f"{name}.jpg"] = subject.jpeg
     return zip_bytes(files)
@@ -39,7 +39,7 @@ def _geometry(surface: Shaded) -> str:
     visual = None
     if surface.uv is not None:
         upward = np.stack([surface.uv[:, 0], 1 - surface.uv[:, 1]], axis=1)  # v of OBJ runs up
-        visual = trimesh.visual.TextureVisuals(uv=upward)
+        visual = trimesh.visual.TextureVisuals(uv=upward)  # type: ignore[no-untyped-call]
     mesh = trimesh.Trimesh(
         surface.mesh.vertices,
         surface.mesh.faces,
@@ -48,7 +48,7 @@ def _geometry(surface: Shaded) -> str:
         visual=visual,
         process=False,
     )
-    text, _ = export_obj(mesh, include_normals=True, digits=_DIGITS, header=None, return_texture=True)
+    text: str = export_obj(mesh, include_normals=True, digits=_DIGITS, header=None)  # type: ignore[no-untyped-call]
     # trimesh names a material of its own, whose picture it would compress a second time.
     return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(("mtllib ", "usemtl ")))
 

@@ -24,6 +24,7 @@ from services.edge.jobs.central_client import Central, CentralUnavailable
 from services.edge.jobs.fit_job import FieldFitter, to_wire
 from services.edge.jobs.forward_job import forward, resume
 from services.edge.jobs.inspect_capture import Inspector, unpack_capture
+from services.edge.jobs.make_download import make_download
 from services.edge.jobs.points_archive import read_prepared
 from services.edge.jobs.points_cache import load_points, save_points
 from services.edge.points.nouns import Points
@@ -34,9 +35,11 @@ from services.edge.worker.job_request import ReconstructionRequest
 from services.edge.worker.job_run import Report
 from services.edge.worker.memory_budget import MemoryBudget
 from services.photo_box import PhotoBox
+from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.storage.catalogue.publish import Publish, publish
 from services.storage.store import Store
+from services.storage.tenant_store import store_of_tenant
 
 T = TypeVar("T")
 
@@ -65,6 +68,7 @@ class Reconstructor:
         encode: EncodeKtx2 | None = None,
         engine: OpenEngine | None = None,
     ) -> None:
+        self._store = store
         self._fitter = FieldFitter(store, presets, device, memory, publish, encode, engine)
         self._presets = presets
         self._device = device
@@ -101,6 +105,10 @@ class Reconstructor:
         Raises EdgeError when reading it costs too much or crashes; other faults are the answer's `failure`.
         """
         return self._inspector.inspect(archive, scratch, box, tick)
+
+    def make_download(self, tenant: str, order: DownloadOrder, scratch: Path, tick: Tick) -> StoredDownload:
+        """Convert a published asset to another format. Raises EdgeError DOWNLOAD_* and STORE_UNAVAILABLE."""
+        return make_download(store_of_tenant(self._store, tenant), order, scratch, tick)
 
     def _reconstruct_with(
         self,

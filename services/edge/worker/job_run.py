@@ -20,6 +20,7 @@ from services.edge.worker.failures import failure_of
 from services.edge.worker.job_request import ReconstructionRequest
 from services.logs import log_fields
 from services.photo_box import PhotoBox
+from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
 from services.traces import StageSpans, capture_span, stage_spans
 
 Report = Callable[[Update], None]
@@ -58,6 +59,15 @@ class Work(Protocol):
 
         box   rectangle of a single photo that the thing lies in; None: it is looked for
         tick  called often; raises Cancelled, which is passed on, when nobody waits for the answer any more
+        """
+        ...
+
+    def make_download(self, tenant: str, order: DownloadOrder, scratch: Path, tick: Tick) -> StoredDownload:
+        """Convert a published asset of a tenant to another format, and write the file to the store.
+
+        scratch  empty folder for temporary files
+        tick     called often; raises Cancelled, which is passed on, when this worker shuts down
+        Raises EdgeError where the asset cannot be converted.
         """
         ...
 

@@ -17,6 +17,7 @@ from services import __version__
 from services.edge.api import edge_pb2 as pb
 from services.edge.api import edge_pb2_grpc
 from services.edge.worker.authentication import TokenAuthentication, drain_messages
+from services.edge.worker.downloads import Downloads
 from services.edge.worker.inspections import Inspections
 from services.edge.worker.job_queue import JobQueue
 from services.edge.worker.job_request import ReconstructionRequest, RefusedError, checked_box
@@ -54,16 +55,24 @@ _OUT_OF_MEMORY = "OUT_OF_MEMORY: this worker was killed because its jobs wanted 
 
 
 class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
-    """Implements the wire's five calls with a worker's `JobQueue` and `Inspections`."""
+    """Implements the wire's calls with a worker's `JobQueue`, `Inspections` and `Downloads`."""
 
     def __init__(
-        self, settings: EdgeSettings, work: Work, runs: JobQueue, inspections: Inspections, *, out_of_memory: bool
+        self,
+        settings: EdgeSettings,
+        work: Work,
+        runs: JobQueue,
+        inspections: Inspections,
+        downloads: Downloads,
+        *,
+        out_of_memory: bool,
     ) -> None:
         self._settings = settings
         self._out_of_memory = out_of_memory
         self._work = work
         self._runs = runs
         self._inspections = inspections
+        self._downloads = downloads
 
     async def Reconstruct(self, request_iterator: AsyncIterator[pb.Chunk], context: Context) -> AsyncIterator[pb.Event]:  # noqa: N802
         chunks = aiter(request_iterator)
@@ -113,6 +122,12 @@ class EdgeServicer(edge_pb2_grpc.EdgeReconstructionServicer):
             points_version=offer.points_version,
             central=offer.central,
         )
+
+    async def MakeDownload(self, request: pb.DownloadRequest, context: Context) -> pb.Download:  # noqa: N802
+        try:
+            return await self._downloads.make(request)
+        except RefusedError as refused:
+            await context.abort(refused.status, refused.details)
 
 
 async def _admitting(chunks: AsyncIterator[pb.Chunk], context: Context) -> AsyncIterator[pb.Chunk]:
@@ -180,8 +195,8 @@ class EdgeServer:
         interceptors = [TokenAuthentication(self._security.token)] if self._security.token else []
         self._server = grpc.aio.server(interceptors=interceptors, options=OPTIONS)
         self._health = health.aio.HealthServicer()
-        inspections = Inspections(work, scratch)
-        servicer = EdgeServicer(settings, work, self._runs, inspections, out_of_memory=out_of_memory)
+        inspections, self._downloads = Inspections(work, scratch), Downloads(work, scratch)
+        servicer = EdgeServicer(settings, work, self._runs, inspections, self._downloads, out_of_memory=out_of_memory)
         edge_pb2_grpc.add_EdgeReconstructionServicer_to_server(servicer, self._server)  # type: ignore[no-untyped-call]
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)
         if settings.reflection:
@@ -200,6 +215,7 @@ class EdgeServer:
         hurry  ends the wait at once when it is set
         """
         await self._health.enter_graceful_shutdown()
+        self._downloads.close()
         await self._runs.drain(self._settings.drain_s, hurry)
         await self._server.stop(STREAM_END_S)
 

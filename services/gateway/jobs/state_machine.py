@@ -193,9 +193,12 @@ def _fail(job: Job, why: Problem, now: float) -> Change:
     return _change_state(replace(job, lease=_free_lease(job.lease), error=error), State.FAILED, now)
 
 
+_CALLERS_FAULT = ("CAPTURE_", "ARCHIVE_", "IMAGE_", "PRESET_", "BUDGET_", "KEY_", "DOWNLOAD_")  # codes begin so
+
+
 def problem_of(failure: RunFailed) -> Problem:
     """Return the problem of a failed run: status 422 where the capture or the request is at fault, else 500."""
-    status = 422 if failure.code.startswith(("CAPTURE_", "ARCHIVE_", "IMAGE_", "PRESET_", "BUDGET_", "KEY_")) else 500
+    status = 422 if failure.code.startswith(_CALLERS_FAULT) else 500
     return Problem(
         status,
         failure.code,

@@ -99,7 +99,7 @@ async def list_assets(
 )
 async def get_asset(key: Key, request: Request) -> Response:
     """Get an asset's catalogue entry, with the URL of every file. Answers 304 for an ETag in If-None-Match."""
-    found = await _entry(request, key)
+    found = await read_asset(request, key)
     reading = reading_of(request)
     document = add_urls(request, _document(found, reading))
     body = json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
@@ -118,7 +118,7 @@ async def get_asset(key: Key, request: Request) -> Response:
 )
 async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)], request: Request) -> Response:
     """Redirect to the GLB file of a level of detail of the current version; 0 is the finest."""
-    levels = (await _entry(request, key)).document["lods"]
+    levels = (await read_asset(request, key)).document["lods"]
     name = next((each["name"] for each in levels if each["level"] == level), None)
     if name is None:
         known = ", ".join(str(each["level"]) for each in levels)
@@ -137,7 +137,7 @@ async def get_level_of_detail(key: Key, level: Annotated[int, Path(ge=0, le=99)]
 )
 async def get_qr_code(key: Key, request: Request) -> Response:
     """Get the URL of the asset's viewer page as a QR code (SVG), to open it on a headset."""
-    await _entry(request, key)
+    await read_asset(request, key)
     address = urljoin(gateway_url(request), page_path(request, f"view/{key}"))
     return Response(qr_svg(address), media_type="image/svg+xml")
 
@@ -188,7 +188,7 @@ def _document(found: Entry, reading: Reading) -> dict[str, Any]:
     return document
 
 
-async def _entry(request: Request, key: str) -> Entry:
+async def read_asset(request: Request, key: str) -> Entry:
     """Read the key's entry. Raises Problem KEY_INVALID, ASSET_UNKNOWN, ASSET_REMOVED, STORE_UNAVAILABLE."""
     check_key(key)
     store = store_of(request)

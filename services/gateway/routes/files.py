@@ -43,7 +43,7 @@ async def get_file(name: str, request: Request) -> Response:
     if not isinstance(store, LocalStore):
         redirect = _redirect(store, name)
         # A presigned URL is good for GET alone.
-        return await _headers_alone(store, name, request) if request.method == "HEAD" else redirect
+        return await headers_alone(store, name, request) if request.method == "HEAD" else redirect
     try:
         head = await in_thread(lambda: store.head(name))
     except (FileNotFoundError, ValueError):
@@ -69,7 +69,7 @@ def _redirect(store: Store, name: str) -> Response:
     return RedirectResponse(url, 307, {"Cache-Control": "private, no-store"})
 
 
-async def _headers_alone(store: Store, name: str, request: Request) -> Response:
+async def headers_alone(store: Store, name: str, request: Request) -> Response:
     """Answer HEAD for an object that is read elsewhere. Raises Problem FILE_UNKNOWN."""
     try:
         head = await in_thread(lambda: store.head(name))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-from services.storage.bundle import sha256_hex
+from services.storage.bundle import hash_in_name, sha256_hex
 from services.storage.catalogue.collection import Index, Row, Shard
 from services.storage.catalogue.faults import MANIFEST_CHANGED, SHARD_MISSING, CatalogueFault
 from services.storage.store import Store
@@ -49,22 +49,22 @@ class AssetFile:
     size: int
 
 
-def parse_manifest(data: bytes, row: Row) -> list[AssetFile]:
-    """Check a manifest's hash against the asset's row and return the files that it lists.
+def parse_manifest(data: bytes, name: str) -> list[AssetFile]:
+    """Check a manifest's hash against the one in its object name and return the files that it lists.
 
     Raises CatalogueFault MANIFEST_CHANGED.
     """
-    if sha256_hex(data) != row.manifest:
+    if sha256_hex(data) != hash_in_name(name):
         message = f"its {len(data):,} bytes do not have the hash that the catalogue lists"
-        raise CatalogueFault(MANIFEST_CHANGED, row.manifest_name, message)
+        raise CatalogueFault(MANIFEST_CHANGED, name, message)
     try:
         files = [
             _asset_file(each["file"], each["name"], each["sha256"], each["bytes"]) for each in json.loads(data)["files"]
         ]
     except (ValueError, KeyError, TypeError) as error:
-        raise CatalogueFault(MANIFEST_CHANGED, row.manifest_name, f"it lists no valid files: {error}") from None
+        raise CatalogueFault(MANIFEST_CHANGED, name, f"it lists no valid files: {error}") from None
     if len({each.file for each in files}) < len(files):
-        raise CatalogueFault(MANIFEST_CHANGED, row.manifest_name, "it lists a file twice")
+        raise CatalogueFault(MANIFEST_CHANGED, name, "it lists a file twice")
     return files
 
 

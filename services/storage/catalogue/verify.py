@@ -117,7 +117,7 @@ def _check_shard(fetch: Fetch, shard: Shard) -> tuple[tuple[Row, ...], int]:
 def _check_manifest(fetch: Fetch, row: Row) -> tuple[list[AssetFile], int]:
     """Check a manifest's hash; return the files that it lists, and its size in bytes."""
     data = _read_object(fetch, row.manifest_name, MANIFEST_MISSING)
-    return parse_manifest(data, row), len(data)
+    return parse_manifest(data, row.manifest_name), len(data)
 
 
 def _check_file(fetch: Fetch, file: AssetFile) -> tuple[str, int]:

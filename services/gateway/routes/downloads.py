@@ -1,0 +1,152 @@
+"""/v1/assets/{key}/downloads and /download: an asset in the formats of other programs, made when they are asked for."""
+
+from __future__ import annotations
+
+from typing import Annotated
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import JSONResponse, RedirectResponse
+from pydantic import BaseModel
+
+from services.download_formats import FORMATS, DownloadFormat, formats_of
+from services.gateway.errors import Problem
+from services.gateway.routes.assets import Key, read_asset
+from services.gateway.routes.files import headers_alone
+from services.gateway.routes.read_rules import READS_ASSET, reading_of, reads_tenant
+from services.gateway.routes.store_access import in_thread, object_url, store_of, store_problems
+from services.gateway.schemas import problems
+from services.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
+from services.storage.catalogue.entry import Entry
+from services.storage.store import NO_CACHE, Store, list_all
+from services.storage.tenant_store import DEFAULT_TENANT
+
+router = APIRouter(prefix="/v1", tags=["assets"])
+
+_AGAIN_S = 2
+"""Seconds after which to ask again for a file that is being made."""
+
+FormatQuery = Annotated[
+    str, Query(alias="format", max_length=40, description=f"One of {', '.join(FORMATS)}.", examples=["obj"])
+]
+
+
+class DownloadView(BaseModel):
+    """A format in which an asset can be downloaded. `title` and `about` are for people, `file` is a name to save it
+    under, `bytes` the size of the file where it has been made before, else null.
+    """
+
+    format: str
+    title: str
+    about: str
+    file: str
+    bytes: int | None
+    url: str
+
+
+class DownloadList(BaseModel):
+    """The formats in which the current version of an asset can be downloaded."""
+
+    key: str
+    version: int
+    downloads: list[DownloadView]
+
+
+class DownloadProgress(BaseModel):
+    """A file that is being made: ask again after Retry-After seconds."""
+
+    format: str
+    file: str
+
+
+@router.get(
+    "/assets/{key}/downloads",
+    response_model=DownloadList,
+    dependencies=[READS_ASSET],
+    responses=problems(404, 410, 422, 503),
+)
+async def list_downloads(key: Key, request: Request, response: Response) -> DownloadList:
+    """List the formats in which an asset can be downloaded for other programs."""
+    entry = await read_asset(request, key)
+    store, reading = store_of(request), reading_of(request)
+    formats = formats_of(_bundle_files(entry))
+    sizes = await in_thread(lambda: _sizes(store, entry, formats))
+    response.headers.update({"Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers})
+    return DownloadList(
+        key=key,
+        version=entry.version,
+        downloads=[
+            DownloadView(
+                format=each.name,
+                title=each.title,
+                about=each.about,
+                file=each.file_name(key),
+                bytes=sizes.get(each.name),
+                url=_url(request, key, each),
+            )
+            for each in formats
+        ],
+    )
+
+
+@router.head("/assets/{key}/download", include_in_schema=False, dependencies=[READS_ASSET])
+@router.get(
+    "/assets/{key}/download",
+    status_code=307,
+    dependencies=[READS_ASSET],
+    responses={202: {"model": DownloadProgress}, **problems(404, 410, 422, 500, 503)},
+)
+async def get_download(key: Key, format_name: FormatQuery, request: Request) -> Response:
+    """Redirect to the asset's file in a format for other programs, which is made now if nobody has asked for it before.
+
+    A large file takes longer than a request should: then the answer is 202 with Retry-After, and it is there when asked
+    for again. The file is made once for each version, and never changes.
+    """
+    entry = await read_asset(request, key)
+    order = DownloadOrder(key, str(entry.document["manifest"]["sha256"]), _format_of(entry, format_name))
+    with store_problems():
+        found = await request.app.state.downloads.get(reads_tenant(request), order)
+    reading = reading_of(request)
+    headers = {"Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
+    if found is None:
+        body = DownloadProgress(format=format_name, file=order.format.file_name(key)).model_dump()
+        return JSONResponse(body, 202, headers | {"Retry-After": str(_AGAIN_S), "Cache-Control": "no-store"})
+    if request.method == "HEAD":  # answered here: a URL that is signed for GET refuses it
+        return await headers_alone(store_of(request), found.name, request)
+    return RedirectResponse(object_url(request, found.name), 307, headers)
+
+
+def _format_of(entry: Entry, name: str) -> DownloadFormat:
+    """Return the format of this name. Raises Problem FORMAT_UNKNOWN, and FORMAT_UNAVAILABLE for this asset."""
+    formats = formats_of(_bundle_files(entry))
+    found = next((each for each in formats if each.name == name), None)
+    if found:
+        return found
+    names = ", ".join(each.name for each in formats) or "none"
+    hints = (f"ask for one of: {names}",)
+    if name not in FORMATS:
+        detail = f"there is no format of this name; asset {entry.key} can be downloaded as {names}"
+        raise Problem(422, "FORMAT_UNKNOWN", detail, hints=hints)
+    missing = next(file for file in FORMATS[name].needs if file not in _bundle_files(entry))
+    detail = f"asset {entry.key} cannot be downloaded as {name}: it has no {missing}; it can be downloaded as {names}"
+    raise Problem(404, "FORMAT_UNAVAILABLE", detail, hints=hints)
+
+
+def _bundle_files(entry: Entry) -> set[str]:
+    return {str(file.get("file", "")) for file in entry.document["files"]}
+
+
+def _sizes(store: Store, entry: Entry, formats: list[DownloadFormat]) -> dict[str, int]:
+    """Return the sizes of the files that have been made already, by format."""
+    made = {head.name for head in list_all(store, f"assets/{entry.key}/downloads/")}
+    orders = (DownloadOrder(entry.key, str(entry.document["manifest"]["sha256"]), each) for each in formats)
+    found: dict[str, StoredDownload | None] = {
+        order.format.name: find_download(store, order) for order in orders if order.record_name in made
+    }
+    return {name: each.size for name, each in found.items() if each}
+
+
+def _url(request: Request, key: str, wanted: DownloadFormat) -> str:
+    tenant = reads_tenant(request)
+    query = {"format": wanted.name} | ({} if tenant == DEFAULT_TENANT else {"tenant": tenant})
+    return f"/v1/assets/{key}/download?{urlencode(query)}"
