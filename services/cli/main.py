@@ -28,6 +28,7 @@ from services.cli.options import (
     read_edits,
 )
 from services.cli.shares import app as shares
+from services.download_formats import FORMATS
 from services.storage.catalogue.entry import DEFAULT_COLLECTION
 from services.strict_settings import SettingsError
 
@@ -75,6 +76,9 @@ Target = Annotated[
         "(quest3-normals): normal maps, which show the full mesh's shape on the levels of detail."
     ),
 ]
+
+
+FormatOption = Annotated[str, typer.Option("--format", help=f"Format of the file: {', '.join(FORMATS)}.")]
 
 
 @app.command()
@@ -223,6 +227,38 @@ def pull(
     from services.cli.pull import pull_asset
 
     pull_asset(key, out, gateway, collection=collection, trusted=trusted or (), cache=cache, share=share)
+
+
+@app.command()
+def download(
+    key: Annotated[str, typer.Argument(help="Asset key; not needed with the share link of an asset.")] = "",
+    format_name: FormatOption = "glb",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File, or folder. Default: KEY and the format's ending.")
+    ] = None,
+    gateway: Gateway = DEFAULT_GATEWAY,
+    share: Annotated[
+        str, typer.Option(help="A share link, https://…/s/…; its password, if any, in CAPTURE2VR_SHARE_PASSWORD.")
+    ] = "",
+) -> None:
+    """Download an asset from a gateway in the format of another program. It is made there if nobody asked before."""
+    from services.cli.download_format import download_format
+
+    download_format(key, format_name, out, gateway, share=share)
+
+
+@app.command()
+def convert(
+    folder: Annotated[Path, typer.Argument(help="Folder that `run` or `pull` has written.")],
+    format_name: FormatOption = "glb",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File to write. Default: in the folder, by the asset's key.")
+    ] = None,
+) -> None:
+    """Convert results on this machine to the format of another program."""
+    from services.cli.convert import convert_folder
+
+    convert_folder(folder, format_name, out)
 
 
 @app.command()

@@ -1,0 +1,44 @@
+"""`capture2vr convert`: the results of `run` or `pull` in a folder, in the format of another program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from services.atomic_write import atomic_write
+from services.cli.errors import BadInput
+from services.cli.progress import console
+from services.download_formats import FORMATS, formats_of
+from services.edge.convert.convert_bundle import BundleFolder, convert
+
+_MANIFESTS = ("manifest.json", "report.json")  # of `pull` and of `run`
+
+
+def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
+    """Convert the results in a folder; return the file. out: None: beside them. Raises BadInput."""
+    bundle, key = _open(folder)
+    possible = [each.name for each in formats_of([path.name for path in folder.iterdir()])]
+    if format_name not in possible:
+        reason = "cannot be made from what is there" if format_name in FORMATS else "is no format"
+        raise BadInput(f"{folder}: {format_name} {reason}; it can be one of: {', '.join(possible) or 'none'}")
+    path = out or folder / FORMATS[format_name].file_name(key)
+    try:
+        made = convert(bundle, format_name, key)
+    except ValueError as error:
+        raise BadInput(f"{folder}: {error}") from error
+    with atomic_write(path) as part:
+        part.write_bytes(made)
+    console.print(f"{path}: {len(made):,} bytes", markup=False)
+    return path
+
+
+def _open(folder: Path) -> tuple[BundleFolder, str]:
+    """Return the bundle in a folder, and its asset key. Raises BadInput."""
+    manifest = next((folder / name for name in _MANIFESTS if (folder / name).is_file()), None)
+    if manifest is None:
+        raise BadInput(f"{folder} has no {' or '.join(_MANIFESTS)}: name a folder that `run` or `pull` has written")
+    try:
+        document = json.loads(manifest.read_bytes())
+        return BundleFolder(folder, document), str(document["key"])
+    except (ValueError, KeyError, TypeError):
+        raise BadInput(f"{manifest} is damaged: run or pull again") from None
