@@ -424,6 +424,11 @@ GETS: dict[str, tuple[str, str]] = {
     "a share of letters": ("/v1/shares/dress/qr.svg", "REQUEST_INVALID"),
     "a level of letters": ("/v1/assets/dress/lod/x", "REQUEST_INVALID"),
     "an unknown asset's QR code": ("/v1/assets/unknown/qr.svg", "ASSET_UNKNOWN"),
+    "an unknown asset's downloads": ("/v1/assets/unknown/downloads", "ASSET_UNKNOWN"),
+    "an unknown asset's download": ("/v1/assets/unknown/download?format=obj", "ASSET_UNKNOWN"),
+    "a download of no format": ("/v1/assets/dress/download", "REQUEST_INVALID"),
+    "a download of an unknown format": ("/v1/assets/dress/download?format=..%2fobj", "FORMAT_UNKNOWN"),
+    "a download of a format of 300 letters": (f"/v1/assets/dress/download?format={'z' * 300}", "REQUEST_INVALID"),
     "assets behind a path": ("/v1/assets?after=../x", "KEY_INVALID"),
     "an unknown file": ("/v1/files/assets/unknown", "FILE_UNKNOWN"),
     "a folder": ("/v1/files/assets/dress", "FILE_UNKNOWN"),
@@ -475,6 +480,7 @@ def test_what_is_no_range_gives_the_whole_file_or_416(wanted: str, product: Prod
 
 PATHS = ["/", "/view/dress", "/v1/captures", "/v1/jobs", "/v1/jobs/x", "/v1/jobs/x/events", "/v1/jobs/x/cancel"]
 PATHS += ["/v1/presets", "/v1/assets", "/v1/assets/dress", "/v1/assets/dress/lod/0", "/v1/assets/dress/qr.svg"]
+PATHS += ["/v1/assets/dress/downloads"]
 PATHS += ["/v1/uploads/upl_0/capture", "/livez", "/readyz", "/metrics", "/openapi.json", "/web/nowhere.js"]
 
 

@@ -140,7 +140,7 @@ class Operation:
             if isinstance(body, dict):
                 named = {"{capture}": ids.capture, "{asset}": ids.asset}
                 body = {name: named.get(str(value), value) for name, value in body.items()}
-        query = {"key": ids.asset} if self.template == "/view" else {}
+        query = {"/view": {"key": ids.asset}, "/v1/assets/{key}/download": {"format": "glb"}}.get(self.template, {})
         headers = next((each for begin, each in _HEADERS.items() if path.startswith(begin)), {})
         return await client.request(self.method, path, json=body, params=query, headers=headers)
 

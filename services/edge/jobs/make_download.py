@@ -71,7 +71,7 @@ def _convert(order: DownloadOrder, folder: Path, scratch: Path, tick: Tick) -> P
     """Convert the bundle in a process of its own, and return the file."""
     out, log = scratch / "made", scratch / "log"
     arguments: list[str | Path] = [folder, order.format.name, order.key, out]
-    command = [sys.executable, "-P", "-m", "services.edge.convert", *arguments]
+    command = [sys.executable, "-m", "services.edge.convert", *arguments]
     try:
         run_child(command, "the conversion", log, tick, most_seconds=_MOST_SECONDS)
     except ChildError as error:

@@ -1,0 +1,55 @@
+"""`capture2vr download` and `convert`: files for other programs, and one sentence for what cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from services.cli.convert import convert_folder
+from services.cli.download_format import download_format
+from services.cli.errors import BadInput
+from services.cli.up import run_stack
+from services.storage.catalogue.publish import publish
+from services.storage.local import LocalStore
+from tests.support.downloadable import SHEET, downloadable, written
+
+
+@pytest.mark.slow
+def test_a_file_is_downloaded_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EDGE_DEVICE", "cpu")
+    with run_stack("127.0.0.1", 0, tmp_path / "data") as stack:
+        publish(downloadable(), LocalStore(stack.store_root), key="sheet")
+        path = download_format("sheet", "stl", tmp_path, stack.url)
+        assert path == tmp_path / "sheet.stl"
+        assert len(trimesh.load(path).faces) == len(SHEET.faces)
+        for key, wanted, reason in (("sheet", "exe", "glb, glb-meshopt, obj"), ("nobody", "glb", "no asset nobody")):
+            with pytest.raises(BadInput, match=reason):
+                download_format(key, wanted, tmp_path / "out", stack.url)
+        with pytest.raises(BadInput, match="create it"):
+            download_format("sheet", "stl", tmp_path / "none" / "a.stl", stack.url)
+        assert sorted(each.name for each in tmp_path.iterdir()) == ["data", "sheet.stl"]
+
+
+@pytest.mark.parametrize("manifest", ["manifest.json", "report.json"])
+def test_results_on_this_machine_are_converted(tmp_path: Path, manifest: str) -> None:
+    bundle = downloadable()
+    written(bundle, tmp_path)
+    with pytest.raises(BadInput, match="name a folder that"):
+        convert_folder(tmp_path, "stl", None)
+    (tmp_path / manifest).write_text(json.dumps({**bundle.manifest, "key": "sheet"}))
+    assert convert_folder(tmp_path, "stl", None) == tmp_path / "sheet.stl"
+    assert convert_folder(tmp_path, "glb", tmp_path / "a.glb").read_bytes()[:4] == b"glTF"
+    with pytest.raises(BadInput, match="exe is no format; it can be one of: glb"):
+        convert_folder(tmp_path, "exe", None)
+    (tmp_path / "mesh.ply").unlink()
+    with pytest.raises(BadInput, match="stl cannot be made from what is there"):
+        convert_folder(tmp_path, "stl", None)
+    (tmp_path / "lod0.glb").write_bytes(b"glTF and no more")
+    with pytest.raises(BadInput, match="not a"):
+        convert_folder(tmp_path, "glb", None)
+    (tmp_path / manifest).write_text("[]")
+    with pytest.raises(BadInput, match="is damaged"):
+        convert_folder(tmp_path, "glb", None)

@@ -1,0 +1,127 @@
+"""Every format tells the same surface, where its readers expect it: read back by trimesh and by our own reader."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from services.edge.arrays import Floats
+from services.edge.convert.convert_bundle import convert
+from services.edge.convert.read_glb import read_glb
+from services.edge.export.glb import to_glb
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from tests.referees.glb_reader import Glb
+from tests.support.downloadable import SHEET, coloured, downloadable, textured, written
+from tests.support.painted import quarters
+
+GRID_M = 1e-4  # of compressed positions
+Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def loaded(data: bytes, kind: str) -> trimesh.Trimesh:
+    found = trimesh.load(io.BytesIO(data), file_type=kind, process=False)
+    if isinstance(found, trimesh.Scene):
+        (found,) = found.geometry.values()
+    assert isinstance(found, trimesh.Trimesh)
+    return found
+
+
+def bounds(vertices: Floats) -> Floats:
+    return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+
+
+@pytest.mark.parametrize("packing", ["float", "meshopt"])
+@pytest.mark.parametrize("subject", [SHEET, coloured(), textured()], ids=["plain", "coloured", "textured"])
+def test_a_level_is_read_back_as_it_was_written(subject: Mesh | TexturedMesh, packing: str) -> None:
+    level = read_glb(to_glb(subject, packing, unlit=True))
+    assert (level.unlit, level.is_packed, level.ktx2) == (True, packing == "meshopt", False)
+    assert type(level.mesh) is type(subject)
+    if isinstance(subject, TexturedMesh):
+        assert (level.mesh.jpeg, level.mesh.side) == (subject.jpeg, 64)
+        assert level.mesh.uv.min() == pytest.approx(0, abs=1e-4)
+        assert level.mesh.uv.max() == pytest.approx(1, abs=1e-4)
+    mesh = level.mesh.mesh if isinstance(level.mesh, TexturedMesh) else level.mesh
+    assert len(mesh.faces) == len(SHEET.faces)
+    np.testing.assert_allclose(bounds(mesh.vertices), bounds(SHEET.vertices), atol=GRID_M)
+    if isinstance(subject, Mesh) and subject.rgb is not None:
+        assert {tuple(each) for each in mesh.rgb} == {tuple(each) for each in subject.rgb}
+
+
+def test_what_is_no_level_of_ours_is_told() -> None:
+    whole = to_glb(SHEET)
+    for data in (b"", b"glTF", whole[:100], whole.replace(b"POSITION", b"MISPLACE"), b"x" * 1000):
+        with pytest.raises(ValueError):
+            read_glb(data)
+
+
+def test_glb_needs_no_extension_and_keeps_the_texture(tmp_path: Path) -> None:
+    bundle = written(downloadable(), tmp_path)
+    glb = Glb.of(convert(bundle, "glb", "sheet"))
+    assert "extensionsRequired" not in glb.document
+    assert glb.image == quarters()
+    assert glb.document["materials"][0]["doubleSided"] is True
+    np.testing.assert_allclose(bounds(glb.positions), bounds(SHEET.vertices), atol=GRID_M)
+    assert convert(bundle, "glb-meshopt", "sheet") == bundle.read("lod0.glb")
+    plain = written(downloadable(packing="float"), tmp_path / "archive")
+    assert "EXT_meshopt_compression" in Glb.of(convert(plain, "glb-meshopt", "sheet")).document["extensionsRequired"]
+
+
+def test_obj_has_its_texture_beside_it(tmp_path: Path) -> None:
+    data = convert(written(downloadable(), tmp_path), "obj", "sheet")
+    assert data == convert(written(downloadable(), tmp_path), "obj", "sheet")
+    with zipfile.ZipFile(io.BytesIO(data)) as package:
+        assert package.namelist() == ["sheet.obj", "sheet.mtl", "sheet.jpg"]
+        assert package.read("sheet.jpg") == quarters()
+        package.extractall(tmp_path / "obj")
+    found = trimesh.load(tmp_path / "obj" / "sheet.obj", process=False)
+    assert len(found.faces) == len(SHEET.faces)
+    np.testing.assert_allclose(bounds(found.vertices), bounds(SHEET.vertices), atol=GRID_M)
+    assert np.array(found.visual.material.image).shape == (64, 64, 3)
+    # v runs up: the highest point has the largest v, in a picture that was projected from the front.
+    assert found.visual.uv[found.vertices[:, 1].argmax(), 1] == pytest.approx(1, abs=1e-4)
+    assert (np.linalg.norm(found.vertex_normals, axis=1) > 0.99).all()
+
+
+def test_obj_without_a_texture_has_colours_at_its_vertices(tmp_path: Path) -> None:
+    data = convert(written(downloadable(coloured()), tmp_path), "obj", "sheet")
+    with zipfile.ZipFile(io.BytesIO(data)) as package:
+        assert package.namelist() == ["sheet.obj", "sheet.mtl"]
+        found = loaded(package.read("sheet.obj"), "obj")
+    left = found.visual.vertex_colors[found.vertices[:, 0].argmin()]
+    assert left[0] > left[2]
+
+
+def test_ply_is_the_full_mesh_upright_in_metres(tmp_path: Path) -> None:
+    found = loaded(convert(written(downloadable(), tmp_path), "ply", "sheet"), "ply")
+    np.testing.assert_allclose(bounds(found.vertices), bounds(SHEET.vertices @ Z_UP.T), atol=1e-5)
+    left = found.visual.vertex_colors[found.vertices[:, 0].argmin()]
+    assert left[0] > left[2]
+
+
+def test_stl_is_the_full_mesh_upright_in_millimetres(tmp_path: Path) -> None:
+    found = loaded(convert(written(downloadable(), tmp_path), "stl", "sheet"), "stl")
+    assert len(found.faces) == len(SHEET.faces)
+    np.testing.assert_allclose(bounds(found.vertices), bounds(SHEET.vertices @ Z_UP.T) * 1000, atol=1e-2)
+
+
+def test_a_texture_that_only_graphics_cards_read_gives_way_to_the_full_meshs_colours(tmp_path: Path) -> None:
+    subject = textured()
+    ktx2 = TexturedMesh(subject.mesh, subject.uv, subject.jpeg, 64, ktx2=b"\xabKTX 20\xbb and so on")
+    bundle = written(downloadable(ktx2), tmp_path)
+    found = read_glb(convert(bundle, "glb", "sheet")).mesh
+    assert isinstance(found, Mesh)
+    assert found.rgb is not None
+    left = found.rgb[found.vertices[:, 0].argmin()]
+    assert left[0] > left[2]
+
+
+def test_usdz_is_the_bundles_own_where_it_has_one(tmp_path: Path) -> None:
+    assert convert(written(downloadable(asset_usdz=b"own"), tmp_path / "own"), "usdz", "sheet") == b"own"
+    made = convert(written(downloadable(), tmp_path / "none"), "usdz", "sheet")
+    with zipfile.ZipFile(io.BytesIO(made)) as package:
+        assert package.namelist() == ["asset.usda", "colour.jpg"]
