@@ -1,4 +1,4 @@
-"""HTML pages (capture, viewer, collection, login, pairing, operator's) and the static files that they load."""
+"""HTML pages (capture, viewer, edit, collection, login, pairing, operator's) and the static files that they load."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _IMMUTABLE = "public, max-age=31536000, immutable"
 _START_GUARD = re.compile(r'<script src="/web/shared/start-guard\.js"([^>]*)></script>')
 _SHELL_PAGES = {"/browse/default": "collection/collection.html", "/view/any": "viewer/view.html"}
 # Pages that need the server in any case.
-_ONLINE = {WEB / name for name in ("admin", "capture", "login", "pair", "share")}
+_ONLINE = {WEB / name for name in ("admin", "capture", "edit", "login", "pair", "share")}
 _ONLINE_LIBRARY = "tus-js-client-"  # uploads
 _SHELL_SUFFIXES = {".css", ".js", ".svg", ".wasm"}
 _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest levels leave most of a headset's budget
@@ -95,6 +95,13 @@ async def view_asset(key: str, request: Request) -> Response:
     """The viewer page of an asset, for a screen or a headset."""
     _check_keys([key])
     return _page("viewer/view.html", request)
+
+
+@router.get("/edit/{key}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
+async def edit_asset(key: str, request: Request) -> Response:
+    """The edit page of an asset: crop box, planes, up and true size of a stored capture; its versions, compared."""
+    _check_keys([key])
+    return _page("edit/edit.html", request)
 
 
 @router.get("/browse/{name}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})

@@ -1,6 +1,6 @@
 // The capture page (/): choose files, name the object, upload, watch the job, see the result.
 import { chosenFiles, chosenName, startFileChoice } from './file-choice.js';
-import { showUploadProgress, showUploadWaits, startUploadProgress } from './job-progress.js';
+import { showUploadProgress, showUploadWaits, startUploadProgress } from '../shared/job-progress.js';
 import { watchJob } from './job-watch.js';
 import { showState, showTrouble } from './page-state.js';
 import { chosenBox } from './photo-box.js';

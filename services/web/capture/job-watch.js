@@ -1,5 +1,5 @@
 // Watches a job until it has ended, and shows its progress, its result, or why it failed.
-import { showJobProgress, showProgressNote, startJobProgress } from './job-progress.js';
+import { showJobProgress, showProgressNote, startJobProgress } from '../shared/job-progress.js';
 import { showState, showTrouble } from './page-state.js';
 import { hideAnchors, showAnchors, showResult } from './result.js';
 import { followJob, getJson, postJson } from '../shared/api.js';

@@ -1,5 +1,5 @@
 // The result of a job: the preview that turns, the address of the viewer, which photos were used, and the quality figures.
-import { durationText } from './job-progress.js';
+import { durationText } from '../shared/job-progress.js';
 import { showCut } from './other-cut.js';
 import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
 import { getJson } from '../shared/api.js';

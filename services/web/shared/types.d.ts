@@ -72,6 +72,15 @@ export interface LodFile extends AssetFile {
   triangles: number;
 }
 
+/** A version of an asset. `job`: id of the job that made it, "" without one; `restored`: the version that it has the files of. */
+export interface VersionRecord {
+  version: number;
+  state: AssetState;
+  job: string;
+  created: string;
+  restored?: number;
+}
+
 /** The catalogue entry of an asset: GET /v1/assets/{key}. */
 export interface AssetEntry {
   key: string;
@@ -91,7 +100,9 @@ export interface AssetEntry {
   visibility?: Visibility | null;
   effective_visibility?: Visibility;
   may_place?: boolean;
-  proof?: SignedEnvelope;
+  proof?: SignedEnvelope | null;
+  versions?: VersionRecord[];
+  capture_to_asset?: number[] | null;
 }
 
 /** PATCH /v1/assets/{key}: what people call a thing. */
@@ -158,7 +169,47 @@ export interface Manifest {
   capture?: CaptureSummary;
   quality?: QualityFigures & { preview?: QualityFigures };
   anchors?: AnchorPoints;
+  edits?: Edits;
   files: AssetFile[];
+}
+
+// ---- edits (docs/edits.md) ------------------------------------------------------------------------------------------
+
+/** A place or a direction in the capture frame. */
+export type Triple = [x: number, y: number, z: number];
+
+/** A box outside of which points are cut away. `rotation`: a unit quaternion x, y, z, w. */
+export interface CropBox {
+  centre: Triple;
+  size: Triple;
+  rotation?: [x: number, y: number, z: number, w: number];
+}
+
+/** A plane behind which points are cut away: the normal is to the side that is kept. */
+export interface CutPlane {
+  point: Triple;
+  normal: Triple;
+}
+
+/** Two points and the metres between them. */
+export interface MeasuredLength {
+  start: Triple;
+  end: Triple;
+  metres: number;
+}
+
+/** A recipe: GET /v1/schemas/edits. */
+export interface Edits {
+  schema?: 1;
+  capture?: string;
+  crop?: CropBox | null;
+  planes?: CutPlane[];
+  up?: Triple | null;
+  length?: MeasuredLength | null;
+  cut?: string;
+  fill?: string;
+  preset?: string;
+  target?: string;
 }
 
 // ---- collections (docs/catalogues.md) -------------------------------------------------------------------------------
@@ -299,6 +350,7 @@ export interface Job extends JobProgress {
   asset: PublishedVersion | null;
   error: ProblemDocument | null;
   warnings: string[];
+  capture: string;
   links: { again: string };
 }
 

@@ -44,6 +44,7 @@ const page = {
   address: element('address', HTMLElement),
   names: element('names', HTMLDetailsElement),
   share: element('share', HTMLDetailsElement),
+  edit: element('edit', HTMLAnchorElement),
 };
 
 await pause(); // between two long tasks of the main thread: loading the modules, and creating the WebGL context
@@ -320,6 +321,8 @@ function offerManaging(session) {
   const [item] = items;
   const manages = session?.scopes.includes('manage') && ofShownTenant('') === '';
   if (!manages || !item || items.length > 1) return;
+  page.edit.href = `/edit/${encodeURIComponent(item.key)}`;
+  page.edit.hidden = !session?.scopes.includes('capture');
   page.names.hidden = false;
   page.names.addEventListener('toggle', () => import('./naming.js').then(({ showNaming }) => showNaming(item.key, showNames)), { once: true });
   if (session?.via !== 'session') return; // without accounts there is nobody to share it with

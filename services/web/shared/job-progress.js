@@ -1,7 +1,7 @@
 // Progress of an upload and of a job: the bar, the list of stages, the time left, and the curve of the training's loss.
-import { create, element } from '../shared/dom.js';
+import { create, element } from './dom.js';
 
-/** @import { JobProgress } from '../shared/types.d.ts' */
+/** @import { JobProgress } from './types.d.ts' */
 
 /** @type {[stage: string, label: string][]} */
 const STAGES = [

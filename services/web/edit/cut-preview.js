@@ -1,0 +1,116 @@
+// Shows what a recipe keeps while it is edited: the rest is clipped away, and stays as a ghost.
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { materialsOf } from '../graphics/scene.js';
+
+/** @import { Box } from './capture-frame.js' */
+
+const GHOST = new THREE.MeshBasicMaterial({
+  color: 0x808894, transparent: true, opacity: 0.1, depthWrite: false, side: THREE.DoubleSide,
+  polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 2, // behind what is kept, which lies at the same place
+});
+const COUNTED = 20_000; // most vertices that are asked whether they are kept, in every frame of a drag
+
+/**
+ * The planes that bound a box, each with its kept side in front.
+ * @param {Box} box
+ * @returns {THREE.Plane[]}
+ */
+export function planesOf({ middle, turn, size }) {
+  return [0, 1, 2].flatMap((axis) => [1, -1].map((sign) => {
+    const outward = new THREE.Vector3().setComponent(axis, sign).applyQuaternion(turn);
+    const face = middle.clone().addScaledVector(outward, size.getComponent(axis) / 2);
+    return new THREE.Plane().setFromNormalAndCoplanarPoint(outward.negate(), face);
+  }));
+}
+
+/** Clips a thing's levels of detail, and counts what is left of the coarsest. */
+export class CutPreview {
+  /** @type {THREE.Plane[]} */
+  world = []; // planes in the world
+  share = 1; // of the vertices, which is kept
+  /** @type {THREE.Vector3[]} */
+  #counted = []; // vertices in the frame of the thing
+  /** @type {THREE.Object3D[]} */
+  #ghosts = [];
+
+  /** @param {THREE.WebGLRenderer} renderer */
+  constructor(renderer) {
+    renderer.localClippingEnabled = true;
+  }
+
+  /**
+   * Takes the levels of detail that are loaded.
+   * @param {THREE.Object3D} thing
+   */
+  take(thing) {
+    for (const level of thing.children) if (!level.userData.ghost && !this.#ghosts.some(({ parent }) => parent === level)) this.#haunt(level);
+    const coarsest = thing.children.at(0);
+    if (coarsest && this.#counted.length === 0) this.#counted = verticesOf(coarsest, thing);
+  }
+
+  /**
+   * Clips, and returns the vertices of the thing that are kept.
+   * @param {THREE.Object3D} thing
+   * @param {THREE.Plane[]} planes in its frame
+   */
+  apply(thing, planes) {
+    thing.updateWorldMatrix(true, false);
+    this.world = planes.map((plane) => plane.clone().applyMatrix4(thing.matrixWorld));
+    thing.traverse((node) => {
+      for (const material of materialsOf(node)) if (material !== GHOST) material.clippingPlanes = this.world;
+    });
+    for (const ghost of this.#ghosts) ghost.visible = planes.length > 0;
+    const kept = this.#counted.filter((place) => planes.every((plane) => plane.distanceToPoint(place) >= 0));
+    this.share = this.#counted.length ? kept.length / this.#counted.length : 1;
+    return kept;
+  }
+
+  /** Forgets a thing that is no longer shown. */
+  clear() {
+    this.#counted = [];
+    this.#ghosts = [];
+  }
+
+  /**
+   * Adds a ghost to a level.
+   * @param {THREE.Object3D} level
+   */
+  #haunt(level) {
+    /** @type {THREE.Mesh[]} */
+    const meshes = [];
+    level.traverse((node) => {
+      if (node instanceof THREE.Mesh) meshes.push(node);
+    });
+    const ghost = new THREE.Group();
+    level.updateWorldMatrix(true, true);
+    for (const mesh of meshes) {
+      const copy = new THREE.Mesh(mesh.geometry, GHOST);
+      copy.applyMatrix4(level.matrixWorld.clone().invert().multiply(mesh.matrixWorld));
+      copy.raycast = () => {}; // nobody picks a place on it
+      ghost.add(copy);
+    }
+    ghost.visible = false;
+    level.add(ghost);
+    this.#ghosts.push(ghost);
+  }
+}
+
+/**
+ * Some of the vertices of a level, in the frame of the thing.
+ * @param {THREE.Object3D} level
+ * @param {THREE.Object3D} thing
+ */
+export function verticesOf(level, thing) {
+  thing.updateWorldMatrix(true, true);
+  const inverse = thing.matrixWorld.clone().invert();
+  /** @type {THREE.Vector3[]} */
+  const found = [];
+  level.traverse((node) => {
+    if (!(node instanceof THREE.Mesh) || node.material === GHOST) return;
+    const matrix = inverse.clone().multiply(node.matrixWorld);
+    const { count } = node.geometry.getAttribute('position');
+    const step = Math.ceil(count / COUNTED);
+    for (let place = 0; place < count; place += step) found.push(node.getVertexPosition(place, new THREE.Vector3()).applyMatrix4(matrix));
+  });
+  return found;
+}

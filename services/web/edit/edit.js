@@ -1,0 +1,281 @@
+// The edit page (/edit/KEY): what to cut away of a stored capture, which way is up, how large it is; saved as a new version.
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
+import { showSides, startDragging, startSides } from './box-control.js';
+import { Comparison } from './compare.js';
+import { CropBoxTool } from './crop-box.js';
+import { CutPreview, planesOf } from './cut-preview.js';
+import { pick, watchTaps } from './picking.js';
+import { PlaneList } from './plane-list.js';
+import { runEdited } from './saving.js';
+import { findJob, loadVersion } from './shown-version.js';
+import { startTabs } from './tabs.js';
+import { TrueSize } from './true-size.js';
+import { Upright } from './upright.js';
+import { restoreVersion, showVersions } from './version-list.js';
+import { pause } from '../graphics/gpu-warmup.js';
+import { createStage, frame } from '../graphics/scene.js';
+import { getJson } from '../shared/api.js';
+import { attempt } from '../shared/attempt.js';
+import { create, element } from '../shared/dom.js';
+import { Problem, sentences } from '../shared/problems.js';
+
+/** @import { ShownVersion } from './shown-version.js' */
+/** @import { AssetEntry, Edits, Job, Presets, Session } from '../shared/types.d.ts' */
+
+const REDRAW_MS = 300; // after the last change
+const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'];
+
+document.body.dataset.started = 'yes';
+const key = decodeURIComponent(location.pathname.split('/')[2] ?? '');
+const page = {
+  canvas: element('stage', HTMLCanvasElement),
+  cross: element('cross', HTMLElement),
+  label: element('label', HTMLElement),
+  said: element('said', HTMLElement),
+  trouble: element('trouble', HTMLElement),
+  save: element('save', HTMLButtonElement),
+  reset: element('reset', HTMLButtonElement),
+  recipe: element('recipe', HTMLAnchorElement),
+  back: element('back', HTMLAnchorElement),
+};
+const choices = ['cut', 'fill', 'preset', 'target'].map((id) => element(id, HTMLSelectElement));
+const picks = new Map(['plane', 'ground', 'length'].map((kind) => [kind, element(`${kind}-pick`, HTMLButtonElement)]));
+
+await pause(); // between two long tasks of the main thread: loading the modules, and creating the WebGL context
+const stage = createStage(page.canvas);
+const { scene, camera, renderer } = stage;
+const root = new THREE.Group(); // turned so that up is up
+const tools = new THREE.Group(); // what is drawn of the recipe
+const box = new CropBoxTool();
+const planes = new PlaneList(change);
+const upright = new Upright(camera, change);
+const size = new TrueSize(change);
+const preview = new CutPreview(renderer);
+const comparison = new Comparison(redraw);
+const controls = new OrbitControls(camera, page.canvas);
+
+/** @type {AssetEntry} the newest version */
+let newest;
+/** @type {ShownVersion} */
+let shown;
+/** @type {Job | null} */
+let job = null;
+/** @type {Session | null} */
+let session = null;
+let picking = ''; // what the next tap chooses: plane, ground, length
+let isChanged = false;
+let drawUntil = 0;
+
+function redraw() {
+  drawUntil = performance.now() + REDRAW_MS;
+}
+
+// ---- the recipe -------------------------------------------------------------------------------------------------------
+
+/** The recipe of what is set on the page, in the capture frame. */
+function recipe() {
+  const { box: kept } = box;
+  const length = size.recipe(shown.frame);
+  /** @type {Edits} */
+  const edits = { schema: 1 };
+  if (job?.capture) edits.capture = job.capture;
+  if (kept) edits.crop = shown.frame.boxToCapture(kept);
+  if (planes.planes.length) edits.planes = planes.recipe(shown.frame);
+  if (upright.up) edits.up = shown.frame.directionToCapture(upright.up);
+  if (length) edits.length = length;
+  for (const { id, value } of choices) if (value) Object.assign(edits, { [id]: value });
+  return edits;
+}
+
+/** @param {Edits} edits */
+function showRecipe(edits) {
+  const diagonal = shown.bounds.getSize(new THREE.Vector3()).length();
+  box.show(edits.crop ? shown.frame.boxToAsset(edits.crop) : null, shown.bounds);
+  planes.show(edits.planes ?? [], shown.frame, diagonal);
+  upright.show(edits.up ?? null, shown.frame);
+  size.show(edits.length ?? null, shown.frame, diagonal);
+  const said = new Map(Object.entries(edits));
+  for (const choice of choices) choice.value = String(said.get(choice.id) ?? '');
+  showSides(box);
+  showPreview();
+}
+
+/** Shows what the recipe now keeps, and that there is something to save. */
+function change() {
+  isChanged = true;
+  showPreview();
+}
+
+function showPreview() {
+  const middle = shown.bounds.getCenter(new THREE.Vector3());
+  root.quaternion.copy(upright.turn);
+  root.position.copy(middle).sub(middle.clone().applyQuaternion(root.quaternion));
+  const { box: kept } = box;
+  preview.take(shown.model.object);
+  const left = preview.apply(shown.model.object, [...(kept ? planesOf(kept) : []), ...planes.planes]);
+  const extent = new THREE.Box3().setFromPoints(left.map((place) => place.clone().applyQuaternion(root.quaternion)));
+  const metres = extent.getSize(new THREE.Vector3()).multiplyScalar(size.factor);
+  page.said.textContent = left.length ? `${metres.toArray().map((side) => `${Number((100 * side).toPrecision(3))}`).join(' × ')} cm` : 'Nothing of it is left.';
+  page.save.disabled = !(job && isChanged && left.length > 0 && !size.fault);
+  page.recipe.href = `data:application/json,${encodeURIComponent(JSON.stringify(recipe(), null, 2))}`;
+  Object.assign(document.body.dataset, { kept: preview.share.toFixed(3), changed: isChanged ? 'yes' : 'no' });
+  redraw();
+}
+
+// ---- choosing on the thing --------------------------------------------------------------------------------------------
+
+/** @param {string} kind what the next tap chooses; '' for nothing */
+function choose(kind) {
+  picking = kind;
+  for (const [each, button] of picks) button.setAttribute('aria-pressed', String(each === kind));
+  page.cross.hidden = kind === '';
+  if (kind) page.canvas.focus();
+}
+
+/** @param {THREE.Vector2} place in the view, from -1 to 1 */
+function tap(place) {
+  if (!picking) return;
+  const raycaster = new THREE.Raycaster();
+  raycaster.setFromCamera(place, camera);
+  const picked = pick(shown.model.object, raycaster, preview.world);
+  if (!picked) return;
+  if (picking === 'length') {
+    if (size.add(picked)) choose('');
+    return;
+  }
+  if (picking === 'plane' && !planes.isFull) planes.add(picked);
+  if (picking === 'ground') upright.choose(picked);
+  choose('');
+}
+
+/** @param {boolean} on */
+function switchBox(on) {
+  const [middle, extent] = [shown.bounds.getCenter(new THREE.Vector3()), shown.bounds.getSize(new THREE.Vector3())];
+  box.show(on ? { middle, turn: new THREE.Quaternion(), size: extent.multiplyScalar(1.02) } : null, shown.bounds);
+  showSides(box);
+  change();
+}
+
+// ---- versions ---------------------------------------------------------------------------------------------------------
+
+/** @param {number} [version] to edit from; the newest without one */
+async function open(version) {
+  newest = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
+  const loaded = await loadVersion(newest, version ?? newest.version, stage, () => shown && showPreview());
+  endComparison();
+  shown?.model.dispose();
+  preview.clear();
+  shown = loaded;
+  root.add(shown.model.object);
+  job = await findJob(newest, shown.entry.version).catch((error) => {
+    showTrouble(error);
+    return null;
+  });
+  isChanged = false;
+  page.label.textContent = newest.label || key;
+  showRecipe(shown.edits);
+  controls.target.copy(frame(camera, shown.bounds.getSize(new THREE.Vector3()).toArray(), shown.bounds.getCenter(new THREE.Vector3())));
+  const manages = Boolean(session?.scopes.includes('manage'));
+  showVersions(newest, shown.entry.version, manages, { onShow: guarded(open), onCompare: guarded(compare), onRestore: guarded(restore) });
+  Object.assign(document.body.dataset, { state: 'ready', version: String(newest.version), shown: String(shown.entry.version) });
+}
+
+/** @param {number} version to the right of the line */
+async function compare(version) {
+  const other = await loadVersion(newest, version, stage, redraw);
+  const { object } = other.model;
+  tools.visible = false;
+  preview.apply(shown.model.object, []);
+  object.applyMatrix4(shown.frame.toAsset.clone().multiply(other.frame.toCapture)); // both in the frame of the capture
+  root.add(object);
+  comparison.show(other.model, `Version ${shown.entry.version}`, `Version ${version}`);
+  document.body.dataset.compared = String(version);
+  redraw();
+}
+
+function endComparison() {
+  if (!comparison.isOn) return;
+  comparison.show(null);
+  tools.visible = true;
+  showPreview();
+}
+
+/** @param {number} version */
+async function restore(version) {
+  await restoreVersion(key, version);
+  await open();
+}
+
+async function save() {
+  if (!job) return;
+  await runEdited(job, recipe());
+  await open();
+}
+
+/**
+ * An action whose failure is said on the page.
+ * @param {(version: number) => Promise<void>} action
+ */
+function guarded(action) {
+  return (/** @type {number} */ version) => attempt(page.trouble, () => action(version));
+}
+
+/** @param {unknown} error */
+function showTrouble(error) {
+  page.trouble.textContent = sentences(error);
+  page.trouble.hidden = false;
+}
+
+// ---- start ------------------------------------------------------------------------------------------------------------
+
+/** Lets the page's controls set the recipe. */
+function startControls() {
+  startSides(box, { onSwitch: switchBox, onChange: change });
+  startDragging(box, page.canvas, camera, controls, change);
+  watchTaps(page.canvas, tap);
+  startTabs(() => {
+    choose('');
+    endComparison();
+  });
+  for (const [kind, button] of picks) button.addEventListener('click', () => choose(picking === kind ? '' : kind));
+  for (const choice of choices) choice.addEventListener('change', change);
+  page.save.addEventListener('click', () => attempt(page.trouble, save));
+  page.reset.addEventListener('click', () => {
+    showRecipe({});
+    change();
+  });
+  page.back.href = `/view/${encodeURIComponent(key)}`;
+}
+
+/** Draws a frame when something has changed. */
+function startDrawing() {
+  controls.enableDamping = true;
+  controls.listenToKeyEvents(page.canvas);
+  for (const kind of REDRAW_EVENTS) page.canvas.addEventListener(kind, redraw, true);
+  new ResizeObserver(redraw).observe(page.canvas);
+  renderer.setAnimationLoop((now) => {
+    if (controls.update()) redraw();
+    if (now > drawUntil || !shown) return;
+    box.scaleHandles(camera);
+    comparison.render(stage, shown.model.object);
+  });
+}
+
+async function start() {
+  session = await getJson('/v1/session');
+  if (!session?.scopes.includes('capture')) throw new Problem({ code: 'SCOPE_MISSING', detail: 'Editing needs an access key that may capture.' });
+  /** @type {Presets} */
+  const { presets } = await getJson('/v1/presets');
+  element('preset', HTMLSelectElement).append(...presets.map(({ name, summary }) => create('option', { value: name, textContent: `${name}: ${summary}` })));
+  await open();
+}
+
+scene.add(root);
+root.add(tools);
+tools.add(box.object, planes.object, size.object);
+startControls();
+startDrawing();
+attempt(page.trouble, start).then(() => {
+  if (document.body.dataset.state === 'loading') document.body.dataset.state = 'error';
+});

@@ -1,0 +1,119 @@
+// The true size: two points on the thing, and the distance between them that somebody has measured.
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { element } from '../shared/dom.js';
+
+/** @import { CaptureFrame } from './capture-frame.js' */
+/** @import { Picked } from './picking.js' */
+/** @import { MeasuredLength } from '../shared/types.d.ts' */
+
+const DOT = 0.008; // radius of a point, of the thing's size
+const [LEAST_M, MOST_M] = [0.001, 1000];
+
+/** Two points, and the length between them. */
+export class TrueSize {
+  object = new THREE.Group();
+  /** @type {THREE.Vector3[]} */
+  #ends = []; // in the asset frame
+  #size = 1;
+  #onChange;
+  #said = element('length-now', HTMLElement);
+  #input = element('length', HTMLInputElement);
+
+  /** @param {() => void} onChange */
+  constructor(onChange) {
+    this.#onChange = onChange;
+    this.#input.addEventListener('input', () => this.#tell());
+    element('length-reset', HTMLButtonElement).addEventListener('click', () => {
+      this.#ends = [];
+      this.#input.value = '';
+      this.#draw();
+      this.#tell();
+    });
+  }
+
+  /** Metres between the points as somebody has measured them; 0 where nobody has. */
+  get metres() {
+    const metres = Number(this.#input.value) / 100;
+    return this.#ends.length === 2 && metres >= LEAST_M && metres <= MOST_M ? metres : 0;
+  }
+
+  /** What is wrong with the length; '' where nothing is. */
+  get fault() {
+    if (this.#ends.length < 2 || this.#input.value === '' || this.metres) return '';
+    return 'A length is from 0.1 centimetres to 100,000.';
+  }
+
+  /**
+   * @param {CaptureFrame} frame
+   * @returns {MeasuredLength | null}
+   */
+  recipe(frame) {
+    return this.metres ? frame.lengthToCapture(this.#ends, this.metres) : null;
+  }
+
+  /** How much larger the thing becomes. */
+  get factor() {
+    return this.metres ? this.metres / this.#ends[0].distanceTo(this.#ends[1]) : 1;
+  }
+
+  /**
+   * @param {MeasuredLength | null} length of a recipe
+   * @param {CaptureFrame} frame
+   * @param {number} size of the thing in metres
+   */
+  show(length, frame, size) {
+    this.#size = size;
+    this.#ends = length ? [frame.placeToAsset(length.start), frame.placeToAsset(length.end)] : [];
+    this.#input.value = length ? String(Number((100 * length.metres).toPrecision(6))) : '';
+    this.#draw();
+    this.#describe();
+  }
+
+  /**
+   * Adds a point; a third one begins anew.
+   * @param {Picked} picked
+   * @returns {boolean} whether there are two
+   */
+  add({ point }) {
+    if (this.#ends.length === 2) this.#ends = [];
+    if (this.#ends.length === 1 && this.#ends[0].distanceTo(point) < 1e-6) return false;
+    this.#ends.push(point.clone());
+    this.#draw();
+    this.#tell();
+    return this.#ends.length === 2;
+  }
+
+  #tell() {
+    this.#describe();
+    this.#onChange();
+  }
+
+  #describe() {
+    const complete = this.#ends.length === 2;
+    this.#input.disabled = !complete;
+    if (this.#ends.length === 0) this.#said.textContent = 'Choose two points whose distance you know.';
+    else if (!complete) this.#said.textContent = 'And the other one.';
+    else this.#said.textContent = `Now they are ${centimetres(this.#ends[0].distanceTo(this.#ends[1]))} apart.`;
+  }
+
+  #draw() {
+    this.object.clear();
+    const material = new THREE.MeshBasicMaterial({ color: 0xe8890c, depthTest: false, transparent: true });
+    for (const end of this.#ends) {
+      const dot = new THREE.Mesh(new THREE.SphereGeometry(DOT * this.#size, 16, 12), material);
+      dot.position.copy(end);
+      dot.renderOrder = 3;
+      this.object.add(dot);
+    }
+    if (this.#ends.length < 2) return;
+    const line = new THREE.Line(
+      new THREE.BufferGeometry().setFromPoints(this.#ends),
+      new THREE.LineBasicMaterial({ color: 0xe8890c, depthTest: false, transparent: true }),
+    );
+    line.renderOrder = 3;
+    this.object.add(line);
+  }
+}
+
+/** @param {number} metres */
+const centimetres = (metres) => `${Number((100 * metres).toPrecision(3))} cm`;

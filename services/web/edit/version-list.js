@@ -1,0 +1,71 @@
+// The list of versions: edit from one, compare it with the one that is shown, restore it.
+import { getJson, postJson } from '../shared/api.js';
+import { create, element } from '../shared/dom.js';
+
+/** @import { AssetEntry, VersionRecord } from '../shared/types.d.ts' */
+
+/**
+ * @typedef {object} VersionCallbacks
+ * @property {(version: number) => void} onShow
+ * @property {(version: number) => void} onCompare
+ * @property {(version: number) => void} onRestore
+ */
+
+/**
+ * The entry of an asset as it was with a version.
+ * @param {string} key
+ * @param {number} version
+ * @returns {Promise<AssetEntry>}
+ * @throws {Problem} as `getJson`
+ */
+export const getVersion = (key, version) => getJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}`);
+
+/**
+ * Publishes an earlier version again as the newest one.
+ * @param {string} key
+ * @param {number} version
+ * @returns {Promise<{ version: number }>}
+ * @throws {Problem} as `getJson`
+ */
+export const restoreVersion = (key, version) => postJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}/restore`, {});
+
+/**
+ * Shows the versions, the newest first.
+ * @param {AssetEntry} entry
+ * @param {number} shown the version that is edited
+ * @param {boolean} manages whether this person may restore one
+ * @param {VersionCallbacks} callbacks
+ */
+export function showVersions({ version: newest, versions = [] }, shown, manages, { onShow, onCompare, onRestore }) {
+  const rows = [...versions].reverse().map((record) => {
+    const row = create('li');
+    row.append(create('span', { textContent: describe(record, newest) }));
+    const { version } = record;
+    if (version === shown) row.ariaCurrent = 'true';
+    else row.append(button('Edit from it', version, onShow), button('Compare', version, onCompare));
+    if (version !== newest && manages) row.append(button('Restore', version, onRestore));
+    return row;
+  });
+  element('versions', HTMLUListElement).replaceChildren(...rows);
+}
+
+/**
+ * @param {VersionRecord} record
+ * @param {number} newest
+ */
+function describe({ version, state, created, restored }, newest) {
+  const when = new Date(created).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' });
+  const what = restored ? `version ${restored} restored` : state;
+  return `Version ${version}${version === newest ? ', the newest' : ''}: ${what}, ${when}`;
+}
+
+/**
+ * @param {string} text
+ * @param {number} version
+ * @param {(version: number) => void} onClick
+ */
+function button(text, version, onClick) {
+  const made = create('button', { type: 'button', textContent: text, ariaLabel: `${text}: version ${version}` });
+  made.addEventListener('click', () => onClick(version));
+  return made;
+}
