@@ -114,8 +114,8 @@ def prepare(
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
         points = _points(capture, cut, hold_out, box, bar)
+        points = scale_to_longest(points, longest_m) if longest_m else points  # it was measured before a cut
         points = cut_away(points, edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
-        points = scale_to_longest(points, longest_m) if longest_m else points
         points = set_frame(points, edits)
         points = replace(
             points,

@@ -68,6 +68,13 @@ def test_the_recipe_of_the_manifest_gives_the_same_files(scan: Path, tmp_path: P
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+def test_a_cut_changes_no_size(scan: Path, tmp_path: Path) -> None:
+    """`--longest` is of what was there before it: the table, of two metres and its diagonal."""
+    recipe = {"crop": RECIPE["crop"], "planes": RECIPE["planes"], "preset": "draft"}
+    report = run(scan, tmp_path / "out", recipe, "--longest", str(2**0.5))
+    assert report["size_m"] == pytest.approx([0.1, 0.1, 0.1], abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("recipe", "said"),
     [

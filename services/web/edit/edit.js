@@ -24,6 +24,7 @@ import { Problem, sentences } from '../shared/problems.js';
 /** @import { AssetEntry, Edits, Job, Presets, Session } from '../shared/types.d.ts' */
 
 const REDRAW_MS = 300; // after the last change
+const MARGIN = 0.04; // of a new box around the thing, of its size: a coarse mesh is smaller than the thing
 const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'];
 
 document.body.dataset.started = 'yes';
@@ -152,7 +153,8 @@ function tap(place) {
 /** @param {boolean} on */
 function switchBox(on) {
   const [middle, extent] = [shown.bounds.getCenter(new THREE.Vector3()), shown.bounds.getSize(new THREE.Vector3())];
-  box.show(on ? { middle, turn: new THREE.Quaternion(), size: extent.multiplyScalar(1.02) } : null, shown.bounds);
+  const around = extent.addScalar(2 * MARGIN * extent.length());
+  box.show(on ? { middle, turn: new THREE.Quaternion(), size: around } : null, shown.bounds);
   showSides(box);
   change();
 }
