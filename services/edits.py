@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema
 
 CutName = Literal["", "auto", "object", "scene"]
 FillName = Literal["", "none", "unseen", "all"]
@@ -38,7 +38,16 @@ def _number(value: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(_number), Field(ge=-_FARTHEST, le=_FARTHEST)]
-Vector = tuple[Number, Number, Number]
+
+
+def _array(length: int) -> WithJsonSchema:
+    """The JSON Schema of so many numbers: generators of clients do not know that of a tuple."""
+    number = {"type": "number", "minimum": -_FARTHEST, "maximum": _FARTHEST}
+    return WithJsonSchema({"type": "array", "items": number, "minItems": length, "maxItems": length})
+
+
+Vector = Annotated[tuple[Number, Number, Number], _array(3)]
+Quaternion = Annotated[tuple[Number, Number, Number, Number], _array(4)]
 Name = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z0-9._-]*$")]
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -58,7 +67,7 @@ class CropBox:
 
     centre: Vector
     size: Vector
-    rotation: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 1.0)
+    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     __pydantic_config__ = _STRICT
 

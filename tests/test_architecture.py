@@ -59,6 +59,7 @@ def test_the_page_libraries_name_only_files_that_are_there() -> None:
 def test_pages_import_what_they_share_and_never_each_other() -> None:
     may = {
         "capture": {"capture", "graphics", "shared", "vendor"},
+        "edit": {"edit", "graphics", "shared", "vendor"},
         "viewer": {"viewer", "graphics", "shared", "vendor"},
         "collection": {"collection", "graphics", "shared", "vendor"},
         "admin": {"admin", "shared"},

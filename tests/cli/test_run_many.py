@@ -47,7 +47,7 @@ def test_each_has_its_folder_and_a_bad_one_is_named(leaves: list[Path], tmp_path
     [
         (["nowhere.ply"], "nowhere.ply: there is no such file"),
         (["x/a leaf.ply"], "would both be written to"),
-        (["--key", "mine"], "--key, --reference and --box are of one capture"),
+        (["--key", "mine"], "--key, --reference, --box and --edits are of one capture"),
         (["--preset", "magic"], "magic"),
     ],
 )

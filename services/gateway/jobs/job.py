@@ -46,6 +46,11 @@ class Order:
     visibility: str = ""  # of the asset: private, unlisted or public; "": as it is, or as its collection
     edits: Edits = NO_EDITS  # recipe of what to cut away, what is up and the scale
 
+    @property
+    def as_json(self) -> dict[str, Any]:
+        """As the database and exports have it."""
+        return {**{name: getattr(self, name) for name in self.__slots__}, "edits": self.edits.as_json}
+
 
 @dataclass(frozen=True, slots=True)
 class Lease:

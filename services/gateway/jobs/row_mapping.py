@@ -47,7 +47,7 @@ def job_values(job: Job) -> dict[str, Any]:
     values = {column.name: getattr(job, column.name) for column in jobs.c if column.computed is None}
     return {
         **values,
-        "order": {**asdict(job.order), "edits": job.order.edits.as_json},
+        "order": job.order.as_json,
         "state": job.state.value,
         "warnings": list(job.warnings),
     }

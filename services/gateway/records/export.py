@@ -84,13 +84,12 @@ def _jobs_document(read_jobs: Callable[[str, int], list[Job]]) -> bytes:
 
 
 def _job_document(job: Job) -> dict[str, Any]:
-    order = {name: getattr(job.order, name) for name in job.order.__slots__}
     return {
         "id": job.id,
         "state": job.state,
         "created": datetime.fromtimestamp(job.created, UTC).isoformat(),
         "updated": datetime.fromtimestamp(job.updated, UTC).isoformat(),
-        "order": order,
+        "order": job.order.as_json,
         "asset": job.asset,
         "error": job.error,
         "warnings": list(job.warnings),
