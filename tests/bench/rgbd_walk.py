@@ -237,7 +237,6 @@ def _measure_drift(frames: int, state: Path) -> DriftFigures:
     """Track a walk without poses, and compare its way with the true one, before and after loops are closed."""
     from services.edge.capture.detect import read_capture
     from services.edge.odometry.loop_closure import close_loops
-    from services.edge.odometry.pose_graph import optimise_poses
     from services.edge.odometry.tracker import follow_frames
     from services.edge.points.frame_faults import FrameFaults
 
@@ -246,15 +245,14 @@ def _measure_drift(frames: int, state: Path) -> DriftFigures:
     bare = [replace(frame, camera_to_world=None) for frame in read_capture(folder).frames]
     way = follow_frames(bare, FrameFaults())
     before_loops = np.stack(way.poses)
-    loops = close_loops(way.keys, before_loops, no_tick)
-    after = optimise_poses(before_loops, way.edges + loops)
+    closed = close_loops(way.keys, before_loops, way.edges, no_tick)
     cpu_s, peak_mb = cpu_seconds() - before, _peak_mb()
-    tracked, closed = (_errors_m(way.posed(bare, poses), walk.poses) for poses in (before_loops, after))
+    tracked, closed = (_errors_m(way.posed(bare, poses), walk.poses) for poses in (before_loops, closed.poses))
     return DriftFigures(
         frames=frames,
         tracked=len(tracked),
         keys=len(way.keys),
-        loops=len(loops),
+        loops=len(closed.loops),
         length_m=round(float(np.linalg.norm(np.diff(walk.poses[:, :3, 3], axis=0), axis=1).sum()), 1),
         cpu_s=round(cpu_s, 1),
         peak_mb=round(peak_mb),

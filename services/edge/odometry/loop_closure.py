@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from services.edge.arrays import Floats, Tick
+from services.edge.arrays import Floats, Tick, part_of
+from services.edge.odometry.features import features_of
 from services.edge.odometry.icp import align
-from services.edge.odometry.pose_graph import Edge
+from services.edge.odometry.place_recognition import similar_pairs
+from services.edge.odometry.pose_graph import Edge, optimise_poses
 from services.edge.odometry.pyramid import PackedLevel, pyramid
 from services.edge.odometry.relocalise import relocalise
 
+_ROUNDS = 3
+"""Most rounds: once the drift is less, more key frames overlap by their poses."""
+_EVERY = 3
+"""Of so many key frames in a row, one is looked for by its picture: they show the same place."""
+_LONG_AGO = 20
+"""Least difference of the indices of two key frames that are looked for by their pictures: what the poses of fewer say
+is near enough to the truth."""
 _APART = 2
 """Least difference of the indices of two key frames of a loop: neighbours are aligned already."""
 _PER_KEY = 2
@@ -29,9 +39,46 @@ _SPREAD_DEG = 60.0
 """Largest angle between the optical axes of two cameras: beyond it they share too little."""
 
 
-def close_loops(keys: Sequence[PackedLevel], poses: Floats, tick: Tick) -> list[Edge]:
-    """Align the key frames that overlap according to the tracked poses (K,4,4); return an edge for each success."""
-    pairs = _overlapping_pairs(keys, poses)
+@dataclass(frozen=True, slots=True)
+class ClosedWay:
+    """The key frames' poses (K,4,4) with loops closed, and the alignments that closed them."""
+
+    poses: Floats
+    loops: tuple[Edge, ...]
+
+
+def close_loops(keys: Sequence[PackedLevel], poses: Floats, steps: Sequence[Edge], tick: Tick) -> ClosedWay:
+    """Align key frames that overlap by their poses (K,4,4) or look alike, and fit the poses to that and to the steps.
+
+    Those that look alike are found however far the poses have drifted; a pair that only looks alike is found out by its
+    alignment, or outvoted.
+    """
+    seen = _look_alike(keys)
+    loops: list[Edge] = []
+    tried: set[tuple[int, int]] = set()
+    for number in range(_ROUNDS):
+        part = part_of(tick, number / _ROUNDS, (number + 1) / _ROUNDS)
+        pairs = [pair for pair in dict.fromkeys(seen + _overlapping_pairs(keys, poses)) if pair not in tried]
+        tried.update(pairs)
+        found = _align_pairs(keys, pairs, poses, part)
+        if not found:
+            break
+        loops += found
+        poses = optimise_poses(poses, [*steps, *loops])
+    tick(1.0)
+    return ClosedWay(poses, tuple(loops))
+
+
+def _look_alike(keys: Sequence[PackedLevel]) -> list[tuple[int, int]]:
+    """Return pairs (old, new) of key frames that look alike and are far from each other in time."""
+    some = range(0, len(keys), _EVERY)
+    features = [features_of(keys[number].unpacked()) for number in some]
+    return [(some[old], some[new]) for old, new in similar_pairs(features, -(-_LONG_AGO // _EVERY), most=1)]
+
+
+def _align_pairs(
+    keys: Sequence[PackedLevel], pairs: Sequence[tuple[int, int]], poses: Floats, tick: Tick
+) -> list[Edge]:
     edges = []
     for number, (old, new) in enumerate(pairs):
         edge = _align_pair(keys, old, new, np.linalg.inv(poses[old]) @ poses[new])
