@@ -88,7 +88,7 @@ def test_loops_take_the_drift_out(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [340, 810])
 def test_a_wallpaper_does_not_make_the_camera_leap(first: int) -> None:
-    """The look turns upwards at once, to a wall with a dot every 25 cm: an alignment one period away fits nearly as well."""
+    """The look turns upwards at once, to a wall with a dot every 25 cm: a fit one period away is nearly as good."""
     walk = flat_walk(16, 2000)
     few = replace(walk, poses=walk.poses[first : first + 7])
     tracked = track_frames(bare(tuple(few.frames())))
