@@ -9,12 +9,14 @@ import numpy as np
 
 from services.edge.arrays import Floats, Tick, part_of
 from services.edge.odometry.features import features_of
-from services.edge.odometry.icp import align
+from services.edge.odometry.icp import IcpFit, align
 from services.edge.odometry.place_recognition import similar_pairs
 from services.edge.odometry.pose_graph import Edge, optimise_poses
 from services.edge.odometry.pyramid import PackedLevel, pyramid
 from services.edge.odometry.relocalise import relocalise
 
+_MEETING_M = 3.0
+"""Largest distance of two cameras that are looked for by their pictures: farther away a thing looks too different."""
 _ROUNDS = 3
 """Most rounds: once the drift is less, more key frames overlap by their poses."""
 _EVERY = 3
@@ -22,6 +24,12 @@ _EVERY = 3
 _LONG_AGO = 20
 """Least difference of the indices of two key frames that are looked for by their pictures: what the poses of fewer say
 is near enough to the truth."""
+_DRIFT_M, _DRIFT_SHARE = 0.5, 0.015
+"""How far tracked poses may be off: that much, two slips along a pattern, and that share of the way between two key
+frames, five times what the tracker drifts on rendered walks. A loop that asks for more is refused: two rooms with the
+same furniture look the same from many sides, and align with an agreement of 0.99 and more."""
+_AGREEMENT = 0.97
+"""Least agreement of a loop's alignment; one period away on a wallpaper that repeats itself it is up to 0.96."""
 _APART = 2
 """Least difference of the indices of two key frames of a loop: neighbours are aligned already."""
 _PER_KEY = 2
@@ -50,17 +58,18 @@ class ClosedWay:
 def close_loops(keys: Sequence[PackedLevel], poses: Floats, steps: Sequence[Edge], tick: Tick) -> ClosedWay:
     """Align key frames that overlap by their poses (K,4,4) or look alike, and fit the poses to that and to the steps.
 
-    Those that look alike are found however far the poses have drifted; a pair that only looks alike is found out by its
-    alignment, or outvoted.
+    Those that look alike are found although the poses have drifted; what would ask for more drift than there can be is
+    refused, and what is wrong is outvoted.
     """
-    seen = _look_alike(keys)
+    allowed = _allowed_drift(poses)
+    seen = _look_alike(keys, poses, allowed)
     loops: list[Edge] = []
     tried: set[tuple[int, int]] = set()
     for number in range(_ROUNDS):
         part = part_of(tick, number / _ROUNDS, (number + 1) / _ROUNDS)
         pairs = [pair for pair in dict.fromkeys(seen + _overlapping_pairs(keys, poses)) if pair not in tried]
         tried.update(pairs)
-        found = _align_pairs(keys, pairs, poses, part)
+        found = _align_pairs(keys, pairs, poses, allowed, part)
         if not found:
             break
         loops += found
@@ -69,31 +78,54 @@ def close_loops(keys: Sequence[PackedLevel], poses: Floats, steps: Sequence[Edge
     return ClosedWay(poses, tuple(loops))
 
 
-def _look_alike(keys: Sequence[PackedLevel]) -> list[tuple[int, int]]:
-    """Return pairs (old, new) of key frames that look alike and are far from each other in time."""
-    some = range(0, len(keys), _EVERY)
-    features = [features_of(keys[number].unpacked()) for number in some]
-    return [(some[old], some[new]) for old, new in similar_pairs(features, -(-_LONG_AGO // _EVERY), most=1)]
+def _allowed_drift(poses: Floats) -> Floats:
+    """How far (K,K) each key frame may be off as seen from each other one, in metres, by the way between them."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
+    allowed: Floats = _DRIFT_M + _DRIFT_SHARE * np.abs(way[:, None] - way)
+    return allowed
+
+
+def _look_alike(keys: Sequence[PackedLevel], poses: Floats, allowed: Floats) -> list[tuple[int, int]]:
+    """Return pairs (old, new) of key frames that look alike, of long ago, and may have met in spite of the drift."""
+    some = np.arange(0, len(keys), _EVERY)
+    eyes = poses[some, :3, 3]
+    olds = [
+        np.flatnonzero(
+            (some <= new - _LONG_AGO)
+            & (np.linalg.norm(eyes - poses[new, :3, 3], axis=1) < _MEETING_M + allowed[new, some])
+        )
+        for new in some.tolist()
+    ]
+    features = [features_of(keys[number].unpacked()) for number in some.tolist()]
+    return [(int(some[old]), int(some[new])) for old, new in similar_pairs(features, olds)]
 
 
 def _align_pairs(
-    keys: Sequence[PackedLevel], pairs: Sequence[tuple[int, int]], poses: Floats, tick: Tick
+    keys: Sequence[PackedLevel], pairs: Sequence[tuple[int, int]], poses: Floats, allowed: Floats, tick: Tick
 ) -> list[Edge]:
+    """Align pairs of key frames; return an edge for each that succeeds and asks for no more drift than there may be."""
     edges = []
     for number, (old, new) in enumerate(pairs):
-        edge = _align_pair(keys, old, new, np.linalg.inv(poses[old]) @ poses[new])
-        edges += [] if edge is None else [edge]
+        guess = np.linalg.inv(poses[old]) @ poses[new]
+        fit = _align_pair(keys, old, new, guess, float(allowed[old, new]))
+        edges += [] if fit is None else [Edge(old, new, fit.pose, fit.information)]
         tick((number + 1) / len(pairs))
     return edges
 
 
-def _align_pair(keys: Sequence[PackedLevel], old: int, new: int, guess: Floats) -> Edge | None:
-    """Align two key frames from a guess, or else from matched features; None where both fail."""
+def _align_pair(keys: Sequence[PackedLevel], old: int, new: int, guess: Floats, allowed_m: float) -> IcpFit | None:
+    """Align two key frames from a guess, or else from matched features; None where neither gives what can be."""
     source, target = pyramid(keys[new].unpacked()), pyramid(keys[old].unpacked())
     fit = align(source, target, guess)
-    if fit is None or not fit.sound:
+    if fit is None or not _is_loop(fit, guess, allowed_m):
         fit = relocalise(source, target[-1])
-    return None if fit is None else Edge(old, new, fit.pose, fit.information)
+    return fit if fit is not None and _is_loop(fit, guess, allowed_m) else None
+
+
+def _is_loop(fit: IcpFit, guess: Floats, allowed_m: float) -> bool:
+    """Whether an alignment is reliable, and as near to what the poses say as the drift allows."""
+    off_m = float(np.linalg.norm(fit.pose[:3, 3] - guess[:3, 3]))
+    return fit.sound and fit.agreement > _AGREEMENT and off_m < allowed_m
 
 
 def _overlapping_pairs(keys: Sequence[PackedLevel], poses: Floats) -> list[tuple[int, int]]:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats
+from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.odometry.features import Features
 
 _WORDS = 64
@@ -22,21 +22,19 @@ _ITERATIONS = 20
 """Most iterations of k-means."""
 
 
-def similar_pairs(features: Sequence[Features | None], apart: int, most: int) -> list[tuple[int, int]]:
-    """Return pairs (old, new) of key frames: for each the `most` pictures of before that are most like its own.
-
-    apart  least difference of their indices: neighbours look alike, and are aligned already
-    """
+def similar_pairs(features: Sequence[Features | None], olds: Sequence[Ints]) -> list[tuple[int, int]]:
+    """Return a pair (old, new) for every picture: the one most like it among those that `olds` (N) names for it."""
     known = [number for number, each in enumerate(features) if each is not None]
     if len(known) < 2:
         return []
-    vectors = _vectors([each for each in features if each is not None])
+    vectors = dict(zip(known, _vectors([each for each in features if each is not None]), strict=True))
     pairs = []
-    for place, new in enumerate(known):
-        before = [old for old in range(place) if new - known[old] >= apart]
-        alike = vectors[before] @ vectors[place]
-        pairs += [(known[before[each]], new) for each in np.argsort(-alike, kind="stable")[:most].tolist()]
-    return sorted(pairs, key=lambda pair: (pair[1], pair[0]))
+    for new in known:
+        before = [old for old in olds[new].tolist() if old in vectors]
+        if before:
+            alike = np.stack([vectors[old] for old in before]) @ vectors[new]
+            pairs.append((before[int(np.argmax(alike))], new))
+    return pairs
 
 
 def _vectors(features: Sequence[Features]) -> Floats:
