@@ -145,7 +145,9 @@ def kinds(events: list[pb.Event]) -> list[str]:
 async def test_the_bundle_is_that_of_a_lone_worker(
     store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes
 ) -> None:
+    edits = '{"planes": [{"point": [0, 0.2, 0], "normal": [0, 1, 0]}], "up": [0, 1, 0.1]}'  # applied once
     asked = {"asset_key": "dome", "label": "Dome", "preset": "quick", "longest_m": 0.5, "collection": "ada"}
+    asked |= {"edits": edits}
     alone = MemoryStore()
     async with worker(real_work(alone, quick), tmp_path / "alone") as client:
         assert (await client.ended(dome, **asked))[-1].HasField("finished")
@@ -158,6 +160,7 @@ async def test_the_bundle_is_that_of_a_lone_worker(
     finished = events[-1].finished
     expected, made = (json.loads(each.get(read_entry(each, "dome").manifest)) for each in (alone, store))
     assert timeless(made) == timeless(expected)
+    assert made["edits"] == {"schema": 1, **json.loads(edits)}
     assert read_entry(alone, "dome").collections == read_entry(store, "dome").collections == ["ada"]
     assert {event.published.collection for event in events if event.HasField("published")} == {"ada"}
     assert made["seconds"]["POINT_CLOUD"] == finished.seconds["POINT_CLOUD"] > 0

@@ -97,6 +97,27 @@ async def test_points_become_an_asset(client: Client, store: MemoryStore, scratc
     assert leftovers(scratch) == []
 
 
+async def test_edits_make_another_version_and_those_that_leave_nothing_none(
+    client: Client, store: MemoryStore, scratch: Path, tmp_path: Path
+) -> None:
+    sent = archive(tmp_path, dome_ply=hemisphere_ply())
+    whole = {"asset_key": "cut", "preset": "draft"}
+    await client.ended(sent, job="job_whole", **whole)
+    upper = '{"planes": [{"point": [0, 0.5, 0], "normal": [0, 1, 0]}], "up": [0, 1, 0]}'
+    await client.ended(sent, job="job_cut", edits=upper, **whole)
+    asset = read_entry(store, "cut")
+    assert asset.document["size_m"][1] == pytest.approx(0.5, abs=0.1)
+    assert json.loads(store.get(asset.manifest))["edits"] == {"schema": 1, **json.loads(upper)}
+
+    nothing = '{"crop": {"centre": [9, 9, 9], "size": [1, 1, 1]}}'
+    failure = (await client.ended(sent, job="job_nothing", edits=nothing, **whole))[-1].failure
+    assert (failure.code, failure.retryable) == ("EDITS_NOTHING_LEFT", False)
+    assert "0 of" in failure.message
+    assert failure.hints
+    assert read_entry(store, "cut").document == asset.document, "what was there stays"
+    assert leftovers(scratch) == []
+
+
 async def test_an_asset_is_its_tenants(client: Client, store: MemoryStore, tmp_path: Path) -> None:
     sent = archive(tmp_path, dome_ply=hemisphere_ply(200))
     for number, tenant in enumerate(("ada", "bob")):
