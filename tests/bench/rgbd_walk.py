@@ -245,14 +245,14 @@ def _measure_drift(frames: int, state: Path) -> DriftFigures:
     bare = [replace(frame, camera_to_world=None) for frame in read_capture(folder).frames]
     way = follow_frames(bare, FrameFaults())
     before_loops = np.stack(way.poses)
-    closed = close_loops(way.keys, before_loops, way.edges, no_tick)
+    without_drift = close_loops(way.keys, before_loops, way.edges, no_tick)
     cpu_s, peak_mb = cpu_seconds() - before, _peak_mb()
-    tracked, closed = (_errors_m(way.posed(bare, poses), walk.poses) for poses in (before_loops, closed.poses))
+    tracked, closed = (_errors_m(way.posed(bare, poses), walk.poses) for poses in (before_loops, without_drift.poses))
     return DriftFigures(
         frames=frames,
         tracked=len(tracked),
         keys=len(way.keys),
-        loops=len(closed.loops),
+        loops=len(without_drift.loops),
         length_m=round(float(np.linalg.norm(np.diff(walk.poses[:, :3, 3], axis=0), axis=1).sum()), 1),
         cpu_s=round(cpu_s, 1),
         peak_mb=round(peak_mb),
