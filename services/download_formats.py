@@ -79,6 +79,34 @@ FORMATS = {
             (FINEST,),
             ("asset.usdz",),
         ),
+        DownloadFormat(
+            "points-ply",
+            "Points, PLY",
+            "The captured points, for CloudCompare, MeshLab and scripts. Metres, Z up.",
+            "-points.ply",
+            (POINTS,),
+        ),
+        DownloadFormat(
+            "points-laz",
+            "Points, LAZ",
+            "The captured points, compressed, for surveying and GIS programs. Metres, Z up.",
+            "-points.laz",
+            (POINTS,),
+        ),
+        DownloadFormat(
+            "colmap",
+            "Cameras, COLMAP",
+            "Where each photo was taken from, for Gaussian splatting and other trainers: a zip of text. Metres, Z up.",
+            "-colmap.zip",
+            (CAMERAS, POINTS),
+        ),
+        DownloadFormat(
+            "transforms",
+            "Cameras, transforms.json",
+            "The same for nerfstudio: put your photos into images/. Metres, Z up.",
+            "-transforms.zip",
+            (CAMERAS, POINTS),
+        ),
     )
 }
 """All formats by name, in the order in which people are shown them."""

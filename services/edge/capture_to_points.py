@@ -179,13 +179,14 @@ def to_points(
         points = cloud_points(capture, voxel=voxel, tick=lambda fraction: tick(share * fraction))
         kept = _ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is")
         return isolate_object(replace(points, whole=None), tick=tick) if cut == "object" else replace(points, cut=kept)
+    cameras = tuple(frame.picture for frame in capture.frames if frame.picture)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     held_out = tuple(frame for frame in held_out if FrameFaults().read_picture(frame) is not None)
     in_parts = not has_stereo_depth(frames) and cut != "object"  # which is cut out of points in memory
     fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
     capture = replace(capture, frames=fused.frames)
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
-    points = replace(points, held_out_views=tuple(map(texture_view, held_out)))
+    points = replace(points, held_out_views=tuple(map(texture_view, held_out)), cameras=cameras)
     points = _cut(points, capture, fused, cut, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))

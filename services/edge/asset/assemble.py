@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from services.edge.arrays import Floats, Tick, part_of
+from services.edge.asset.capture_files import capture_files
 from services.edge.asset.cut_pictures import pictures_of_cut
 from services.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface, asset_frame, build_manifest
@@ -67,8 +68,8 @@ def assemble_bundle(
 ) -> Iterator[Progress | Bundle]:
     """Yield the bundle of a surface whose levels of detail are made: files, preview images, manifest.
 
-    last    whether this is the job's last bundle. Textures, animation and USDZ are made only then; they would delay the
-            preview
+    last    whether this is the job's last bundle. Textures, animation, USDZ and the points and cameras for downloads are
+            made only then; they would delay the preview
     encode  encoder of KTX2 textures for a target that wants them; `require_encoder` has checked that it is there
 
     Raises EdgeError BUDGET_UNREACHABLE and Ktx2Error: before a refined bundle, but after a preview is yielded.
@@ -91,6 +92,8 @@ def assemble_bundle(
         files["mesh.ply"] = ply_bytes(
             coloured.full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None
         )
+        if last:
+            files |= capture_files(subject.colours, to_asset)
         private: dict[str, bytes] = {}
         if last and surface.check.surface:
             likeness = check_textures_with_photos(assets[0], surface.check, subject.colours, to_asset)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal, Protocol
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from services.edge.arrays import Bools, Bytes, Floats, pick
 
@@ -63,6 +63,29 @@ class Intrinsics:
         return Intrinsics(self.fx * sx, self.fy * sy, cx, cy, width, height)
 
 
+_Row = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class PictureCamera:
+    """Camera of a picture as the capture has it: not turned upright, not undistorted, at its full size.
+
+    name             file inside the capture
+    size             (width, height) in pixels
+    camera           fx, fy, cx, cy in pixels; pixel centres are at integers
+    distortion       OpenCV's (k1, k2, p1, p2, k3)
+    camera_to_world  first three rows of the pose: OpenCV axes, capture frame
+    """
+
+    name: str
+    size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
+    camera: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], float, float]
+    distortion: tuple[float, float, float, float, float]
+    camera_to_world: tuple[_Row, _Row, _Row]
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """A depth image with its camera and, where known, pose and colours. Images load lazily: hundreds cost no memory.
@@ -73,6 +96,7 @@ class Frame:
     load_confidence  -> (H,W) float32 in [0,1], or None where the format has none
     load_rgb         -> (h,w,3) uint8 sRGB with the field of view of the depth image, any resolution, or None
     window_px        side of the window that stereo matched per pixel: depth errors within it correlate; 1 for sensors
+    picture          camera of the photo that it was made from; None for depth cameras
     """
 
     name: str
@@ -82,6 +106,7 @@ class Frame:
     load_confidence: Callable[[], Floats] | None = None
     load_rgb: Callable[[], Bytes] | None = None
     window_px: int = 1
+    picture: PictureCamera | None = None
 
 
 class LoadPhoto(Protocol):

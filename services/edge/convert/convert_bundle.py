@@ -14,13 +14,16 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 from trimesh.visual import ColorVisuals
 
-from services.download_formats import FINEST, MESH
+from services.download_formats import CAMERAS, FINEST, MESH, POINTS
 from services.edge.arrays import Floats
+from services.edge.convert.camera_files import colmap_zip, transforms_zip
+from services.edge.convert.capture_points import CapturePoints
 from services.edge.convert.read_glb import StoredLevel, read_glb
 from services.edge.export.glb import to_glb
 from services.edge.export.obj import to_obj_zip
 from services.edge.export.ply import ply_bytes
 from services.edge.export.usdz import to_usdz
+from services.edge.export.z_up import z_up
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.texture.nearest_colour import transfer_colours
 
@@ -72,18 +75,38 @@ def _obj(bundle: BundleFolder, key: str) -> bytes:
 
 
 def _ply(bundle: BundleFolder, key: str) -> bytes:
-    return ply_bytes(z_up(_full(bundle)))
+    return ply_bytes(_upright(_full(bundle)))
 
 
 def _stl(bundle: BundleFolder, key: str) -> bytes:
-    mesh = z_up(_full(bundle))
+    mesh = _upright(_full(bundle))
     data: bytes = export_stl(trimesh.Trimesh(mesh.vertices * _MM, mesh.faces, process=False))
     return data
+
+
+def _upright(mesh: Mesh) -> Mesh:
+    return replace(mesh, vertices=z_up(mesh.vertices))
 
 
 def _usdz(bundle: BundleFolder, key: str) -> bytes:
     """The bundle's own file, which is of a level that phones can show; a preview has none yet."""
     return bundle.read("asset.usdz") if bundle.has("asset.usdz") else to_usdz(_finest(bundle).mesh)
+
+
+def _points_ply(bundle: BundleFolder, key: str) -> bytes:
+    return CapturePoints.read(bundle.read(POINTS)).ply()
+
+
+def _points_laz(bundle: BundleFolder, key: str) -> bytes:
+    return bundle.read(POINTS)
+
+
+def _colmap(bundle: BundleFolder, key: str) -> bytes:
+    return colmap_zip(bundle.read(CAMERAS), bundle.read(POINTS))
+
+
+def _transforms(bundle: BundleFolder, key: str) -> bytes:
+    return transforms_zip(bundle.read(CAMERAS), bundle.read(POINTS))
 
 
 _WRITERS: Mapping[str, Callable[[BundleFolder, str], bytes]] = {
@@ -93,6 +116,10 @@ _WRITERS: Mapping[str, Callable[[BundleFolder, str], bytes]] = {
     "ply": _ply,
     "stl": _stl,
     "usdz": _usdz,
+    "points-ply": _points_ply,
+    "points-laz": _points_laz,
+    "colmap": _colmap,
+    "transforms": _transforms,
 }
 
 
@@ -117,9 +144,3 @@ def _full(bundle: BundleFolder) -> Mesh:
     to_asset = bundle.to_asset
     vertices = np.asarray(found.vertices, np.float64) @ to_asset[:3, :3].T + to_asset[:3, 3]
     return Mesh(vertices, np.asarray(found.faces, np.int64), rgb)
-
-
-def z_up(mesh: Mesh) -> Mesh:
-    """Turn a mesh of the asset frame (Y up) upright for programs whose Z axis is up: a quarter turn about X."""
-    x, y, z = mesh.vertices.T
-    return replace(mesh, vertices=np.stack([x, -z, y], axis=1))

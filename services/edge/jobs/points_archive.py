@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from services.atomic_write import atomic_write
-from services.edge.capture.nouns import ScaleConfidence, UpSource
+from services.edge.capture.nouns import PictureCamera, ScaleConfidence, UpSource
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.jobs.archived_arrays import invalid, read_array, write_array
 from services.edge.jobs.archived_views import (
@@ -41,14 +41,17 @@ from services.edge.points.nouns import CutReport, Points, UnseenSide
 from services.edits import Edits
 from services.storage.archives import ArchiveError, ArchiveLimits, unpack
 
-VERSION = 5
+VERSION = 6
 """Version of this format. Workers compare theirs before any points are sent."""
 
 MOST_POINTS = 4_000_000
 """Most points that are read: more than twice what fusing and cleaning ever leave; 124 MB of arrays."""
 
+MOST_CAMERAS = 2_000
+"""Most cameras of photos that are sent along: for downloads alone, so those of further photos are left out."""
+
 _HEAD, _XYZ, _RGB, _CONFIDENCE = "points.json", "xyz.npy", "rgb.npy", "confidence.npy"
-_HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB
+_HEAD_BYTES = 4 << 20  # 300 photos with advice for each take 100 kB, 2,000 cameras 1 MB
 _POINT_BYTES = 24 + 3 + 4  # xyz, rgb, confidence
 _LIMITS = ArchiveLimits(
     entries=5 + 2 * MOST_VIEWS,
@@ -82,6 +85,7 @@ class _Head:
     whole: ArchivedWhole | None
     views: Annotated[tuple[ArchivedView, ...], Field(max_length=MOST_VIEWS)]
     edits: Edits
+    cameras: Annotated[tuple[PictureCamera, ...], Field(max_length=MOST_CAMERAS)]
     source: CaptureSummary
     seconds: dict[Stage, Annotated[float, Field(ge=0)]]
 
@@ -138,6 +142,7 @@ def read_prepared(archive: Path, scratch: Path) -> PreparedPoints:
         up_source=head.up_source,
         cut=head.cut,
         edits=head.edits,
+        cameras=head.cameras,
         whole=None if head.whole is None else read_whole(scratch / WHOLE, head.whole),
     )
     return PreparedPoints(points, head.source, {str(stage): seconds for stage, seconds in head.seconds.items()})
@@ -158,6 +163,7 @@ def _head_of(prepared: PreparedPoints, views: tuple[ArchivedView, ...], whole: A
         unseen=points.unseen,
         cut=points.cut,
         edits=points.edits,
+        cameras=points.cameras[:MOST_CAMERAS],
         whole=whole,
         views=views,
         source=prepared.source,

@@ -23,7 +23,7 @@ from services.edge.errors import Cancelled, CaptureError
 from services.edge.parallel import in_threads
 from services.edge.photos.depth_consistency import confirmations
 from services.edge.photos.depth_rim import remove_rim
-from services.edge.photos.nouns import Alignment, PhotoView
+from services.edge.photos.nouns import Alignment, PhotoView, picture_camera
 from services.edge.photos.plane_sweep import DepthMap, SweepBackendOf, backend_on, sweep
 from services.edge.photos.source_views import SOURCES, choose_sources
 from services.edge.photos.undistorted import UndistortedPhoto, load_undistorted_grey, load_undistorted_rgb
@@ -155,6 +155,7 @@ def _frame(seen: UndistortedPhoto, depth: Floats, score: Floats, longest: int) -
         lambda: np.ascontiguousarray(confidence, np.float32),
         PhotoColours(seen.view, longest),
         window_px=WINDOW,
+        picture=picture_camera(seen.view),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from services.edge.arrays import Floats, Ints
-from services.edge.capture.nouns import Intrinsics, Photo, PhotoVerdict
+from services.edge.capture.nouns import Intrinsics, Photo, PhotoVerdict, PictureCamera
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +21,19 @@ class PhotoView:
     intrinsics: Intrinsics
     distortion: tuple[float, float, float, float, float]
     camera_to_world: Floats
+
+
+def picture_camera(view: PhotoView) -> PictureCamera:
+    """Return the camera of a photo as it is stored in the capture."""
+    camera, pose = view.intrinsics, view.camera_to_world
+    first, second, third = ((float(a), float(b), float(c), float(d)) for a, b, c, d in pose[:3])
+    return PictureCamera(
+        view.photo.name,
+        (camera.width, camera.height),
+        (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
+        view.distortion,
+        (first, second, third),
+    )
 
 
 @dataclass(frozen=True, slots=True)

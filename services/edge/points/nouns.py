@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
-from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, ScaleConfidence, UpSource
+from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PictureCamera, ScaleConfidence, UpSource
 from services.edits import NO_EDITS, Edits
 
 Cut = Literal["auto", "object", "scene"]
@@ -79,6 +79,7 @@ class Points:
     whole: all points of the capture where these are only some of them, without those that the edits cut away;
     scene_views: many more pictures than texture_views, all along a walk through a scene that has a `whole`, so that
     each part of it can be textured from those that show it;
+    cameras: of all photos that could be placed, those that are held out too;
     uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine;
     edits: the recipe that was applied.
     """
@@ -97,6 +98,7 @@ class Points:
     uncut: Cloud | None = None
     whole: CloudParts | None = None
     scene_views: tuple[TextureView, ...] = ()
+    cameras: tuple[PictureCamera, ...] = ()
     up_source: UpSource | None = None
     edits: Edits = NO_EDITS
 

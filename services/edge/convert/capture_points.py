@@ -1,0 +1,53 @@
+"""The capture's points in other formats: PLY, COLMAP's text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats, Ints
+from services.edge.export.ply import ply_bytes
+from services.edge.mesh.nouns import Mesh
+
+_GREY = 128  # sRGB, of points without colours where a format must have some
+
+
+@dataclass(frozen=True, slots=True)
+class CapturePoints:
+    """Points as the bundle has them: xyz (N,3) metres, Z up; rgb (N,3) uint8 sRGB or None."""
+
+    xyz: Floats
+    rgb: Bytes | None
+
+    @classmethod
+    def read(cls, laz: bytes) -> CapturePoints:
+        """Read the bundle's file. Raises ValueError."""
+        import laspy
+
+        try:
+            las = laspy.read(BytesIO(laz))
+        except Exception as error:  # noqa: BLE001 - laspy and its decoder raise many kinds
+            raise ValueError(f"the points cannot be read: {error}") from error
+        rgb = None
+        if "red" in las.point_format.dimension_names:
+            rgb = (np.stack([las.red, las.green, las.blue], axis=1) >> 8).astype(np.uint8)
+        return cls(np.asarray(las.xyz, np.float64), rgb)
+
+    def at_most(self, count: int) -> CapturePoints:
+        """Return every n-th point: the bundle's are in the order of a grid, so they stay evenly spread."""
+        step = -(-len(self.xyz) // count)
+        return CapturePoints(self.xyz[::step], None if self.rgb is None else self.rgb[::step])
+
+    def ply(self) -> bytes:
+        """Encode as binary PLY without triangles."""
+        nothing: Ints = np.zeros((0, 3), np.int64)
+        return ply_bytes(Mesh(self.xyz, nothing, self.rgb))
+
+    def colmap_text(self) -> str:
+        """Lines of COLMAP's points3D.txt: id, position, colour, error, and no track."""
+        rgb = np.full((len(self.xyz), 3), _GREY, np.uint8) if self.rgb is None else self.rgb
+        numbered = np.arange(1, len(self.xyz) + 1)
+        rows = np.column_stack([numbered, self.xyz, rgb]).ravel().tolist()
+        return "%d %.6f %.6f %.6f %d %d %d 0\n" * len(self.xyz) % tuple(rows)
