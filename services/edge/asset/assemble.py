@@ -68,8 +68,8 @@ def assemble_bundle(
 ) -> Iterator[Progress | Bundle]:
     """Yield the bundle of a surface whose levels of detail are made: files, preview images, manifest.
 
-    last    whether this is the job's last bundle. Textures, animation, USDZ and the points and cameras for downloads are
-            made only then; they would delay the preview
+    last    whether this is the job's last bundle. Textures, animation, USDZ, points, cameras are made only then; they
+            would delay the preview
     encode  encoder of KTX2 textures for a target that wants them; `require_encoder` has checked that it is there
 
     Raises EdgeError BUDGET_UNREACHABLE and Ktx2Error: before a refined bundle, but after a preview is yielded.

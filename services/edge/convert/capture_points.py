@@ -28,7 +28,7 @@ class CapturePoints:
 
         try:
             las = laspy.read(BytesIO(laz))
-        except Exception as error:  # noqa: BLE001 - laspy and its decoder raise many kinds
+        except Exception as error:  # laspy and its decoder raise many kinds
             raise ValueError(f"the points cannot be read: {error}") from error
         rgb = None
         if "red" in las.point_format.dimension_names:

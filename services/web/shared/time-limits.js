@@ -30,6 +30,9 @@ export const EVENTS_SILENCE_MS = 35_000;
 /** For the server to check an upload once it has all of it: hundreds of photos take a minute. */
 export const UPLOAD_CHECK_MS = 300_000;
 
+/** For the server to say whether a file for another program is made: it answers within 20 s that it is being made. */
+export const DOWNLOAD_ANSWER_MS = 60_000;
+
 /** Between two attempts of an upload to go on: what is lost for a moment is back by then. */
 export const UPLOAD_PAUSE_MS = 2_000;
 

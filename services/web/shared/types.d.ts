@@ -54,6 +54,21 @@ export interface OpenedShare {
   view: string;
 }
 
+/** A format for other programs. `bytes`: of the file, where it has been made before. */
+export interface Download {
+  format: string;
+  title: string;
+  about: string;
+  file: string;
+  bytes: number | null;
+  url: string;
+}
+
+/** GET /v1/assets/{key}/downloads */
+export interface DownloadList {
+  downloads: Download[];
+}
+
 // ---- assets ---------------------------------------------------------------------------------------------------------
 
 export type AssetState = 'preview' | 'refined';

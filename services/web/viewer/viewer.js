@@ -43,6 +43,7 @@ const page = {
   qr: element('qr', HTMLImageElement),
   address: element('address', HTMLElement),
   names: element('names', HTMLDetailsElement),
+  downloads: element('downloads', HTMLDetailsElement),
   share: element('share', HTMLDetailsElement),
   edit: element('edit', HTMLAnchorElement),
 };
@@ -313,6 +314,14 @@ function showMode(mode) {
   redraw();
 }
 
+/** Offers the one thing of this page for other programs. The panel's module is loaded when it is opened. */
+function offerDownloads() {
+  const [item] = items;
+  if (!item || items.length > 1) return;
+  page.downloads.hidden = false;
+  page.downloads.addEventListener('toggle', () => import('./downloads.js').then(({ showDownloads }) => showDownloads(item.key)), { once: true });
+}
+
 /**
  * Offers to name and to share the thing to somebody who manages it. A panel's module is loaded when it is opened.
  * @param {Session | null} session
@@ -386,4 +395,5 @@ page.qr.src = ofShownTenant(`/v1/assets/${encodeURIComponent(items[0]?.key ?? ''
 page.qr.hidden = items.length !== 1; // the code of several would be that of the first
 registerServiceWorker();
 updates.poll();
+offerDownloads();
 showAccount().then(offerManaging);

@@ -1,0 +1,85 @@
+// The panel of the viewer's page that downloads a thing for other programs. A file is made on the server when somebody first wants it.
+import { getJson, parseAnswer } from '../shared/api.js';
+import { attempt } from '../shared/attempt.js';
+import { create, element } from '../shared/dom.js';
+import { fetchBytes } from '../shared/network.js';
+import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
+import { ofShownTenant } from '../shared/whose.js';
+
+/** @import { Download, DownloadList } from '../shared/types.d.ts' */
+
+const UNITS = ['bytes', 'KB', 'MB', 'GB'];
+
+const panel = {
+  list: element('downloads-list', HTMLElement),
+  said: element('downloads-said', HTMLElement),
+  trouble: element('downloads-trouble', HTMLElement),
+};
+
+/**
+ * Lists the formats that an asset can have, each with a button that downloads it.
+ * @param {string} key
+ */
+export async function showDownloads(key) {
+  await attempt(panel.trouble, async () => {
+    /** @type {DownloadList} */
+    const { downloads } = await getJson(ofShownTenant(`/v1/assets/${encodeURIComponent(key)}/downloads`));
+    panel.list.replaceChildren(...downloads.map(createItem));
+    document.body.dataset.downloads = String(downloads.length);
+  });
+}
+
+/** @param {Download} download */
+function createItem(download) {
+  const item = create('li');
+  const size = download.bytes === null ? '' : `, ${formatBytes(download.bytes)}`;
+  const button = create('button', { type: 'button', textContent: `${download.title}${size}` });
+  const about = create('p', { className: 'quiet', textContent: download.about, id: `download-${download.format}` });
+  button.setAttribute('aria-describedby', about.id);
+  button.addEventListener('click', () => attempt(panel.trouble, () => save(download, button)));
+  item.append(button, about);
+  return item;
+}
+
+/**
+ * Waits until the file has been made, and has the browser save it.
+ * @param {Download} download
+ * @param {HTMLButtonElement} button stays disabled meanwhile
+ */
+async function save({ url, title, file }, button) {
+  button.disabled = true;
+  panel.said.textContent = `${title} is being made …`;
+  try {
+    await untilMade(url);
+    panel.said.textContent = `${file} is being saved.`;
+    create('a', { href: url, download: file }).click();
+  } catch (error) {
+    panel.said.textContent = '';
+    throw error;
+  } finally {
+    button.disabled = false;
+  }
+}
+
+/**
+ * Asks for a file until the server knows where it is.
+ * @param {string} url
+ */
+async function untilMade(url) {
+  for (;;) {
+    const { response, bytes } = await fetchBytes(url, { redirect: 'manual', cache: 'no-store', silenceMs: DOWNLOAD_ANSWER_MS });
+    if (response.type === 'opaqueredirect') return;
+    if (response.status !== 202) {
+      parseAnswer(response.status, new TextDecoder().decode(bytes));
+      return;
+    }
+    await new Promise((resolve) => setTimeout(resolve, 1000 * Number(response.headers.get('Retry-After') ?? 2)));
+  }
+}
+
+/** @param {number} bytes */
+function formatBytes(bytes) {
+  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(Math.max(bytes, 1)) / 3));
+  const size = bytes / 1000 ** power;
+  return `${size < 10 && power ? size.toFixed(1) : Math.round(size)} ${UNITS[power]}`;
+}
