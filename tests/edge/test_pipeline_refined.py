@@ -56,7 +56,7 @@ def assert_finished(made: list[Bundle]) -> None:
     first, last = made
     assert (first.state, last.state) == ("preview", "preview")
     assert first.files["mesh.ply"] == last.files["mesh.ply"]
-    assert last.files.keys() - first.files.keys() == {"turning.webp", "asset.usdz"}
+    assert last.files.keys() - first.files.keys() == {"turning.webp", "asset.usdz", "points.laz"}
 
 
 def kept(said: list[Said]) -> PreviewKept:

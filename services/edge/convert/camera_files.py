@@ -58,7 +58,7 @@ def colmap_zip(cameras: bytes, laz: bytes) -> bytes:
     lines = []
     for number, each in enumerate(views, start=1):
         model = numbers[each.size, each.camera, each.distortion]
-        name = " ".join(each.name.splitlines())  # a line break would begin another photo
+        name = "_".join(each.name.split())  # COLMAP ends a name at its first blank
         lines.append(f"{number} {_colmap_pose(each.camera_to_world)} {model} {name}\n\n")  # no matches follow
     described = (_colmap_model(numbers[model], *model) for model in models)
     files = {

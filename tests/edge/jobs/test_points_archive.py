@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PhotoVerdict, UpSource
+from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PhotoVerdict, PictureCamera, UpSource
 from services.edge.capture.photo_copy import encode_copy
 from services.edge.capture_to_points import CaptureSummary, PreparedPoints
 from services.edge.errors import EdgeError
@@ -30,6 +30,13 @@ from services.edits import CropBox, Edits
 from services.storage.archives import unpack
 
 VERDICTS = (PhotoVerdict("a.jpg", "ok"), PhotoVerdict("b.jpg", "blur", "hold still"))
+CAMERA = PictureCamera(
+    "IMG_0.jpg",
+    (64, 48),
+    (50.0, 51.0, 31.5, 23.5),
+    (0.1, -0.02, 0.0, 1e-3, 0.0),
+    ((1, 0, 0, 0.5), (0, 1, 0, 2), (0, 0, 1, -3.0)),
+)
 COORDINATES = st.floats(-1e9, 1e9)
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
@@ -63,6 +70,7 @@ def prepared_points(count: int = 120, *, pictured: bool = True) -> PreparedPoint
         cut=CutReport("object", "it stands in the middle", "a box was removed", 0.5),
         up_source=UpSource("lines", 0.9),
         edits=Edits(crop=CropBox((0.1, 0.0, 0.0), (9.0, 9.0, 9.0)), up=(0.0, 0.6, 0.8), fill="none"),
+        cameras=(CAMERA, replace(CAMERA, name="IMG_1.jpg")) if pictured else (),
         texture_views=(view(0), view(1)) if pictured else (),
         held_out_views=(view(2),) if pictured else (),
     )

@@ -332,7 +332,7 @@ def test_a_black_capture_says_so(walk: Walkaround) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
-def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Capture) -> None:
+def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Capture, walk: Walkaround) -> None:
     steps = list(
         reconstruct(posed, replace(load_preset("draft"), resolution=48), cut="object", names=AssetNames("Shell"))
     )
@@ -350,6 +350,12 @@ def test_the_pipeline_aligns_first_and_the_manifest_names_every_photo(posed: Cap
     assert bundle.manifest["size_m"][1] / metres_per_unit == pytest.approx(SIZE_M, rel=0.15)
     assert metres_per_unit == pytest.approx(0.6 / 0.95, rel=0.2)
     assert any("tell no unit" in warning for warning in bundle.manifest["warnings"])
+    # The photos' cameras stand beside the asset, with Z up.
+    cameras = json.loads(bundle.files["cameras.json"])["cameras"]
+    assert [each["name"] for each in cameras] == [f"images/{photo.name}" for photo in walk.photos]
+    places = np.array([each["camera_to_world"] for each in cameras])[:, :, 3]
+    x, y, z = (np.stack(walk.camera_to_world)[:, :3, 3] @ to_asset[:3, :3].T + to_asset[:3, 3]).T
+    np.testing.assert_allclose(places, np.stack([x, -z, y], axis=1), atol=1e-6)
 
 
 def test_poses_in_metres_keep_them(posed: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
