@@ -22,6 +22,7 @@ COLOURS = {
     "usdz": "texture",
 }
 Z_UP = ("ply", "stl")
+UNCOLOURED = ((readers.GODOT, "obj"),)  # it looks for the texture before it has imported that
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def check(reader: Reader, files: dict[str, Path]) -> None:
     names = [name for name in readable if name != "glb-meshopt" or reader in readers.UNPACKS_MESHOPT]
     for name, found in zip(names, reader.read([files[name] for name in names]), strict=True):
         assert (found.fault, found.triangles) == ("", len(SHEET.faces)), name
-        if reader is not readers.BABYLON or name != "stl":
+        if (reader, name) not in UNCOLOURED:
             assert found.colours == COLOURS[name], name
         if found.low is not None:
             scale = 1000 if name == "stl" else 1

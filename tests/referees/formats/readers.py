@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,8 @@ from tests.support.npm_packages import installed, wheels
 from tests.support.patience import HANG_S
 
 _HERE = Path(__file__).parent
-_DISPLAY = ":77"
+_GODOT = ("godot3", "--audio-driver", "Dummy", "--video-driver", "GLES2")
+_NOWHERE = subprocess.DEVNULL
 _TURNED = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from Z up to Y up
 
 
@@ -159,24 +161,44 @@ def with_godot(files: Sequence[Path]) -> list[Reading]:
         shutil.copy(file, project / name)
         for beside in [*file.parent.glob("*.mtl"), *file.parent.glob("*.jpg")] if file.suffix == ".obj" else []:
             shutil.copy(beside, project)
-    environment = os.environ | {"DISPLAY": _DISPLAY, "LIBGL_ALWAYS_SOFTWARE": "1", "HOME": str(project)}
-    quiet = ["--audio-driver", "Dummy", "--video-driver", "GLES2"]
-
-    def godot(*arguments: str) -> str:
-        command = ["godot3", *quiet, *arguments]
-        return subprocess.run(
-            command, cwd=project, env=environment, capture_output=True, text=True, timeout=HANG_S
-        ).stdout
-
-    display = subprocess.Popen(["Xvfb", _DISPLAY, "-screen", "0", "640x480x24"], stderr=subprocess.DEVNULL)
+    display = subprocess.Popen(
+        ["Xvfb", "-displayfd", "1", "-screen", "0", "640x480x24"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
     try:
-        godot("-e", "--quit")  # 3.2 may crash when it leaves, once all is imported
-        said = godot("-s", "read.gd", *(f"res://{name}" for name in names))
+        assert display.stdout is not None
+        number = display.stdout.readline().strip()  # told once it can be drawn on
+        environment = os.environ | {
+            "DISPLAY": f":{number}",
+            "LIBGL_ALWAYS_SOFTWARE": "1",
+            "HOME": str(project.parent / "home"),
+        }
+        _import(project, environment, names)
+        said = _godot(project, environment, "-s", "read.gd", *(f"res://{name}" for name in names))
     finally:
         display.terminate()
-        display.wait()
+        display.communicate()
     told = {line.split()[1]: line.split()[2:] for line in said.splitlines() if line.startswith("READ")}
     return [_counted(told.get(f"res://{name}", [])) for name in names]
+
+
+def _import(project: Path, environment: Mapping[str, str], names: Sequence[str]) -> None:
+    """Have Godot's editor import all files, and end it: left to itself 3.2 may crash or hang."""
+    deadline = time.monotonic() + HANG_S
+    editor = subprocess.Popen([*_GODOT, "-e"], cwd=project, env=environment, stdout=_NOWHERE, stderr=_NOWHERE)
+    while not all(any(project.glob(f".import/{name}-*.md5")) for name in names) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    editor.kill()
+    editor.wait()
+
+
+def _godot(project: Path, environment: Mapping[str, str], *arguments: str) -> str:
+    """Run Godot in a project; return what it prints."""
+    command = [*_GODOT, *arguments]
+    done = subprocess.run(command, cwd=project, env=environment, capture_output=True, text=True, timeout=HANG_S)
+    return done.stdout
 
 
 def _counted(words: Sequence[str]) -> Reading:
