@@ -154,7 +154,7 @@ def test_the_readmes_session_with_a_running_product(home: Path) -> None:
         assert product.stderr is not None
         try:
             assert any("capture page" in line for line in product.stderr)
-            for command in [*of("README.md", "push", "pull", "ls"), verify]:
+            for command in [*of("README.md", "push", "pull", "ls", "download"), verify]:
                 ended = typed(command, home, "--gateway", f"http://127.0.0.1:{port}")
                 assert ended.returncode == 0, f"{command}\n{ended.stderr}"
         finally:
