@@ -216,7 +216,7 @@ def _told(command: Sequence[str], **options: Any) -> list[Reading]:
 TRIMESH = Reader("trimesh", (".glb", ".obj", ".ply", ".stl"), with_trimesh)
 USD_CORE = Reader("usd-core", (".usdz",), with_usd_core)
 GLTF_TRANSFORM = Reader("glTF-Transform", (".glb",), _in_node("gltf_transform.mjs"))
-BABYLON = Reader("Babylon.js", (".glb", ".obj", ".stl", ".ply"), _in_node("babylon.cjs"), turns=(".stl",))
+BABYLON = Reader("Babylon.js", (".glb", ".obj", ".stl", ".ply"), _in_node("babylon.mjs"), turns=(".stl",))
 BLENDER = Reader("Blender 4.2", (".glb", ".obj", ".ply", ".stl", ".usdz"), with_blender, z_up=True)
 GODOT = Reader("Godot 3.2", (".glb", ".obj"), with_godot)
 

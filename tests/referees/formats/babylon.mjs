@@ -1,7 +1,7 @@
 // What Babylon.js reads of the files named on the command line, as one JSON array: {triangles, colours, low, high} or {fault}.
-const { createRequire } = require('node:module');
-const { readFileSync } = require('node:fs');
-const { fileURLToPath, pathToFileURL } = require('node:url');
+import { readFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { fileURLToPath, pathToFileURL } from 'node:url';
 
 const installed = createRequire(`${process.cwd()}/`); // the packages lie in the folder this script is run from
 
@@ -66,11 +66,9 @@ async function read(path) {
   };
 }
 
-(async () => {
-  await MeshoptDecoder.ready;
-  const readings = [];
-  for (const path of process.argv.slice(2)) {
-    readings.push(await read(path).catch((error) => ({ fault: String(error).slice(0, 200) })));
-  }
-  process.stdout.write(`${JSON.stringify(readings)}\n`, () => process.exit(0));
-})();
+await MeshoptDecoder.ready;
+const readings = [];
+for (const path of process.argv.slice(2)) {
+  readings.push(await read(path).catch((error) => ({ fault: String(error).slice(0, 200) })));
+}
+process.stdout.write(`${JSON.stringify(readings)}\n`, () => process.exit(0));
