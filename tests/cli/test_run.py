@@ -63,7 +63,7 @@ def test_the_folder_holds_what_is_promised(out: Path) -> None:
     names = {path.name for path in out.iterdir()}
     meshes = {"mesh.ply", "lod0.glb", "lod1.glb", "lod2.glb"}
     pictures = {"preview.png", "thumbnail.webp", "turning.webp"}
-    assert names == {*meshes, *pictures, "asset.usdz", "report.json", "report.html", "bundle"}
+    assert names == {*meshes, *pictures, "asset.usdz", "points.laz", "report.json", "report.html", "bundle"}
 
 
 def test_the_mesh_is_in_the_files_own_frame_and_units(out: Path) -> None:
