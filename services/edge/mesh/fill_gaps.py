@@ -5,7 +5,7 @@
            and where views saw through the patch, into free space
 3. refine  the patch's edges are split until they are as long as the border's
 4. fair    its vertices go where the surface is as smooth as across the border (biharmonic; M. Botsch, O. Sorkine, "On
-           linear variational surface deformation methods", 2008)
+           linear variational surface deformation methods", 2008), and slivers that came of it are flipped
 
 P. Liepa, "Filling holes in meshes", 2003, has the same steps, but judges nothing.
 """
@@ -105,8 +105,10 @@ def fill_gaps(mesh: Mesh, fill: Fill, ask: Ask, tick: Tick = no_tick) -> FilledM
     if not patches:
         return FilledMesh.unfilled(mesh)
     vertices, added = _refine(mesh.vertices, np.concatenate(patches), chords)
-    whole = Mesh(vertices, np.concatenate([mesh.faces, added]))
-    return FilledMesh(_fair(whole, len(mesh.vertices)), np.arange(len(whole.faces)) >= len(mesh.faces))
+    vertices = _fair(Mesh(vertices, np.concatenate([mesh.faces, added])), len(mesh.vertices))
+    # Beside a jagged border, what was no sliver before may be one now, and folded.
+    whole = Mesh(vertices, np.concatenate([mesh.faces, _flip_edges(vertices, added, chords)]))
+    return FilledMesh(whole, np.arange(len(whole.faces)) >= len(mesh.faces))
 
 
 def _loops_within_budget(loops: list[Ints]) -> list[Ints]:
@@ -263,11 +265,11 @@ def _split_faces(faces: Ints, middle: Ints) -> Ints:
     return np.concatenate(parts)
 
 
-def _fair(mesh: Mesh, first: int) -> Mesh:
-    """Move the vertices from index `first` on to where the bilaplacian of the surface vanishes."""
+def _fair(mesh: Mesh, first: int) -> Floats:
+    """Vertices (V,3), those from index `first` on moved to where the bilaplacian of the surface vanishes."""
     count = len(mesh.vertices)
     if first == count:
-        return mesh
+        return mesh.vertices
     moved = np.arange(count) >= first
     near = moved.copy()
     for _ in range(2):  # the bilaplacian of a vertex reaches two rings around it
@@ -285,4 +287,4 @@ def _fair(mesh: Mesh, first: int) -> Mesh:
     right = -(bilaplacian[free][:, fixed] @ mesh.vertices[index[fixed]])
     vertices = mesh.vertices.copy()
     vertices[first:] = splu(bilaplacian[free][:, free].tocsc()).solve(right)
-    return Mesh(vertices, mesh.faces)
+    return vertices

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.edge.arrays import Bools, Floats, Ints
@@ -55,6 +55,8 @@ directions = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(
 
 @settings(max_examples=15, deadline=None)
 @given(directions, st.floats(8, 35))
+@example((1.0, 0.0, 0.03125), 30.0)  # two slivers beside the border were folded
+@example((-0.21354463, 0.66506607, -1.33843252), 21.909329906371337)  # one
 def test_a_hole_in_a_ball_is_closed_on_the_ball(direction: tuple[float, float, float], degrees: float) -> None:
     axis = np.array(direction) / np.linalg.norm(direction)
     mesh = ball_with_hole(degrees, axis)
