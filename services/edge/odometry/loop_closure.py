@@ -61,15 +61,15 @@ def close_loops(keys: Sequence[PackedLevel], poses: Floats, steps: Sequence[Edge
     Those that look alike are found although the poses have drifted; what would ask for more drift than there can be is
     refused, and what is wrong is outvoted.
     """
-    allowed = _allowed_drift(poses)
-    seen = _look_alike(keys, poses, allowed)
+    way = _way_m(poses)
+    seen = _look_alike(keys, poses, way)
     loops: list[Edge] = []
     tried: set[tuple[int, int]] = set()
     for number in range(_ROUNDS):
         part = part_of(tick, number / _ROUNDS, (number + 1) / _ROUNDS)
         pairs = [pair for pair in dict.fromkeys(seen + _overlapping_pairs(keys, poses)) if pair not in tried]
         tried.update(pairs)
-        found = _align_pairs(keys, pairs, poses, allowed, part)
+        found = _align_pairs(keys, pairs, poses, way, part)
         if not found:
             break
         loops += found
@@ -78,21 +78,23 @@ def close_loops(keys: Sequence[PackedLevel], poses: Floats, steps: Sequence[Edge
     return ClosedWay(poses, tuple(loops))
 
 
-def _allowed_drift(poses: Floats) -> Floats:
-    """How far (K,K) each key frame may be off as seen from each other one, in metres, by the way between them."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
-    allowed: Floats = _DRIFT_M + _DRIFT_SHARE * np.abs(way[:, None] - way)
-    return allowed
+def _way_m(poses: Floats) -> Floats:
+    """How far (K,) the camera has gone to each key frame, in metres."""
+    way: Floats = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1))])
+    return way
 
 
-def _look_alike(keys: Sequence[PackedLevel], poses: Floats, allowed: Floats) -> list[tuple[int, int]]:
+def _look_alike(keys: Sequence[PackedLevel], poses: Floats, way: Floats) -> list[tuple[int, int]]:
     """Return pairs (old, new) of key frames that look alike, of long ago, and may have met in spite of the drift."""
     some = np.arange(0, len(keys), _EVERY)
     eyes = poses[some, :3, 3]
     olds = [
         np.flatnonzero(
             (some <= new - _LONG_AGO)
-            & (np.linalg.norm(eyes - poses[new, :3, 3], axis=1) < _MEETING_M + allowed[new, some])
+            & (
+                np.linalg.norm(eyes - poses[new, :3, 3], axis=1)
+                < _MEETING_M + _DRIFT_M + _DRIFT_SHARE * (way[new] - way[some])
+            )
         )
         for new in some.tolist()
     ]
@@ -101,13 +103,13 @@ def _look_alike(keys: Sequence[PackedLevel], poses: Floats, allowed: Floats) -> 
 
 
 def _align_pairs(
-    keys: Sequence[PackedLevel], pairs: Sequence[tuple[int, int]], poses: Floats, allowed: Floats, tick: Tick
+    keys: Sequence[PackedLevel], pairs: Sequence[tuple[int, int]], poses: Floats, way: Floats, tick: Tick
 ) -> list[Edge]:
     """Align pairs of key frames; return an edge for each that succeeds and asks for no more drift than there may be."""
     edges = []
     for number, (old, new) in enumerate(pairs):
         guess = np.linalg.inv(poses[old]) @ poses[new]
-        fit = _align_pair(keys, old, new, guess, float(allowed[old, new]))
+        fit = _align_pair(keys, old, new, guess, _DRIFT_M + _DRIFT_SHARE * float(way[new] - way[old]))
         edges += [] if fit is None else [Edge(old, new, fit.pose, fit.information)]
         tick((number + 1) / len(pairs))
     return edges
