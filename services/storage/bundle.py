@@ -29,6 +29,7 @@ CONTENT_TYPES = {
 }
 
 _HASH = re.compile(r"\.([0-9a-f]{64})(\.[^./]*)?$")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,3 +90,8 @@ def content_type(file: str) -> str:
 
 def sha256_hex(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
+
+
+def is_sha256(text: str) -> bool:
+    """Whether a text is a SHA-256 as `sha256_hex` writes it: 64 lower-case hexadecimal digits."""
+    return _SHA256.fullmatch(text) is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import re
 import threading
 from contextlib import suppress
 from pathlib import Path
@@ -17,6 +16,7 @@ from services.edge.worker.failures import DRAINING, failure_of
 from services.edge.worker.job_request import RefusedError, invalid
 from services.edge.worker.job_run import Work
 from services.edge.worker.scratch import Scratch
+from services.storage.bundle import is_sha256
 from services.storage.catalogue.downloads import DownloadOrder
 from services.storage.catalogue.entry import valid_key
 from services.storage.tenant_store import DEFAULT_TENANT, valid_tenant
@@ -25,8 +25,6 @@ AT_ONCE = 2
 """Most downloads made at once, each a process of up to some gigabytes: more would slow down the jobs."""
 MOST = 32
 """Most that are made or wait: those who ask beyond that ask another worker, or again."""
-
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 class Downloads:
@@ -100,7 +98,7 @@ def _checked(request: pb.DownloadRequest) -> tuple[str, DownloadOrder]:
         raise invalid("TENANT_INVALID", "tenant must be 1 to 32 of a-z 0-9 - and begin with a letter or digit")
     if not valid_key(request.asset_key):
         raise invalid("KEY_INVALID", "asset_key must be 1 to 100 of A-Z a-z 0-9 . _ - and begin with a letter or digit")
-    if not _SHA256.fullmatch(request.manifest):
+    if not is_sha256(request.manifest):
         raise invalid("MANIFEST_INVALID", "manifest must be a sha256 of 64 hex digits")
     if request.format not in FORMATS:
         raise invalid("FORMAT_UNKNOWN", f"format must be one of {', '.join(FORMATS)}")

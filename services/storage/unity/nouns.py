@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from services.storage.bundle import is_sha256
 from services.storage.store import check_name
 
 BASE_URL = "{Capture2vr.Catalogue.BaseUrl}"
 """Unity replaces braces on the device by the static property that they name, so one catalogue works for any host."""
 
 _NUMBER_LIMIT = 10**9  # of versions and levels: more than there ever are, so readers need to accept only nine digits
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 _SIZE_LIMIT = 2**32  # bytes; the binary forms hold the size of a file in 32 bits
 LABEL_LIMIT = 100
 """Most labels of one asset: far more than people use; it limits the work that a hostile catalogue can cause."""
@@ -83,7 +82,7 @@ def _check_asset(asset: Asset) -> None:
 
 def _check_file(asset: Asset, file: LodFile) -> None:
     check_name(file.url)
-    if not _SHA256.fullmatch(file.sha256):
+    if not is_sha256(file.sha256):
         raise ValueError(f"asset {asset.key!r}: {file.sha256!r} is not a SHA-256")
     if not file.url.endswith(f".{file.sha256}.glb"):
         raise ValueError(f"asset {asset.key!r}: {file.url} does not end in its SHA-256 and .glb")
