@@ -193,7 +193,8 @@ def _fail(job: Job, why: Problem, now: float) -> Change:
     return _change_state(replace(job, lease=_free_lease(job.lease), error=error), State.FAILED, now)
 
 
-_CALLERS_FAULT = ("CAPTURE_", "ARCHIVE_", "IMAGE_", "PRESET_", "BUDGET_", "KEY_", "DOWNLOAD_")  # codes begin so
+# Codes of what the capture or the request is at fault for begin so.
+_CALLERS_FAULT = ("CAPTURE_", "ARCHIVE_", "IMAGE_", "PRESET_", "BUDGET_", "KEY_", "DOWNLOAD_", "EDITS_")
 
 
 def problem_of(failure: RunFailed) -> Problem:

@@ -31,6 +31,7 @@ from services.gateway.jobs.state_machine import (
     apply_reports,
     create_job,
     lease_to_worker,
+    problem_of,
     request_cancel,
     requeue_lost,
     requeue_refused,
@@ -216,6 +217,11 @@ def test_a_run_faster_than_its_cancellation_has_succeeded() -> None:
     job = request_cancel(job, now=2).job
     assert after(job, RunFinished(2)).state is State.SUCCEEDED
     assert after(job, RunFailed(2, "CAPTURE_EMPTY", "m")).state is State.CANCELLED
+
+
+@pytest.mark.parametrize(("code", "status"), [("EDITS_NOTHING_LEFT", 422), ("CAPTURE_EMPTY", 422), ("INTERNAL", 500)])
+def test_what_the_request_is_at_fault_for_is_no_fault_of_the_server(code: str, status: int) -> None:
+    assert problem_of(RunFailed(2, code, "m")).status == status
 
 
 @given(st.integers(1, 10_000))
