@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -47,6 +48,7 @@ app.add_typer(shares, name="shares")
 
 FillChoice = Literal["none", "unseen", "all"]
 CutChoice = Literal["auto", "object", "scene"]
+_DAY = ["%Y-%m-%d"]
 
 CutOption = Annotated[
     CutChoice | None,
@@ -266,11 +268,21 @@ def ls(
     gateway: Gateway = DEFAULT_GATEWAY,
     collection: Collection = DEFAULT_COLLECTION,
     label: Annotated[str, typer.Option(help="List only assets with this text in the label, or as a label.")] = "",
+    state: Annotated[Literal["", "preview", "refined"], typer.Option(help="List only assets in this state.")] = "",
+    since: Annotated[
+        datetime | None, typer.Option(formats=_DAY, help="List only what changed on this day or later.")
+    ] = None,
+    until: Annotated[
+        datetime | None, typer.Option(formats=_DAY, help="List only what changed on this day or earlier.")
+    ] = None,
+    min_mb: Annotated[float | None, typer.Option(min=0, help="List only assets of so many megabytes or more.")] = None,
+    max_mb: Annotated[float | None, typer.Option(min=0, help="List only assets of so many megabytes or less.")] = None,
 ) -> None:
     """List the assets of a collection."""
-    from services.cli.assets import list_assets
+    from services.cli.assets import AssetSearch, list_assets
 
-    list_assets(gateway, collection=collection, label=label)
+    wanted = AssetSearch(label, state, since, until, min_mb, max_mb)
+    list_assets(gateway, collection=collection, wanted=wanted)
 
 
 @app.command()

@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -89,6 +90,14 @@ def test_what_is_there_is_listed_removed_and_restored(url: str, run: Run) -> Non
     assert "[bold]Shoe" in listed.said  # a label is no markup
     found = run("ls", "--gateway", url, "--label", "FOOTWEAR")
     assert ("shoe" in found.said, "sofa" in found.said) == (True, False)
+    today = f"{datetime.now():%Y-%m-%d}"
+    for options, count in {
+        ("--since", today, "--until", today): 2,
+        ("--until", "2020-01-01"): 0,
+        ("--min-mb", 1): 0,
+    }.items():
+        assert f"default: {count} assets" in run("ls", "--gateway", url, *options).said
+    assert run("ls", "--gateway", url, "--since", "yesterday").code == 2
     removed = run("rm", "sofa", "--gateway", url)
     assert (removed.code, "sofa version 1 is removed" in removed.said) == (0, True)
     assert "sofa" not in run("ls", "--gateway", url).said

@@ -1,4 +1,4 @@
-"""/v1/collections: signed catalogues of assets as they are on the store, search by label; /v1/keys: public keys."""
+"""/v1/collections: signed catalogues of assets as they are on the store, and search in them; /v1/keys: public keys."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from itertools import chain, islice
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from fastapi import APIRouter, Path, Query, Request, Response
-from pydantic import BaseModel
+from pydantic import AwareDatetime, BaseModel
 
 from services.gateway.errors import Problem
 from services.gateway.jobs.collection_choice import require_collection
@@ -24,6 +24,7 @@ from services.gateway.schemas import problems
 from services.storage.catalogue.collection import Index, Row, Shard, index_name, load_shard, parse_envelope, read_index
 from services.storage.catalogue.entry import valid_key
 from services.storage.catalogue.reader import LoadRows, find_row, retry_if_shard_missing
+from services.storage.catalogue.row_filter import RowFilter
 from services.storage.store import NO_CACHE, Store
 from services.storage.tenant_store import store_of_tenant
 
@@ -44,8 +45,9 @@ Key = Annotated[str, Path(max_length=200, description="The asset's key.")]
 
 
 class RowView(BaseModel):
-    """An asset of a collection. `manifest` is the URL of its manifest (all its data), `self` the URL of its catalogue
-    entry, `preview` the URL of a picture or "", `view` the URL of its viewer page.
+    """An asset of a collection. `bytes`: size of all files, null where it is not known. `manifest` is the URL of its
+    manifest (all its data), `self` the URL of its catalogue entry, `preview` the URL of a picture or "", `view` the URL
+    of its viewer page.
     """
 
     key: str
@@ -54,6 +56,7 @@ class RowView(BaseModel):
     version: int
     state: str
     updated: datetime
+    bytes: int | None
     manifest: str
     manifest_sha256: str
     preview: str
@@ -140,18 +143,25 @@ async def search_collection(
     label: Annotated[
         str, Query(max_length=200, description="Part of the label, or one of the labels; case is ignored.")
     ] = "",
+    state: Annotated[Literal["", "preview", "refined"], Query(description="Only assets in this state.")] = "",
+    since: Annotated[AwareDatetime | None, Query(description="Only assets that changed at this time or later.")] = None,
+    until: Annotated[
+        AwareDatetime | None, Query(description="Only assets that changed at this time or earlier.")
+    ] = None,
+    min_bytes: Annotated[int | None, Query(ge=0, description="Only assets of this size or more, all files.")] = None,
+    max_bytes: Annotated[int | None, Query(ge=0, description="Only assets of this size or less, all files.")] = None,
     after: Annotated[str, Query(max_length=100, description="`next` of the previous page; empty: first page.")] = "",
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
 ) -> RowPage:
-    """Search a collection's assets by label, without removed ones. Without `label`, list all."""
+    """Search a collection's assets by label, state, date and size, without removed ones. Without any, list all."""
     require_collection(name, "check the name in the URL")
     if after and not valid_key(after):
         hints = ("use the `next` of the previous page",)
         raise Problem(422, "KEY_INVALID", "`after` is not a valid asset key", hints=hints)
-    load_rows = _load_rows_of(request)
+    wanted, load_rows = RowFilter(label, state, since, until, min_bytes, max_bytes), _load_rows_of(request)
 
     def find_matches(index: Index) -> tuple[int, list[Row]]:
-        return index.version, _matching_rows(index, load_rows, label, after, limit)
+        return index.version, _matching_rows(index, load_rows, wanted, after, limit)
 
     version, rows = await _read(request, name, find_matches)
     last = rows[-1].key if len(rows) == limit else None
@@ -209,11 +219,11 @@ def _load_rows_of(request: Request) -> LoadRows:
     return partial(request.app.state.load_rows, reads_tenant(request))
 
 
-def _matching_rows(index: Index, rows: LoadRows, label: str, after: str, limit: int) -> list[Row]:
-    """Return at most `limit` rows with keys behind `after` that match the label, without removed assets."""
+def _matching_rows(index: Index, rows: LoadRows, wanted: RowFilter, after: str, limit: int) -> list[Row]:
+    """Return at most `limit` rows with keys behind `after` that are wanted."""
     shards = (shard for shard in index.shards if shard.last > after)
     behind = (row for row in chain.from_iterable(map(rows, shards)) if row.key > after)
-    return list(islice((row for row in behind if not row.removed and row.matches(label)), limit))
+    return list(islice(filter(wanted.accepts, behind), limit))
 
 
 def _row_view(request: Request, row: Row) -> RowView:
@@ -224,6 +234,7 @@ def _row_view(request: Request, row: Row) -> RowView:
         version=row.version,
         state=row.state,
         updated=datetime.fromtimestamp(row.updated, UTC),
+        bytes=row.bytes or None,
         manifest=object_url(request, row.manifest_name),
         manifest_sha256=row.manifest,
         preview=object_url(request, row.preview_name) if row.preview else "",

@@ -36,7 +36,7 @@ SCHEMA = 1
 SHARD_ROWS = 1000  # rows of one shard at most: about 140 KB, which is what one update rewrites
 RETIRED_SHARDS = 32  # replaced shards that stay on the store, for clients that read an older index a moment ago
 REMOVED = "removed"
-_COLUMNS = ("key", "label", "labels", "version", "state", "updated", "manifest", "preview")
+_COLUMNS = ("key", "label", "labels", "version", "state", "updated", "manifest", "preview", "bytes")
 _PREVIEW = "preview.png"
 
 
@@ -49,6 +49,7 @@ class Row:
     updated   seconds since 1970 of the last publication, removal or restoration
     manifest  sha256 (hex) of the manifest, from which its object name follows
     preview   sha256 (hex) of preview.png, or ""
+    bytes     of all files of the version; 0: not known, as in shards that were written before rows had it
     """
 
     key: str
@@ -59,6 +60,7 @@ class Row:
     updated: int
     manifest: str
     preview: str
+    bytes: int = 0
 
     @property
     def manifest_name(self) -> str:
@@ -72,14 +74,6 @@ class Row:
     @property
     def removed(self) -> bool:
         return self.state == REMOVED
-
-    def matches(self, label: str) -> bool:
-        """Return whether the text is part of the label (of the key, if there is none) or equals one of the labels.
-
-        Case is ignored.
-        """
-        wanted = label.casefold()
-        return wanted in (self.label or self.key).casefold() or any(wanted == each.casefold() for each in self.labels)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +132,7 @@ def row_of(entry: Entry) -> Row:
         updated=int(updated.timestamp()),
         manifest=document["manifest"]["sha256"],
         preview=preview["sha256"] if preview else "",
+        bytes=sum(int(file["bytes"]) for file in document["files"]),
     )
 
 
@@ -257,7 +252,7 @@ def _cells(row: Row, indices: Mapping[str, int]) -> list[Any]:
     """
     labels = [indices[label] for label in row.labels]
     facts = (row.key, row.label, labels, row.version, indices[row.state], row.updated)
-    return [*facts, _to_base64(row.manifest), _to_base64(row.preview)]
+    return [*facts, _to_base64(row.manifest), _to_base64(row.preview), row.bytes]
 
 
 def _parse_row(cells: Mapping[str, Any], words: Sequence[str]) -> Row:
@@ -270,6 +265,7 @@ def _parse_row(cells: Mapping[str, Any], words: Sequence[str]) -> Row:
         updated=cells["updated"],
         manifest=_from_base64(cells["manifest"]),
         preview=_from_base64(cells["preview"]),
+        bytes=cells.get("bytes", 0),
     )
 
 

@@ -1,5 +1,6 @@
 // A card of the collection page: an asset's picture, name, labels and state, and a box to choose it.
 import { create } from '../shared/dom.js';
+import { formatBytes } from '../shared/format.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
 import { loadManifest } from '../shared/signed-catalogue.js';
 import { loadFile } from '../shared/verified-cache.js';
@@ -48,7 +49,7 @@ export class Card {
     this.#onLost = onLost;
     this.#collection = collection;
     this.#row = row;
-    this.#facts = create('p', { className: 'facts', textContent: row.state });
+    this.#facts = create('p', { className: 'facts', textContent: factsOf(row) });
     const link = create('a', { href: ofShownTenant(`/view/${encodeURIComponent(row.key)}`) });
     link.append(this.#picture, create('span', { className: 'name', dir: 'auto', textContent: row.label }));
     this.element.dataset.key = row.key;
@@ -121,6 +122,9 @@ export class Card {
     return url;
   }
 }
+
+/** @param {CollectionRow} row */
+const factsOf = ({ state, bytes }) => [state, ...(bytes ? [formatBytes(bytes)] : [])].join(', ');
 
 /**
  * @param {CollectionRow} row

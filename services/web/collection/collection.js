@@ -1,10 +1,11 @@
 // The collection page (/browse/{name}): pictures of all assets of a collection, to search, to open, and to choose from.
 import { Card } from './card.js';
+import { fillFilters, isLimited, listenToFilters, readFilters } from './filters.js';
 import { offerManaging, showManaging } from './manage.js';
 import { PER_PAGE, search } from './search.js';
+import { summarize } from './summary.js';
 import { showAccount } from '../shared/account.js';
 import { element } from '../shared/dom.js';
-import { formatCount } from '../shared/format.js';
 import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { withNewest } from '../shared/signed-catalogue.js';
@@ -22,8 +23,6 @@ const page = {
   name: element('name', HTMLElement),
   form: element('form', HTMLFormElement),
   search: element('search', HTMLInputElement),
-  order: element('order', HTMLSelectElement),
-  state: element('state', HTMLSelectElement),
   summary: element('said', HTMLElement),
   retry: element('again', HTMLButtonElement),
   grid: element('grid', HTMLElement),
@@ -46,8 +45,6 @@ const cards = new Map(); // by their elements
 const visibility = new IntersectionObserver(loadVisible, { rootMargin: LOAD_AHEAD });
 
 let query = parameters.get('q') || '';
-let order = parameters.get('order') || '';
-let state = parameters.get('state') || '';
 let notice = ''; // of what was done, shown before the next summary
 let pageNumber = Math.max(1, Math.floor(Number(parameters.get('page'))) || 1);
 let lastRequest = 0; // an older one that is still loading shows nothing any more
@@ -63,7 +60,7 @@ async function show() {
   page.retry.hidden = true;
   if (document.body.dataset.state === 'error') page.summary.textContent = 'Loading …';
   try {
-    const result = await withNewest(name, (collection) => search(collection, { words: query, order, state }, pageNumber));
+    const result = await withNewest(name, (collection) => search(collection, { words: query, ...readFilters() }, pageNumber));
     if (request === lastRequest) showResult(result);
   } catch (error) {
     if (request === lastRequest) showError(error);
@@ -90,7 +87,7 @@ function showResult({ rows, count, exact, collection }) {
   page.grid.append(...cards.keys());
   for (const item of cards.keys()) visibility.observe(item);
   const size = collection.shards.reduce((sum, shard) => sum + shard.count, 0);
-  page.summary.textContent = [notice, summaryText(count, exact, size)].filter(Boolean).join(' ');
+  page.summary.textContent = [notice, summarize(count, exact, size, { words: query, state: readFilters().state, limited: isLimited() })].filter(Boolean).join(' ');
   notice = '';
   showPageNumber(exact ? Math.ceil(count / PER_PAGE) : null);
   shownVersion = collection.version;
@@ -105,21 +102,6 @@ function showPageNumber(pages) {
   page.pageNumber.textContent = pages ? `Page ${pageNumber} of ${pages}` : `Page ${pageNumber}`;
   page.previous.disabled = pageNumber === 1;
   page.next.disabled = pages !== null && pageNumber >= pages;
-}
-
-/**
- * @param {number} count of assets that match
- * @param {boolean} exact whether that is all of them
- * @param {number} size of the collection
- */
-function summaryText(count, exact, size) {
-  /** @param {number} many */
-  const things = (many) => `${formatCount(many)} ${many === 1 ? 'thing' : 'things'}`;
-  if (count === 0 && state && !query) return `There are no ${state} things.`;
-  if (count === 0) return query ? `Nothing matches “${query}”.` : 'Nothing is here yet.';
-  if (!query && state) return `${exact ? '' : 'More than '}${things(count)}, ${state}`;
-  if (!query) return exact ? things(count) : `About ${things(size)}`;
-  return `${exact ? things(count) : `More than ${things(count)}`} for “${query}”`;
 }
 
 /** Removes all cards and frees the memory of their pictures. */
@@ -180,8 +162,7 @@ function goToPage(number) {
 function writeAddress() {
   const written = new URLSearchParams();
   if (query) written.set('q', query);
-  if (order) written.set('order', order);
-  if (state) written.set('state', state);
+  for (const [filter, value] of Object.entries(readFilters())) if (value) written.set(filter, value);
   if (pageNumber > 1) written.set('page', String(pageNumber));
   history.replaceState(null, '', ofShownTenant([location.pathname, written.toString()].filter(Boolean).join('?')));
 }
@@ -197,15 +178,10 @@ function listenToSearch() {
     event.preventDefault();
     searchFor(page.search.value);
   });
-  page.order.value = order;
-  page.state.value = state;
-  for (const choice of [page.order, page.state]) {
-    choice.addEventListener('change', () => {
-      [order, state] = [page.order.value, page.state.value];
-      clearChoice();
-      goToPage(1);
-    });
-  }
+  listenToFilters(() => {
+    clearChoice();
+    goToPage(1);
+  });
   page.previous.addEventListener('click', () => goToPage(pageNumber - 1));
   page.next.addEventListener('click', () => goToPage(pageNumber + 1));
 }
@@ -222,8 +198,9 @@ function choose(key, yes) {
   if (yes && chosenKeys.size < MOST_CHOSEN) chosenKeys.add(key);
   if (!yes) chosenKeys.delete(key);
   const count = chosenKeys.size;
-  showManaging(state === 'removed');
-  page.open.hidden = state === 'removed';
+  const removed = readFilters().state === 'removed';
+  showManaging(removed);
+  page.open.hidden = removed;
   page.choice.hidden = count === 0;
   page.choiceCount.textContent = count < MOST_CHOSEN ? `${count} chosen` : `${count} chosen, which is as many as a headset draws`;
   page.open.textContent = count === 1 ? 'Open it' : 'Open together';
@@ -258,6 +235,7 @@ async function reloadIfChanged() {
   }
 }
 
+fillFilters(parameters);
 listenToSearch();
 page.retry.addEventListener('click', show);
 page.clear.addEventListener('click', () => {

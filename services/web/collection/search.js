@@ -1,4 +1,4 @@
-// Search in a collection: the assets of a state whose name, key or labels contain all words, in an order, a page at a time.
+// Search in a collection: the assets of a state, date and size whose name, key or labels contain all words, in an order, a page at a time.
 import { loadRows } from '../shared/signed-catalogue.js';
 
 /** @import { Collection, CollectionRow, Shard } from '../shared/types.d.ts' */
@@ -13,8 +13,15 @@ import { loadRows } from '../shared/signed-catalogue.js';
  */
 
 /**
- * What is searched for. `order`: "" (by key), "name" or "newest"; `state`: "" (all but removed ones) or the one state.
- * @typedef {{ words: string, order: string, state: string }} Query
+ * What is searched for.
+ * @typedef {object} Query
+ * @property {string} words
+ * @property {string} order "" (by key), "name", "newest", "oldest", "largest" or "smallest"
+ * @property {string} state "" (all but removed ones) or the one state
+ * @property {string} since first day of the last change, as 2026-01-31, or ""
+ * @property {string} until last day of it, or ""
+ * @property {string} least megabytes of all files, or ""
+ * @property {string} most
  */
 
 export const PER_PAGE = 48; // divides into rows of 2, 3, 4 and 6
@@ -26,7 +33,11 @@ const rowCache = new Map(); // by the sha256 of a shard: typing a word searches 
 const ORDERS = {
   name: (one, other) => one.label.localeCompare(other.label, undefined, { numeric: true, sensitivity: 'base' }),
   newest: (one, other) => other.updated - one.updated,
+  oldest: (one, other) => one.updated - other.updated,
+  largest: (one, other) => other.bytes - one.bytes,
+  smallest: (one, other) => one.bytes - other.bytes,
 };
+const MB = 1e6;
 
 /**
  * Finds a page of the assets that match. By key it reads only as many shards as it needs.
@@ -93,18 +104,34 @@ async function rowsOf(collection, shard) {
 }
 
 /**
- * Returns a function that says whether an asset matches: its state, and every word is part of its name, key or labels. Case
- * and accents do not count.
+ * Returns a function that says whether an asset matches: its state, date and size, and every word is part of its name, key or
+ * labels. Case and accents do not count.
  * @param {Query} query
  * @returns {(row: CollectionRow) => boolean}
  */
-function matcherFor({ words: text, state: wanted }) {
+function matcherFor({ words: text, state: wanted, ...limits }) {
   const words = simplify(text).split(/\s+/).filter(Boolean);
-  return ({ key, label, labels, state }) => {
+  const isWithin = limitsFor(limits);
+  return (row) => {
+    const { key, label, labels, state } = row;
     if (wanted ? state !== wanted : state === 'removed') return false;
+    if (!isWithin(row)) return false;
     const named = simplify([label, key, ...labels].join('\n'));
     return words.every((word) => named.includes(word));
   };
+}
+
+/**
+ * Returns a function that says whether an asset's date and size are within the limits. One of unknown size is within no limits of size.
+ * @param {Pick<Query, 'since' | 'until' | 'least' | 'most'>} limits
+ * @returns {(row: CollectionRow) => boolean}
+ */
+function limitsFor({ since, until, least, most }) {
+  const first = since ? new Date(`${since}T00:00`).getTime() / 1000 : -Infinity; // the day here, not in Greenwich
+  const last = until ? new Date(`${until}T23:59:59.999`).getTime() / 1000 : Infinity;
+  const [low, high] = [least ? Number(least) * MB : 0, most ? Number(most) * MB : Infinity];
+  const sized = least || most;
+  return ({ updated, bytes }) => updated >= first && updated <= last && (!sized || (bytes > 0 && bytes >= low && bytes <= high));
 }
 
 /**

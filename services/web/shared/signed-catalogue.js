@@ -116,7 +116,8 @@ function rowFrom(columns, words, cells) {
   const labels = /** @type {number[]} */ (row.labels).map((place) => String(words[place]));
   const state = /** @type {CollectionRow['state']} */ (words[Number(row.state)]);
   const [key, manifest] = [String(row.key), String(row.manifest)];
-  return { key, label: String(row.label || key), labels, state, version: Number(row.version), updated: Number(row.updated), manifest };
+  const facts = { version: Number(row.version), updated: Number(row.updated), bytes: Number(row.bytes ?? 0) }; // older shards have no size
+  return { key, label: String(row.label || key), labels, state, manifest, ...facts };
 }
 
 /**

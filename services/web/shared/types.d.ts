@@ -281,6 +281,7 @@ export interface CollectionRow {
   state: AssetState | 'removed';
   updated: number;
   manifest: string;
+  bytes: number;
 }
 
 // ---- jobs -----------------------------------------------------------------------------------------------------------

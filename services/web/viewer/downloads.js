@@ -2,13 +2,12 @@
 import { getJson, parseAnswer } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
+import { formatBytes } from '../shared/format.js';
 import { fetchBytes } from '../shared/network.js';
 import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { Download, DownloadList } from '../shared/types.d.ts' */
-
-const UNITS = ['bytes', 'KB', 'MB', 'GB'];
 
 const panel = {
   list: element('downloads-list', HTMLElement),
@@ -77,9 +76,3 @@ async function untilMade(url) {
   }
 }
 
-/** @param {number} bytes */
-function formatBytes(bytes) {
-  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(Math.max(bytes, 1)) / 3));
-  const size = bytes / 1000 ** power;
-  return `${size < 10 && power ? size.toFixed(1) : Math.round(size)} ${UNITS[power]}`;
-}

@@ -1,4 +1,4 @@
-"""/v1/collections: the signed index as it stands, search by label, removal and restoration."""
+"""/v1/collections: the signed index as it stands, search, removal and restoration."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from fastapi import FastAPI
 from services.gateway.app import create_app
 from services.gateway.settings import GatewaySettings
 from services.storage.catalogue.collection import RETIRED_SHARDS, index_name, read_index
+from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.signing import Keys, check_signatures, public_key
 from services.storage.catalogue.verify import verify
@@ -122,6 +123,19 @@ async def found(gateway: httpx.AsyncClient, **params: str | int) -> list[str]:
 @pytest.mark.parametrize("limit", [1, 2, 100])
 async def test_search_by_label(gateway: httpx.AsyncClient, label: str, keys: list[str], limit: int) -> None:
     assert await found(gateway, label=label, limit=limit) == keys
+
+
+async def test_search_by_state_date_and_size(gateway: httpx.AsyncClient, store: MemoryStore) -> None:
+    rows = (await gateway.get("/v1/collections/default/assets")).json()["assets"]
+    size = sum(file["bytes"] for file in read_entry(store, "boot").document["files"])
+    assert [row["bytes"] for row in rows if row["key"] == "boot"] == [size]
+    everything = [row["key"] for row in rows]
+    assert await found(gateway, state="preview", since="2020-01-01T00:00:00Z", min_bytes=1) == everything
+    assert await found(gateway, since=rows[0]["updated"], until=rows[-1]["updated"], max_bytes=10**9) == everything
+    for asked in ({"state": "refined"}, {"until": "2020-01-01T00:00:00+01:00"}, {"max_bytes": 0}, {"min_bytes": 10**9}):
+        assert await found(gateway, **asked) == []
+    for wrong in ({"since": "2020-01-01"}, {"since": "yesterday"}, {"min_bytes": -1}, {"state": "removed"}):
+        assert (await gateway.get("/v1/collections/default/assets", params=wrong)).status_code == 422
 
 
 async def test_a_shard_that_is_retired_meanwhile_is_looked_up_anew(tmp_path: Path, store: MemoryStore) -> None:

@@ -70,6 +70,7 @@ rows = st.builds(
     updated=st.integers(0, 2**40),
     manifest=st.binary(min_size=32, max_size=32).map(bytes.hex),
     preview=st.sampled_from(["", "0f" * 32]),
+    bytes=st.integers(0, 2**50),
 )
 
 

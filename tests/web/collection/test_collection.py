@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -77,7 +78,12 @@ def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) ->
     expect(page.locator("[data-key=shoe]")).to_have_attribute("data-picture", "preview.png")
     expect(page.locator("[data-key=zz]")).to_have_attribute("data-picture", "none")
     facts = [page.locator(f"[data-key={key}] .facts").inner_text() for key in ("boot", "shoe", "sofa")]
-    assert facts == ["refined", "preview", "a guess from one photo"]
+    sizes = [sum(file["bytes"] for file in read_entry(shelf.store, key).document["files"]) for key in ("boot", "shoe")]
+    assert facts == [
+        f"refined, {sizes[0] / 1000:.1f} KB",
+        f"preview, {sizes[1] / 1000:.1f} KB",
+        "a guess from one photo",
+    ]
     box_of = page.locator("[data-key=zz]")
     expect(box_of.locator(".name")).to_have_text(HOSTILE)
     assert box_of.locator("script, .name img, .labels img").count() == 0
@@ -261,6 +267,36 @@ def test_things_are_put_in_order_and_told_apart_by_their_state(page: Page, shelf
     page.reload()
     await_data(page, state="shown")
     assert shown(page) == ["shoe"]
+
+
+def test_things_are_found_by_the_day_of_their_change_and_by_their_size(page: Page, tmp_path: Path) -> None:
+    with site_at(tmp_path) as site:
+        sizes = {"small": 10, "large": 3_000_000, "middle": 1_500_000}
+        for key, size in sizes.items():
+            publish(
+                box(key, RED, files={"thumbnail.webp": picture_of(RED), "points.ply": bytes(size)}), site.store, key=key
+            )
+        visit(page, site)
+        page.get_by_label("Order").select_option("largest")
+        expect(page.locator("#grid > li").first).to_have_attribute("data-key", "large")
+        assert shown(page) == ["large", "middle", "small"]
+        page.get_by_text("Date and size", exact=True).click()
+        page.get_by_label("MB from").fill("1")
+        page.locator("#most").fill("2.5")
+        page.locator("#most").blur()
+        expect(page.locator("#said")).to_have_text("1 thing")
+        assert shown(page) == ["middle"]
+        assert page.url.endswith("?order=largest&least=1&most=2.5")
+        page.reload()
+        await_data(page, state="shown")
+        assert shown(page) == ["middle"]
+        page.get_by_role("button", name="Any date and size").click()
+        expect(page.locator("#said")).to_have_text("3 things")
+        page.get_by_label("Changed from").fill(f"{datetime.now():%Y-%m-%d}")
+        expect(page.locator("#said")).to_have_text("3 things")
+        page.locator("#until").fill("2020-02-29")
+        expect(page.locator("#said")).to_have_text("Nothing matches; look at “Date and size”.")
+        assert shown(page) == []
 
 
 def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page, tmp_path: Path) -> None:
