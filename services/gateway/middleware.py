@@ -18,6 +18,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from services.gateway import browser_permissions
 from services.gateway.access.api_key import KEY_PATTERN, mask_keys
 from services.gateway.access.limits import Limits
 from services.gateway.access.sharing import mask_shares
@@ -36,11 +37,6 @@ _UPLOAD_SILENCE_S = 90.0  # without a byte of a body; uploads have a limit of th
 _SILENCE_S = 20.0
 _CLIENT_CLOSED = 499  # nginx's status for a client that disconnected before its answer; never sent, only counted
 _STREAM = "text/event-stream"
-# What the pages use, for themselves alone: the camera, tilt and turn of a phone, a headset.
-_PERMISSIONS = (
-    "camera=(self), accelerometer=(self), gyroscope=(self), magnetometer=(self), xr-spatial-tracking=(self), "
-    "microphone=(), geolocation=(), payment=(), usb=(), serial=(), bluetooth=(), display-capture=()"
-)
 _HSTS = "max-age=31536000"  # browsers ask by HTTPS for a year; subdomains are not ours to decide over
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
@@ -114,7 +110,7 @@ class RequestMiddleware:
                 headers_out.setdefault("X-Content-Type-Options", "nosniff")
                 headers_out.setdefault("Referrer-Policy", "no-referrer")
                 headers_out.setdefault("X-Request-ID", identity)
-                headers_out.setdefault("Permissions-Policy", _PERMISSIONS)
+                headers_out.setdefault("Permissions-Policy", browser_permissions.ANY_PAGE)
                 headers_out.setdefault("Cross-Origin-Opener-Policy", "same-origin")
                 # What any origin's pages may read, they may also show: the other answers stay in this site.
                 shared = headers_out.get("access-control-allow-origin") == "*"

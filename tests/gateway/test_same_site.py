@@ -95,12 +95,17 @@ async def test_answers_stay_in_this_site_unless_any_may_read_them(tmp_path: Path
     store = memory()
     publish(bundle(), store, key="dress", job="job_1")
     async with gateway(tmp_path / "gw", store) as client:
-        page, jobs, asset = [await client.get(path) for path in ("/", "/v1/jobs", "/v1/assets/dress")]
+        page, jobs, asset, viewer = [
+            await client.get(path) for path in ("/", "/v1/jobs", "/v1/assets/dress", "/view/dress")
+        ]
     for answer, policy in ((page, "same-origin"), (jobs, "same-origin"), (asset, "cross-origin")):
         assert answer.headers["cross-origin-resource-policy"] == policy
         assert answer.headers["cross-origin-opener-policy"] == "same-origin"
-        assert "camera=(self)" in answer.headers["permissions-policy"]
+        assert "microphone=()" in answer.headers["permissions-policy"]
         assert "strict-transport-security" not in answer.headers, "without TLS it means nothing"
+    assert "camera=(self)" in page.headers["permissions-policy"], "the capture page photographs"
+    for answer in (jobs, asset, viewer):
+        assert "camera=()" in answer.headers["permissions-policy"]
 
 
 async def test_behind_tls_browsers_stay_with_it(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 
 from playwright.sync_api import Browser, Playwright
 
@@ -31,3 +32,15 @@ def chromium() -> str | None:
 def launch(playwright: Playwright) -> Browser:
     """A browser that has been nowhere. It has to be installed."""
     return playwright.chromium.launch(executable_path=chromium(), args=_FLAGS)
+
+
+def launch_with_camera(browser: Browser, film: Path | None) -> Browser:
+    """Another one, whose camera shows a film again and again (YUV4MPEG2), and which pages may use; None: they may not.
+
+    browser: that runs, as Playwright has one loop
+    """
+    answer = "--use-fake-ui-for-media-stream" + ("" if film else "=deny")
+    camera = [f"--use-file-for-fake-video-capture={film}"] if film else []
+    insecure = "--host-resolver-rules=MAP camera.local 127.0.0.1"  # a name of this machine that is not "localhost"
+    flags = [*_FLAGS, "--use-fake-device-for-media-stream", answer, *camera, insecure]
+    return browser.browser_type.launch(executable_path=chromium(), args=flags)

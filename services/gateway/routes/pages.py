@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
+from services.gateway.browser_permissions import CAMERA_PAGE
 from services.gateway.errors import Problem
 from services.gateway.routes.access_rules import ANYONE
 from services.gateway.schemas import problems
@@ -45,8 +46,10 @@ _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 
 @router.get("/", response_class=Response, dependencies=[ANYONE], responses=_HTML)
 async def capture_page(request: Request) -> Response:
-    """The capture page: take photos or a video with a phone, or upload files."""
-    return _page("capture/index.html", request)
+    """The capture page: take photos or a video with a phone, or upload files. The only page that may use the camera."""
+    page = _page("capture/index.html", request)
+    page.headers["Permissions-Policy"] = CAMERA_PAGE
+    return page
 
 
 @router.get("/login", response_class=Response, dependencies=[ANYONE], responses=_HTML)

@@ -13,14 +13,19 @@ export function mayHaveCompass() {
 
 /**
  * Asks the person for permission to use the compass, in answer to a tap.
- * @returns {Promise<boolean>} whether the compass works
+ * @returns {Promise<boolean>} whether it may be used
  */
-export async function startCompass() {
+export async function allowCompass() {
   // iOS asks, Android does not; TypeScript does not know the method of iOS.
   const events = /** @type {{ requestPermission?: () => Promise<string> }} */ (DeviceOrientationEvent);
-  const permission = await events.requestPermission?.().catch(() => 'denied');
-  return permission !== 'denied' && (await readHeading()) !== null;
+  return (await events.requestPermission?.().catch(() => 'denied')) !== 'denied';
 }
+
+/**
+ * Asks for permission, in answer to a tap, and reads the compass.
+ * @returns {Promise<boolean>} whether the compass works
+ */
+export const startCompass = async () => (await allowCompass()) && (await readHeading()) !== null;
 
 /**
  * Reads the compass once.
@@ -43,6 +48,13 @@ export function readHeading() {
     const stopListening = listen(read);
   });
 }
+
+/**
+ * Follows the compass, once it is allowed.
+ * @param {(heading: number | null) => void} listener is called with degrees as of `readHeading`
+ * @returns {() => void} a function that stops it
+ */
+export const followHeading = (listener) => listen((event) => listener(event.alpha === null ? null : headingOf(event)));
 
 /**
  * Listens to the compass.

@@ -1,6 +1,7 @@
 // The form's first two parts: which files to send, and the name of the object.
 import { mayHaveCompass, readHeading, startCompass } from './compass.js';
 import { guide, isPhoto, setHeading } from './guidance.js';
+import { startLiveCamera } from './live-camera.js';
 import { showSinglePhoto } from './photo-box.js';
 import { keyFrom } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
@@ -20,6 +21,8 @@ const page = {
 
 /** @type {File[]} */
 let files = [];
+/** @type {WeakSet<File>} */
+const taken = new WeakSet(); // by the camera in the page: their names say nothing of the thing
 let useCompass = false; // whether the person allows the page to ask the phone where its camera looks
 
 /** The files that are chosen now. */
@@ -41,6 +44,19 @@ export function startFileChoice() {
     page.compass.textContent = useCompass ? 'The compass is used' : 'There is no compass; try again';
   });
   page.name.addEventListener('input', showKey);
+  startLiveCamera(addPhoto);
+}
+
+/**
+ * Adds a photo that the camera in the page has taken.
+ * @param {File} photo
+ * @param {number | null} heading degrees clockwise
+ */
+function addPhoto(photo, heading) {
+  setHeading(photo, heading);
+  taken.add(photo);
+  files = [...files, photo];
+  showFiles();
 }
 
 /**
@@ -67,7 +83,7 @@ function showFiles() {
   const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);
   if (files.length > LISTED) names.push(`… and ${files.length - LISTED} more`);
   fillList(page.list, names);
-  if (!page.name.value && files.length) page.name.value = nameFrom(files[0]);
+  if (!page.name.value && files.length && !taken.has(files[0])) page.name.value = nameFrom(files[0]);
   showKey();
 }
 

@@ -1,10 +1,11 @@
 // Guidance while photos are chosen: how many there are, which would do harm, and how far around the object they go.
 import { child, create, element } from '../shared/dom.js';
+import { drawRings } from './coverage-ring.js';
 import { differenceOf } from './photo-quality.js';
 import { queuePhoto } from './photo-quality-queue.js';
 import { ADVISED, FEWEST, coverageOf, findFaults, isMeasured } from './photo-set.js';
 
-/** @import { Coverage, Photo } from './photo-set.js' */
+/** @import { MeasuredPhoto, Photo } from './photo-set.js' */
 /** @typedef {{ item: HTMLLIElement, file: File, sentence: string }} FaultItem an item of the list of photos that would do harm */
 
 const REDRAW_MS = 100; // results of several photos are drawn together
@@ -14,8 +15,6 @@ const page = {
   count: element('count', HTMLElement),
   advice: element('advice', HTMLElement),
   ring: element('ring', SVGElement),
-  arcs: element('arcs', SVGElement),
-  degrees: element('turn', SVGElement),
   coverage: element('seen', HTMLElement),
   faults: element('faulty', HTMLElement),
   faultCount: element('faulty-count', HTMLElement),
@@ -67,6 +66,21 @@ export function guide(chosen, onRemove) {
 }
 
 /**
+ * Says why a new photo would do harm beside those that are chosen; '' where it would not, or where this browser cannot decode it.
+ * @param {File} file
+ * @returns {Promise<string>}
+ */
+export async function faultOfNew(file) {
+  const quality = await queuePhoto(file);
+  if (!quality) return '';
+  const others = [...photos.values()].filter(isMeasured);
+  const differences = new Map(others.map((other) => [other.file, differenceOf(quality, other.quality)]));
+  /** @type {MeasuredPhoto} */
+  const photo = { file, quality, differences, thumbnailUrl: '', heading: null };
+  return findFaults([...others, photo]).get(file) ?? '';
+}
+
+/**
  * Measures a photo, and compares it with those that are measured already.
  * @param {File} file
  */
@@ -109,7 +123,8 @@ function draw() {
   page.coverage.hidden = measured.length === 0;
   page.count.textContent = countText(chosen.length, films);
   page.advice.textContent = adviceFor(chosen, films);
-  drawCoverage(coverageOf(measured.filter(({ file }) => !faults.has(file))));
+  const coverage = coverageOf(measured.filter(({ file }) => !faults.has(file)));
+  page.coverage.textContent = `${coverage.about} ${drawRings(coverage)} seen${coverage.how}.`;
   drawFaults(faults);
   document.body.dataset.looked = chosen.every(({ quality }) => quality !== undefined) ? String(chosen.length) : '';
 }
@@ -138,29 +153,6 @@ function adviceFor(chosen, films) {
   if (count < ADVISED[0]) return `${ADVISED.join(' to ')} are best: ${ADVISED[0] - count} more, from where there is none yet.${rest}`;
   if (count <= ADVISED[1]) return `A good number.${rest}`;
   return `More than ${ADVISED[1]} take longer and seldom show more.${rest}`;
-}
-
-/**
- * Draws the ring that fills as the person walks around the object.
- * @param {Coverage} coverage
- */
-function drawCoverage({ arcs, about, how }) {
-  const sum = arcs.reduce((total, [from, to]) => total + to - from, 0);
-  const degrees = `${Math.round(sum / 10) * 10}°`;
-  page.arcs.replaceChildren(...arcs.map(([from, to]) => createArc(from, to)));
-  page.degrees.textContent = degrees;
-  page.coverage.textContent = `${about} ${degrees} seen${how}.`;
-}
-
-/**
- * @param {number} from degrees
- * @param {number} to degrees
- */
-function createArc(from, to) {
-  const arc = document.createElementNS('http://www.w3.org/2000/svg', 'circle');
-  const attributes = { cx: 40, cy: 40, r: 34, pathLength: 360, 'stroke-dasharray': `${to - from} 360`, 'stroke-dashoffset': -from };
-  for (const [name, value] of Object.entries(attributes)) arc.setAttribute(name, String(value));
-  return arc;
 }
 
 /**

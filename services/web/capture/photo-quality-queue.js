@@ -4,6 +4,8 @@ import { PHOTO_WORKER_MS } from '../shared/time-limits.js';
 
 /** @import { PhotoAnswer, PhotoQuality, PhotoRequest } from './photo-quality.js' */
 
+/** @type {WeakMap<Blob, Promise<PhotoQuality | null>>} */
+const measured = new WeakMap(); // the camera asks before a photo is chosen, and the guidance afterwards
 /** @type {Map<number, { file: Blob, resolve: (quality: PhotoQuality | null) => void }>} */
 const pending = new Map(); // by the number of the request
 let lastNumber = 0;
@@ -15,11 +17,21 @@ let previous = Promise.resolve(null);
 let silenceTimer = 0;
 
 /**
- * Measures a photo. Resolves to null for a file that this browser cannot decode.
+ * Measures a photo, once. Resolves to null for a file that this browser cannot decode.
  * @param {Blob} file
  * @returns {Promise<PhotoQuality | null>}
  */
 export function queuePhoto(file) {
+  const quality = measured.get(file) ?? measureInTurn(file);
+  measured.set(file, quality);
+  return quality;
+}
+
+/**
+ * @param {Blob} file
+ * @returns {Promise<PhotoQuality | null>}
+ */
+function measureInTurn(file) {
   if (!canUseWorker) return measureHere(file);
   const target = (worker ??= startWorker());
   return new Promise((resolve) => {

@@ -135,7 +135,7 @@ const pause = () => new Promise((resolve) => setTimeout(resolve));
  * Converts RGBA bytes to luma, 0 to 255.
  * @param {Uint8ClampedArray} rgba
  */
-function lumaOf(rgba) {
+export function lumaOf(rgba) {
   const luma = new Float32Array(rgba.length / 4);
   for (let at = 0; at < luma.length; at++) luma[at] = 0.299 * rgba[4 * at] + 0.587 * rgba[4 * at + 1] + 0.114 * rgba[4 * at + 2];
   return luma;

@@ -39,6 +39,9 @@ export const UPLOAD_PAUSE_MS = 2_000;
 /** For a photo's quality to come back from its worker (0.3 s on a phone). */
 export const PHOTO_WORKER_MS = 30_000;
 
+/** For the camera to start, or to take a photo (0.5 s on most phones). Afterwards frames of its film are taken. */
+export const PHOTO_MS = 6_000;
+
 /**
  * Wait for a promise, but no longer than a time limit. What the promise does later is ignored.
  * @template T

@@ -215,7 +215,7 @@ def test_the_compass_is_asked_on_a_tap_and_fills_the_ring(
     looked(page, 4)
     expect(page.locator("#seen")).to_contain_text("by the compass")
     assert degrees(page) == 100  # four photos, 24 degrees each, rounded
-    assert page.locator("#arcs circle").count() == 5  # that to the north lies on both ends
+    assert page.locator("#guide .arcs circle").count() == 5  # that to the north lies on both ends
 
 
 def test_a_film_is_offered_and_explained(page: Page, stack: Stack, photos: list[Path], tmp_path: Path) -> None:

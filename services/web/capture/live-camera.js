@@ -1,0 +1,246 @@
+// The camera in the page: follows how it moves, takes photos by itself or by hand, and takes those again that would do harm.
+import { openCamera } from './camera.js';
+import { showCameraOptions } from './camera-options.js';
+import { allowCompass, followHeading, mayHaveCompass } from './compass.js';
+import { frameSize } from './frame-motion.js';
+import { faultOfNew } from './guidance.js';
+import { afterFrame, afterPhoto, afterRefusal, newShutter } from './shutter.js';
+import { element } from '../shared/dom.js';
+import { sentences } from '../shared/problems.js';
+
+/** @import { Camera } from './camera.js' */
+/** @import { FrameMessage, KeepMessage, MotionAnswer } from './frame-motion.js' */
+/** @import { Cue } from './shutter.js' */
+
+const FRAME_MS = 100; // between two frames that are compared
+/** @type {Record<Cue, string>} */
+const CUES = {
+  plain: 'Too dark or too plain to see how you move. Use the button.',
+  move: 'Take a step to the side.',
+  hold: 'Hold still.',
+  wait: '',
+  take: 'Hold still.',
+};
+const BY_HAND = 'Take a step to the side, and use the button.';
+
+const page = {
+  dialog: element('camera', HTMLDialogElement),
+  video: element('viewfinder', HTMLVideoElement),
+  cue: element('cue', HTMLElement),
+  count: element('taken', HTMLElement),
+  looking: element('looking', SVGElement),
+  automatic: element('automatic', HTMLButtonElement),
+  shoot: element('shoot', HTMLButtonElement),
+  leave: element('leave', HTMLButtonElement),
+  open: element('open-camera', HTMLButtonElement),
+  trouble: element('no-camera', HTMLElement),
+};
+
+/** @type {(photo: File, heading: number | null) => void} */
+let onPhoto = () => {};
+/** @type {Camera | null} */
+let camera = null;
+/** @type {Worker | null} */
+let worker = null;
+/** @type {OffscreenCanvasRenderingContext2D | CanvasRenderingContext2D | null} */
+let small = null; // in which frames are made small
+let shutter = newShutter();
+/** @type {number | null} */
+let heading = null;
+let stopCompass = () => {};
+let automatic = true;
+let shooting = false; // from the photo to the word whether it is good
+let taken = 0;
+let timer = 0;
+let lastFrame = 0; // ms: when the newest frame was sent
+let frameMs = 0; // from the one before
+let frameNumber = 0;
+
+/**
+ * Listens to the camera's buttons.
+ * @param {(photo: File, heading: number | null) => void} take is called with each photo that is good, and where the camera looked
+ */
+export function startLiveCamera(take) {
+  onPhoto = take;
+  page.open.addEventListener('click', open);
+  page.leave.addEventListener('click', () => page.dialog.close());
+  page.dialog.addEventListener('close', close);
+  page.shoot.addEventListener('click', () => shoot());
+  page.automatic.addEventListener('click', () => setAutomatic(!automatic));
+  document.addEventListener('visibilitychange', () => camera && document.hidden && page.dialog.close()); // phones take the camera away
+}
+
+/** Opens the camera, or says why it cannot be. */
+async function open() {
+  page.open.disabled = true;
+  page.trouble.hidden = true;
+  const compass = mayHaveCompass() && allowCompass(); // at once: iOS asks only in answer to a tap
+  try {
+    camera = await openCamera(page.video);
+  } catch (error) {
+    page.trouble.textContent = sentences(error);
+    page.trouble.hidden = false;
+    document.body.dataset.camera = 'none';
+    return;
+  } finally {
+    page.open.disabled = false;
+  }
+  [shutter, taken, shooting] = [newShutter(), 0, false];
+  camera.track.addEventListener('ended', () => page.dialog.close());
+  showCameraOptions(camera.track);
+  setAutomatic(automatic);
+  showCount();
+  page.dialog.showModal();
+  document.body.dataset.camera = 'open';
+  startFollowing();
+  if (await compass) useCompass();
+}
+
+/** Closes the camera. */
+function close() {
+  clearTimeout(timer);
+  worker?.terminate();
+  stopCompass();
+  camera?.close();
+  [camera, worker, heading] = [null, null, null];
+  document.body.dataset.camera = 'closed';
+  page.open.focus();
+}
+
+/** Shows where the camera looks, by the compass. */
+function useCompass() {
+  stopCompass();
+  if (!camera) return; // closed meanwhile
+  stopCompass = followHeading((degrees) => {
+    heading = degrees;
+    page.looking.toggleAttribute('hidden', degrees === null);
+    if (degrees !== null) page.looking.setAttribute('transform', `rotate(${degrees} 40 40)`);
+  });
+}
+
+// ---- movement -------------------------------------------------------------------------------------------------------
+
+/** Starts the worker that compares frames. Where there is none, photos are taken by hand. */
+function startFollowing() {
+  worker = new Worker('/web/capture/frame-motion-worker.js', { type: 'module' });
+  worker.addEventListener('message', (event) => follow(/** @type {MotionAnswer} */ (event.data)));
+  worker.addEventListener('error', () => setAutomatic(false));
+  sendFrame();
+}
+
+/** Sends the worker the frame that is shown now. */
+function sendFrame() {
+  const { videoWidth, videoHeight } = page.video;
+  if (!camera || !worker || !videoWidth) return;
+  const [width, height] = frameSize(videoWidth, videoHeight);
+  if (small?.canvas.width !== width || small.canvas.height !== height) small = createSmall(width, height);
+  if (!small) return;
+  small.drawImage(page.video, 0, 0, width, height);
+  const now = performance.now();
+  [frameMs, lastFrame] = [now - lastFrame, now];
+  const rgba = small.getImageData(0, 0, width, height).data;
+  frameNumber += 1;
+  /** @type {FrameMessage} */
+  const message = { rgba, width, height, number: frameNumber };
+  worker.postMessage(message, [rgba.buffer]);
+}
+
+/**
+ * @param {number} width
+ * @param {number} height
+ */
+function createSmall(width, height) {
+  const context = Object.assign(document.createElement('canvas'), { width, height }).getContext('2d', { willReadFrequently: true });
+  if (context) context.imageSmoothingQuality = 'high';
+  return context;
+}
+
+/**
+ * Goes on with what the worker says of a frame, and sends the next one.
+ * @param {MotionAnswer} motion
+ */
+function follow(motion) {
+  if (!camera) return;
+  shutter = afterFrame(shutter, { ms: frameMs, heading, motion });
+  document.body.dataset.cue = shutter.cue;
+  if (!shooting) showCue(shutter.cue);
+  if (automatic && !shooting && shutter.cue === 'take') shoot();
+  timer = setTimeout(sendFrame, Math.max(0, FRAME_MS - (performance.now() - lastFrame)));
+}
+
+/** @param {Cue} cue */
+function showCue(cue) {
+  if (cue !== 'wait') say(automatic ? CUES[cue] : BY_HAND);
+}
+
+/** @param {string} text */
+function say(text) {
+  if (page.cue.textContent !== text) page.cue.textContent = text; // a screen reader reads what changes
+}
+
+// ---- photos ---------------------------------------------------------------------------------------------------------
+
+/** Takes a photo, and keeps it if it does no harm; otherwise says why, and it is taken again. */
+async function shoot() {
+  if (!camera || shooting) return;
+  shooting = true;
+  page.shoot.disabled = true;
+  tell('hold');
+  const at = heading;
+  try {
+    const blob = await camera.takePhoto();
+    const photo = new File([blob], nameOf(blob), { type: blob.type, lastModified: Date.now() });
+    const fault = await faultOfNew(photo);
+    if (fault) refuse(fault);
+    else if (camera) accept(photo, at);
+  } catch (error) {
+    refuse(sentences(error));
+  }
+  shooting = false;
+  page.shoot.disabled = false;
+}
+
+/** @param {KeepMessage['keep']} keep */
+function tell(keep) {
+  /** @type {KeepMessage} */
+  const message = { keep };
+  worker?.postMessage(message);
+}
+
+/**
+ * @param {File} photo
+ * @param {number | null} at
+ */
+function accept(photo, at) {
+  taken += 1;
+  tell('accept');
+  shutter = afterPhoto({ ...shutter, heading: at });
+  page.dialog.dataset.flash = String(taken % 2); // the other animation's name begins it anew
+  navigator.vibrate?.(30);
+  onPhoto(photo, at);
+  showCount();
+}
+
+/** @param {string} fault */
+function refuse(fault) {
+  shutter = afterRefusal(shutter);
+  say(`Not kept: ${fault.charAt(0).toLowerCase()}${fault.slice(1)}`);
+  document.body.dataset.refused = fault;
+}
+
+function showCount() {
+  page.count.textContent = taken === 1 ? '1 photo' : `${taken} photos`;
+  document.body.dataset.taken = String(taken);
+}
+
+/** The name of a photo: when it was taken. @param {Blob} blob */
+function nameOf(blob) {
+  const time = new Date().toISOString().replace(/[-:]/g, '').replace('.', '_').slice(0, 19);
+  return `photo_${time}.${blob.type === 'image/png' ? 'png' : 'jpg'}`;
+}
+
+/** @param {boolean} on */
+function setAutomatic(on) {
+  automatic = on;
+  page.automatic.ariaPressed = String(on);
+}
