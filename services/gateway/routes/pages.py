@@ -35,9 +35,13 @@ _VERSIONED = re.compile(r"-\d+\.\d+\.\d+\.")  # a file whose name has its versio
 _WORKER_POLICY = "default-src 'none'; script-src 'self' 'unsafe-eval'"
 _IMMUTABLE = "public, max-age=31536000, immutable"
 _START_GUARD = re.compile(r'<script src="/web/shared/start-guard\.js"([^>]*)></script>')
-_SHELL_PAGES = {"/browse/default": "collection/collection.html", "/view/any": "viewer/view.html"}
+_SHELL_PAGES = {
+    "/": "capture/index.html",
+    "/browse/default": "collection/collection.html",
+    "/view/any": "viewer/view.html",
+}
 # Pages that need the server in any case.
-_ONLINE = {WEB / name for name in ("admin", "capture", "edit", "login", "pair", "share")}
+_ONLINE = {WEB / name for name in ("admin", "edit", "login", "pair", "share")}
 _ONLINE_LIBRARY = "tus-js-client-"  # uploads
 _SHELL_SUFFIXES = {".css", ".js", ".svg", ".wasm"}
 _MOST_ASSETS = 24  # in one scene: with 5,000 triangles each, their coarsest levels leave most of a headset's budget

@@ -1,13 +1,17 @@
 // The capture page (/): choose files, name the object, upload, watch the job, see the result.
-import { chosenFiles, chosenName, startFileChoice } from './file-choice.js';
+import { chosenFiles, chosenName, goOn, startFileChoice } from './file-choice.js';
 import { showUploadProgress, showUploadWaits, startUploadProgress } from '../shared/job-progress.js';
 import { watchJob } from './job-watch.js';
+import { forgetAll, jobKey, keepWhole, sendOnce } from './keeping.js';
+import { showKept, startKeptList } from './kept-list.js';
 import { showState, showTrouble } from './page-state.js';
 import { chosenBox } from './photo-box.js';
 import { sendCapture, unfinishedFiles } from './resumable-upload.js';
 import { showAccount } from '../shared/account.js';
 import { getJson, keyFrom, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { isConnectionProblem, offline } from '../shared/problems.js';
+import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { splitWords } from '../shared/search-words.js';
 
 /** @import { CaptureReceipt, Cut, Job, JobRequest, Presets, Visibility } from '../shared/types.d.ts' */
@@ -30,9 +34,9 @@ const page = {
   stripped: element('stripped', HTMLElement),
   unfinished: element('unfinished', HTMLElement),
 };
-const jobKey = randomKey(); // trying again does not start a second job
 /** @type {CaptureReceipt | null} */
 let receipt = null; // of the upload: trying again does not send it twice
+let isKept = false; // on the device, to be sent later
 
 /** Fills the list of presets with what the workers offer. Without an answer only the automatic choice is there. */
 async function offerPresets() {
@@ -56,31 +60,47 @@ function presetOption({ name, summary, takes }) {
   return new Option(words ? `${name}: ${words}` : name, name);
 }
 
-/** Uploads the chosen files, starts a job with them, and watches it. */
+/** Uploads the chosen files, starts a job with them, and watches it. What finds no server is kept on the device. */
 async function send() {
-  const name = chosenName();
   showState('sending');
   page.cancel.hidden = true;
   startUploadProgress();
   try {
-    const progress = { onProgress: showUploadProgress, onWaiting: showUploadWaits };
-    receipt ??= await sendCapture(chosenFiles(), name, chosenBox(), progress);
-    showReceipt(receipt);
-    /** @type {Job} */
-    const job = await postJson('/v1/jobs', jobRequest(receipt, name), { 'Idempotency-Key': jobKey });
+    const sent = await sendOnce(sendNow);
+    const job = typeof sent === 'string' ? await getJson(`/v1/jobs/${sent}`) : sent;
     location.hash = `job=${job.id}`;
     watchJob(job);
+    await forgetAll();
   } catch (error) {
-    showTrouble(error);
+    showTrouble(error, isConnectionProblem(error) ? await keepForLater() : '');
   }
 }
 
+/** @returns {Promise<Job>} */
+async function sendNow() {
+  const name = chosenName();
+  if (!navigator.onLine) throw offline();
+  const progress = { onProgress: showUploadProgress, onWaiting: showUploadWaits };
+  receipt ??= await sendCapture(chosenFiles(), name, chosenBox(), progress);
+  showReceipt(receipt);
+  return postJson('/v1/jobs', jobRequest(receipt.capture, name), { 'Idempotency-Key': jobKey() });
+}
+
+/** Keeps the capture on the device. @returns {Promise<string>} what to tell the person */
+async function keepForLater() {
+  const name = chosenName();
+  const told = { name, box: chosenBox(), order: jobRequest(receipt?.capture ?? '', name) };
+  const trouble = await keepWhole(chosenFiles(), told);
+  isKept = !trouble;
+  return trouble || 'It is kept on this device, and sent when the server can be reached: by itself, or when you open this page again.';
+}
+
 /**
- * @param {CaptureReceipt} receipt
+ * @param {string} capture
  * @param {string} name
  * @returns {JobRequest}
  */
-function jobRequest({ capture }, name) {
+function jobRequest(capture, name) {
   const centimetres = page.longest.valueAsNumber;
   return {
     capture,
@@ -97,11 +117,6 @@ function jobRequest({ capture }, name) {
     box: chosenBox(),
     visibility: /** @type {Visibility | ''} */ (page.visibility.value),
   };
-}
-
-/** A random key of 32 hexadecimal digits. Not crypto.randomUUID, which needs HTTPS: at home a phone may use plain HTTP. */
-function randomKey() {
-  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
 }
 
 /**
@@ -146,12 +161,20 @@ page.form.addEventListener('submit', (event) => {
 element('retry', HTMLButtonElement).addEventListener('click', retry);
 element('reload', HTMLButtonElement).addEventListener('click', () => location.reload());
 for (const id of ['again', 'another']) element(id, HTMLButtonElement).addEventListener('click', restart);
-// An upload that is interrupted is lost, or waits for the same files: the browser asks before it leaves the page.
+// An upload that is interrupted waits for the same files: the browser asks before it leaves the page.
 window.addEventListener('beforeunload', (event) => {
   if (document.body.dataset.state === 'sending') event.preventDefault();
+});
+window.addEventListener('online', () => {
+  if (isKept && document.body.dataset.state === 'trouble') send();
 });
 startFileChoice();
 offerPresets();
 offerToGoOn();
 resumeJob();
+startKeptList(async (draft) => {
+  await goOn(draft);
+  await showKept();
+});
+registerServiceWorker();
 showAccount().then((session) => (page.sharing.hidden = session?.via !== 'session')); // without keys everybody sees everything

@@ -1,10 +1,13 @@
 // The form's first two parts: which files to send, and the name of the object.
 import { mayHaveCompass, readHeading, startCompass } from './compass.js';
 import { guide, isPhoto, setHeading } from './guidance.js';
+import { forgetPhoto, goOnWith, keepPhoto } from './keeping.js';
 import { startLiveCamera } from './live-camera.js';
 import { showSinglePhoto } from './photo-box.js';
 import { keyFrom } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+
+/** @import { KeptCapture } from '../shared/kept-captures.js' */
 
 const LISTED = 6; // files named before "and N more"
 const INPUTS = ['files', 'photos', 'film', 'folder'];
@@ -12,6 +15,7 @@ const ADDING = ['photos', 'film']; // inputs whose files are added to those that
 
 const page = {
   chosen: element('chosen', HTMLElement),
+  notKept: element('not-kept', HTMLElement),
   list: element('list', HTMLElement),
   compass: element('compass', HTMLButtonElement),
   name: element('name', HTMLInputElement),
@@ -53,9 +57,36 @@ export function startFileChoice() {
  * @param {number | null} heading degrees clockwise
  */
 function addPhoto(photo, heading) {
-  setHeading(photo, heading);
   taken.add(photo);
+  keepTaken(photo, heading);
   files = [...files, photo];
+  showFiles();
+}
+
+/**
+ * Keeps a photo on the device that the person has just taken; says where that is impossible.
+ * @param {File} photo
+ * @param {number | null} heading
+ */
+async function keepTaken(photo, heading) {
+  setHeading(photo, heading);
+  const trouble = await keepPhoto(photo, heading);
+  page.notKept.textContent = trouble;
+  page.notKept.hidden = !trouble;
+  document.body.dataset.onDevice = trouble ? 'no' : 'yes';
+}
+
+/**
+ * Goes on with photos that were taken here earlier.
+ * @param {KeptCapture} draft
+ */
+export async function goOn(draft) {
+  const photos = await goOnWith(draft);
+  for (const { file, heading } of photos) {
+    setHeading(file, heading);
+    taken.add(file);
+  }
+  files = photos.map(({ file }) => file);
   showFiles();
 }
 
@@ -68,7 +99,8 @@ async function addFiles(id, input) {
   const added = [...(input.files ?? [])];
   if (added.length === 0) return;
   input.value = ''; // so that the same file can be chosen again after it was removed
-  if (id === 'photos' && useCompass && added.length === 1) setHeading(added[0], await readHeading());
+  const heading = id === 'photos' && useCompass && added.length === 1 ? await readHeading() : null;
+  if (id === 'photos') for (const photo of added) keepTaken(photo, heading);
   files = ADDING.includes(id) ? [...files, ...added] : added;
   showFiles();
 }
@@ -90,6 +122,7 @@ function showFiles() {
 /** @param {File[]} unwanted */
 function removeFiles(unwanted) {
   files = files.filter((file) => !unwanted.includes(file));
+  for (const file of unwanted) forgetPhoto(file);
   showFiles();
 }
 

@@ -27,12 +27,13 @@ export function showState(state) {
 /**
  * Shows an error: what happened, to which file, and what to do.
  * @param {unknown} error
+ * @param {string} [more] a sentence that follows
  */
-export function showTrouble(error) {
+export function showTrouble(error, more = '') {
   const { code, file, message, hints } = toProblem(error);
   document.body.dataset.code = code;
   page.reason.textContent = file && !message.includes(file) ? `${file}: ${message}` : message;
-  fillList(page.hints, hints);
+  fillList(page.hints, more ? [...hints, more] : hints);
   page.retry.hidden = !isConnectionProblem(error);
   showState('trouble');
 }

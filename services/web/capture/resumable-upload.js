@@ -1,8 +1,9 @@
 // Sends large captures so that they go on after a lost connection, a locked phone, a reloaded page or a server that restarts (tus 1.0).
 // What is sent is the form that a plain upload has. The browser's storage keeps which upload the chosen files belong to.
-import { finishUpload, parseAnswer, uploadCapture } from '../shared/api.js';
-import { Problem, isConnectionProblem, noAnswer, offline } from '../shared/problems.js';
+import { finishUpload, uploadCapture } from '../shared/api.js';
+import { Problem, isConnectionProblem, noAnswer, offline, parseAnswer } from '../shared/problems.js';
 import { NETWORK_SILENCE_MS, UPLOAD_PAUSE_MS } from '../shared/time-limits.js';
+import { formOf, newFiletype, partOf, pathOf } from '../shared/upload-form.js';
 
 /** @import { DetailedError, Upload } from '../vendor/tus-js-client-4.3.1.index.js' */
 /** @import { CaptureReceipt } from '../shared/types.d.ts' */
@@ -38,8 +39,8 @@ export async function sendCapture(files, name, box, progress) {
   });
   const fingerprint = JSON.stringify(files.map((file) => [pathOf(file), file.size, file.lastModified]));
   const stored = await defaultOptions.urlStorage.findUploadsByFingerprint(fingerprint);
-  const filetype = stored[0]?.metadata.filetype ?? `multipart/form-data; boundary=${randomBoundary()}`;
-  const url = await persist(progress, (onProgress) => sendRest(Upload, formOf(files, filetype), {
+  const filetype = stored[0]?.metadata.filetype ?? newFiletype();
+  const url = await persist(progress, (onProgress) => sendRest(Upload, formOf(files.map(partOf), filetype), {
     fingerprint: async () => fingerprint,
     metadata: { name, filetype, filename: pathOf(files[0]) },
     onProgress,
@@ -168,28 +169,3 @@ function problemOf({ originalResponse: answer }) {
     return problem;
   }
 }
-
-/**
- * The form that a plain upload of these files has; nothing is read before it is sent.
- * @param {File[]} files
- * @param {string} filetype its media type, which names the boundary
- * @returns {Blob}
- */
-function formOf(files, filetype) {
-  const line = `--${filetype.split('boundary=')[1]}`;
-  const parts = files.flatMap((file) => [
-    `${line}\r\nContent-Disposition: form-data; name="files"; filename="${escaped(pathOf(file))}"\r\n\r\n`,
-    file,
-    '\r\n',
-  ]);
-  return new Blob([...parts, `${line}--\r\n`]);
-}
-
-/** A file's path in the folder that was chosen, or its name. @param {File} file */
-const pathOf = (file) => file.webkitRelativePath || file.name;
-
-/** A name as the HTML standard writes it into a form. @param {string} name */
-const escaped = (name) => name.replace(/["\r\n]/g, encodeURIComponent);
-
-/** A boundary that stands in no file. */
-const randomBoundary = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, '0')).join('');

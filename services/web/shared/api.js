@@ -2,7 +2,7 @@
 import { deleteEntry, openCache, readEntry, writeEntry } from './cache-storage.js';
 import { leadToLogin } from './login-redirect.js';
 import { fetchBytes } from './network.js';
-import { Problem, isConnectionProblem, noAnswer, offline } from './problems.js';
+import { isConnectionProblem, noAnswer, offline, parseAnswer } from './problems.js';
 import { ownName } from './whose.js';
 import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
@@ -12,26 +12,6 @@ const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without th
 const GATEWAY_ERRORS = [502, 503, 504]; // a proxy's word that the server behind it cannot be reached
 const GONE = [404, 410];
 const LOGIN_PAGES = ['/login', '/pair']; // where nobody has to be logged in
-
-/**
- * Parse the body of an answer.
- * @template T
- * @param {number} status
- * @param {string} text
- * @returns {T} what the caller declares: the server's document is trusted to have that shape
- * @throws {Problem} where the status or the body is an error
- */
-export function parseAnswer(status, text) {
-  /** @type {T} */
-  let body;
-  try {
-    body = JSON.parse(text);
-  } catch {
-    throw new Problem({ status, detail: `The server answered ${status}, with something that this page cannot read.`, hints: ['Try again later.'] });
-  }
-  if (status >= 200 && status < 300) return body;
-  throw new Problem({ status, ...body });
-}
 
 /**
  * Parse the body of an answer to what a page needs in order to show anything: without a session it leads to the login page.

@@ -30,6 +30,26 @@ export const undecodable = () => new Problem({
 });
 
 /**
+ * Parse the body of an answer.
+ * @template T
+ * @param {number} status
+ * @param {string} text
+ * @returns {T} what the caller declares: the server's document is trusted to have that shape
+ * @throws {Problem} where the status or the body is an error
+ */
+export function parseAnswer(status, text) {
+  /** @type {T} */
+  let body;
+  try {
+    body = JSON.parse(text);
+  } catch {
+    throw new Problem({ status, detail: `The server answered ${status}, with something that this page cannot read.`, hints: ['Try again later.'] });
+  }
+  if (status >= 200 && status < 300) return body;
+  throw new Problem({ status, ...body });
+}
+
+/**
  * Whether a problem lies between here and the server, so that a copy on the device may be shown instead.
  * @param {unknown} error
  * @returns {boolean}

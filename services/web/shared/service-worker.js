@@ -1,8 +1,10 @@
-// The service worker: caches the pages with all their modules as one set (the shell), and serves that when the server does not.
+// The service worker: caches the pages with all their modules as one set (the shell), and serves that when the server does not; sends the
+// captures that were kept on the device, once there is a network.
 // The network comes first, so that nobody sees an old version while there is a new one. Catalogue entries and files of assets are not its
 // business: api.js and verified-cache.js cache them.
 import { cacheNames, deleteCache, deleteEntry, hasEntry, openCache, readEntry, writeEntry } from './cache-storage.js';
 import { fetchBytes } from './network.js';
+import { sendKept } from './send-kept.js';
 import { CACHED_COPY_MS, NETWORK_SILENCE_MS } from './time-limits.js';
 
 const worker = /** @type {ServiceWorkerGlobalScope} */ (/** @type {unknown} */ (self)); // as the compiler cannot know
@@ -13,7 +15,8 @@ const LIST = '/web/shell.json'; // a ShellList; written last, so a cache that ha
 const VERSIONED = /-\d+\.\d+\.\d+\./; // a file whose name has its version never changes
 // Every asset has the same page and so has every collection: who has seen one can open another one's without the server.
 const PAGE = /^\/(view|browse)(\/[^/]+)?$/;
-const ONLINE = /^\/web\/((admin|capture|login|pair|share)\/|vendor\/tus-js-client-)/; // files of pages that need the server in any case
+const CAPTURE_PAGE = '/';
+const ONLINE = /^\/web\/((admin|login|pair|share)\/|vendor\/tus-js-client-)/; // files of pages that need the server in any case
 const AT_ONCE = 4; // downloads, beside those of the page that is being shown
 
 /** @type {Set<string>} */
@@ -21,6 +24,8 @@ const cachedClients = new Set(); // pages that got something from the cache get 
 
 worker.addEventListener('install', (event) => event.waitUntil(updateShell().then(() => worker.skipWaiting())));
 worker.addEventListener('activate', (event) => event.waitUntil(worker.clients.claim()));
+// Background Sync, which TypeScript does not know: where this fails, the browser tries again later.
+worker.addEventListener('sync', (event) => /** @type {ExtendableEvent} */ (event).waitUntil(sendKept()));
 worker.addEventListener('fetch', (event) => {
   if (event.request.method === 'GET' && isShell(new URL(event.request.url))) event.respondWith(answer(event));
 });
@@ -32,7 +37,7 @@ worker.addEventListener('fetch', (event) => {
  */
 function isShell({ origin, pathname }) {
   const file = pathname.startsWith('/web/') && !ONLINE.test(pathname);
-  return origin === worker.location.origin && (file || PAGE.test(pathname));
+  return origin === worker.location.origin && (file || pathname === CAPTURE_PAGE || PAGE.test(pathname));
 }
 
 /**

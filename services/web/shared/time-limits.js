@@ -9,6 +9,9 @@ export const CACHED_COPY_MS = 4_000;
 /** For one operation of the browser's Cache Storage. It takes milliseconds on a phone, but much longer while other programs write. */
 export const CACHE_STORAGE_MS = 10_000;
 
+/** For the browser to keep a capture on the device, or to read it: 30 photos are 100 MB. */
+export const KEPT_STORAGE_MS = 60_000;
+
 /** For a mesh to come back from its worker (0.1 s on a phone). A late one costs little: the page then decodes the mesh itself. */
 export const MESH_WORKER_MS = 10_000;
 

@@ -1,9 +1,10 @@
 // The panel of the viewer's page that downloads a thing for other programs. A file is made on the server when somebody first wants it.
-import { getJson, parseAnswer } from '../shared/api.js';
+import { getJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 import { formatBytes } from '../shared/format.js';
 import { fetchBytes } from '../shared/network.js';
+import { parseAnswer } from '../shared/problems.js';
 import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
 import { ofShownTenant } from '../shared/whose.js';
 

@@ -1,0 +1,153 @@
+// Keeps what the page has on the device: photos as they are taken, and the whole capture when the server cannot be reached. What cannot be kept
+// is said, and stays in the page.
+import { forget, forgetFile, keep, newKept, readKept, readKeptFiles } from '../shared/kept-captures.js';
+import { exclusively } from '../shared/send-kept.js';
+import { newFiletype, pathOf, randomKey } from '../shared/upload-form.js';
+import { ownTenant } from '../shared/whose.js';
+
+/** @import { KeptCapture, KeptFile } from '../shared/kept-captures.js' */
+/** @import { JobRequest } from '../shared/types.d.ts' */
+
+const SYNC = 'send-captures'; // the service worker listens to this
+
+/** @type {KeptCapture} */
+let kept = begin();
+/** @type {Map<File, number>} */
+const numbers = new Map(); // of the files that are on the device
+let lastNumber = 0;
+/** @type {Promise<unknown>} */
+let queue = Promise.resolve(); // one write after the other
+
+/** A capture of this page; nothing of it is on the device yet. */
+function begin() {
+  return newKept({ id: `${Date.now()}-${randomKey()}`, tenant: ownTenant(), jobKey: randomKey(), filetype: newFiletype() });
+}
+
+/** The key with which this capture's job is made once, from here or by the service worker. */
+export const jobKey = () => kept.jobKey;
+
+/** The capture's id on the device. */
+export const keptId = () => kept.id;
+
+/**
+ * Keeps a photo that was taken here, and is nowhere else.
+ * @param {File} file
+ * @param {number | null} heading degrees
+ * @returns {Promise<string>} why that is impossible, as a sentence; '' where it is done
+ */
+export const keepPhoto = (file, heading) => inTurn(async () => {
+  askForDurability();
+  return attempt([newFile(file, heading)]);
+});
+
+/**
+ * Forgets a photo that the person has removed.
+ * @param {File} file
+ */
+export function forgetPhoto(file) {
+  const number = numbers.get(file);
+  numbers.delete(file);
+  if (number === undefined) return;
+  inTurn(() => (numbers.size > 0 ? forgetFile(kept.id, number) : forget(kept.id)).catch(() => {}));
+}
+
+/**
+ * Keeps the whole capture, to be sent later.
+ * @param {File[]} files
+ * @param {{ name: string, box: number[] | null, order: JobRequest }} told
+ * @returns {Promise<string>} why that is impossible, as a sentence; '' where it is done
+ */
+export const keepWhole = (files, { name, box, order }) => inTurn(async () => {
+  Object.assign(kept, { state: 'waiting', name, box, order, capture: order.capture });
+  const trouble = await attempt(files.filter((file) => !numbers.has(file)).map((file) => newFile(file, null)));
+  if (trouble) kept.state = 'draft';
+  else await askForSync();
+  return trouble;
+});
+
+/**
+ * Sends the capture from this page, unless the service worker has sent it meanwhile.
+ * @template T
+ * @param {() => Promise<T>} work
+ * @returns {Promise<T | string>} what the work gives, or the id of the job that is there already
+ */
+export const sendOnce = (work) => exclusively({}, async () => {
+  const now = await readKept(kept.id).catch(() => undefined);
+  return now?.state === 'sent' ? now.job : work();
+});
+
+/** Forgets all of the capture: the server has it. */
+export const forgetAll = () => inTurn(() => forget(kept.id).catch(() => {}));
+
+/**
+ * Goes on with a draft that was kept earlier.
+ * @param {KeptCapture} draft
+ * @returns {Promise<{ file: File, heading: number | null }[]>} its photos
+ */
+export async function goOnWith(draft) {
+  const files = await readKeptFiles(draft.id);
+  kept = draft;
+  numbers.clear();
+  return files.map(({ number, path, body, lastModified, heading }) => {
+    const file = new File([body], path, { type: body.type, lastModified });
+    numbers.set(file, number);
+    lastNumber = Math.max(lastNumber, number);
+    return { file, heading };
+  });
+}
+
+/**
+ * @param {File} file
+ * @param {number | null} heading
+ * @returns {[File, KeptFile]}
+ */
+function newFile(file, heading) {
+  lastNumber += 1;
+  return [file, { id: kept.id, number: lastNumber, path: pathOf(file), lastModified: file.lastModified, heading, body: file }];
+}
+
+/**
+ * @param {[File, KeptFile][]} files
+ * @returns {Promise<string>}
+ */
+async function attempt(files) {
+  try {
+    await keep(kept, files.map(([, row]) => row));
+  } catch (error) {
+    return reasonOf(error);
+  }
+  for (const [file, { number }] of files) numbers.set(file, number);
+  return '';
+}
+
+/** @param {unknown} error */
+function reasonOf(error) {
+  const full = error instanceof DOMException && error.name === 'QuotaExceededError';
+  const reason = full ? 'This device has no room for it.' : 'This browser keeps nothing on the device here; a private window never does.';
+  return `${reason} It is in this page only: leave the page open until it is sent.`;
+}
+
+/**
+ * @template T
+ * @param {() => Promise<T>} work
+ * @returns {Promise<T>}
+ */
+function inTurn(work) {
+  const result = queue.then(work);
+  queue = result.catch(() => {});
+  return result;
+}
+
+let asked = false;
+/** Asks the browser not to throw away what is kept when the device fills up. */
+function askForDurability() {
+  if (!asked) navigator.storage?.persist?.().catch(() => {});
+  asked = true;
+}
+
+/** Asks the browser to start the service worker when there is a network again, also after this page was closed; not every browser can. */
+async function askForSync() {
+  /** @type {(ServiceWorkerRegistration & { sync?: { register: (tag: string) => Promise<void> } }) | undefined} */
+  const registration = await navigator.serviceWorker?.getRegistration().catch(() => undefined);
+  await registration?.sync?.register(SYNC).catch(() => {});
+}

@@ -1,0 +1,36 @@
+// The form that an upload of files is: multipart/form-data as one blob, of which nothing is read before it is sent.
+
+/** @typedef {{ path: string, body: Blob }} Part a file, by its name or its path in the folder that was chosen */
+
+/**
+ * The form of these files.
+ * @param {Part[]} parts
+ * @param {string} filetype its media type, which names the boundary
+ * @returns {Blob}
+ */
+export function formOf(parts, filetype) {
+  const line = `--${filetype.split('boundary=')[1]}`;
+  const pieces = parts.flatMap(({ path, body }) => [
+    `${line}\r\nContent-Disposition: form-data; name="files"; filename="${escaped(path)}"\r\n\r\n`,
+    body,
+    '\r\n',
+  ]);
+  return new Blob([...pieces, `${line}--\r\n`]);
+}
+
+/** A media type with a boundary that stands in no file. */
+export const newFiletype = () => `multipart/form-data; boundary=${randomKey()}`;
+
+/** A file as a part of a form. @param {File} file @returns {Part} */
+export const partOf = (file) => ({ path: pathOf(file), body: file });
+
+/** A file's path in the folder that was chosen, or its name. @param {File} file */
+export const pathOf = (file) => file.webkitRelativePath || file.name;
+
+/** A random key of 32 hexadecimal digits. Not crypto.randomUUID, which needs HTTPS: at home a phone may use plain HTTP. */
+export function randomKey() {
+  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
+}
+
+/** A name as the HTML standard writes it into a form. @param {string} name */
+const escaped = (name) => name.replace(/["\r\n]/g, encodeURIComponent);

@@ -1,0 +1,245 @@
+"""What the capture page keeps on the device: photos that were not sent, and captures that found no server."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Browser, BrowserContext, Page, expect
+
+from services.gateway.access.caller import ALL_SCOPES, Scope
+from services.gateway.jobs.capture_objects import capture_name
+from tests.support.lines import Line, line_to
+from tests.support.pages import await_data
+from tests.support.sites import Site
+from tests.support.tenants import make_key
+from tests.web.conftest import GuardedSite, with_a_past
+
+pytestmark = pytest.mark.browser
+
+SIZE = 1200  # pixels of noise along a photo's side: one is 2 MB, and three make an upload that goes on
+
+
+@pytest.fixture
+def line(site: Site) -> Line:
+    """A line of this test's own: a browser's storage and workers belong to an address."""
+    line = line_to(site.url)
+    line.set_time_limits(CACHED_COPY_MS=300)
+    return line
+
+
+@pytest.fixture
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    """A browser that keeps what pages keep, from visit to visit."""
+    with with_a_past(browser) as context:
+        yield context
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three large ones."""
+    folder = tmp_path_factory.mktemp("photos")
+    rng = np.random.default_rng(0)
+    paths = [folder / f"IMG_{number}.jpg" for number in range(3)]
+    for path in paths:
+        Image.fromarray(rng.integers(0, 256, (SIZE, SIZE, 3), np.uint8)).save(path, quality=95)
+    return paths
+
+
+def visit(context: BrowserContext, line: Line, *, wait_for: str = "") -> Page:
+    page = context.new_page()
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.goto(line.url)
+    await_data(page, started="yes", **({"offline": wait_for} if wait_for else {}))
+    return page
+
+
+def visit_once(context: BrowserContext, line: Line) -> None:
+    """Until the browser has all that a visit without the server needs."""
+    visit(context, line, wait_for="ready").close()
+
+
+def send(page: Page, photos: list[Path], name: str) -> None:
+    page.locator("#files").set_input_files(photos)
+    page.locator("#name").fill(name)
+    page.locator("#description").evaluate("area => (area.value = 'From the attic.')")
+    page.get_by_role("button", name="Send").click()
+
+
+def jobs_of(site: Site, key: str) -> list[dict[str, Any]]:
+    return [job for job in httpx.get(f"{site.url}/v1/jobs").json()["jobs"] if job["asset_key"] == key]
+
+
+def stored_files(site: Site, job: dict[str, Any]) -> dict[str, str]:
+    """The SHA-256 of each file of a job's capture."""
+    with zipfile.ZipFile(io.BytesIO(site.store.get(capture_name(job["capture"])))) as archive:
+        return {name: hashlib.sha256(archive.read(name)).hexdigest() for name in archive.namelist()}
+
+
+def hashes(photos: list[Path]) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in photos}
+
+
+def keep_without_a_server(context: BrowserContext, line: Line, photos: list[Path], name: str) -> None:
+    """Open the page without the server, send, and close it."""
+    visit_once(context, line)
+    line.cut()
+    page = visit(context, line)
+    send(page, photos, name)
+    alert = page.get_by_role("alert")
+    expect(alert).to_contain_text("The server cannot be reached.")
+    expect(alert).to_contain_text("It is kept on this device, and sent when the server can be reached")
+    page.close()
+
+
+def test_a_capture_without_a_server_is_kept_and_sent_when_the_page_opens_again(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path]
+) -> None:
+    keep_without_a_server(context, line, photos, "Attic chair")
+    waiting = visit(context, line)
+    expect(waiting.locator("#kept-list li")).to_contain_text("Attic chair: it waits for the server.")
+    waiting.close()
+    line.mend()
+    page = visit(context, line)
+    await_data(page, kept="sent")
+    (job,) = jobs_of(site, "Attic-chair")
+    assert stored_files(site, job) == hashes(photos)
+    assert job["label"] == "Attic chair"
+    page.get_by_role("button", name="See it").click()
+    await_data(page, job=job["state"])
+    page.goto(line.url)
+    await_data(page, kept="")
+    assert len(jobs_of(site, "Attic-chair")) == 1
+
+
+def test_the_service_worker_sends_while_no_capture_page_is_open(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path]
+) -> None:
+    keep_without_a_server(context, line, photos, "Attic lamp")
+    line.mend()
+    other = context.new_page()
+    devtools = context.new_cdp_session(other)
+    registrations: list[dict[str, Any]] = []
+    devtools.on("ServiceWorker.workerRegistrationUpdated", lambda event: registrations.extend(event["registrations"]))
+    devtools.send("ServiceWorker.enable")
+    other.goto(f"{line.url}/browse/default")
+    await_data(other, offline="ready")
+    found = next(each for each in registrations if each["scopeURL"].startswith(line.url))
+    sync = {"origin": line.url, "registrationId": found["registrationId"], "tag": "send-captures", "lastChance": False}
+    devtools.send("ServiceWorker.dispatchSyncEvent", sync)
+    while not jobs_of(site, "Attic-lamp"):
+        other.wait_for_function("() => new Promise((resolve) => setTimeout(() => resolve(true), 50))")
+    (job,) = jobs_of(site, "Attic-lamp")
+    assert stored_files(site, job) == hashes(photos)
+    page = visit(context, line)
+    expect(page.locator("#kept-list li")).to_contain_text("Attic lamp: sent.")
+
+
+def test_trying_again_on_the_same_page_sends_it_once(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path]
+) -> None:
+    page = visit(context, line)
+    line.cut()
+    send(page, photos[:1], "Attic box")
+    expect(page.get_by_role("alert")).to_contain_text("It is kept on this device")
+    line.mend()
+    page.get_by_role("button", name="Try again").click()
+    page.wait_for_url("**/#job=*")
+    page.goto(line.url)
+    page.reload()
+    await_data(page, kept="")
+    assert len(jobs_of(site, "Attic-box")) == 1
+
+
+def test_what_the_server_refuses_is_said_and_stays_until_it_is_deleted(
+    context: BrowserContext, line: Line, tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken.jpg"
+    broken.write_bytes(b"\xff\xd8\xff" + bytes(1000))
+    keep_without_a_server(context, line, [broken], "Broken")
+    line.mend()
+    page = visit(context, line)
+    await_data(page, kept="refused")
+    expect(page.locator("#kept-list li")).to_contain_text("broken.jpg")
+    page.get_by_role("button", name="Delete").click()
+    await_data(page, kept="")
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        ("indexedDB.open = () => { throw new DOMException('no', 'SecurityError'); }", "This browser keeps nothing"),
+        (
+            "IDBObjectStore.prototype.put = () => { throw new DOMException('full', 'QuotaExceededError'); }",
+            "This device has no room for it.",
+        ),
+    ],
+)
+def test_what_cannot_be_kept_is_said_and_stays_in_the_page(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path], fault: str, sentence: str
+) -> None:
+    page = context.new_page()
+    page.add_init_script(fault)
+    page.goto(line.url)
+    page.locator("#photos").set_input_files(photos[0])
+    expect(page.locator("#not-kept")).to_contain_text(sentence)
+    expect(page.locator("#not-kept")).to_contain_text("leave the page open until it is sent")
+    line.cut()
+    page.locator("#name").fill("Homeless")
+    page.get_by_role("button", name="Send").click()
+    expect(page.locator("#trouble")).to_contain_text(sentence)
+    line.mend()
+    before = len(jobs_of(site, "Homeless"))
+    page.get_by_role("button", name="Try again").click()
+    page.wait_for_url("**/#job=*")
+    assert len(jobs_of(site, "Homeless")) == before + 1
+
+
+def test_photos_that_were_taken_and_not_sent_are_there_at_the_next_visit(
+    context: BrowserContext, line: Line, photos: list[Path]
+) -> None:
+    page = visit(context, line)
+    for photo in photos:
+        page.locator("#photos").set_input_files(photo)
+    await_data(page, looked="3", onDevice="yes")
+    page.close()
+    page = visit(context, line)
+    expect(page.locator("#kept-list li")).to_contain_text("3 photos of")
+    page.get_by_role("button", name="Go on").click()
+    await_data(page, looked="3", kept="")
+    expect(page.locator("#count")).to_have_text("3 photos")
+    expect(page.locator("#name")).to_have_value("")
+    page.close()
+    page = visit(context, line)
+    page.get_by_role("button", name="Delete").click()
+    await_data(page, kept="")
+
+
+def test_another_user_of_the_browser_neither_sees_nor_sends_them(
+    browser: Browser, guarded: GuardedSite, photos: list[Path]
+) -> None:
+    line = line_to(guarded.url)
+    bob = make_key(guarded.data_dir, "bob", ALL_SCOPES - {Scope.OPERATE})
+    with with_a_past(browser) as context:
+
+        def log_in(key: str) -> None:
+            assert context.request.post(f"{line.url}/v1/session", data={"key": key}).ok
+
+        log_in(guarded.key)
+        keep_without_a_server(context, line, photos[:1], "Diary")
+        line.mend()
+        log_in(bob)
+        page = visit(context, line, wait_for="ready")
+        await_data(page, tenant="bob", kept="")
+        page.close()
+        assert not httpx.get(f"{guarded.url}/v1/jobs", headers={"Authorization": f"Bearer {bob}"}).json()["jobs"]
+        log_in(guarded.key)
+        await_data(visit(context, line), tenant="ada", kept="sent")
