@@ -2,6 +2,7 @@
 // the finer ones whenever the page has nothing else to do.
 import { ktx2 } from './ktx2.js';
 import { meshDecoder } from './mesh-decoder.js';
+import { surfaceLook } from './surface-look.js';
 import { GLTFLoader } from '../vendor/three-0.187.0.gltf-loader.js';
 import { Problem, undecodable } from '../shared/problems.js';
 import { DECODE_MS, withTimeLimit } from '../shared/time-limits.js';
@@ -66,7 +67,7 @@ async function loadNext() {
  * @param {WebGLRenderer} renderer
  */
 export function createGlbLoader(renderer) {
-  return new GLTFLoader().setMeshoptDecoder(meshDecoder()).register(ktx2(renderer));
+  return new GLTFLoader().setMeshoptDecoder(meshDecoder()).register(ktx2(renderer)).register(surfaceLook);
 }
 
 /**

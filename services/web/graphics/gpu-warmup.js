@@ -12,26 +12,26 @@ const STRIP_BYTES = 1 << 20; // of a picture, uploaded at once: all of 2048² te
 const BITMAP = { premultiplyAlpha: 'none', colorSpaceConversion: 'none' }; // as glTF has its texels, and as GLTFLoader decodes them
 
 /**
- * Compile the shaders of a model and upload its textures. Resolves once the card has them.
+ * Compile the shaders of an object and upload its textures. Resolves once the card has them.
  * @param {Stage} stage
- * @param {THREE.Group} group
+ * @param {THREE.Object3D} object
  */
-export async function prepare({ renderer, scene, camera }, group) {
+export async function prepare({ renderer, scene, camera }, object) {
   const gl = /** @type {WebGL2RenderingContext} */ (renderer.getContext()); // three.js makes no other
   await gpuDone(gl); // a question to the card waits for all work that it was given before
-  await withTimeLimit(renderer.compileAsync(group, camera, scene), SHADER_MS).catch(() => {}); // then the first frame waits for them
-  for (const texture of allTextures(group)) await uploadTexture(renderer, texture);
+  await withTimeLimit(renderer.compileAsync(object, camera, scene), SHADER_MS).catch(() => {}); // then the first frame waits for them
+  for (const texture of allTextures(object)) await uploadTexture(renderer, texture);
   await gpuDone(gl);
 }
 
 /**
- * All textures of a model, each once.
- * @param {THREE.Group} group
+ * All textures of an object and all below it, each once.
+ * @param {THREE.Object3D} object
  */
-function allTextures(group) {
+function allTextures(object) {
   /** @type {Set<THREE.Texture>} */
   const textures = new Set();
-  group.traverse((node) => materialsOf(node).flatMap(texturesOf).forEach((texture) => textures.add(texture)));
+  object.traverse((node) => materialsOf(node).flatMap(texturesOf).forEach((texture) => textures.add(texture)));
   return textures;
 }
 

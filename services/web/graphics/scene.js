@@ -1,26 +1,27 @@
 // What the pages draw with: renderer, light, a camera that sees the whole of a thing, and freeing memory of the graphics card.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { createStudioLight } from './studio-light.js';
 
 /** @import { Manifest, SizeM } from '../shared/types.d.ts' */
 
 /** @typedef {{ renderer: THREE.WebGLRenderer, scene: THREE.Scene, camera: THREE.PerspectiveCamera }} Stage */
 
+const VIEW = new THREE.Vector3(0.35, 0.3, 0.9).normalize(); // from the middle of a thing to the camera
+const FILLED = [0.88, 0.76]; // of the view's width and height by a thing: above and below it are words and buttons
 const POINT_SHARE = 1 / 40; // size of a point of the hints, of the thing's diameter
 
 /**
- * Creates a renderer, a scene with soft light, and a camera that fit a canvas. Throws where the browser has no WebGL.
+ * Creates a renderer, a scene in the light of a studio, and a camera that fit a canvas. Throws where the browser has no WebGL.
  * @param {HTMLCanvasElement} canvas
  * @returns {Stage}
  */
 export function createStage(canvas) {
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   renderer.debug.checkShaderErrors = false; // asking for them waits for the graphics card
+  renderer.toneMapping = THREE.NeutralToneMapping; // Khronos PBR Neutral: keeps hues and all but the brightest tones; filmic curves tint paint
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
   const scene = new THREE.Scene();
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f99, 2.2));
-  const sun = new THREE.DirectionalLight(0xffffff, 1.4);
-  sun.position.set(1, 2, 1.5);
-  scene.add(sun);
+  scene.add(...createStudioLight());
   const camera = new THREE.PerspectiveCamera(45, 1, 0.01, 200);
 
   function resize() {
@@ -44,14 +45,29 @@ export function createStage(canvas) {
  */
 export function frame(camera, size, target = new THREE.Vector3(0, size[1] / 2, 0)) {
   const radius = Math.max(0.05, Math.hypot(size[0], size[1], size[2]) / 2);
-  const half = Math.min(camera.fov, camera.fov * camera.aspect) / 2;
-  const distance = (radius / Math.sin(THREE.MathUtils.degToRad(half))) * 0.9; // the sphere around a thing is larger than the thing
-  camera.position.set(0.35, 0.3, 0.9).normalize().multiplyScalar(distance).add(target);
+  camera.position.copy(target).add(VIEW);
+  camera.lookAt(target);
+  camera.position.copy(target).addScaledVector(VIEW, Math.max(radius, distanceToFit(camera, size)));
   camera.near = radius / 50;
   camera.far = radius * 100;
   camera.updateProjectionMatrix();
-  camera.lookAt(target);
   return target;
+}
+
+/**
+ * From how far away the camera sees all corners of a box, in metres from its middle.
+ * @param {THREE.PerspectiveCamera} camera that looks at the middle
+ * @param {SizeM | THREE.Vector3Tuple} size
+ */
+function distanceToFit(camera, size) {
+  const half = Math.tan(THREE.MathUtils.degToRad(camera.fov / 2));
+  const [across, up] = [half * camera.aspect * FILLED[0], half * FILLED[1]];
+  const turn = camera.quaternion.clone().invert();
+  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((place) => new THREE.Vector3(...size.map((side, axis) => (place & (1 << axis) ? side / 2 : -side / 2))));
+  return Math.max(...corners.map((corner) => {
+    const { x, y, z } = corner.applyQuaternion(turn);
+    return Math.max(Math.abs(x) / across, Math.abs(y) / up) + z;
+  }));
 }
 
 /**
@@ -66,7 +82,7 @@ export function hintsOf({ anchors }, size) {
   const colours = Float32Array.from(anchors.rgb, (value) => new THREE.Color().setRGB(value / 255, 0, 0, THREE.SRGBColorSpace).r);
   geometry.setAttribute('position', new THREE.Float32BufferAttribute(anchors.xyz_m, 3));
   geometry.setAttribute('color', new THREE.Float32BufferAttribute(colours, 3));
-  return new THREE.Points(geometry, new THREE.PointsMaterial({ size: Math.hypot(...size) * POINT_SHARE, vertexColors: true }));
+  return new THREE.Points(geometry, new THREE.PointsMaterial({ size: Math.hypot(...size) * POINT_SHARE, vertexColors: true, toneMapped: false }));
 }
 
 /**

@@ -15,6 +15,7 @@ const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'
  * @property {() => LoadedItem[]} items
  * @property {{ update: () => boolean }} controls of the camera on the page
  * @property {(seconds: number) => void} onHeadsetFrame before each frame in a headset
+ * @property {() => void} onDraw before each frame that is drawn
  * @property {() => void} onDrawn after each frame that was drawn
  */
 
@@ -25,7 +26,7 @@ const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'
  * @param {FrameCallbacks} callbacks
  * @returns {{ redraw: () => void }} redraw: to be called after a change
  */
-export function startRenderLoop({ renderer, scene, camera }, { items, controls, onHeadsetFrame, onDrawn }) {
+export function startRenderLoop({ renderer, scene, camera }, { items, controls, onHeadsetFrame, onDraw, onDrawn }) {
   let last = performance.now();
   let drawUntil = last + REDRAW_MS;
 
@@ -47,6 +48,7 @@ export function startRenderLoop({ renderer, scene, camera }, { items, controls, 
     showTiles(items(), eyes);
     reportState(items(), renderer.info.memory);
     if (!inHeadset && now > drawUntil) return;
+    onDraw();
     renderer.render(scene, camera);
     onDrawn();
   });

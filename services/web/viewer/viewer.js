@@ -8,6 +8,7 @@ import { placeSideBySide } from './layout-and-lod.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
 import { startRenderLoop } from './render-loop.js';
 import { SceneItem, isLoaded } from './scene-item.js';
+import { Shadows } from './shadows.js';
 import { findStandingPlace } from './standing-place.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
@@ -61,6 +62,7 @@ let selected = null;
 
 const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onMove: savePlace, onSelect: select });
 const grabber = new Grabber(savePlace);
+const shadows = new Shadows(root, (shadow) => prepare(stage, shadow).then(redraw));
 const walker = new Walker(renderer, scene, root, {
   surfaces: () => loadedItems().flatMap((item) => item.surface ?? []),
   onMove: () => reportPlace(root.position.toArray()),
@@ -84,6 +86,7 @@ const { redraw } = startRenderLoop(stage, {
   items: loadedItems,
   controls,
   onHeadsetFrame: (seconds) => input.update(seconds),
+  onDraw: () => shadows.update(loadedItems(), hasShadow),
   onDrawn: () => headset.update(),
 });
 const updates = new ItemUpdates({
@@ -126,6 +129,16 @@ function movableItems() {
 /** @param {LoadedItem} item */
 function isMovable({ entry }) {
   return entry.may_place !== false;
+}
+
+/**
+ * Whether a thing throws a shadow on the floor: on the page, and in VR where the scene stands on the floor and nobody holds the thing. In
+ * passthrough the room's own floor is where nobody knows.
+ * @param {LoadedItem} item
+ */
+function hasShadow(item) {
+  if (!renderer.xr.isPresenting) return true;
+  return document.body.dataset.mode === 'vr' && root.position.y === 0 && grabber.handCount(item) === 0;
 }
 
 // ---- what is shown ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,84 @@
+// The shadows of the things in the scene, on its floor. One is worked out anew only when its thing was turned, scaled, lifted or replaced.
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { ContactShadow } from '../graphics/contact-shadow.js';
+
+/** @import { LoadedItem } from './scene-item.js' */
+
+/**
+ * A shadow, and the thing as it was when the shadow was worked out.
+ * @typedef {object} Cast
+ * @property {ContactShadow} shadow
+ * @property {boolean} isReady whether the graphics card has its shader
+ * @property {THREE.Object3D | undefined} level
+ * @property {THREE.Matrix4} pose of the thing, without where it stands on the floor
+ * @property {THREE.Vector3} offset of the shadow from the thing
+ */
+
+/** The shadows of all things. */
+export class Shadows {
+  #root;
+  #prepare;
+  /** @type {Map<LoadedItem, Cast>} */
+  #casts = new Map();
+
+  /**
+   * @param {THREE.Object3D} root whose floor they lie on
+   * @param {(shadow: THREE.Object3D) => Promise<void>} prepare makes what the graphics card needs
+   */
+  constructor(root, prepare) {
+    this.#root = root;
+    this.#prepare = prepare;
+  }
+
+  /**
+   * Brings the shadows to where the things are. To be called before each frame.
+   * @param {LoadedItem[]} items
+   * @param {(item: LoadedItem) => boolean} isShown
+   */
+  update(items, isShown) {
+    for (const [item, { shadow }] of this.#casts) {
+      if (items.includes(item)) continue;
+      shadow.dispose();
+      this.#casts.delete(item);
+    }
+    for (const item of items) {
+      const standsOnIt = !item.isTiled && !item.isWalkable; // what people walk in has a floor of its own
+      if (standsOnIt && isShown(item)) this.#show(item, this.#castOf(item));
+      else this.#hide(item);
+    }
+  }
+
+  /** @param {LoadedItem} item */
+  #hide(item) {
+    const cast = this.#casts.get(item);
+    if (cast) cast.shadow.object.visible = false;
+  }
+
+  /**
+   * @param {LoadedItem} item
+   * @param {Cast} cast
+   */
+  #show(item, cast) {
+    const { position } = item.group;
+    const pose = item.group.matrix.compose(position, item.group.quaternion, item.group.scale).clone().setPosition(0, position.y, 0);
+    const level = item.model.coarsest;
+    if (level && (level !== cast.level || !pose.equals(cast.pose))) {
+      cast.shadow.cast(level, this.#root.matrixWorld.clone().invert());
+      Object.assign(cast, { level, pose, offset: cast.shadow.object.position.clone().sub(position).setY(0) });
+    }
+    cast.shadow.object.position.set(position.x, 0, position.z).add(cast.offset);
+    cast.shadow.object.visible = cast.isReady;
+  }
+
+  /** @param {LoadedItem} item */
+  #castOf(item) {
+    const known = this.#casts.get(item);
+    if (known) return known;
+    /** @type {Cast} */
+    const cast = { shadow: new ContactShadow(), isReady: false, level: undefined, pose: new THREE.Matrix4(), offset: new THREE.Vector3() };
+    this.#casts.set(item, cast);
+    this.#root.add(cast.shadow.object);
+    this.#prepare(cast.shadow.object).then(() => (cast.isReady = true));
+    return cast;
+  }
+}
