@@ -1,7 +1,7 @@
 // The crop box: its edges and six handles, one for each face, dragged by a finger or set by sliders.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 
-/** @import { Box } from './capture-frame.js' */
+/** @import { Box } from '../graphics/capture-frame.js' */
 
 const HANDLE_SHARE = 0.016; // radius of a handle, of the distance to the camera
 const TOUCH = 2.6; // a finger is larger than a handle: how much larger the part is that it hits

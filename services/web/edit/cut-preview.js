@@ -2,7 +2,7 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { materialsOf } from '../graphics/scene.js';
 
-/** @import { Box } from './capture-frame.js' */
+/** @import { Box } from '../graphics/capture-frame.js' */
 
 const GHOST = new THREE.MeshBasicMaterial({
   color: 0x808894, transparent: true, opacity: 0.1, depthWrite: false, side: THREE.DoubleSide,

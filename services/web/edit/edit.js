@@ -2,7 +2,6 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { showSides, startDragging, startSides } from './box-control.js';
-import { Comparison } from './compare.js';
 import { CropBoxTool } from './crop-box.js';
 import { CutPreview, planesOf } from './cut-preview.js';
 import { pick, watchTaps } from './picking.js';
@@ -13,6 +12,7 @@ import { startTabs } from './tabs.js';
 import { TrueSize } from './true-size.js';
 import { Upright } from './upright.js';
 import { restoreVersion, showVersions } from './version-list.js';
+import { Comparison } from '../graphics/compare.js';
 import { pause } from '../graphics/gpu-warmup.js';
 import { createStage, frame } from '../graphics/scene.js';
 import { getJson } from '../shared/api.js';
@@ -53,7 +53,7 @@ const planes = new PlaneList(change);
 const upright = new Upright(camera, change);
 const size = new TrueSize(change);
 const preview = new CutPreview(renderer);
-const comparison = new Comparison(redraw);
+const comparison = new Comparison(element('picture', HTMLElement), redraw);
 const controls = new OrbitControls(camera, page.canvas);
 
 /** @type {AssetEntry} the newest version */

@@ -1,11 +1,10 @@
 // A version of an asset as it is edited: its files, its frame, its mesh, and the job that can be run again.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { CaptureFrame } from './capture-frame.js';
 import { verticesOf } from './cut-preview.js';
-import { getVersion } from './version-list.js';
+import { CaptureFrame } from '../graphics/capture-frame.js';
 import { prepare } from '../graphics/gpu-warmup.js';
 import { Model } from '../graphics/model.js';
-import { getJson } from '../shared/api.js';
+import { getJson, getVersion } from '../shared/api.js';
 import { Problem } from '../shared/problems.js';
 import { checkEntry } from '../shared/signed-catalogue.js';
 import { loadFile } from '../shared/verified-cache.js';

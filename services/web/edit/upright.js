@@ -2,7 +2,7 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { element } from '../shared/dom.js';
 
-/** @import { CaptureFrame } from './capture-frame.js' */
+/** @import { CaptureFrame } from '../graphics/capture-frame.js' */
 /** @import { Picked } from './picking.js' */
 /** @import { Triple } from '../shared/types.d.ts' */
 

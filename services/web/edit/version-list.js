@@ -1,5 +1,5 @@
 // The list of versions: edit from one, compare it with the one that is shown, restore it.
-import { getJson, postJson } from '../shared/api.js';
+import { postJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
 
 /** @import { AssetEntry, VersionRecord } from '../shared/types.d.ts' */
@@ -10,15 +10,6 @@ import { create, element } from '../shared/dom.js';
  * @property {(version: number) => void} onCompare
  * @property {(version: number) => void} onRestore
  */
-
-/**
- * The entry of an asset as it was with a version.
- * @param {string} key
- * @param {number} version
- * @returns {Promise<AssetEntry>}
- * @throws {Problem} as `getJson`
- */
-export const getVersion = (key, version) => getJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}`);
 
 /**
  * Publishes an earlier version again as the newest one.

@@ -6,7 +6,7 @@ import { isConnectionProblem, noAnswer, offline, parseAnswer } from './problems.
 import { ownName } from './whose.js';
 import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
-/** @import { AnchorPoints, AnchorsEvent, CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
+/** @import { AnchorPoints, AnchorsEvent, AssetEntry, CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
 const GATEWAY_ERRORS = [502, 503, 504]; // a proxy's word that the server behind it cannot be reached
@@ -65,6 +65,15 @@ export async function getCachedJson(url) {
     throw problem;
   }
 }
+
+/**
+ * The entry of an asset as it was with a version.
+ * @param {string} key
+ * @param {number} version
+ * @returns {Promise<AssetEntry>}
+ * @throws {Problem} as `getJson`
+ */
+export const getVersion = (key, version) => getJson(`/v1/assets/${encodeURIComponent(key)}/versions/${version}`);
 
 /**
  * POST a JSON document.

@@ -1,25 +1,30 @@
-// Two versions on one picture, with a line between them: the other version lies in the frame of the one that is edited.
+// Two versions on one picture, with a line between them that a slider moves: the other version lies in the frame of the one.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { element } from '../shared/dom.js';
+import { create } from '../shared/dom.js';
 
-/** @import { Model } from '../graphics/model.js' */
-/** @import { Stage } from '../graphics/scene.js' */
+/** @import { Model } from './model.js' */
+/** @import { Stage } from './scene.js' */
 
-const page = {
-  split: element('split', HTMLElement),
-  at: element('split-at', HTMLInputElement),
-  left: element('split-left', HTMLElement),
-  right: element('split-right', HTMLElement),
-};
-
-/** The other version, and how both are drawn. */
+/** The other version, the slider, and how both are drawn. */
 export class Comparison {
   /** @type {Model | null} */
   #other = null;
+  #split = create('div', { id: 'split', hidden: true });
+  #at = create('input', { id: 'split-at', type: 'range', min: '0', max: '100', value: '50' });
+  #left = create('span', { id: 'split-left' });
+  #right = create('span', { id: 'split-right' });
 
-  /** @param {() => void} onChange */
-  constructor(onChange) {
-    page.at.addEventListener('input', onChange);
+  /**
+   * @param {HTMLElement} parent where the slider goes
+   * @param {() => void} onChange
+   */
+  constructor(parent, onChange) {
+    const label = create('label', { htmlFor: 'split-at', className: 'offscreen', textContent: 'Where the one version ends and the other begins' });
+    const names = create('p');
+    names.append(this.#left, ' ', this.#right);
+    this.#split.append(label, this.#at, names);
+    parent.append(this.#split);
+    this.#at.addEventListener('input', onChange);
   }
 
   /** Whether another version is shown. */
@@ -36,9 +41,9 @@ export class Comparison {
   show(other, left = '', right = '') {
     this.#other?.dispose();
     this.#other = other;
-    page.split.hidden = other === null;
-    page.left.textContent = left;
-    page.right.textContent = right;
+    this.#split.hidden = other === null;
+    this.#left.textContent = left;
+    this.#right.textContent = right;
   }
 
   /**
@@ -52,7 +57,7 @@ export class Comparison {
       return;
     }
     const { x: width, y: height } = renderer.getSize(new THREE.Vector2());
-    const edge = Math.round((width * Number(page.at.value)) / 100);
+    const edge = Math.round((width * Number(this.#at.value)) / 100);
     renderer.setScissorTest(true);
     for (const [start, end, shows] of /** @type {[number, number, boolean][]} */ ([[0, edge, true], [edge, width, false]])) {
       if (end <= start) continue;
