@@ -8,10 +8,16 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Page
 
+_STAGE_ALONE = """
+header, footer, #poster { visibility: hidden }
+main { background: none !important }
+#stage { opacity: 1 !important }
+"""
+
 
 def stage(page: Page) -> bytes:
-    """The viewer's canvas without the words and buttons that lie over it."""
-    return page.locator("#stage").screenshot(style="header, footer { visibility: hidden }")
+    """The viewer's canvas alone: without the words and buttons over it, the poster, and the backdrop behind it."""
+    return page.locator("#stage").screenshot(style=_STAGE_ALONE)
 
 
 def await_frames(page: Page) -> None:

@@ -140,6 +140,7 @@ export interface AssetProof {
 
 /** Figures of a manifest's certificate. A manifest from an older worker has fewer. */
 export interface QualityFigures {
+  held_out?: number;
   held_out_mean?: number;
   points_to_mesh_median?: number;
   coverage?: number;
@@ -149,6 +150,8 @@ export interface QualityFigures {
   triangles?: number;
   steps?: number;
   seconds?: number;
+  verdict?: 'better' | 'even' | 'worse';
+  photos?: { cover: number } | null;
 }
 
 /** Whether a photo was used. `verdict`: "ok", or why it was left out. */
@@ -160,10 +163,13 @@ export interface PhotoVerdict {
 
 /** What was captured. `unseen`: sides of the object that it shows too little of. */
 export interface CaptureSummary {
+  kind?: 'points' | 'rgbd' | 'photos' | 'image';
   format?: string;
+  frames?: number;
   photos?: PhotoVerdict[];
   unseen?: { advice: string }[];
   cut?: CutReport | null;
+  up?: { source: string; confidence: number } | null;
 }
 
 /** What was kept of a capture, and why. */
@@ -185,6 +191,11 @@ export interface Manifest {
   quality?: QualityFigures & { preview?: QualityFigures };
   anchors?: AnchorPoints;
   edits?: Edits;
+  warnings?: string[];
+  preset?: string;
+  preset_because?: string;
+  target?: string;
+  generator?: string;
   files: AssetFile[];
 }
 

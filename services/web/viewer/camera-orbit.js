@@ -8,30 +8,29 @@ const CLOSER = 0.85; // of the distance, by one key press
 const SIDES = ['the front', 'the front right', 'the right', 'the back right', 'the back', 'the back left', 'the left', 'the front left'];
 const [ABOVE, BELOW] = [0.5, -0.1]; // sine of the angle over the floor from which on the view counts as from above, or below which as from below
 
-/** @type {Record<string, (controls: OrbitControls) => void>} */
-const KEYS = {
-  ArrowLeft: (controls) => orbit(controls, STEP, 0),
-  ArrowRight: (controls) => orbit(controls, -STEP, 0),
-  ArrowUp: (controls) => orbit(controls, 0, -STEP),
-  ArrowDown: (controls) => orbit(controls, 0, STEP),
-  '+': (controls) => zoom(controls, CLOSER),
-  '=': (controls) => zoom(controls, CLOSER), // the plus of an English keyboard without Shift
-  '-': (controls) => zoom(controls, 1 / CLOSER),
-};
+/** @type {Map<string, (controls: OrbitControls) => void>} */
+const MOVES = new Map([
+  ['ArrowLeft', (controls) => orbit(controls, STEP, 0)],
+  ['ArrowRight', (controls) => orbit(controls, -STEP, 0)],
+  ['ArrowUp', (controls) => orbit(controls, 0, -STEP)],
+  ['ArrowDown', (controls) => orbit(controls, 0, STEP)],
+  ['+', (controls) => zoom(controls, CLOSER)],
+  ['=', (controls) => zoom(controls, CLOSER)], // the plus of an English keyboard without Shift
+  ['-', (controls) => zoom(controls, 1 / CLOSER)],
+]);
 
 /**
  * Lets keys turn the camera and bring it closer, while the canvas has the focus.
  * @param {OrbitControls} controls
  * @param {HTMLCanvasElement} canvas
- * @param {Record<string, () => void>} others what further keys do
+ * @param {Map<string, () => void>} others what further keys do
  * @param {(text: string) => void} say is called with from where the camera looks now, in words
  */
 export function startCameraKeys(controls, canvas, others, say) {
   canvas.addEventListener('keydown', (event) => {
     if (event.altKey || event.ctrlKey || event.metaKey) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const move = KEYS[key];
-    const other = others[key];
+    const [move, other] = [MOVES.get(key), others.get(key)];
     if (!move && !other) return;
     event.preventDefault();
     move?.(controls);

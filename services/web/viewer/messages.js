@@ -10,6 +10,7 @@ const TILE = /^tile-.*\.glb$/; // of a large scene, whose levels of the whole on
 const NOTICE_MS = 10_000; // long enough to read; later it may no longer be true
 
 const page = {
+  canvas: element('stage', HTMLCanvasElement),
   label: element('label', HTMLElement),
   summary: element('said', HTMLElement),
   description: element('description', HTMLElement),
@@ -34,6 +35,7 @@ export function showCaption(items, wanted, failed) {
   document.title = `${name} · capture2vr`;
   page.label.textContent = name;
   page.summary.textContent = wanted === 1 ? aboutOne(entries[0]) : aboutAll(entries, wanted, failed);
+  page.canvas.ariaLabel = [name, page.summary.textContent].join(': ');
   page.description.textContent = items.length === 1 ? (entries[0].description ?? '') : '';
   page.description.hidden = !page.description.textContent;
   const { dataset } = document.body;
@@ -152,6 +154,7 @@ export function showError(error, { canRetry = false } = {}) {
   const problem = toProblem(error);
   document.body.dataset.code = problem.code;
   page.summary.textContent = sentences(problem);
+  page.canvas.ariaLabel = page.summary.textContent;
   if (!canRetry) return;
   page.label.textContent = 'Not loaded';
   page.retry.hidden = false;

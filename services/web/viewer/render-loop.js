@@ -13,9 +13,9 @@ const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'
  * What the render loop asks and calls.
  * @typedef {object} FrameCallbacks
  * @property {() => LoadedItem[]} items
- * @property {{ update: () => boolean }} controls of the camera on the page
+ * @property {{ update: (seconds: number) => boolean }} controls of the camera on the page
  * @property {(seconds: number) => void} onHeadsetFrame before each frame in a headset
- * @property {() => void} onDraw before each frame that is drawn
+ * @property {() => void} draw draws a frame
  * @property {() => void} onDrawn after each frame that was drawn
  */
 
@@ -26,7 +26,7 @@ const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'
  * @param {FrameCallbacks} callbacks
  * @returns {{ redraw: () => void }} redraw: to be called after a change
  */
-export function startRenderLoop({ renderer, scene, camera }, { items, controls, onHeadsetFrame, onDraw, onDrawn }) {
+export function startRenderLoop({ renderer, camera }, { items, controls, onHeadsetFrame, draw, onDrawn }) {
   let last = performance.now();
   let drawUntil = last + REDRAW_MS;
 
@@ -42,14 +42,13 @@ export function startRenderLoop({ renderer, scene, camera }, { items, controls, 
     last = now;
     const inHeadset = renderer.xr.isPresenting;
     if (inHeadset) onHeadsetFrame(seconds);
-    else if (controls.update()) redraw();
+    else if (controls.update(seconds)) redraw();
     const eyes = inHeadset ? renderer.xr.getCamera() : camera;
     showLevels(items(), eyes);
     showTiles(items(), eyes);
     reportState(items(), renderer.info.memory);
     if (!inHeadset && now > drawUntil) return;
-    onDraw();
-    renderer.render(scene, camera);
+    draw();
     onDrawn();
   });
 

@@ -1,15 +1,21 @@
 // The viewer page (/view/{key}, /view?key=a&key=b): things on a screen or in a headset, side by side where there are several.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
+import { startBackdrop } from './backdrop.js';
+import { startCameraKeys } from './camera-orbit.js';
 import { DragControls } from './drag.js';
+import { startFullScreen } from './full-screen.js';
 import { Grabber } from './grab.js';
 import { ItemUpdates, hasFailed } from './item-updates.js';
 import { placeSideBySide } from './layout-and-lod.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
+import { offerAbout, offerDownloads, offerManaging } from './panels.js';
+import { hidePoster, showPoster } from './poster.js';
 import { startRenderLoop } from './render-loop.js';
 import { SceneItem, isLoaded } from './scene-item.js';
 import { Shadows } from './shadows.js';
 import { findStandingPlace } from './standing-place.js';
+import { startTurntable } from './turntable.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
 import { XrSession } from './xr-session.js';
@@ -25,6 +31,7 @@ import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { LoadedItem } from './scene-item.js' */
+/** @import { VersionComparison } from './version-comparison.js' */
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 
 const MOST = 24; // things in one scene
@@ -43,10 +50,7 @@ const page = {
   ar: element('enter-ar', HTMLButtonElement),
   qr: element('qr', HTMLImageElement),
   address: element('address', HTMLElement),
-  names: element('names', HTMLDetailsElement),
-  downloads: element('downloads', HTMLDetailsElement),
-  share: element('share', HTMLDetailsElement),
-  edit: element('edit', HTMLAnchorElement),
+  view: element('view', HTMLElement),
 };
 
 await pause(); // between two long tasks of the main thread: loading the modules, and creating the WebGL context
@@ -59,6 +63,9 @@ const controls = new OrbitControls(camera, renderer.domElement);
 let items = keysFrom(location).map((key) => new SceneItem(key));
 /** @type {SceneItem | null} */
 let selected = null;
+/** @type {VersionComparison | null} */
+let comparison = null; // once somebody wants one
+let showFacts = () => {}; // of a thing that is alone, after each change of it
 
 const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onMove: savePlace, onSelect: select });
 const grabber = new Grabber(savePlace);
@@ -86,7 +93,7 @@ const { redraw } = startRenderLoop(stage, {
   items: loadedItems,
   controls,
   onHeadsetFrame: (seconds) => input.update(seconds),
-  onDraw: () => shadows.update(loadedItems(), hasShadow),
+  draw,
   onDrawn: () => headset.update(),
 });
 const updates = new ItemUpdates({
@@ -131,6 +138,13 @@ function isMovable({ entry }) {
   return entry.may_place !== false;
 }
 
+/** Draws a frame. */
+function draw() {
+  shadows.update(loadedItems(), hasShadow);
+  if (comparison?.isOn) comparison.render();
+  else renderer.render(scene, camera);
+}
+
 /**
  * Whether a thing throws a shadow on the floor: on the page, and in VR where the scene stands on the floor and nobody holds the thing. In
  * passthrough the room's own floor is where nobody knows.
@@ -153,12 +167,14 @@ async function update(item) {
   const before = item.entry;
   if (before && before.version === unchecked.version) return;
   const entry = await checkEntry(unchecked);
-  if (!before) showHints(item, entry);
+  if (before) endComparison();
+  else showPlaceholders(item, entry);
   await item.show(entry, renderer, {
     prepare: (group) => prepare(stage, group),
     onChange: redraw,
     onTileError: (error, file) => showNotice(`A part of ${item.name} is shown coarser: ${file} could not be loaded. ${toProblem(error).message}`),
   });
+  hidePoster();
   if (!items.includes(item)) {
     item.remove(); // the person has removed it meanwhile
     return;
@@ -176,6 +192,16 @@ async function update(item) {
 function updateText(before, now, name) {
   const refined = before.state === 'preview' && now.state === 'refined';
   return `${refined ? 'The refined version' : 'A new version'} of ${name} took its place: version ${now.version}.`;
+}
+
+/**
+ * Shows the poster of a thing that is alone, and its points.
+ * @param {SceneItem} item
+ * @param {AssetEntry} entry
+ */
+function showPlaceholders(item, entry) {
+  if (items.length === 1) showPoster(entry, () => !item.entry && items.includes(item));
+  showHints(item, entry);
 }
 
 /**
@@ -242,6 +268,7 @@ function showTexts() {
   showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
   const [first] = loaded;
   if (!first) return;
+  showFacts();
   page.move.hidden = movableItems().length === 0;
   const [collection] = first.entry.collections ?? ['default'];
   page.collection.hidden = !collection; // a visitor may read the thing, and none of its collections
@@ -323,39 +350,59 @@ function showMode(mode) {
   document.body.dataset.xr = mode ? 'on' : 'off';
   document.body.dataset.mode = mode;
   input.releaseAll();
+  endComparison();
   frameAll(); // the camera was left where the headset was
   redraw();
 }
 
-/** Offers the one thing of this page for other programs. The panel's module is loaded when it is opened. */
-function offerDownloads() {
+/**
+ * Offers what can be done with a thing that is alone on the page.
+ * @param {Promise<Session | null>} asking who is logged in
+ */
+async function offerPanels(asking) {
   const [item] = items;
-  if (!item || items.length > 1) return;
-  page.downloads.hidden = false;
-  page.downloads.addEventListener('toggle', () => import('./downloads.js').then(({ showDownloads }) => showDownloads(item.key)), { once: true });
+  if (!item || items.length > 1) {
+    await asking;
+    return;
+  }
+  offerDownloads(item);
+  const fillAbout = offerAbout(item, loadManifest);
+  showFacts = fillAbout;
+  const session = await asking;
+  offerManaging(item, session, ({ label, description, labels }) => {
+    if (item.entry) item.entry = { ...item.entry, label, description, labels };
+    showTexts();
+  });
+  if (!session?.scopes.includes('read') || ofShownTenant('') !== '') return;
+  showFacts = () => {
+    fillAbout();
+    offerComparison(item);
+  };
+  showFacts();
 }
 
 /**
- * Offers to name and to share the thing to somebody who manages it. A panel's module is loaded when it is opened.
- * @param {Session | null} session
+ * Offers to compare a refined thing with its preview, to somebody who may read its versions.
+ * @param {SceneItem} item
  */
-function offerManaging(session) {
-  const [item] = items;
-  const manages = session?.scopes.includes('manage') && ofShownTenant('') === '';
-  if (!manages || !item || items.length > 1) return;
-  page.edit.href = `/edit/${encodeURIComponent(item.key)}`;
-  page.edit.hidden = !session?.scopes.includes('capture');
-  page.names.hidden = false;
-  page.names.addEventListener('toggle', () => import('./naming.js').then(({ showNaming }) => showNaming(item.key, showNames)), { once: true });
-  if (session?.via !== 'session') return; // without accounts there is nobody to share it with
-  page.share.hidden = false;
-  page.share.addEventListener('toggle', () => import('./sharing.js').then(({ showSharing }) => showSharing(item.key)), { once: true });
+async function offerComparison(item) {
+  if (item.entry?.state !== 'refined' || (item.entry.versions?.length ?? 0) < 2) return;
+  const { VersionComparison: Shown } = await import('./version-comparison.js');
+  comparison ??= new Shown(stage, { onChange: redraw, onError: (error) => showNotice(toProblem(error).message) });
+  if (isLoaded(item)) comparison.offer(item);
+}
 
-  /** @param {AssetNames} names */
-  function showNames({ label, description, labels }) {
-    if (item.entry) item.entry = { ...item.entry, label, description, labels };
-    showTexts();
-  }
+/** Shows one version alone again. */
+function endComparison() {
+  if (comparison?.isOn) comparison.end();
+}
+
+/**
+ * Says from where the camera looks now.
+ * @param {string} text
+ */
+function sayView(text) {
+  page.view.textContent = text;
 }
 
 // ---- errors -----------------------------------------------------------------------------------------------------------
@@ -399,7 +446,14 @@ function retry() {
 scene.add(root);
 for (const { group } of items) root.add(group);
 controls.enableDamping = true;
-controls.listenToKeyEvents(renderer.domElement);
+startCameraKeys(controls, page.canvas, new Map([
+  ['Home', frameAll],
+  ['t', () => element('turn', HTMLButtonElement).click()],
+  ['f', () => element('full-screen', HTMLButtonElement).click()],
+]), sayView);
+startTurntable(controls, page.canvas, redraw);
+startBackdrop(showNotice);
+startFullScreen();
 page.move.addEventListener('click', () => allowMoving(page.move.getAttribute('aria-pressed') !== 'true'));
 page.reset.addEventListener('click', resetAll);
 page.retry.addEventListener('click', retry);
@@ -408,5 +462,4 @@ page.qr.src = ofShownTenant(`/v1/assets/${encodeURIComponent(items[0]?.key ?? ''
 page.qr.hidden = items.length !== 1; // the code of several would be that of the first
 registerServiceWorker();
 updates.poll();
-offerDownloads();
-showAccount().then(offerManaging);
+offerPanels(showAccount());

@@ -1,0 +1,65 @@
+// The panels of the viewer's page for the one thing that it shows, and who gets them. A panel's module is loaded when the panel is opened.
+import { element } from '../shared/dom.js';
+import { ofShownTenant } from '../shared/whose.js';
+
+/** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
+/** @import { SceneItem } from './scene-item.js' */
+
+const page = {
+  about: element('about', HTMLDetailsElement),
+  downloads: element('downloads', HTMLDetailsElement),
+  names: element('names', HTMLDetailsElement),
+  share: element('share', HTMLDetailsElement),
+  edit: element('edit', HTMLAnchorElement),
+};
+
+/**
+ * Shows a panel, and fills it when it is opened for the first time.
+ * @param {HTMLDetailsElement} panel
+ * @param {() => void} fill
+ */
+function offer(panel, fill) {
+  panel.hidden = false;
+  panel.addEventListener('toggle', fill, { once: true });
+}
+
+/**
+ * Offers the thing for other programs.
+ * @param {SceneItem} item
+ */
+export function offerDownloads({ key }) {
+  offer(page.downloads, () => import('./downloads.js').then(({ showDownloads }) => showDownloads(key)));
+}
+
+/**
+ * Offers to read how good the thing is and how it was made, once it is there; anew for each version.
+ * @param {SceneItem} item
+ * @param {(entry: AssetEntry) => Promise<Manifest>} loadManifest
+ */
+export function offerAbout(item, loadManifest) {
+  let shown = 0;
+  const fill = () => {
+    const { entry } = item;
+    if (!page.about.open || !entry || entry.version === shown) return;
+    shown = entry.version;
+    import('./about.js').then(({ showAbout }) => showAbout(entry, loadManifest));
+  };
+  page.about.hidden = false;
+  page.about.addEventListener('toggle', fill);
+  return fill;
+}
+
+/**
+ * Offers to name, to edit and to share the thing to somebody who manages it.
+ * @param {SceneItem} item
+ * @param {Session | null} session
+ * @param {(names: AssetNames) => void} onNames is called with names that were saved
+ */
+export function offerManaging({ key }, session, onNames) {
+  if (!session?.scopes.includes('manage') || ofShownTenant('') !== '') return;
+  page.edit.href = `/edit/${encodeURIComponent(key)}`;
+  page.edit.hidden = !session.scopes.includes('capture');
+  offer(page.names, () => import('./naming.js').then(({ showNaming }) => showNaming(key, onNames)));
+  if (session.via !== 'session') return; // without accounts there is nobody to share it with
+  offer(page.share, () => import('./sharing.js').then(({ showSharing }) => showSharing(key)));
+}
