@@ -361,6 +361,24 @@ def test_an_order_that_makes_no_sense_is_refused(name: str, product: Product) ->
     assert (document["status"], document["code"]) == (status, code), document
 
 
+CONTINUES: dict[str, tuple[str, int, str]] = {
+    "an unknown capture": ("cap_unknown", 404, "CAPTURE_UNKNOWN"),
+    "a capture that is a path": ("../../etc/passwd", 422, "REQUEST_INVALID"),
+    "a capture of another folder": ("tenants%2fada%2fcap_1", 422, "REQUEST_INVALID"),
+    "a capture of 0 bytes": ("%00", 422, "REQUEST_INVALID"),
+    "a capture of 300 letters": ("x" * 300, 422, "REQUEST_INVALID"),
+}
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", CONTINUES)
+def test_an_upload_that_continues_nothing_is_refused(name: str, product: Product) -> None:
+    capture, status, code = CONTINUES[name]
+    body, headers = zipped({"scan.ply": HTML}), {"Content-Type": "application/zip"}
+    answer = product.client.post(f"/v1/captures?continues={capture}", content=body, headers=headers)
+    assert (answer.status_code, problem_of(answer)["code"]) == (status, code)
+
+
 INSIDE_OUT = b'{"edits": {"crop": {"centre": [0, 0, 0], "size": [-1, 1, 1]}}}'
 ZERO_LENGTH = b'{"edits": {"length": {"start": [0, 0, 0], "end": [1, 0, 0], "metres": 0}}}'
 AGAIN: dict[str, tuple[str, bytes, int, str]] = {
@@ -372,7 +390,8 @@ AGAIN: dict[str, tuple[str, bytes, int, str]] = {
     "a box inside out": ("job_unknown", INSIDE_OUT, 422, "EDITS_INVALID"),
     "a length of zero": ("job_unknown", ZERO_LENGTH, 422, "EDITS_INVALID"),
     "NaN": ("job_unknown", b'{"edits": {"up": [NaN, 0, 0]}}', 422, "EDITS_INVALID"),
-    "another capture": ("job_unknown", b'{"cut": "scene", "capture": "cap_1"}', 422, "REQUEST_INVALID"),
+    "a capture of 300 letters": ("job_unknown", b'{"capture": "' + b"x" * 300 + b'"}', 422, "REQUEST_INVALID"),
+    "another preset": ("job_unknown", b'{"cut": "scene", "preset": "fine"}', 422, "REQUEST_INVALID"),
     "60,000 brackets": ("job_unknown", b"[" * 60_000, 400, "BAD_REQUEST"),
     "a megabyte": ("job_unknown", b'{"cut": "' + b"x" * 1_000_000 + b'"}', 413, "REQUEST_TOO_LARGE"),
 }

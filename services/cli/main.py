@@ -171,7 +171,15 @@ def up(
 @app.command()
 def push(
     capture: Annotated[Path, typer.Argument(help="The capture: a file, a folder or a zip.")],
-    key: Annotated[str, typer.Option(help="Asset key by which VR clients find the asset.")],
+    key: Annotated[str, typer.Option(help="Asset key by which VR clients find the asset.")] = "",
+    continued: Annotated[
+        str,
+        typer.Option(
+            "--continue",
+            help="Instead of --key: the key of an asset that was made from photos. The photos are added to those, and "
+            "the next version is made with the options of the last one; only --cut and --edits may differ.",
+        ),
+    ] = "",
     gateway: Gateway = DEFAULT_GATEWAY,
     preset: Annotated[
         str, typer.Option(help="Method of reconstruction, see `capture2vr presets`. Default: the gateway's.")
@@ -192,9 +200,10 @@ def push(
     ] = None,
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
-    from services.cli.push import push_capture
+    from services.cli.push import continue_capture, push_capture
 
     rectangle = parse_box(box)
+    recipe = read_edits(edits).as_json if edits else None
     options = {
         "preset": preset or None,
         "collection": collection or None,
@@ -202,12 +211,20 @@ def push(
         "longest_m": longest,
         "fill": fill,
         "box": rectangle.values if rectangle else None,
-        "edits": read_edits(edits).as_json if edits else None,
+        "edits": recipe,
         "target": target or None,
         "visibility": visibility,
         "description": description or None,
         "labels": tag,
     }
+    if bool(key) == bool(continued):
+        raise BadInput("name the asset: --key for a new capture, or --continue to add photos to an earlier one")
+    if continued:
+        fixed = [name for name, value in {**options, "label": label or None}.items() if value is not None]
+        if others := [name for name in fixed if name not in ("cut", "edits")]:
+            raise BadInput(f"--continue goes with --cut and --edits alone; the earlier job says {', '.join(others)}")
+        continue_capture(capture, gateway, key=continued, cut=cut, edits=recipe)
+        return
     push_capture(capture, gateway, key=key, label=label, options=options)
 
 

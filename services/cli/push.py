@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import httpx
 
@@ -50,24 +51,69 @@ def push_capture(
             capture = upload(client, source, bar, box=options.get("box"))
             request = {"capture": capture["capture"], "asset_key": key, "label": label or key}
             request |= {name: value for name, value in options.items() if value is not None}
-            # One key per command: a retry after a lost answer finds the job, and creates no second one.
-            job = parse_answer(client.post("/v1/jobs", json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
-            for state in follow(client, job["id"]):
-                job = state
-                bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "", job.get("losses"))
-                if (asset := job.get("asset")) and asset["state"] == "preview":  # only in the event `published`
-                    console.print(f"preview  {gateway}/view/{key}")
+            job = _followed(client, _posted(client, "/v1/jobs", request), bar, gateway)
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     return _outcome(job, gateway)
 
 
-def upload(client: httpx.Client, source: Path, bar: StageBar, *, box: Sequence[float] | None = None) -> Any:
+def continue_capture(
+    source: Path, gateway: str, *, key: str, cut: str | None, edits: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Add photos to the capture of an asset, make its next version, and return the job when it has ended.
+
+    The asset's earlier job says all but `cut` and `edits`. Raises BadInput with the gateway's error message.
+    """
+    if not source.exists():
+        raise BadInput(f"{source}: there is no such file or folder")
+    try:
+        with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
+            earlier = _job_of(client, key)
+            capture = upload(client, source, bar, continues=earlier["capture"])
+            request = {"capture": capture["capture"], "cut": cut, "edits": edits}
+            again = {name: value for name, value in request.items() if value is not None}
+            job = _followed(client, _posted(client, earlier["links"]["again"], again), bar, gateway)
+    except (httpx.TransportError, httpx.InvalidURL) as error:
+        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    return _outcome(job, gateway)
+
+
+def _job_of(client: httpx.Client, key: str) -> Any:
+    """Return the job that made the newest version of an asset. Raises BadInput."""
+    entry = parse_answer(client.get(f"/v1/assets/{quote(key, safe='')}"))
+    made = [version for version in entry.get("versions") or [] if version.get("job")]
+    if not made:
+        raise BadInput(
+            f"{key}: no job of this gateway has made it, so there is no capture to continue: push all photos"
+        )
+    return parse_answer(client.get(f"/v1/jobs/{max(made, key=lambda each: each['version'])['job']}"))
+
+
+def _posted(client: httpx.Client, path: str, request: Mapping[str, Any]) -> Any:
+    """Create a job. One key per command: a retry after a lost answer finds the job, and creates no second one."""
+    return parse_answer(client.post(path, json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
+
+
+def _followed(client: httpx.Client, job: dict[str, Any], bar: StageBar, gateway: str) -> dict[str, Any]:
+    """Show a job's progress until it has ended, and return it then."""
+    key = job["asset_key"]
+    for state in follow(client, job["id"]):
+        job = state
+        bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "", job.get("losses"))
+        if (asset := job.get("asset")) and asset["state"] == "preview":  # only in the event `published`
+            console.print(f"preview  {gateway}/view/{key}")
+    return job
+
+
+def upload(
+    client: httpx.Client, source: Path, bar: StageBar, *, box: Sequence[float] | None = None, continues: str = ""
+) -> Any:
     """Upload the capture as one zip; zip the source first if it is not one. Returns the receipt.
 
     A large one goes on where it stopped after a lost connection, or when the same is pushed again.
 
-    box  left, top, right, bottom of the thing in a single photo, with which the worker inspects it
+    box        left, top, right, bottom of the thing in a single photo, with which the worker inspects it
+    continues  id of the stored capture whose photos the new one has too; "": none
     """
     with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
         archive = source
@@ -76,6 +122,7 @@ def upload(client: httpx.Client, source: Path, bar: StageBar, *, box: Sequence[f
             pack(source, archive)
         size = archive.stat().st_size
         params = {"box": ",".join(map(str, box))} if box else {}
+        params |= {"continues": continues} if continues else {}
         if size >= _RESUMABLE_BYTES:
             told = {"filetype": "application/zip"}
             return upload_resumably(client, archive, bar, told, params, file=source.name)

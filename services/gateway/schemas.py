@@ -136,25 +136,32 @@ class JobRequest(BaseModel):
 
 
 class JobAgain(BaseModel):
-    """What a repeated job does differently: another cut, other edits, or both. The rest is as in the earlier job.
+    """What a repeated job does differently: another capture, cut or edits. The rest is as in the earlier job.
 
-    Other edits take the place of the earlier ones; {} takes them away.
+    Other edits take the place of the earlier ones; {} takes them away. Edits of one capture do not fit another: with
+    another capture those of the earlier job are left out.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, json_schema_extra={"example": {"cut": "scene"}})
 
+    capture: Annotated[
+        str | None,
+        Field(max_length=100, description="Another capture, such as one that `continues` the earlier job's."),
+    ] = None
     cut: Annotated[CutName | None, Field(description=_CUT)] = None
     edits: Annotated[Edits | None, Field(description=_EDITS)] = None
 
     @model_validator(mode="after")
     def _require_change(self) -> JobAgain:
-        if self.cut is None and self.edits is None:
-            raise ValueError("say what is to be different: cut or edits")
+        if self.capture is None and self.cut is None and self.edits is None:
+            raise ValueError("say what is to be different: capture, cut or edits")
         return self
 
     def order(self, earlier: Order) -> Order:
         """Change the order of the earlier job."""
         changed = self.edits or NO_EDITS
+        if self.capture not in (None, earlier.capture):  # another frame, and no longer one photo
+            earlier = replace(earlier, capture=self.capture, box=(), edits=NO_EDITS)
         return replace(
             earlier,
             **_choices(
@@ -206,8 +213,8 @@ class PublishedView(BaseModel):
 
 
 class Links(BaseModel):
-    """URLs of a job and its asset. `again` takes a POST with another cut or other edits. `collection` and `place` (the
-    asset in its collection) are "" until it is chosen.
+    """URLs of a job and its asset. `again` takes a POST with another capture, cut or edits. `collection` and `place`
+    (the asset in its collection) are "" until it is chosen.
     """
 
     self: str

@@ -53,7 +53,7 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/uploads": None,
     "post /v1/uploads/{upload}/capture": None,
     "post /v1/jobs": {"capture": "{capture}", "asset_key": "mine"},
-    "post /v1/jobs/{job}/again": {"cut": "scene"},
+    "post /v1/jobs/{job}/again": {"capture": "{capture}", "cut": "scene"},
     "post /v1/jobs/{job}/cancel": None,
     "post /v1/assets/{key}/remove": None,
     "post /v1/assets/{key}/restore": None,

@@ -37,6 +37,15 @@ _CHUNK_BYTES = 256 << 10
 _LISTS = needs(Scope.CAPTURE, Scope.READ, Scope.MANAGE)
 _PRIVATE = {"Cache-Control": "private, no-store"}
 
+Continues = Annotated[
+    str,
+    Query(
+        max_length=100,
+        pattern=r"^[A-Za-z0-9_-]*$",
+        description="Id of a stored capture of photos: the new one has its photos too, and it stays as it is.",
+    ),
+]
+"""The query parameter `continues`."""
 CaptureId = Annotated[str, Path(max_length=100, pattern=r"^[A-Za-z0-9_-]+$", description="Id from POST /v1/captures.")]
 
 
@@ -54,7 +63,8 @@ class FileVerdict(BaseModel):
 
 class CaptureView(BaseModel):
     """A stored capture. `inspected`: whether a worker has read it; if not, kind, format, frames and points are not
-    known yet. `collection` is the one that the upload named; jobs that name none use it.
+    known yet. `collection` is the one that the upload named; jobs that name none use it. `continues` is the capture
+    whose photos it has too, "" for none.
     """
 
     model_config = ConfigDict(
@@ -63,6 +73,7 @@ class CaptureView(BaseModel):
                 "capture": "cap_019b2f7c8a3e5b2d4c681f0a9b8c",
                 "name": "Dress",
                 "collection": "",
+                "continues": "",
                 "created": "2026-01-01T00:00:00Z",
                 "bytes": 123456,
                 "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
@@ -82,6 +93,7 @@ class CaptureView(BaseModel):
     capture: str
     name: str
     collection: str
+    continues: str = ""
     created: str
     bytes: int
     sha256: str
@@ -165,14 +177,16 @@ _BODY = {
     status_code=201,
     response_model=CaptureView,
     dependencies=[needs(Scope.CAPTURE)],
-    responses=problems(400, 408, 413, 415, 422, 429, 503, 507),
+    responses=problems(400, 404, 408, 413, 415, 422, 429, 503, 507),
     openapi_extra=_BODY,
 )
-async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
+async def upload_capture(request: Request, box: BoxQuery = "", continues: Continues = "") -> CaptureView:
     """Upload a capture: photos, a video, a point cloud, or the export of a scanner app, as files or as one zip.
 
     Every file is checked, and locations, serial numbers and names of persons are removed from it. The answer is sent
-    after the capture has been stored. `box` is only for the inspection of a single photo; a job names it again.
+    after the capture has been stored. `box` is only for the inspection of a single photo; a job names it again. With
+    `continues` the photos are added to those of an earlier capture, as a new one: a job again with it makes the next
+    version of the same asset.
     """
     caller, limits, usage = caller_of(request), await limits_of(request), request.app.state.usage
     tenant = caller.tenant
@@ -180,7 +194,7 @@ async def upload_capture(request: Request, box: BoxQuery = "") -> CaptureView:
         allowance = await usage.allowance(tenant, limits)
         uploads, store = uploads_of(request), store_of(request)
         body, rectangle = body_of(request), parse_box(box)
-        receipt = await uploads.accept(request, body, store, rectangle, allowance.check, new_capture())
+        receipt = await uploads.accept(request, body, store, rectangle, allowance.check, new_capture(), continues)
         if caller.key:
             await usage.add(tenant, receipt["bytes"])
     return CaptureView.model_validate(receipt)

@@ -82,14 +82,14 @@ async def create_job(
 async def repeat_job(
     job: str, body: JobAgain, request: Request, response: Response, idempotency_key: IdempotencyKey = ""
 ) -> JobView:
-    """Create a job with the same capture, key and options as an earlier one, but another cut, or edited.
+    """Create a job with the key and options of an earlier one, but another cut, edited, or of another capture.
 
-    Nothing is uploaded.
+    Nothing is uploaded: another capture is one that is stored already.
     """
 
     async def changed_order() -> Order:
         earlier: Job = await request.app.state.job_store.read(JobStore.get, caller_of(request).tenant, job)
-        await _require_capture(earlier.order.capture, request)
+        await _require_capture(body.capture or earlier.order.capture, request)
         order = body.order(earlier.order)
         _require_edits(order)
         await _known_preset(order.preset, request)

@@ -22,7 +22,7 @@ from services.gateway.resumable import protocol
 from services.gateway.resumable.store import Upload
 from services.gateway.resumable.uploads import Part, ResumableUploads, content_of, too_long
 from services.gateway.routes.access_rules import caller_of, limits_of, needs
-from services.gateway.routes.captures import CaptureView, uploads_of
+from services.gateway.routes.captures import CaptureView, Continues, uploads_of
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import problems
 from services.gateway.uploads.receive import batches, require_media_type
@@ -189,7 +189,9 @@ async def override_method(upload: UploadId, request: Request) -> Response:
     dependencies=[_UPLOADS],
     responses=problems(400, 404, 409, 413, 415, 422, 423, 429, 503, 507),
 )
-async def finish_upload(upload: UploadId, request: Request, tasks: BackgroundTasks, box: BoxQuery = "") -> CaptureView:
+async def finish_upload(
+    upload: UploadId, request: Request, tasks: BackgroundTasks, box: BoxQuery = "", continues: Continues = ""
+) -> CaptureView:
     """Make the capture of a complete upload. The answer is that of POST /v1/captures; asked again, it is the same.
 
     An upload whose capture is refused stays, until it is deleted or expires.
@@ -200,12 +202,12 @@ async def finish_upload(upload: UploadId, request: Request, tasks: BackgroundTas
     found = await _resumable(request).find(tenant, upload)
     if not found.finished:
         with request.app.state.limits.upload(tenant, (await limits_of(request)).uploads_at_once):
-            found = await _make_capture(request, found, store, rectangle)
+            found = await _make_capture(request, found, store, rectangle, continues)
     tasks.add_task(_resumable(request).sweep, found, store)
     return await in_thread(lambda: read_receipt(store, CaptureView.model_validate, found.capture))
 
 
-async def _make_capture(request: Request, upload: Upload, store: Store, box: PhotoBox | None) -> Upload:
+async def _make_capture(request: Request, upload: Upload, store: Store, box: PhotoBox | None, continues: str) -> Upload:
     """Store an upload's capture, unless a gateway that died had stored it already. Raises Problem."""
     resumable, usage, caller = _resumable(request), request.app.state.usage, caller_of(request)
     allowance = (await usage.allowance(caller.tenant, await limits_of(request))).without(upload.length)
@@ -213,7 +215,7 @@ async def _make_capture(request: Request, upload: Upload, store: Store, box: Pho
         if not await in_thread(lambda: is_stored(store, held.capture)):
             chunks = await resumable.run(lambda: resumable.database.chunks(held.id))
             body = resumable.body_of(held, chunks, store)
-            await uploads_of(request).accept(request, body, store, box, allowance.check, held.capture)
+            await uploads_of(request).accept(request, body, store, box, allowance.check, held.capture, continues)
         ended = await resumable.run(lambda: resumable.database.finish(held.id, time.time()))
     if ended and caller.key:
         size = await in_thread(lambda: read_receipt(store, lambda receipt: int(receipt["bytes"]), held.capture))

@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,10 +21,10 @@ from anyio import CapacityLimiter
 from starlette.requests import ClientDisconnect, Request
 
 from services.gateway.errors import Problem, storage_full
-from services.gateway.jobs.capture_objects import capture_name, put_private, receipt_name
+from services.gateway.jobs.capture_objects import capture_name, put_private, receipt_name, unknown_capture
 from services.gateway.jobs.collection_choice import require_collection
 from services.gateway.settings import GatewaySettings
-from services.gateway.uploads.check_and_pack import CheckOrder
+from services.gateway.uploads.check_and_pack import CheckOrder, earlier_archive_of
 from services.gateway.uploads.check_processes import CheckProcesses
 from services.gateway.uploads.receive import ReceivedUpload, UploadBody, UploadLimits, body_of, receive
 from services.gateway.uploads.refusal import Refused
@@ -54,6 +55,26 @@ class _PackedCapture:
     verdicts: Sequence[FileReport]
 
 
+@dataclass(frozen=True, slots=True)
+class _Earlier:
+    """A stored capture, to which the photos of an upload are added."""
+
+    store: Store
+    capture: str
+
+    def fetch(self, archive: Path) -> None:
+        """Copy its archive from the store. Raises Problem CAPTURE_UNKNOWN, STORE_UNAVAILABLE; OSError (full disk)."""
+        try:
+            self.store.fetch(capture_name(self.capture), archive)
+        except (FileNotFoundError, ValueError):
+            raise unknown_capture(self.capture) from None
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise
+            detail = "the earlier capture could not be read from the store"
+            raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
+
+
 class Uploads:
     """Accepts uploads, many at once: threads write them to disk, processes check them.
 
@@ -77,6 +98,7 @@ class Uploads:
         box: PhotoBox | None,
         check_size: Callable[[int], None],
         capture: str,
+        continues: str = "",
     ) -> dict[str, Any]:
         """Store the capture in a body and return its receipt. Raises Problem; on any error nothing is left behind.
 
@@ -85,12 +107,15 @@ class Uploads:
         capture     the new capture's id
         box         rectangle around the thing in a single photo, for its inspection
         check_size  raises Problem for a capture of so many bytes; called before anything is read, and when it is packed
+        continues   id of the stored capture whose photos the new one has too; "": none
         """
         check_size(body.size)
         with capture_span("receive capture", capture):
-            async with self._inspected(request, body, box) as (packed, inspection):
+            earlier = _Earlier(store, continues) if continues else None
+            async with self._inspected(request, body, box, earlier) as (packed, inspection):
                 check_size(packed.archive.stat().st_size)
-                return await self._store_capture(store, _receipt(capture, packed, inspection), packed.archive)
+                receipt = _receipt(capture, continues, packed, inspection)
+                return await self._store_capture(store, receipt, packed.archive)
 
     async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
         """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
@@ -105,7 +130,7 @@ class Uploads:
 
     @asynccontextmanager
     async def _inspected(
-        self, request: Request, body: UploadBody, box: PhotoBox | None
+        self, request: Request, body: UploadBody, box: PhotoBox | None, earlier: _Earlier | None = None
     ) -> AsyncIterator[tuple[_PackedCapture, Inspection | None]]:
         """Receive, check and pack the capture in a body, and have it inspected; its files are removed afterwards.
 
@@ -114,9 +139,11 @@ class Uploads:
         self.check_free_space(body.size)
         folder = Path(tempfile.mkdtemp(prefix="upload-", dir=self._staging))
         try:
+            if earlier:
+                await self._write(partial(earlier.fetch, earlier_archive_of(folder)))
             received = await receive(body, folder / "in", self._limits, self._write)
             name, collection = _check_fields(received)
-            order = self._order(folder, received)
+            order = self._order(folder, received, continues=earlier is not None)
             files = await _unless_client_leaves(request, self._checks.check(order))
             packed = _PackedCapture(files.archive, files.sha256, name, collection, files.verdicts)
             inspection = await _unless_client_leaves(request, self._workers.inspect(packed.archive, box))
@@ -154,10 +181,14 @@ class Uploads:
     async def _write(self, work: Callable[[], None]) -> None:
         await anyio.to_thread.run_sync(work, limiter=self._writers)
 
-    def _order(self, folder: Path, received: ReceivedUpload) -> CheckOrder:
-        limits = self._limits
+    def _order(self, folder: Path, received: ReceivedUpload, *, continues: bool) -> CheckOrder:
         return CheckOrder(
-            str(folder.absolute()), received.files, received.has_client_names, limits.files, limits.total_bytes
+            folder=str(folder.absolute()),
+            names=received.files,
+            has_client_names=received.has_client_names,
+            most_files=self._limits.files,
+            most_bytes=self._limits.total_bytes,
+            continues=continues,
         )
 
 
@@ -204,13 +235,14 @@ def _check_fields(received: ReceivedUpload) -> tuple[str, str]:
         raise Problem(422, "NAME_INVALID", str(error), hints=("change the field `name`",)) from None
 
 
-def _receipt(capture: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
+def _receipt(capture: str, continues: str, packed: _PackedCapture, inspection: Inspection | None) -> dict[str, Any]:
     """Return the receipt: the answer to the upload, which is also stored."""
     facts = inspection or _UNKNOWN
     return {
         "capture": capture,
         "name": packed.name,
         "collection": packed.collection,
+        "continues": continues,
         "created": datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
         "bytes": packed.archive.stat().st_size,
         "sha256": packed.sha256,

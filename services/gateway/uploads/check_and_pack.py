@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.gateway.uploads.refusal import Refused, too_many_files
+from services.gateway.uploads.add_photos import add_photos
+from services.gateway.uploads.refusal import SEND_FEWER, Refused, too_many_files
 from services.gateway.uploads.validate import FileReport, validate
 from services.storage.archives import ArchiveError, ArchiveLimits, is_zip, pack, unpack
 
@@ -22,6 +23,7 @@ class CheckOrder:
     names             of the files, relative to that folder
     has_client_names  whether the names are the client's: the file of a raw body has none
     most_files        in an archive; most_bytes: of all files together
+    continues         whether the folder has the archive of an earlier capture, to which the files are added
     """
 
     folder: str
@@ -29,6 +31,7 @@ class CheckOrder:
     has_client_names: bool
     most_files: int
     most_bytes: int
+    continues: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,11 @@ def archive_of(folder: Path) -> Path:
     return folder / "capture.zip"
 
 
+def earlier_archive_of(folder: Path) -> Path:
+    """Return the path, in an upload's folder, of the archive of the capture that it continues."""
+    return folder / "earlier.zip"
+
+
 def check_and_pack(order: CheckOrder, begin: Callable[[str], None]) -> PackedFiles:
     """Unpack an archive, validate every file, strip its metadata, and pack all as one zip.
 
@@ -57,6 +65,8 @@ def check_and_pack(order: CheckOrder, begin: Callable[[str], None]) -> PackedFil
     if len(names) == 1 and (is_zip(source / names[0]) or names[0].lower().endswith(_ZIPS)):
         begin(names[0] if order.has_client_names else "")
         source, names = folder / "files", _unpack(source / names[0], folder / "files", order)
+    if order.continues:
+        source, names = _add_to_earlier(source, names, order)
     verdicts = validate(source, names, begin)
     archive = archive_of(folder)
     pack(source, archive)
@@ -65,9 +75,24 @@ def check_and_pack(order: CheckOrder, begin: Callable[[str], None]) -> PackedFil
     return PackedFiles(archive, sha256, verdicts)
 
 
+def _add_to_earlier(source: Path, names: Sequence[str], order: CheckOrder) -> tuple[Path, list[str]]:
+    """Add the files to those of the earlier capture; return the folder with all of them, and their names.
+
+    Raises Refused.
+    """
+    folder = Path(order.folder)
+    earlier = folder / "earlier"
+    earlier_names = _unpack(earlier_archive_of(folder), earlier, order)
+    together = add_photos(source, names, earlier, earlier_names, order.most_files)
+    if sum((earlier / name).stat().st_size for name in together) > order.most_bytes:
+        detail = f"with the earlier photos the capture is too large; at most {order.most_bytes:,} bytes are allowed"
+        raise Refused("UPLOAD_TOO_LARGE", detail, hints=SEND_FEWER, status=413)
+    return earlier, together
+
+
 def _unpack(archive: Path, into: Path, order: CheckOrder) -> list[str]:
-    """Unpack an uploaded archive and return the names of its files. Raises Refused."""
-    client_name = order.names[0] if order.has_client_names else ""
+    """Unpack an archive and return the names of its files. Raises Refused."""
+    client_name = order.names[0] if order.has_client_names and archive.parent.name == "in" else ""
     try:
         files = unpack(archive, into, ArchiveLimits(total_bytes=2 * order.most_bytes))
     except ArchiveError as error:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from services.fork_server import Send
-from services.gateway.uploads.check_and_pack import CheckOrder, check_and_pack
+from services.gateway.uploads.check_and_pack import CheckOrder, check_and_pack, earlier_archive_of
 from services.gateway.uploads.image_checks import load_pillow
 from services.gateway.uploads.refusal import Refused
 from services.storage.archives import is_zip
@@ -50,8 +50,9 @@ def work(fields: dict[str, Any], send: Send) -> None:
 def _allowed_seconds(order: CheckOrder) -> float:
     """Return the processor time that the check may take."""
     paths = [Path(order.folder, "in", name) for name in order.names]
+    paths += [earlier_archive_of(Path(order.folder))] if order.continues else []
     size = sum(path.stat().st_size for path in paths)
-    packed = min(order.most_files, size // _ENTRY_BYTES) if len(paths) == 1 and is_zip(paths[0]) else 0
+    packed = min(order.most_files, size // _ENTRY_BYTES) if any(map(is_zip, paths)) else 0
     return _LEAST_SECONDS + _SECONDS_PER_FILE * max(len(paths), packed) + _SECONDS_PER_GB * size / 1e9
 
 

@@ -1,4 +1,5 @@
 // The capture page (/): choose files, name the object, upload, watch the job, see the result.
+import { continuedJob, startContinuing } from './continuing.js';
 import { chosenFiles, chosenName, goOn, startFileChoice } from './file-choice.js';
 import { showUploadProgress, showUploadWaits, startUploadProgress } from '../shared/job-progress.js';
 import { watchJob } from './job-watch.js';
@@ -14,6 +15,7 @@ import { isConnectionProblem, offline } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { splitWords } from '../shared/search-words.js';
 
+/** @import { JobOrder } from '../shared/kept-captures.js' */
 /** @import { CaptureReceipt, Cut, Job, JobRequest, Presets, Visibility } from '../shared/types.d.ts' */
 
 document.body.dataset.started = 'yes';
@@ -81,29 +83,40 @@ async function sendNow() {
   const name = chosenName();
   if (!navigator.onLine) throw offline();
   const progress = { onProgress: showUploadProgress, onWaiting: showUploadWaits };
-  receipt ??= await sendCapture(chosenFiles(), name, chosenBox(), progress);
+  receipt ??= await sendCapture(chosenFiles(), name, about(), progress);
   showReceipt(receipt);
-  return postJson('/v1/jobs', jobRequest(receipt.capture, name), { 'Idempotency-Key': jobKey() });
+  const { path, body } = jobOrder(name);
+  return postJson(path, { ...body, capture: receipt.capture }, { 'Idempotency-Key': jobKey() });
+}
+
+/** What the upload says of its capture. */
+const about = () => ({ box: chosenBox(), continues: continuedJob()?.capture ?? '' });
+
+/**
+ * The job to start: of a new thing, or again with more photos.
+ * @param {string} name
+ * @returns {JobOrder}
+ */
+function jobOrder(name) {
+  const earlier = continuedJob();
+  return earlier ? { path: earlier.links.again, body: {} } : { path: '/v1/jobs', body: jobRequest(name) };
 }
 
 /** Keeps the capture on the device. @returns {Promise<string>} what to tell the person */
 async function keepForLater() {
   const name = chosenName();
-  const told = { name, box: chosenBox(), order: jobRequest(receipt?.capture ?? '', name) };
-  const trouble = await keepWhole(chosenFiles(), told);
+  const trouble = await keepWhole(chosenFiles(), { name, about: about(), order: jobOrder(name), capture: receipt?.capture ?? '' });
   isKept = !trouble;
   return trouble || 'It is kept on this device, and sent when the server can be reached: by itself, or when you open this page again.';
 }
 
 /**
- * @param {string} capture
  * @param {string} name
- * @returns {JobRequest}
+ * @returns {Omit<JobRequest, 'capture'>}
  */
-function jobRequest(capture, name) {
+function jobRequest(name) {
   const centimetres = page.longest.valueAsNumber;
   return {
-    capture,
     asset_key: keyFrom(name),
     label: name,
     description: page.description.value,
@@ -144,7 +157,7 @@ function offerToGoOn() {
 
 /** Tries again after a lost connection: to watch the job, or to send the files. */
 function retry() {
-  if (location.hash) location.reload();
+  if (location.hash.startsWith('#job=')) location.reload();
   else page.form.requestSubmit();
 }
 
@@ -172,6 +185,7 @@ startFileChoice();
 offerPresets();
 offerToGoOn();
 resumeJob();
+startContinuing();
 startKeptList(async (draft) => {
   await goOn(draft);
   await showKept();

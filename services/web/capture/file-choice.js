@@ -27,6 +27,7 @@ const page = {
 let files = [];
 /** @type {WeakSet<File>} */
 const taken = new WeakSet(); // by the camera in the page: their names say nothing of the thing
+let isMore = false; // the files are added to what is stored
 let useCompass = false; // whether the person allows the page to ask the phone where its camera looks
 
 /** The files that are chosen now. */
@@ -34,6 +35,16 @@ export const chosenFiles = () => files;
 
 /** The name of the object as the person wrote it. */
 export const chosenName = () => page.name.value.trim();
+
+/**
+ * Expects more photos of an object that is there already.
+ * @param {string} name
+ */
+export function expectMore(name) {
+  isMore = true;
+  page.name.value = name;
+  showKey();
+}
 
 /** Listens to the form's file inputs, its compass button, and its name. */
 export function startFileChoice() {
@@ -110,8 +121,8 @@ function showFiles() {
   const bytes = files.reduce((sum, file) => sum + file.size, 0);
   const count = files.length === 1 ? '1 file' : `${files.length} files`;
   page.chosen.textContent = files.length ? `${count}, ${(bytes / 1e6).toFixed(1)} MB` : 'Nothing chosen yet.';
-  page.list.hidden = guide(files, removeFiles);
-  showSinglePhoto(files.length === 1 && isPhoto(files[0]) ? files[0] : null);
+  page.list.hidden = guide(files, { isMore, onRemove: removeFiles });
+  showSinglePhoto(files.length === 1 && isPhoto(files[0]) && !isMore ? files[0] : null);
   const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);
   if (files.length > LISTED) names.push(`… and ${files.length - LISTED} more`);
   fillList(page.list, names);

@@ -32,6 +32,7 @@ let files = [];
 let faultItems = [];
 /** @type {(files: File[]) => void} */
 let removeFiles = () => {};
+let isMore = false; // the photos are added to others
 let redrawTimer = 0;
 
 /** @param {File} file */
@@ -51,11 +52,12 @@ export function setHeading(file, degrees) {
 /**
  * Shows guidance for these files, where all of them are photos and films.
  * @param {File[]} chosen
- * @param {(files: File[]) => void} onRemove is called with files that the person wants to remove
+ * @param {{ isMore: boolean, onRemove: (files: File[]) => void }} about `isMore`: they are added to photos that are stored; `onRemove` is
+ *   called with files that the person wants to remove
  * @returns {boolean} whether guidance is shown
  */
-export function guide(chosen, onRemove) {
-  [files, removeFiles] = [chosen, onRemove];
+export function guide(chosen, about) {
+  [files, removeFiles, isMore] = [chosen, about.onRemove, about.isMore];
   for (const photo of photos.values()) if (!files.includes(photo.file)) forget(photo);
   const guided = files.length > 0 && files.every((file) => isPhoto(file) || isFilm(file));
   page.guide.hidden = !guided;
@@ -146,6 +148,7 @@ function adviceFor(chosen, films) {
   const unknown = chosen.filter(({ quality }) => quality === null).length;
   const rest = unknown ? ` ${unknown} cannot be looked at in this browser; the server will.` : '';
   const count = chosen.length;
+  if (isMore) return `They are added to the photos that are stored.${rest}`;
   if (films && count < FEWEST) return `Its best pictures are chosen for you.${films > 1 ? ' Only the largest film is used.' : ''}`;
   if (films) return `There are photos enough, so the film is not used.${rest}`;
   if (count === 1) return `One photo shows one side; the others are a guess. ${ADVISED.join(' to ')} from all around show them.${rest}`;

@@ -5,8 +5,8 @@ import { exclusively } from '../shared/send-kept.js';
 import { newFiletype, pathOf, randomKey } from '../shared/upload-form.js';
 import { ownTenant } from '../shared/whose.js';
 
-/** @import { KeptCapture, KeptFile } from '../shared/kept-captures.js' */
-/** @import { JobRequest } from '../shared/types.d.ts' */
+/** @import { JobOrder, KeptCapture, KeptFile } from '../shared/kept-captures.js' */
+/** @import { About } from '../shared/upload-form.js' */
 
 const SYNC = 'send-captures'; // the service worker listens to this
 
@@ -54,11 +54,11 @@ export function forgetPhoto(file) {
 /**
  * Keeps the whole capture, to be sent later.
  * @param {File[]} files
- * @param {{ name: string, box: number[] | null, order: JobRequest }} told
+ * @param {{ name: string, about: About, order: JobOrder, capture: string }} told `capture`: its id, where the server has it already
  * @returns {Promise<string>} why that is impossible, as a sentence; '' where it is done
  */
-export const keepWhole = (files, { name, box, order }) => inTurn(async () => {
-  Object.assign(kept, { state: 'waiting', name, box, order, capture: order.capture });
+export const keepWhole = (files, { name, about, order, capture }) => inTurn(async () => {
+  Object.assign(kept, { ...about, state: 'waiting', name, order, capture });
   const trouble = await attempt(files.filter((file) => !numbers.has(file)).map((file) => newFile(file, null)));
   if (trouble) kept.state = 'draft';
   else await askForSync();

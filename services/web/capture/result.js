@@ -1,5 +1,6 @@
 // The result of a job: the preview that turns, the address of the viewer, which photos were used, and the quality figures.
 import { durationText } from '../shared/job-progress.js';
+import { offerMorePhotos } from './continuing.js';
 import { showCut } from './other-cut.js';
 import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
 import { getJson } from '../shared/api.js';
@@ -136,6 +137,7 @@ async function showManifest(job, entry) {
   showVerdicts(page.used, capture);
   showUnseenSides(page.unseen, capture);
   showCut(job, capture);
+  offerMorePhotos(job, capture);
   if (!quality) return;
   /** @type {[title: string, figures: QualityFigures][]} */
   const columns = [[entry.state === 'refined' ? 'Refined' : 'Preview', quality]];

@@ -6,6 +6,7 @@ import { NETWORK_SILENCE_MS, UPLOAD_PAUSE_MS } from '../shared/time-limits.js';
 import { formOf, newFiletype, partOf, pathOf } from '../shared/upload-form.js';
 
 /** @import { DetailedError, Upload } from '../vendor/tus-js-client-4.3.1.index.js' */
+/** @import { About } from '../shared/upload-form.js' */
 /** @import { CaptureReceipt } from '../shared/types.d.ts' */
 
 const RESUMABLE_BYTES = 4 << 20; // of an upload that can go on; a smaller one is sent again within seconds
@@ -26,14 +27,14 @@ const STORED = 'tus::'; // how the library begins the names of what it stores
  * Upload files as one capture, in a way that goes on where they are large.
  * @param {File[]} files
  * @param {string} name
- * @param {number[] | null} box the rectangle that the thing lies in, in a single photo
+ * @param {About} about
  * @param {Progress} progress
  * @returns {Promise<CaptureReceipt>}
  * @throws {Problem} OFFLINE, NO_ANSWER, and what the server says
  */
-export async function sendCapture(files, name, box, progress) {
+export async function sendCapture(files, name, about, progress) {
   const size = files.reduce((sum, file) => sum + file.size, 0);
-  if (size < RESUMABLE_BYTES) return uploadCapture(files, name, box, progress.onProgress);
+  if (size < RESUMABLE_BYTES) return uploadCapture(files, name, about, progress.onProgress);
   const { Upload, defaultOptions } = await import('../vendor/tus-js-client-4.3.1.index.js').catch(() => {
     throw offline();
   });
@@ -50,7 +51,7 @@ export async function sendCapture(files, name, box, progress) {
     await Promise.all(entries.map((entry) => defaultOptions.urlStorage.removeUpload(entry.urlStorageKey)));
   };
   try {
-    const receipt = await persist(progress, () => finishUpload(url, box));
+    const receipt = await persist(progress, () => finishUpload(url, about));
     await forget();
     return receipt;
   } catch (error) {

@@ -3,9 +3,11 @@ import { deleteEntry, openCache, readEntry, writeEntry } from './cache-storage.j
 import { leadToLogin } from './login-redirect.js';
 import { fetchBytes } from './network.js';
 import { isConnectionProblem, noAnswer, offline, parseAnswer } from './problems.js';
+import { captureAddress } from './upload-form.js';
 import { ownName } from './whose.js';
 import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
+/** @import { About } from './upload-form.js' */
 /** @import { AnchorPoints, AnchorsEvent, AssetEntry, CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
@@ -134,13 +136,6 @@ export async function deleteAt(url) {
 }
 
 /**
- * The address of a route that takes a rectangle in a single photo.
- * @param {string} path
- * @param {number[] | null} box left, top, right, bottom as shares of the upright photo's sides
- */
-const withBox = (path, box) => (box ? `${path}?box=${box.join(',')}` : path);
-
-/**
  * Outline the thing in a photo.
  * @param {File} photo
  * @param {number[] | null} box the rectangle that the thing lies in
@@ -150,7 +145,7 @@ const withBox = (path, box) => (box ? `${path}?box=${box.join(',')}` : path);
 export async function outlinePhoto(photo, box) {
   const form = new FormData();
   form.append('files', photo, photo.name);
-  const { response, bytes } = await fetchBytes(withBox('/v1/outlines', box), { method: 'POST', body: form, silenceMs: UPLOAD_CHECK_MS });
+  const { response, bytes } = await fetchBytes(captureAddress('/v1/outlines', { box, continues: '' }), { method: 'POST', body: form, silenceMs: UPLOAD_CHECK_MS });
   return parseAnswer(response.status, decodeText(bytes));
 }
 
@@ -158,12 +153,12 @@ export async function outlinePhoto(photo, box) {
  * Upload files as one capture. XMLHttpRequest, because fetch tells nothing of an upload's progress.
  * @param {File[]} files
  * @param {string} name
- * @param {number[] | null} box the rectangle that the thing lies in, in a single photo
+ * @param {About} about
  * @param {(fraction: number) => void} onProgress
  * @returns {Promise<CaptureReceipt>}
  * @throws {Problem} OFFLINE, NO_ANSWER, and what the server says
  */
-export function uploadCapture(files, name, box, onProgress) {
+export function uploadCapture(files, name, about, onProgress) {
   const form = new FormData();
   form.append('name', name);
   for (const file of files) form.append('files', file, file.webkitRelativePath || file.name);
@@ -190,7 +185,7 @@ export function uploadCapture(files, name, box, onProgress) {
     request.onerror = () => reject(offline());
     request.onloadend = () => clearTimeout(timer);
     restart(NETWORK_SILENCE_MS);
-    request.open('POST', withBox('/v1/captures', box));
+    request.open('POST', captureAddress('/v1/captures', about));
     request.send(form);
   });
 }
@@ -198,12 +193,12 @@ export function uploadCapture(files, name, box, onProgress) {
 /**
  * Make the capture of an upload whose bytes are all there.
  * @param {string} upload its address
- * @param {number[] | null} box as in `uploadCapture`
+ * @param {About} about
  * @returns {Promise<CaptureReceipt>}
  * @throws {Problem} as `getJson`
  */
-export async function finishUpload(upload, box) {
-  const address = withBox(`${upload}/capture`, box);
+export async function finishUpload(upload, about) {
+  const address = captureAddress(`${upload}/capture`, about);
   const { response, bytes } = await fetchBytes(address, { method: 'POST', silenceMs: UPLOAD_CHECK_MS });
   return parseAnswer(response.status, decodeText(bytes));
 }

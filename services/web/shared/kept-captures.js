@@ -5,7 +5,7 @@ import { KEPT_STORAGE_MS, withTimeLimit } from './time-limits.js';
 const DATABASE = 'capture2vr-kept';
 const [CAPTURES, FILES] = ['captures', 'files'];
 
-/** @import { JobRequest } from './types.d.ts' */
+/** @typedef {{ path: string, body: Record<string, unknown> }} JobOrder what is posted, and where, once the capture's id is known */
 
 /**
  * A capture that is kept. Times are milliseconds since 1970.
@@ -17,7 +17,8 @@ const [CAPTURES, FILES] = ['captures', 'files'];
  * @property {string} name of the thing
  * @property {string} jobKey with which the job is made once, however often it is asked for
  * @property {number[] | null} box the rectangle that the thing lies in, in a single photo
- * @property {JobRequest | null} order the job, whose capture is not known yet; null for a draft
+ * @property {JobOrder | null} order null for a draft
+ * @property {string} continues id of the stored capture that these photos are added to; '' for none
  * @property {string} filetype media type of the form that is uploaded
  * @property {string} upload address of the upload, once it has begun
  * @property {string} capture id of the stored capture, once it is there
@@ -105,7 +106,7 @@ export const forget = (id) => run('readwrite', (stores) => {
  * @returns {KeptCapture}
  */
 export const newKept = (made) => ({
-  ...made, created: Date.now(), state: 'draft', name: '', box: null, order: null, upload: '', capture: '', job: '', trouble: '',
+  ...made, created: Date.now(), state: 'draft', name: '', box: null, order: null, continues: '', upload: '', capture: '', job: '', trouble: '',
 });
 
 /** All files of a capture. @param {string} id */

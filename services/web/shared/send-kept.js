@@ -4,7 +4,7 @@ import { forgetFiles, keep, listKept, readKept, readKeptFiles } from './kept-cap
 import { fetchBytes } from './network.js';
 import { Problem, parseAnswer, sentences } from './problems.js';
 import { UPLOAD_CHECK_MS } from './time-limits.js';
-import { formOf } from './upload-form.js';
+import { captureAddress, formOf } from './upload-form.js';
 
 /** @import { CaptureReceipt, Job, Session } from './types.d.ts' */
 /** @import { KeptCapture } from './kept-captures.js' */
@@ -79,9 +79,8 @@ async function send(capture, onSending) {
     const files = await readKeptFiles(capture.id);
     const body = formOf(files.map((file) => ({ path: file.path, body: file.body })), capture.filetype);
     await upload(capture, body, (fraction) => onSending(capture, fraction));
-    const box = capture.box ? `?box=${capture.box.join(',')}` : '';
     /** @type {CaptureReceipt} */
-    const receipt = await ask(`${capture.upload}/capture${box}`, { method: 'POST' });
+    const receipt = await ask(captureAddress(`${capture.upload}/capture`, capture), { method: 'POST' });
     capture.capture = receipt.capture;
     await keep(capture);
   }
@@ -97,8 +96,9 @@ async function send(capture, onSending) {
  * @returns {Promise<Job>}
  */
 async function orderJob({ capture, order, jobKey }) {
+  if (!order) throw new Error('A draft is not sent.');
   const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': jobKey };
-  return ask('/v1/jobs', { method: 'POST', headers, body: JSON.stringify({ ...order, capture }) });
+  return ask(order.path, { method: 'POST', headers, body: JSON.stringify({ ...order.body, capture }) });
 }
 
 /**

@@ -378,6 +378,8 @@ export interface Job extends JobProgress {
   error: ProblemDocument | null;
   warnings: string[];
   capture: string;
+  label: string;
+  edits?: Edits;
   links: { again: string };
 }
 

@@ -3,6 +3,23 @@
 /** @typedef {{ path: string, body: Blob }} Part a file, by its name or its path in the folder that was chosen */
 
 /**
+ * What an upload says of its capture.
+ * @typedef {object} About
+ * @property {number[] | null} box the rectangle that the thing lies in, in a single photo
+ * @property {string} continues id of the stored capture that the photos are added to; '' for none
+ */
+
+/**
+ * The address of a route that makes a capture.
+ * @param {string} path
+ * @param {About} about
+ */
+export function captureAddress(path, { box, continues }) {
+  const query = [box && `box=${box.join(',')}`, continues && `continues=${encodeURIComponent(continues)}`].filter(Boolean);
+  return query.length ? `${path}?${query.join('&')}` : path;
+}
+
+/**
  * The form of these files.
  * @param {Part[]} parts
  * @param {string} filetype its media type, which names the boundary

@@ -1,0 +1,44 @@
+"""Add the photos of an upload to those of an earlier capture: what a check process does with a capture that goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+from services.gateway.uploads.file_names import unique_name
+from services.gateway.uploads.refusal import Refused, too_many_files
+from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
+
+_ALLOWED = IMAGES | {Kind.UNKNOWN}  # what is of no known format is left out, as in any upload
+
+
+def add_photos(source: Path, names: Sequence[str], earlier: Path, earlier_names: Sequence[str], most: int) -> list[str]:
+    """Move the files in `source` to those in `earlier`, and return the names of all, relative to `earlier`.
+
+    The earlier files keep their names; a new one gets a number where its name is taken.
+
+    most  files that a capture may have
+
+    Raises Refused CAPTURE_NOT_PHOTOS, UPLOAD_TOO_MANY_FILES.
+    """
+    for name in earlier_names:
+        _require_photo(earlier / name, "the capture that is to be continued", name, IMAGES)
+    for name in names:
+        _require_photo(source / name, "the upload", name, _ALLOWED)
+    if len(names) + len(earlier_names) > most:
+        raise too_many_files(most)
+    used = {part.casefold(): 2 for name in earlier_names for part in PurePosixPath(name).parts}
+    added = []
+    for name in names:
+        own = unique_name(PurePosixPath(name).name, used)
+        (source / name).rename(earlier / own)
+        added.append(own)
+    return [*earlier_names, *added]
+
+
+def _require_photo(path: Path, where: str, name: str, allowed: set[Kind]) -> None:
+    with path.open("rb") as file:
+        kind = sniff(name, file.read(HEAD_BYTES))
+    if kind not in allowed:
+        detail = f"{where} has a file that is no photo; only captures of photos alone can be continued, with photos"
+        raise Refused("CAPTURE_NOT_PHOTOS", detail, name, ("send all files again, as a new capture",))

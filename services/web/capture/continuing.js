@@ -1,0 +1,87 @@
+// More photos of a thing: the page then adds them to those that are stored, and the job makes the next version of the same asset.
+import { expectMore } from './file-choice.js';
+import { showState, showTrouble } from './page-state.js';
+import { getJson } from '../shared/api.js';
+import { element, fillList } from '../shared/dom.js';
+
+/** @import { AssetEntry, CaptureSummary, Job, Manifest } from '../shared/types.d.ts' */
+
+const OF_PHOTOS = ['photos', 'photo']; // formats of captures that photos can be added to
+
+const page = {
+  section: element('more-photos', HTMLElement),
+  heading: element('more-heading', HTMLElement),
+  lost: element('more-lost', HTMLElement),
+  unseen: element('more-unseen', HTMLUListElement),
+  details: element('details', HTMLElement),
+  missing: element('missing', HTMLElement),
+  add: element('add-photos', HTMLButtonElement),
+};
+
+/** @type {Job | null} */
+let earlier = null;
+let offered = ''; // id of the job whose photos the button adds to
+
+/** The job that is continued, or null where the page makes a new thing. */
+export const continuedJob = () => earlier;
+
+/**
+ * Offers to add photos to what a job has made, where its capture is one of photos.
+ * @param {Job} job
+ * @param {CaptureSummary | undefined} capture of the manifest
+ */
+export function offerMorePhotos(job, capture) {
+  offered = job.id;
+  page.add.hidden = job.state !== 'SUCCEEDED' || !OF_PHOTOS.includes(capture?.format ?? '');
+}
+
+/** Goes on with the thing that the page's address names, if it names one. */
+export async function startContinuing() {
+  const id = new URLSearchParams(location.hash.slice(1)).get('add');
+  if (!id) return;
+  try {
+    earlier = await getJson(`/v1/jobs/${encodeURIComponent(id)}`);
+  } catch (error) {
+    showTrouble(error);
+    return;
+  }
+  if (earlier) await showContinued(earlier);
+}
+
+/** @param {Job} job */
+async function showContinued({ asset_key: key, label, edits = {} }) {
+  const name = label || key;
+  page.section.hidden = false;
+  page.details.hidden = true;
+  page.heading.textContent = `More photos of ${name}`;
+  page.lost.hidden = !(edits.crop || edits.planes?.length || edits.up || edits.length);
+  expectMore(name);
+  showState('choosing');
+  document.body.dataset.continues = key;
+  const advice = await unseenSides(key);
+  fillList(page.unseen, advice);
+  page.missing.textContent = advice[0] ?? '';
+  page.missing.hidden = advice.length === 0;
+}
+
+/**
+ * What the newest version says of sides that were seen too little.
+ * @param {string} key
+ * @returns {Promise<string[]>} sentences
+ */
+async function unseenSides(key) {
+  try {
+    /** @type {AssetEntry} */
+    const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
+    /** @type {Manifest} */
+    const { capture } = await getJson(entry.manifest.url);
+    return (capture?.unseen ?? []).map(({ advice }) => advice);
+  } catch {
+    return []; // nothing published yet, or no connection
+  }
+}
+
+page.add.addEventListener('click', () => {
+  location.hash = `add=${offered}`;
+  location.reload();
+});
