@@ -42,6 +42,7 @@ export const chosenName = () => page.name.value.trim();
  */
 export function expectMore(name) {
   isMore = true;
+  page.chosen.textContent = 'Photos of the sides that were seen too little, each overlapping the others by two thirds.';
   page.name.value = name;
   showKey();
 }
