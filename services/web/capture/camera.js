@@ -28,6 +28,18 @@ export class Camera {
   }
 
   /**
+   * Starts to show what the camera sees; the video has to be in view, or phones do not play it.
+   * @throws {Problem} NO_CAMERA
+   */
+  async start() {
+    try {
+      await withTimeLimit(this.video.play(), PHOTO_MS);
+    } catch {
+      throw noCamera('The camera does not start.');
+    }
+  }
+
+  /**
    * Takes a photo. A camera that takes none, or takes too long, gives a frame of its film from then on.
    * @returns {Promise<Blob>}
    */
@@ -37,6 +49,7 @@ export class Camera {
         return await withTimeLimit(this.photographer.takePhoto(), PHOTO_MS);
       } catch {
         this.photographer = null;
+        await this.track.applyConstraints(SHARPEST).catch(() => {}); // the film's frames are the photos now
       }
     }
     return frameOfFilm(this.video);
@@ -50,7 +63,7 @@ export class Camera {
 }
 
 /**
- * Opens the camera at the phone's back, and shows it.
+ * Opens the camera at the phone's back, for a video to show.
  * @param {HTMLVideoElement} video
  * @returns {Promise<Camera>}
  * @throws {Problem} NO_CAMERA, with the reason and what to do instead
@@ -66,15 +79,8 @@ export async function openCamera(video) {
     const name = error instanceof DOMException ? error.name : '';
     throw noCamera(REASONS[name] ?? 'The camera does not start.');
   }
-  const camera = new Camera(stream, video);
   video.srcObject = stream;
-  try {
-    await withTimeLimit(video.play(), PHOTO_MS);
-  } catch {
-    camera.close();
-    throw noCamera('The camera does not start.');
-  }
-  return camera;
+  return new Camera(stream, video);
 }
 
 /** @param {string} reason */

@@ -1,6 +1,6 @@
 // The capture page (/): choose files, name the object, upload, watch the job, see the result.
 import { continuedJob, startContinuing } from './continuing.js';
-import { chosenFiles, chosenName, goOn, startFileChoice } from './file-choice.js';
+import { chosenFiles, chosenName, goOn, hasUnkept, startFileChoice } from './file-choice.js';
 import { showUploadProgress, showUploadWaits, startUploadProgress } from '../shared/job-progress.js';
 import { watchJob } from './job-watch.js';
 import { forgetAll, jobKey, keepWhole, sendOnce } from './keeping.js';
@@ -174,9 +174,10 @@ page.form.addEventListener('submit', (event) => {
 element('retry', HTMLButtonElement).addEventListener('click', retry);
 element('reload', HTMLButtonElement).addEventListener('click', () => location.reload());
 for (const id of ['again', 'another']) element(id, HTMLButtonElement).addEventListener('click', restart);
-// An upload that is interrupted waits for the same files: the browser asks before it leaves the page.
+// An upload that is interrupted waits for the same files, and what could not be kept is lost: the browser asks before it leaves the page.
 window.addEventListener('beforeunload', (event) => {
-  if (document.body.dataset.state === 'sending') event.preventDefault();
+  const { state } = document.body.dataset;
+  if (state === 'sending' || (hasUnkept() && (state === 'choosing' || state === 'trouble'))) event.preventDefault();
 });
 window.addEventListener('online', () => {
   if (isKept && document.body.dataset.state === 'trouble') send();

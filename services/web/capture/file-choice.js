@@ -33,6 +33,9 @@ let useCompass = false; // whether the person allows the page to ask the phone w
 /** The files that are chosen now. */
 export const chosenFiles = () => files;
 
+/** Whether photos were taken that could not be kept on the device. */
+export const hasUnkept = () => files.length > 0 && !page.notKept.hidden;
+
 /** The name of the object as the person wrote it. */
 export const chosenName = () => page.name.value.trim();
 

@@ -77,23 +77,43 @@ async function open() {
   const compass = mayHaveCompass() && allowCompass(); // at once: iOS asks only in answer to a tap
   try {
     camera = await openCamera(page.video);
+    page.dialog.showModal();
+    await camera.start();
+    start(camera);
+    if (await compass) useCompass();
   } catch (error) {
-    page.trouble.textContent = sentences(error);
-    page.trouble.hidden = false;
+    page.dialog.close();
+    showTrouble(sentences(error));
     document.body.dataset.camera = 'none';
-    return;
-  } finally {
-    page.open.disabled = false;
   }
+  page.open.disabled = false;
+}
+
+/** @param {Camera} opened */
+function start(opened) {
   [shutter, taken, shooting] = [newShutter(), 0, false];
-  camera.track.addEventListener('ended', () => page.dialog.close());
-  showCameraOptions(camera.track);
+  opened.track.addEventListener('ended', () => {
+    page.dialog.close();
+    showTrouble('The camera has stopped. What it took is here; open it again to go on.');
+  });
+  showCameraOptions(opened.track);
   setAutomatic(automatic);
   showCount();
-  page.dialog.showModal();
+  keepAwake();
   document.body.dataset.camera = 'open';
   startFollowing();
-  if (await compass) useCompass();
+}
+
+/** @param {string} text */
+function showTrouble(text) {
+  page.trouble.textContent = text;
+  page.trouble.hidden = false;
+}
+
+/** Keeps the screen on: a walk takes longer than a phone waits for a finger. Not every browser can. */
+async function keepAwake() {
+  const lock = await navigator.wakeLock?.request('screen').catch(() => null);
+  page.dialog.addEventListener('close', () => lock?.release(), { once: true });
 }
 
 /** Closes the camera. */
