@@ -207,3 +207,25 @@ def test_without_a_camera_there_is_a_sentence_and_files_can_be_chosen(
         page.get_by_role("button", name="Guided camera").click()
         expect(page.get_by_role("alert")).to_contain_text("No camera was found.")
         expect_choice_works(page, tmp_path)
+
+
+def test_the_compass_fills_the_ring_and_a_camera_that_stops_is_said(page: Page, site: Site) -> None:
+    """A phone that is turned slowly all the time, until its camera is taken away."""
+    page.add_init_script(
+        """
+        let alpha = 360;
+        setInterval(() => {
+          alpha = (alpha + 359.5) % 360;
+          for (const kind of ['deviceorientation', 'deviceorientationabsolute']) {
+            window.dispatchEvent(new DeviceOrientationEvent(kind, { alpha, beta: 80, gamma: 0 }));
+          }
+        }, 50);
+        """
+    )
+    open_camera(page, site.url)
+    expect(page.locator("#looking")).to_be_visible()
+    await_taken(page, 3)
+    page.evaluate("() => viewfinder.srcObject.getVideoTracks()[0].dispatchEvent(new Event('ended'))")
+    await_data(page, camera="closed")
+    expect(page.get_by_role("alert")).to_contain_text("The camera has stopped.")
+    expect(page.locator("#seen")).to_contain_text("by the compass")
