@@ -24,7 +24,6 @@ addEventListener('message', (event) => {
   newest = frame;
   /** @type {MotionAnswer} */
   const answer = {
-    number: message.number,
     since: before && motionBetween(before, frame, FAR),
     fromPhoto: last && motionBetween(last, frame, FAR),
     plain: isPlain(frame),

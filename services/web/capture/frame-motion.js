@@ -20,11 +20,11 @@ const AWAY_PENALTY = 0.01; // of the difference for each pixel of way: a block a
  * @property {number} moved share of the blocks that are lost or have gone further than `far`
  */
 
-/** @typedef {{ rgba: Uint8ClampedArray, width: number, height: number, number: number }} FrameMessage a frame, to the worker */
+/** @typedef {{ rgba: Uint8ClampedArray<ArrayBuffer>, width: number, height: number }} FrameMessage a frame, to the worker */
 /** @typedef {{ keep: 'hold' | 'accept' }} KeepMessage `hold`: a photo is being taken of the newest frame; `accept`: it was good */
 /**
  * What the worker says of a frame. Null where there is nothing to compare with, or where too little can be followed.
- * @typedef {{ number: number, since: Motion | null, fromPhoto: Motion | null, plain: boolean }} MotionAnswer
+ * @typedef {{ since: Motion | null, fromPhoto: Motion | null, plain: boolean }} MotionAnswer
  */
 
 /**

@@ -1,18 +1,18 @@
 // The camera in the page: follows how it moves, takes photos by itself or by hand, and takes those again that would do harm.
 import { openCamera } from './camera.js';
+import { followFrames } from './camera-motion.js';
 import { showCameraOptions } from './camera-options.js';
 import { allowCompass, followHeading, mayHaveCompass } from './compass.js';
-import { frameSize } from './frame-motion.js';
 import { faultOfNew } from './guidance.js';
 import { afterFrame, afterPhoto, afterRefusal, newShutter } from './shutter.js';
 import { element } from '../shared/dom.js';
 import { sentences } from '../shared/problems.js';
 
 /** @import { Camera } from './camera.js' */
-/** @import { FrameMessage, KeepMessage, MotionAnswer } from './frame-motion.js' */
+/** @import { Follower } from './camera-motion.js' */
+/** @import { MotionAnswer } from './frame-motion.js' */
 /** @import { Cue } from './shutter.js' */
 
-const FRAME_MS = 100; // between two frames that are compared
 /** @type {Record<Cue, string>} */
 const CUES = {
   plain: 'Too dark or too plain to see how you move. Use the button.',
@@ -40,10 +40,8 @@ const page = {
 let onPhoto = () => {};
 /** @type {Camera | null} */
 let camera = null;
-/** @type {Worker | null} */
-let worker = null;
-/** @type {OffscreenCanvasRenderingContext2D | CanvasRenderingContext2D | null} */
-let small = null; // in which frames are made small
+/** @type {Follower | null} */
+let follower = null;
 let shutter = newShutter();
 /** @type {number | null} */
 let heading = null;
@@ -51,10 +49,6 @@ let stopCompass = () => {};
 let automatic = true;
 let shooting = false; // from the photo to the word whether it is good
 let taken = 0;
-let timer = 0;
-let lastFrame = 0; // ms: when the newest frame was sent
-let frameMs = 0; // from the one before
-let frameNumber = 0;
 
 /**
  * Listens to the camera's buttons.
@@ -76,10 +70,11 @@ async function open() {
   page.trouble.hidden = true;
   const compass = mayHaveCompass() && allowCompass(); // at once: iOS asks only in answer to a tap
   try {
-    camera = await openCamera(page.video);
+    const opened = await openCamera(page.video);
+    camera = opened;
     page.dialog.showModal();
-    await camera.start();
-    start(camera);
+    await opened.start();
+    if (camera === opened) start(opened); // not closed meanwhile
     if (await compass) useCompass();
   } catch (error) {
     page.dialog.close();
@@ -101,7 +96,7 @@ function start(opened) {
   showCount();
   keepAwake();
   document.body.dataset.camera = 'open';
-  startFollowing();
+  follower = followFrames(page.video, follow, () => setAutomatic(false)); // then photos are taken by hand
 }
 
 /** @param {string} text */
@@ -118,11 +113,10 @@ async function keepAwake() {
 
 /** Closes the camera. */
 function close() {
-  clearTimeout(timer);
-  worker?.terminate();
+  follower?.stop();
   stopCompass();
   camera?.close();
-  [camera, worker, heading] = [null, null, null];
+  [camera, follower, heading] = [null, null, null];
   document.body.dataset.camera = 'closed';
   page.open.focus();
 }
@@ -140,52 +134,16 @@ function useCompass() {
 
 // ---- movement -------------------------------------------------------------------------------------------------------
 
-/** Starts the worker that compares frames. Where there is none, photos are taken by hand. */
-function startFollowing() {
-  worker = new Worker('/web/capture/frame-motion-worker.js', { type: 'module' });
-  worker.addEventListener('message', (event) => follow(/** @type {MotionAnswer} */ (event.data)));
-  worker.addEventListener('error', () => setAutomatic(false));
-  sendFrame();
-}
-
-/** Sends the worker the frame that is shown now. */
-function sendFrame() {
-  const { videoWidth, videoHeight } = page.video;
-  if (!camera || !worker || !videoWidth) return;
-  const [width, height] = frameSize(videoWidth, videoHeight);
-  if (small?.canvas.width !== width || small.canvas.height !== height) small = createSmall(width, height);
-  if (!small) return;
-  small.drawImage(page.video, 0, 0, width, height);
-  const now = performance.now();
-  [frameMs, lastFrame] = [now - lastFrame, now];
-  const rgba = small.getImageData(0, 0, width, height).data;
-  frameNumber += 1;
-  /** @type {FrameMessage} */
-  const message = { rgba, width, height, number: frameNumber };
-  worker.postMessage(message, [rgba.buffer]);
-}
-
 /**
- * @param {number} width
- * @param {number} height
- */
-function createSmall(width, height) {
-  const context = Object.assign(document.createElement('canvas'), { width, height }).getContext('2d', { willReadFrequently: true });
-  if (context) context.imageSmoothingQuality = 'high';
-  return context;
-}
-
-/**
- * Goes on with what the worker says of a frame, and sends the next one.
+ * Goes on with how the camera has moved: says what to do, or takes a photo.
  * @param {MotionAnswer} motion
+ * @param {number} ms since the frame before
  */
-function follow(motion) {
-  if (!camera) return;
-  shutter = afterFrame(shutter, { ms: frameMs, heading, motion });
+function follow(motion, ms) {
+  shutter = afterFrame(shutter, { ms, heading, motion });
   document.body.dataset.cue = shutter.cue;
   if (!shooting) showCue(shutter.cue);
   if (automatic && !shooting && shutter.cue === 'take') shoot();
-  timer = setTimeout(sendFrame, Math.max(0, FRAME_MS - (performance.now() - lastFrame)));
 }
 
 /** @param {Cue} cue */
@@ -205,7 +163,7 @@ async function shoot() {
   if (!camera || shooting) return;
   shooting = true;
   page.shoot.disabled = true;
-  tell('hold');
+  follower?.tell('hold');
   const at = heading;
   try {
     const blob = await camera.takePhoto();
@@ -220,20 +178,13 @@ async function shoot() {
   page.shoot.disabled = false;
 }
 
-/** @param {KeepMessage['keep']} keep */
-function tell(keep) {
-  /** @type {KeepMessage} */
-  const message = { keep };
-  worker?.postMessage(message);
-}
-
 /**
  * @param {File} photo
  * @param {number | null} at
  */
 function accept(photo, at) {
   taken += 1;
-  tell('accept');
+  follower?.tell('accept');
   shutter = afterPhoto({ ...shutter, heading: at });
   page.dialog.dataset.flash = String(taken % 2); // the other animation's name begins it anew
   navigator.vibrate?.(30);
