@@ -4,7 +4,7 @@ import { followFrames } from './camera-motion.js';
 import { showCameraOptions } from './camera-options.js';
 import { allowCompass, followHeading, mayHaveCompass } from './compass.js';
 import { faultOfNew } from './guidance.js';
-import { afterFrame, afterPhoto, afterRefusal, newShutter } from './shutter.js';
+import { afterFrame, afterPhoto, afterRefusal, isStill, newShutter } from './shutter.js';
 import { element } from '../shared/dom.js';
 import { sentences } from '../shared/problems.js';
 
@@ -21,6 +21,7 @@ const CUES = {
   wait: '',
   take: 'Hold still.',
 };
+const SHAKEN = 'You moved while it was taken. Hold still until the picture flashes.';
 const BY_HAND = 'Take a step to the side, and use the button.';
 
 const page = {
@@ -48,6 +49,8 @@ let heading = null;
 let stopCompass = () => {};
 let automatic = true;
 let shooting = false; // from the photo to the word whether it is good
+let isOpen = false; // the shutter: the camera takes a photo, which can last a second
+let shaken = false; // the phone moved meanwhile
 let taken = 0;
 
 /**
@@ -59,7 +62,7 @@ export function startLiveCamera(take) {
   page.open.addEventListener('click', open);
   page.leave.addEventListener('click', () => page.dialog.close());
   page.dialog.addEventListener('close', close);
-  page.shoot.addEventListener('click', () => shoot());
+  page.shoot.addEventListener('click', () => shoot(false));
   page.automatic.addEventListener('click', () => setAutomatic(!automatic));
   document.addEventListener('visibilitychange', () => camera && document.hidden && page.dialog.close()); // phones take the camera away
 }
@@ -142,8 +145,9 @@ function useCompass() {
 function follow(motion, ms) {
   shutter = afterFrame(shutter, { ms, heading, motion });
   document.body.dataset.cue = shutter.cue;
+  if (isOpen && !isStill(motion.since, ms)) shaken = true;
   if (!shooting) showCue(shutter.cue);
-  if (automatic && !shooting && shutter.cue === 'take') shoot();
+  if (automatic && !shooting && shutter.cue === 'take') shoot(true);
 }
 
 /** @param {Cue} cue */
@@ -158,24 +162,40 @@ function say(text) {
 
 // ---- photos ---------------------------------------------------------------------------------------------------------
 
-/** Takes a photo, and keeps it if it does no harm; otherwise says why, and it is taken again. */
-async function shoot() {
+/**
+ * Takes a photo, and keeps it if it does no harm; otherwise says why, and it is taken again.
+ * @param {boolean} byItself then the phone has to be still to the end; a person may know better
+ */
+async function shoot(byItself) {
   if (!camera || shooting) return;
   shooting = true;
   page.shoot.disabled = true;
-  follower?.tell('hold');
   const at = heading;
   try {
-    const blob = await camera.takePhoto();
-    const photo = new File([blob], nameOf(blob), { type: blob.type, lastModified: Date.now() });
-    const fault = await faultOfNew(photo);
+    const photo = await expose(camera);
+    const fault = byItself && shaken ? SHAKEN : await faultOfNew(photo);
     if (fault) refuse(fault);
-    else if (camera) accept(photo, at);
+    else accept(photo, at);
   } catch (error) {
     refuse(sentences(error));
   }
   shooting = false;
   page.shoot.disabled = false;
+}
+
+/**
+ * Takes a photo, and notes whether the phone moves meanwhile.
+ * @param {Camera} opened
+ */
+async function expose(opened) {
+  follower?.tell('hold');
+  [isOpen, shaken] = [true, false];
+  try {
+    const blob = await opened.takePhoto();
+    return new File([blob], nameOf(blob), { type: blob.type, lastModified: Date.now() });
+  } finally {
+    isOpen = false;
+  }
 }
 
 /**

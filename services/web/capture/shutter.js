@@ -61,7 +61,7 @@ export const afterRefusal = (shutter) => ({ ...shutter, stillMs: 0, waitMs: RETR
  * @param {MotionAnswer['since']} motion since the frame before; null where too little can be followed
  * @param {number} ms
  */
-const isStill = (motion, ms) => motion !== null && motion.lost <= MOST_LOST && motion.size / (ms / 1000) < STILL;
+export const isStill = (motion, ms) => motion !== null && motion.lost <= MOST_LOST && motion.size / (ms / 1000) < STILL;
 
 /**
  * @param {Shutter} shutter

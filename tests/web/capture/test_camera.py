@@ -44,7 +44,7 @@ def walk(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Walk:
     rng = np.random.default_rng(0)
     frames: list[Bytes] = []
     for view, following in pairwise(views):
-        frames += [*rest(view, 1.8, rng), *step(view, following, rng)]
+        frames += [*rest(view, 2.2, rng), *step(view, following, rng)]
     frames += rest(cv2.GaussianBlur(views[-1], (0, 0), 5), 2.0, rng)
     frames += rest(views[-1], 4.0, rng)
     frames += rest((views[-1] * 0.05).astype(np.uint8), 1.5, rng)
@@ -147,6 +147,20 @@ def test_a_camera_that_takes_no_photos_gives_frames_of_its_film(
     page.get_by_role("button", name="Done").click()
     photos = sent_photos(page, site, "Frames")
     assert view_in(photos[0], walk) >= 0
+
+
+def test_a_photo_that_takes_long_is_refused_when_the_phone_moves_meanwhile(page: Page, site: Site) -> None:
+    page.add_init_script(
+        """
+        const { takePhoto } = ImageCapture.prototype;
+        ImageCapture.prototype.takePhoto = async function (...settings) {
+          while (document.body.dataset.cue === 'take') await new Promise((resolve) => setTimeout(resolve, 20));
+          return takePhoto.apply(this, settings);
+        };
+        """
+    )
+    open_camera(page, site.url)
+    page.wait_for_function("() => document.body.dataset.refused?.startsWith('You moved while it was taken.')")
 
 
 def test_light_and_locks_are_offered_where_the_camera_has_them(page: Page, site: Site) -> None:
