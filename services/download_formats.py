@@ -80,6 +80,20 @@ FORMATS = {
             ("asset.usdz",),
         ),
         DownloadFormat(
+            "splats-spz",
+            "Splats, SPZ",
+            "Gaussian splats that cover the mesh, for splat viewers. Metres, Y up.",
+            ".spz",
+            (FINEST,),
+        ),
+        DownloadFormat(
+            "splats-glb",
+            "Splats, GLB",
+            "The same as glTF with KHR_gaussian_splatting; other programs show points. Metres, Y up.",
+            "-splats.glb",
+            (FINEST,),
+        ),
+        DownloadFormat(
             "points-ply",
             "Points, PLY",
             "The captured points, for CloudCompare, MeshLab and scripts. Metres, Z up.",

@@ -32,6 +32,7 @@ BENCHES = {
     "uploads": "32 phones of 20 MB each, plain and resumable: seconds, memory, latency; a film of 1 GB with 20 cuts",
 }
 ON_DEMAND = {
+    "splats": "Gaussian splats beside the mesh that they cover: likeness to held-out photos, bytes",
     "formats": "which programs read what is downloaded: Blender, Godot, Babylon.js, glTF-Transform, usd-core, trimesh",
     "scenes": "flats of 1 to 64 million points by tiles: time over area, memory, distance from the truth; resumable",
     "rgbd-walk": "RGB-D walks of 500 and 2,000 frames through a flat: time, memory, distance; --track: drift",

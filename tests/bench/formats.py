@@ -35,6 +35,7 @@ _PROGRAMS = (
     readers.GODOT,
 )
 _RENDER = "glb"  # the format that Blender draws
+_FOR_OTHERS = ("points-ply", "points-laz", "splats-spz", "splats-glb", "colmap", "transforms")
 RESULTS = Path(__file__).with_name("results")
 
 
@@ -72,11 +73,11 @@ def _downloads(asset: Path, folder: Path) -> dict[str, Path]:
 
 
 def _readable(reader: Reader, format_name: str) -> bool:
-    """Whether a program is asked for a format: points and cameras are for others."""
+    """Whether a program is asked for a format: points, splats and cameras are for others."""
     if format_name == "glb-meshopt" and reader not in readers.UNPACKS_MESHOPT:
         return False
     ending = ".obj" if format_name == "obj" else Path(FORMATS[format_name].file_name("asset")).suffix
-    return ending in reader.endings and format_name not in ("points-ply", "points-laz", "colmap", "transforms")
+    return ending in reader.endings and format_name not in _FOR_OTHERS
 
 
 def _read_all(reader: Reader, made: dict[str, dict[str, Path]]) -> dict[tuple[str, str], Reading]:

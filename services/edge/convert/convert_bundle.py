@@ -25,6 +25,9 @@ from services.edge.export.ply import ply_bytes
 from services.edge.export.usdz import to_usdz
 from services.edge.export.z_up import z_up
 from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.splats.splat_glb import to_splat_glb
+from services.edge.splats.spz import to_spz
+from services.edge.splats.surface_splats import cover_with_splats
 from services.edge.texture.nearest_colour import transfer_colours
 
 _MM = 1000.0  # per metre
@@ -93,6 +96,14 @@ def _usdz(bundle: BundleFolder, key: str) -> bytes:
     return bundle.read("asset.usdz") if bundle.has("asset.usdz") else to_usdz(_finest(bundle).mesh)
 
 
+def _splats_spz(bundle: BundleFolder, key: str) -> bytes:
+    return to_spz(cover_with_splats(_finest(bundle).mesh))
+
+
+def _splats_glb(bundle: BundleFolder, key: str) -> bytes:
+    return to_splat_glb(cover_with_splats(_finest(bundle).mesh))
+
+
 def _points_ply(bundle: BundleFolder, key: str) -> bytes:
     return CapturePoints.read(bundle.read(POINTS)).ply()
 
@@ -116,6 +127,8 @@ _WRITERS: Mapping[str, Callable[[BundleFolder, str], bytes]] = {
     "ply": _ply,
     "stl": _stl,
     "usdz": _usdz,
+    "splats-spz": _splats_spz,
+    "splats-glb": _splats_glb,
     "points-ply": _points_ply,
     "points-laz": _points_laz,
     "colmap": _colmap,

@@ -12,19 +12,16 @@ A texture is embedded as JPEG, or as KTX2 where there is one (KHR_texture_basisu
 
 from __future__ import annotations
 
-import json
 import math
-import struct
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-import services
 from services.edge.arrays import Bools, Floats, Ints
 from services.edge.export import meshopt
-from services.edge.export.glb_buffer import Buffer, CompressedBuffer
+from services.edge.export.glb_buffer import Buffer, CompressedBuffer, glb_bytes, glb_document
 from services.edge.export.glb_colour import SHORT, TRUE, rgba16
 from services.edge.export.shading import Shaded, shaded, with_tangents
 from services.edge.mesh.normals import face_normals
@@ -38,7 +35,6 @@ KTX2 = "image/ktx2"
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125  # component types, by OpenGL's numbers
 _LINEAR, _TRILINEAR, _CLAMP = 9729, 9987, 33071  # a sampler's filters, the second with mips, and its edge
 _UNLIT, _BASISU = "KHR_materials_unlit", "KHR_texture_basisu"
-_JSON, _BIN = 0x4E4F534A, 0x004E4942  # chunk types
 _NEUTRAL = 0.6  # linear base colour without captured colours: light grey that shows shading both ways
 _ROUGHNESS = 0.9  # cloth, wood, skin: hardly a highlight, as captured light already holds the real ones
 _STEP_M = 1e-4  # of the grid of positions: less than a scan can tell
@@ -141,11 +137,12 @@ def _file(
     indices = buffer.add_indices(mesh.faces.astype(kind).ravel(), component)
     files = [buffer.add_file(each) for each in (drawn.picture, drawn.normals) if each is not None]
     pictured = _pictures(files, ktx2=drawn.ktx2) if files else {}
-    document = _document(attributes, indices, node, _material(drawn)) | pictured | buffer.tables()
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
+    document = glb_document(primitive, node) | {"materials": [_material(drawn)]} | pictured | buffer.tables()
     needed = ["KHR_mesh_quantization"] * ("scale" in node) + buffer.extensions + [_BASISU] * drawn.ktx2
     used = needed + [_UNLIT] * drawn.unlit
     document |= ({"extensionsUsed": used} if used else {}) | ({"extensionsRequired": needed} if needed else {})
-    return _container(document, bytes(buffer.data))
+    return glb_bytes(document, bytes(buffer.data))
 
 
 def _material(drawn: _Drawn) -> dict[str, Any]:
@@ -171,19 +168,6 @@ def _pictures(views: list[int], *, ktx2: bool) -> dict[str, Any]:
         "images": [{"bufferView": view, "mimeType": kind} for view, kind in zip(views, kinds, strict=True)],
         "samplers": [sampler],
         "textures": [{"sampler": 0, **source} for source in sources],
-    }
-
-
-def _document(
-    attributes: dict[str, int], indices: int, node: dict[str, Any], material: dict[str, Any]
-) -> dict[str, Any]:
-    return {
-        "asset": {"version": "2.0", "generator": f"capture2vr {services.__version__}"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [node],
-        "meshes": [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
-        "materials": [material],
     }
 
 
@@ -230,13 +214,6 @@ class _Grid:
 def _places(bits: int) -> int:
     """Steps along a side that fit into so many bits, with two to spare for rounding at its ends."""
     return (1 << bits) - 3
-
-
-def _container(document: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(document, separators=(",", ":")).encode("ascii")
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(binary), _BIN) + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def _drawable(drawn: _Drawn) -> _Drawn:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import services
 from services.edge.arrays import Floats
 from services.edge.export import meshopt
 
@@ -14,6 +17,26 @@ _BYTE = 5120  # component type
 _VERTICES, _INDICES = 34962, 34963  # buffer view targets
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MESHOPT = "EXT_meshopt_compression"
+_JSON, _BIN = 0x4E4F534A, 0x004E4942  # chunk types
+
+
+def glb_document(primitive: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
+    """The glTF document of a scene of one node whose mesh has one primitive; the buffer's tables are not in it yet."""
+    return {
+        "asset": {"version": "2.0", "generator": f"capture2vr {services.__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "meshes": [{"primitives": [primitive]}],
+    }
+
+
+def glb_bytes(document: dict[str, Any], binary: bytes) -> bytes:
+    """The bytes of a .glb from its glTF document and its binary chunk, which is of whole 32-bit words."""
+    text = json.dumps(document, separators=(",", ":")).encode("ascii")
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(binary), _BIN) + binary
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 class Buffer:

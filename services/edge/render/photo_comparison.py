@@ -226,7 +226,6 @@ def _shows_back(
 
 def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callable[[Hits], Floats]) -> LikenessCheck:
     import cv2
-    from skimage.metrics import structural_similarity
 
     photo = shrink_to(picture.load_rgb(), LIKENESS_PX)
     height, width = photo.shape[:2]
@@ -239,6 +238,14 @@ def _likeness(picture: PosedPicture, thing: Bools, scene: Scene, colours: Callab
     found = cv2.resize(met.reshape(fine[::-1]).astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) == 1
     shown = _resize_mask(thing, (width, height))
     both = cv2.erode((shown & found).astype(np.uint8), disc(2)) > 0
+    return compare_colours(photo, np.asarray(rendering, np.float32), both)
+
+
+def compare_colours(photo: Bytes, rendering: Floats, both: Bools) -> LikenessCheck:
+    """Compare a rendering (h,w,3), sRGB bytes as numbers, with its photo (h,w,3) in the pixels `both` (h,w)."""
+    import cv2
+    from skimage.metrics import structural_similarity
+
     if not both.any():
         return LikenessCheck(photo, np.clip(rendering, 0, 255).astype(np.uint8), 0.0, 0.0, 0.0)
     true = photo.astype(np.float32)

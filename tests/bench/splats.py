@@ -1,0 +1,191 @@
+"""Splats beside the mesh that they cover: likeness to photos that were held out, and bytes.
+
+Each row in a process of its own, preset `draft`, on the CPU. One photo in eight is held out. Mesh (the finest level,
+with its texture) and splats are compared in the same pixels: where the photo shows the thing and both draw it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+
+from services.cli.demo_phone import simulate_capture
+from services.edge.arrays import Bools, Floats
+from services.edge.asset.photo_check import posed_picture
+from services.edge.capture.detect import read_capture
+from services.edge.capture.nouns import Capture
+from services.edge.convert.read_glb import read_glb
+from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.photos.to_depth import to_depth
+from services.edge.pipeline import reconstruct
+from services.edge.points.texture_views import hold_out_frames, texture_view
+from services.edge.preset import load_preset
+from services.edge.render.photo_comparison import LikenessCheck, check_likeness, check_surface, compare_colours
+from services.edge.render.posed_picture import PosedPicture
+from services.edge.splats.splat_glb import to_splat_glb
+from services.edge.splats.spz import to_spz
+from services.edge.splats.surface_splats import MOST_SPLATS, Splats, cover_with_splats
+from services.storage.bundle import Bundle
+from tests.bench import captures
+from tests.bench.cell import ROOT
+from tests.bench.splat_rendering import draw_splats
+
+COUNTS = (100_000, MOST_SPLATS)
+TRAINERS_PLY_BYTES = 248  # of a splat as trainers write it: 62 floats, of which 45 are harmonics
+_OPAQUE = 0.9
+_ONE_IN = 8  # photos is held out
+_HAIRS, _HAIR_M, _BALL_M = 6_000, 0.03, 0.12
+
+
+@dataclass(frozen=True, slots=True)
+class Likeness:
+    """Mean figures over the held-out photos: PSNR in dB, structural similarity, sharpness over the photo's."""
+
+    psnr: float
+    ssim: float
+    sharp: float
+
+    @classmethod
+    def of(cls, checks: Sequence[LikenessCheck]) -> Likeness:
+        return cls(*(round(float(np.mean([getattr(each, name) for each in checks])), 3) for name in cls.__slots__))
+
+
+def furry_ball() -> Mesh:
+    """A ball with hairs of 3 cm, each a triangle of 1.5 mm at its root, on a floor."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(_HAIRS, 3))
+    root /= np.linalg.norm(root, axis=1, keepdims=True)
+    side = np.cross(root, rng.normal(size=(_HAIRS, 3)))
+    side *= 0.75e-3 / np.linalg.norm(side, axis=1, keepdims=True)
+    middle = np.array([0, _BALL_M + _HAIR_M, 0])
+    tip = root * (_BALL_M + _HAIR_M) + rng.normal(scale=0.006, size=(_HAIRS, 3))
+    corners = np.stack([root * _BALL_M - side, root * _BALL_M + side, tip], axis=1) + middle
+    shade = np.repeat(rng.integers(90, 230, (_HAIRS, 1)) * [1, 0.75, 0.5], 3, axis=0)
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=_BALL_M)
+    floor = trimesh.creation.box((1.2, 0.002, 1.2)).subdivide_to_size(0.02)
+    patch = np.floor(floor.vertices / 0.08).astype(int)
+    lit = np.random.default_rng(1).uniform(60, 220, (32, 32, 32))[tuple((patch % 32).T)]
+    parts = [
+        (np.asarray(ball.vertices) + middle, ball.faces, np.tile([70, 45, 30], (len(ball.vertices), 1))),
+        (corners.reshape(-1, 3), np.arange(3 * _HAIRS).reshape(-1, 3), shade),
+        (np.asarray(floor.vertices), floor.faces, np.repeat(lit[:, None], 3, axis=1)),
+    ]
+    first = np.cumsum([0, *(len(vertices) for vertices, _, _ in parts)])
+    return Mesh(
+        np.concatenate([vertices for vertices, _, _ in parts]),
+        np.concatenate([np.asarray(faces) + begin for (_, faces, _), begin in zip(parts, first, strict=False)]),
+        np.concatenate([rgb for _, _, rgb in parts]).clip(0, 255).astype(np.uint8),
+    )
+
+
+def _furry(folder: Path) -> Capture:
+    simulate_capture(furry_ball(), folder / "walk")
+    return read_capture(folder / "walk")
+
+
+_OF_CAPTURES = (
+    "fruit, cameras given",
+    "statue, 32 photos",
+    "garment, RGB-D, 40 frames",
+    "living room, RGB-D, 5 frames",
+)
+ROWS: dict[str, Callable[[Path], Capture]] = {
+    **{name: lambda folder, name=name: captures.ROWS[name](folder).capture for name in _OF_CAPTURES},  # type: ignore[misc]
+    "furry ball, RGB-D, 40 frames": _furry,
+}
+
+
+def one(name: str, out: Path | None = None) -> dict[str, Any]:
+    """The figures of a row, measured in this process; out: folder for its pictures."""
+    with tempfile.TemporaryDirectory() as folder:
+        capture = ROWS[name](Path(folder))
+        capture = to_depth(capture) if capture.kind == "photos" else capture
+        spared = max(1, len(capture.frames) // _ONE_IN)
+        frames = hold_out_frames(capture.frames, spared)[1]
+        made = [
+            step for step in reconstruct(capture, load_preset("draft"), hold_out=spared) if isinstance(step, Bundle)
+        ]
+        bundle = made[-1]
+        level = read_glb(bundle.files["lod0.glb"]).mesh
+        to_asset = np.array(bundle.manifest["capture_to_asset"], np.float64).reshape(4, 4)
+        photos = [posed_picture(texture_view(frame), to_asset) for frame in frames]
+        surface = level.mesh if isinstance(level, TexturedMesh) else level
+        checks = check_surface(surface, photos, ())
+        photos, things = [each.picture for each in checks], [each.thing for each in checks]
+        figures: dict[str, Any] = {"photos": len(photos), "mesh bytes": len(bundle.files["lod0.glb"])}
+        meshes = check_likeness(level, photos, things)
+        for count in COUNTS:
+            splats = cover_with_splats(level, count)
+            drawn = [_drawn(splats, *each) for each in zip(photos, things, meshes, strict=True)]
+            figures[str(count)] = {
+                "mesh": Likeness.of([mesh for mesh, _ in drawn]).__getstate__(),
+                "splats": Likeness.of([splat for _, splat in drawn]).__getstate__(),
+                "spz": len(to_spz(splats)),
+                "glb": len(to_splat_glb(splats)),
+            }
+            if out:
+                _write_pictures(out / f"{name.split(',')[0]}-{count}.jpg", drawn)
+        return figures
+
+
+def _drawn(
+    splats: Splats, photo: PosedPicture, thing: Bools, mesh: LikenessCheck
+) -> tuple[LikenessCheck, LikenessCheck]:
+    """Compare mesh and splats with a photo in the same pixels: on the thing, a pixel or two within what is opaque."""
+    height, width = mesh.photo.shape[:2]
+    rgb, opacity = draw_splats(splats, photo, width, height)
+    shown = cv2.resize(thing.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    both = cv2.erode((shown & (opacity > _OPAQUE)).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    over = rgb / np.maximum(opacity, 1e-3)[..., None]
+    return compare_colours(mesh.photo, mesh.rendering.astype(np.float32), both), compare_colours(mesh.photo, over, both)
+
+
+def _write_pictures(file: Path, drawn: Sequence[tuple[LikenessCheck, LikenessCheck]]) -> None:
+    """The first held-out photo, the mesh, and the splats, side by side."""
+    mesh, splat = drawn[0]
+    row: Floats = np.concatenate([mesh.photo, mesh.rendering, splat.rendering], axis=1)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(file), np.ascontiguousarray(row[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
+def lines_of(name: str, figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of the table for a capture, one for each number of splats."""
+    for count in COUNTS:
+        each = figures[str(count)]
+        pairs = (f"{each['mesh'][place]:.2f} | {each['splats'][place]:.2f}" for place in range(3))
+        share = each["spz"] / (count * TRAINERS_PLY_BYTES)
+        sizes = (figures["mesh bytes"], each["spz"], each["glb"])
+        yield (
+            f"| {name} | {figures['photos']} | {count:,} | {' | '.join(pairs)} "
+            f"| {' | '.join(f'{size / 1e6:.2f}' for size in sizes)} | {share:.1%} |"
+        )
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print the table, row by row."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench splats", description=__doc__)
+    parser.add_argument("words", nargs="*", help=f"only rows that contain all of these words; all: {'; '.join(ROWS)}")
+    parser.add_argument("--out", type=Path, help="folder for pictures: photo, mesh, splats")
+    options = parser.parse_args(arguments)
+    print("| capture | photos | splats | PSNR mesh | splats | SSIM mesh | splats | sharp mesh | splats "
+          "| MB mesh | spz | glb | spz of trainer's PLY |")  # fmt: skip
+    print(f"|{'---|' * 13}")
+    for name in (name for name in ROWS if all(word in name for word in options.words)):
+        command = [sys.executable, "-m", "tests.bench.splats", name, *([str(options.out)] if options.out else [])]
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+        print("\n".join(lines_of(name, json.loads(done.stdout.splitlines()[-1]))), flush=True)
+
+
+if __name__ == "__main__":
+    print(json.dumps(one(sys.argv[1], Path(sys.argv[2]) if len(sys.argv) > 2 else None)))
