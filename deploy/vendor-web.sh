@@ -19,6 +19,7 @@ copy build/three.module.js module
 copy examples/jsm/loaders/GLTFLoader.js gltf-loader
 copy examples/jsm/controls/OrbitControls.js orbit-controls
 copy examples/jsm/utils/BufferGeometryUtils.js buffer-geometry-utils
+copy examples/jsm/postprocessing/Pass.js pass
 copy examples/jsm/utils/SkeletonUtils.js skeleton-utils
 copy examples/jsm/libs/meshopt_decoder.module.js meshopt-decoder
 # What unpacks KTX2, which only pages that meet such a file load: Binomial's, under the Apache licence.
@@ -47,7 +48,7 @@ notice() {
 found() { sed -nE "s#.*$1 ([0-9]+(\.[0-9]+)+).*#\1#p" "package/$2" | grep -m 1 . || stop "$2 no longer says: $1 …"; }
 # licence PACKAGE@VERSION: the licence's text of another npm package.
 licence() { npm pack --silent "$1" >/dev/null && tar xzOf "${1/@/-}.tgz" --wildcards 'package/LICENSE*'; }
-notice LICENSE "three.js $version (MIT): core.js module.js gltf-loader.js orbit-controls.js buffer-geometry-utils.js skeleton-utils.js" \
+notice LICENSE "three.js $version (MIT): core.js module.js gltf-loader.js orbit-controls.js buffer-geometry-utils.js skeleton-utils.js pass.js" \
   "pkg:npm/three@$version" package/LICENSE
 earcut=$(found "mapbox/earcut version" src/extras/lib/earcut.js)
 licence "earcut@$earcut" | notice earcut.LICENSE "earcut $earcut (ISC): core.js" "pkg:npm/earcut@$earcut"

@@ -8,7 +8,12 @@ import { parseAnswer } from '../shared/problems.js';
 import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
 import { ofShownTenant } from '../shared/whose.js';
 
+/** @import { SceneItem } from './scene-item.js' */
 /** @import { Download, DownloadList } from '../shared/types.d.ts' */
+
+/** @typedef {(bytes: ArrayBuffer) => Promise<void>} ShowSplats shows the splats of a file on this page */
+
+const SPLATS = 'splats-spz'; // the format that the page itself can show
 
 const panel = {
   list: element('downloads-list', HTMLElement),
@@ -17,14 +22,18 @@ const panel = {
 };
 
 /**
- * Lists the formats that an asset can have, each with a button that downloads it.
- * @param {string} key
+ * Lists the formats that an asset can have, each with a button that downloads it; behind that of splats, one that shows them here.
+ * @param {SceneItem} item
+ * @param {ShowSplats} showSplats
  */
-export async function showDownloads(key) {
+export async function showDownloads(item, showSplats) {
   await attempt(panel.trouble, async () => {
     /** @type {DownloadList} */
-    const { downloads } = await getJson(ofShownTenant(`/v1/assets/${encodeURIComponent(key)}/downloads`));
-    panel.list.replaceChildren(...downloads.map(createItem));
+    const { downloads } = await getJson(ofShownTenant(`/v1/assets/${encodeURIComponent(item.key)}/downloads`));
+    const entries = downloads.map(createItem);
+    const place = downloads.findIndex(({ format }) => format === SPLATS);
+    if (place >= 0) entries[place].append(createSwitch(downloads[place], item, showSplats));
+    panel.list.replaceChildren(...entries);
     document.body.dataset.downloads = String(downloads.length);
   });
 }
@@ -59,6 +68,35 @@ async function save({ url, title, file }, button) {
   } finally {
     button.disabled = false;
   }
+}
+
+/**
+ * Creates the button that shows splats in place of the mesh, or the mesh again.
+ * @param {Download} download
+ * @param {SceneItem} item
+ * @param {ShowSplats} showSplats
+ */
+function createSwitch({ url, title }, item, showSplats) {
+  const button = create('button', { type: 'button', textContent: 'Show them here' });
+  button.setAttribute('aria-pressed', 'false');
+  const toggle = async () => {
+    if (item.splats) {
+      item.splats.dispose();
+    } else {
+      panel.said.textContent = `${title}: being made …`;
+      await untilMade(url);
+      await showSplats((await fetchBytes(url, { silenceMs: DOWNLOAD_ANSWER_MS })).bytes);
+    }
+    panel.said.textContent = '';
+    button.setAttribute('aria-pressed', String(item.splats !== null));
+    document.body.dataset.splats = item.splats ? 'shown' : 'hidden';
+  };
+  button.addEventListener('click', async () => {
+    button.disabled = true;
+    await attempt(panel.trouble, toggle);
+    button.disabled = false;
+  });
+  return button;
 }
 
 /**

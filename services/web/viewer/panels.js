@@ -1,8 +1,10 @@
 // The panels of the viewer's page for the one thing that it shows, and who gets them. A panel's module is loaded when the panel is opened.
+import { isLoaded } from './scene-item.js';
 import { element } from '../shared/dom.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
+/** @import { Stage } from '../graphics/scene.js' */
 /** @import { SceneItem } from './scene-item.js' */
 
 const page = {
@@ -24,11 +26,17 @@ function offer(panel, fill) {
 }
 
 /**
- * Offers the thing for other programs.
+ * Offers the thing for other programs, and its splats on this page.
  * @param {SceneItem} item
+ * @param {Stage} stage
+ * @param {() => void} redraw
  */
-export function offerDownloads({ key }) {
-  offer(page.downloads, () => import('./downloads.js').then(({ showDownloads }) => showDownloads(key)));
+export function offerDownloads(item, stage, redraw) {
+  const show = async (/** @type {ArrayBuffer} */ bytes) => {
+    const { showSplats } = await import('./splats.js');
+    if (isLoaded(item)) await showSplats(item, bytes, stage, redraw);
+  };
+  offer(page.downloads, () => import('./downloads.js').then(({ showDownloads }) => showDownloads(item, show)));
 }
 
 /**

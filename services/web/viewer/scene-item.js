@@ -22,6 +22,8 @@ export class SceneItem {
   model = null;
   /** @type {Tileset | null} */
   tileset = null; // of a large scene, once its module is loaded
+  /** @type {{ dispose: () => void } | null} */
+  splats = null; // that are shown in place of the mesh
   isTiled = false; // whether it is such a scene, and its finer levels of detail are not needed
   /** @type {number[]} */
   loadedLevels = []; // of detail, in the order in which they came
@@ -97,6 +99,7 @@ export class SceneItem {
 
   /** Frees what the version holds that is shown. */
   #dispose() {
+    this.splats?.dispose();
     this.model?.dispose();
     this.tileset?.dispose();
     this.tileset = null;

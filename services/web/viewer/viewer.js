@@ -365,7 +365,7 @@ async function offerPanels(asking) {
     await asking;
     return;
   }
-  offerDownloads(item);
+  offerDownloads(item, stage, redraw);
   const fillAbout = offerAbout(item, loadManifest);
   showFacts = fillAbout;
   const session = await asking;

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import io
+import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
 from services.cli.up import Stack
+from services.edge.arrays import Floats
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
 from tests.support.pages import await_data
+from tests.support.patience import HANG_S
+from tests.support.screenshots import await_frames, difference, drawn, stage
 from tests.support.sites import Site
 
 pytestmark = pytest.mark.browser
@@ -24,7 +31,7 @@ def test_a_file_is_made_and_saved_by_keyboard(page: Page, stack: Stack, bundle: 
     page.goto(f"{stack.url}/view/bowl")
     await_data(page, loaded="2 1 0")
     page.locator("#downloads summary").press("Enter")
-    await_data(page, downloads="8")
+    await_data(page, downloads="10")
     button = page.get_by_role("button", name="STL")
     expect(button).to_have_accessible_description(
         "For 3D printing: every triangle, no colours. Millimetres, Z up, as slicers expect."
@@ -53,7 +60,7 @@ def test_what_cannot_be_made_now_is_said(page: Page, site: Site, bundle: Bundle)
     page.goto(f"{site.url}/view/bowl")
     await_data(page, loaded="2 1 0")
     page.get_by_text("Download", exact=True).click()
-    await_data(page, downloads="8")
+    await_data(page, downloads="10")
     panel, shown = page.locator("#downloads").bounding_box(), page.viewport_size
     assert panel is not None
     assert shown is not None
@@ -64,3 +71,44 @@ def test_what_cannot_be_made_now_is_said(page: Page, site: Site, bundle: Bundle)
         "No worker is there to make the file. Try again in a moment."
     )
     expect(page.get_by_role("button", name="GLB", exact=True)).to_be_enabled()
+
+
+def test_splats_are_shown_in_place_of_the_mesh(page: Page, stack: Stack, bundle: Bundle) -> None:
+    publish(bundle, LocalStore(stack.store_root), key="bowl")
+    faults: list[str] = []
+    page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(f"{stack.url}/view/bowl")
+    await_data(page, loaded="2 1 0")
+    page.get_by_text("Download", exact=True).click()
+    await_data(page, downloads="10")
+    mesh = stage(page)
+    button = page.get_by_role("button", name="Show them here")
+    button.click()
+    await_data(page, splats="shown")
+    expect(button).to_have_attribute("aria-pressed", "true")
+    await_picture(page, lambda picture: drawn(picture) > 0.8 * drawn(mesh))
+    splats = stage(page)
+    assert difference(mesh, splats) > 0.001, "it is another picture"
+    (mine, of_mesh), (theirs, of_splats) = colours(mesh), colours(splats)
+    assert of_splats == pytest.approx(of_mesh, rel=0.1)
+    assert np.abs(mine - theirs).max() < 12
+    button.click()
+    await_data(page, splats="hidden")
+    await_picture(page, lambda picture: difference(picture, mesh) < 0.001)
+    assert faults == []
+
+
+def colours(png: bytes) -> tuple[Floats, float]:
+    """Mean colour (3,) of what is drawn, and its share of the picture."""
+    pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(float)
+    thing = np.abs(pixels - pixels[0, 0]).max(axis=2) > 12
+    return pixels[thing].mean(axis=0), float(thing.mean())
+
+
+def await_picture(page: Page, is_it: Callable[[bytes], bool]) -> None:
+    """Until the canvas shows what is asked for: splats are sorted in a worker before they are drawn."""
+    until = time.monotonic() + HANG_S
+    while not is_it(stage(page)):
+        assert time.monotonic() < until, "it was never drawn"
+        await_frames(page)
