@@ -51,7 +51,7 @@ def test_the_page_libraries_name_only_files_that_are_there() -> None:
         for name in re.findall(r"(?:from|import\()\s*'(\.\.?/[^']+)'", module.read_text()):
             assert (module.parent / name).is_file(), f"{module.name} imports {name}"
     assert all(
-        re.match(r"(three|tus-js-client|tiles-renderer)-\d+\.\d+\.\d+\.", file.name)
+        re.match(r"(spark|three|tus-js-client|tiles-renderer)-\d+\.\d+\.\d+\.", file.name)
         for file in (web / "vendor").iterdir()
     )
 

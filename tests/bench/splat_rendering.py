@@ -14,6 +14,7 @@ from services.edge.splats.surface_splats import Splats
 _BAND = 32  # rows of pixels that are drawn together: memory is that of the splats in them
 _REACH = 3.0  # standard deviations of a splat that are drawn
 _BLUR_PX2 = 0.3  # variance that is added to every splat, so that none falls between two pixels
+_BESIDE = 0.15  # of the picture's sides: how far outside of it a splat's centre may be
 _LEAST = 1 / 255  # opacity below which a pixel has nothing of a splat
 
 
@@ -46,8 +47,9 @@ def _project(splats: Splats, picture: PosedPicture, width: int, height: int) -> 
     places = splats.xyz.astype(np.float64)
     share, z = picture.project(places)
     local = places @ picture.to_camera[:3, :3].T + picture.to_camera[:3, 3]
-    near = np.flatnonzero(z > 1e-6)
-    order = near[np.argsort(np.linalg.norm(local[near], axis=1))]
+    # Farther outside the picture, and above all beside the camera, a plane is no likeness of the perspective any more.
+    seen = np.flatnonzero((z > 0) & (np.abs(share - 0.5) < 0.5 + _BESIDE).all(axis=1))
+    order = seen[np.argsort(np.linalg.norm(local[seen], axis=1))]
     focal = picture.focal * [width, height]
     x, y, z = local[order].T
     slope = np.zeros((len(order), 2, 3))
