@@ -1,6 +1,7 @@
 """Fuse the depth images of a scene, however large: at once while its voxels fit in memory, else box by box.
 
-1. survey  every frame is read once: a few of its pixels tell what part of space it sees     (scene_walk.py)
+1. survey  every frame is read once: a few of its pixels tell what part of space it sees     (scene_walk.py), and
+           from how near, so that what others saw from much nearer is left out              (viewing_distance.py)
 2. cut     space is cut into boxes of some million voxels each                                (scene_boxes.py)
 3. fuse    each box with a rim around it, as `fuse` does it, from the frames that show it; those that look through it
            vote, and outliers are removed
@@ -19,7 +20,7 @@ from functools import partial
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
+from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick, part_of
 from services.edge.capture.nouns import Frame
 from services.edge.parallel import one_ahead
 from services.edge.points.depth_consensus import VotingView
@@ -149,7 +150,14 @@ def _read(
     view = faults.read_view(frame, limits)
     if view is None:
         return None
-    samples, _ = observe(view, faults.read_picture(frame), walk.origin, lambda xyz: within(xyz, low, high))
+    eye = walk.eyes[number]
+
+    def is_wanted(xyz: Floats) -> Bools:
+        wanted = within(xyz, low, high)
+        wanted[wanted] = walk.distance.is_near(xyz[wanted], eye)
+        return wanted
+
+    samples, _ = observe(view, faults.read_picture(frame), walk.origin, is_wanted)
     return view, samples
 
 

@@ -64,5 +64,7 @@ class SceneBox:
 
 def within(xyz: Floats, low: Floats, high: Floats) -> Bools:
     """Mask (N,) of places between low and high (3,), as is each place of space in one box of several."""
-    inside: Bools = np.asarray(((xyz >= low) & (xyz < high)).all(axis=1))
+    inside: Bools = np.ones(len(xyz), bool)
+    for axis in range(3):  # one column after the other: numpy takes five times as long for `all` along rows
+        inside &= (xyz[:, axis] >= low[axis]) & (xyz[:, axis] < high[axis])
     return inside
