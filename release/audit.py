@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from release.errors import ReleaseError
 from release.process import ProgramAbsentError, run
@@ -129,7 +130,7 @@ def _lock(root: Path) -> dict[str, Any]:
     lock: dict[str, Any] = json.loads((root / "package-lock.json").read_text())
     for purl in (library.purl for library in vendored_libraries(root)):
         if purl.startswith("pkg:npm/"):
-            name, version = purl.removeprefix("pkg:npm/").rsplit("@", 1)
+            name, version = unquote(purl.removeprefix("pkg:npm/")).rsplit("@", 1)
             lock["packages"][""].setdefault("dependencies", {})[name] = version
             lock["packages"][f"node_modules/{name}"] = {"version": version}
     return lock

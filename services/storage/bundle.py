@@ -20,6 +20,7 @@ CONTENT_TYPES = {
     ".ktx2": "image/ktx2",
     ".laz": "application/octet-stream",
     ".ply": "application/octet-stream",
+    ".spz": "application/octet-stream",
     ".png": "image/png",
     ".jpg": "image/jpeg",
     ".stl": "model/stl",

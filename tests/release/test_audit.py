@@ -65,6 +65,7 @@ def test_a_vulnerability_fails_and_is_named_with_what_fixes_it() -> None:
     lock = json.loads((ROOT / "package-lock.json").read_text())["packages"]
     tools = {path.rpartition("node_modules/")[2] for path in lock} - {""}
     vendored = {"three", "earcut", "meshoptimizer", "tus-js-client", "js-base64", "3d-tiles-renderer"}
+    vendored |= {"@sparkjsdev/spark", "fflate"}
     assert service.asked_javascript == tools | vendored
 
 

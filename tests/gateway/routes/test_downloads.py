@@ -60,7 +60,8 @@ async def test_the_formats_are_listed(tmp_path: Path) -> None:
     async with gateway(tmp_path, store) as client:
         answer = await client.get("/v1/assets/sheet/downloads")
         listed = answer.json()["downloads"]
-        assert [each["format"] for each in listed] == ["glb", "glb-meshopt", "obj", "ply", "stl", "usdz"]
+        meshes, splats = ["glb", "glb-meshopt", "obj", "ply", "stl", "usdz"], ["splats-spz", "splats-glb"]
+        assert [each["format"] for each in listed] == meshes + splats
         assert (listed[2]["file"], listed[2]["bytes"]) == ("sheet-obj.zip", None)
         assert listed[2]["url"] == "/v1/assets/sheet/download?format=obj"
         assert answer.headers["cache-control"] == "no-cache"
@@ -137,7 +138,7 @@ async def test_who_need_not_wait_asks_again(tmp_path: Path, monkeypatch: pytest.
 
 
 async def test_what_the_asset_cannot_have_is_said_with_what_it_can(tmp_path: Path) -> None:
-    store, whole = memory(), downloadable()
+    store, whole, possible = memory(), downloadable(), "glb, glb-meshopt, obj, usdz, splats-spz, splats-glb"
     small = Bundle("preview", {"lod0.glb": whole.files["lod0.glb"]}, whole.manifest)
     publish(small, store, key="sheet", job="job_1")
     async with gateway(tmp_path, store) as client:
@@ -145,8 +146,8 @@ async def test_what_the_asset_cannot_have_is_said_with_what_it_can(tmp_path: Pat
             answer = await client.get("/v1/assets/sheet/download", params={"format": wanted})
             problem = answer.json()
             assert (answer.status_code, problem["code"]) == (status, code)
-            assert problem["detail"].endswith("glb, glb-meshopt, obj, usdz")
-            assert problem["hints"] == ["ask for one of: glb, glb-meshopt, obj, usdz"]
+            assert problem["detail"].endswith(possible)
+            assert problem["hints"] == [f"ask for one of: {possible}"]
         assert (await client.get("/v1/assets/sheet/download")).json()["code"] == "REQUEST_INVALID"
 
 
