@@ -23,6 +23,7 @@ BENCHES = {
     "pipeline": "capture to published LOD set: seconds per stage and peak memory",
     "walk": "five minutes in a scene of 1,365 tiles, in an emulated headset: bytes kept, heap, first picture",
     "visit": "the viewer in a browser on a throttled link: first mesh, bytes, longest task, three visits",
+    "lighthouse": "Lighthouse on its emulated phone: accessibility and speed of capture, collection and viewer",
     "phone": "photos of a phone through gateway and worker: seconds to the preview and to the end",
     "service": "many people on one service: what keys cost, 10,000 tenants, turns in the queue, kills",
     "dispatch": "10,000 queued jobs, 4 gateways, 50 pretend workers, one Postgres: no job twice, milliseconds, CPU",

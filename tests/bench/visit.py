@@ -32,7 +32,8 @@ from tests.bench.delivery import scan
 from tests.support.chromium import launch
 
 _KEY = "sheet"
-_SIDES = (2048, 1024, 512)  # texels of the levels' pictures
+SIDES = (2048, 1024, 512)
+"""Texels of the levels' pictures."""
 LINK = {"offline": False, "latency": 20, "downloadThroughput": 20e6 / 8, "uploadThroughput": 5e6 / 8}
 _LONG_MS = 50
 _PATIENCE_MS = 120_000
@@ -63,9 +64,9 @@ def main(arguments: list[str]) -> None:
     levels = lods(scan())
     with sync_playwright() as playwright:
         chromium = launch(playwright)
-        _visits("colours at vertices", _bundle(levels), chromium)
-        painted = [_painted(level, side) for level, side in zip(levels, _SIDES, strict=True)]
-        _visits("pictures", _bundle(painted), chromium)
+        _visits("colours at vertices", sheet_bundle(levels), chromium)
+        pictured = [painted(level, side) for level, side in zip(levels, SIDES, strict=True)]
+        _visits("pictures", sheet_bundle(pictured), chromium)
         chromium.close()
 
 
@@ -81,7 +82,7 @@ def _visits(what: str, bundle: Bundle, chromium: Browser) -> None:
     context.close()
 
 
-def _painted(level: Mesh, side: int) -> TexturedMesh:
+def painted(level: Mesh, side: int) -> TexturedMesh:
     """The sheet seen from above, with a picture that compresses as a photo does."""
     jpeg = jpeg_of(photo_like(side), 88)
     return TexturedMesh(replace(level, rgb=None), level.vertices[:, [0, 2]].clip(0, 1), jpeg, side)
@@ -93,7 +94,8 @@ def photo_like(side: int) -> Bytes:
     return np.asarray(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
-def _bundle(levels: Sequence[Mesh | TexturedMesh]) -> Bundle:
+def sheet_bundle(levels: Sequence[Mesh | TexturedMesh]) -> Bundle:
+    """The sheet as the product would publish it, of these levels, finest first."""
     files = {f"lod{level}.glb": to_glb(each, "meshopt") for level, each in enumerate(levels)}
     costs = [asdict(measure_cost(glb)) for glb in files.values()]
     files["preview.png"] = render_sheet(levels[2])

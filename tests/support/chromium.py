@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from playwright.sync_api import Browser, Playwright
@@ -14,7 +15,6 @@ _FLAGS = [
     "--use-gl=angle",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
-    "--disable-gpu-compositing",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
@@ -22,6 +22,8 @@ _FLAGS = [
     "--no-first-run",
     "--mute-audio",
 ]
+# The processor puts pages together: cheaper in software, but each frame of a canvas is read back, and waited for.
+_COPIED = "--disable-gpu-compositing"
 
 
 def chromium() -> str | None:
@@ -29,9 +31,13 @@ def chromium() -> str | None:
     return shutil.which("chromium-headless-shell") or shutil.which("chromium")
 
 
-def launch(playwright: Playwright) -> Browser:
-    """A browser that has been nowhere. It has to be installed."""
-    return playwright.chromium.launch(executable_path=chromium(), args=_FLAGS)
+def launch(playwright: Playwright, flags: Sequence[str] = (), *, composited: bool = False) -> Browser:
+    """A browser that has been nowhere. It has to be installed.
+
+    composited  whether pages are put together as on a device with a graphics card, so that no frame waits for another
+    """
+    args = [*_FLAGS, *flags, *([] if composited else [_COPIED])]
+    return playwright.chromium.launch(executable_path=chromium(), args=args)
 
 
 def launch_with_camera(browser: Browser, film: Path | None) -> Browser:

@@ -60,7 +60,7 @@ function sectionsOf(entry, manifest) {
   const { quality, warnings = [], capture = {} } = manifest;
   return [
     ['How good it is', quality ? qualityLines(quality, entry) : []],
-    ['To mind', warnings],
+    ['Warnings', warnings],
     ['To see more of it', (capture.unseen ?? []).map(({ advice }) => advice)],
     ['How it was made', originLines(entry, manifest)],
   ];
@@ -73,7 +73,7 @@ function sectionsOf(entry, manifest) {
 function qualityLines({ held_out: heldOut, held_out_mean: distance, coverage, components, boundary_loops: borders, verdict, photos }, entry) {
   const points = heldOut ? 'points that were kept aside to test it' : 'the points that it was made from';
   return [
-    coverage === undefined ? '' : `${closeness(coverage)}: ${percent(coverage)} of ${points} lie on it, as closely as the points lie together.`,
+    coverage === undefined ? '' : `${closeness(coverage)}: ${percent(coverage)} of ${points} lie on it, to within the distance from one to the next.`,
     distance === undefined ? '' : `On average they are ${distanceText(distance, entry)} away from it.`,
     photos ? `${percent(photos.cover)} of what photos that were kept aside show of it is there.` : '',
     components === undefined || borders === undefined ? '' : `It has ${counted(components, 'piece')} and ${counted(borders, 'open border')}.`,

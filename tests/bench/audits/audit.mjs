@@ -9,6 +9,7 @@ for (const address of addresses) {
   const { lhr } = await lighthouse(address, { port: Number(port), logLevel: 'error', onlyCategories: CATEGORIES });
   const scores = Object.fromEntries(CATEGORIES.map((name) => [name, Math.round(100 * lhr.categories[name].score)]));
   const metrics = Object.fromEntries(METRICS.map((name) => [name, lhr.audits[name].numericValue]));
-  const failed = Object.values(lhr.audits).filter(({ score, scoreDisplayMode }) => scoreDisplayMode === 'binary' && score === 0).map(({ id }) => id);
-  console.log(JSON.stringify({ scores, metrics, failed, bytes: lhr.audits['total-byte-weight'].numericValue }));
+  const rules = lhr.categories.accessibility.auditRefs.filter(({ weight }) => weight > 0).map(({ id }) => id);
+  const inaccessible = rules.filter((id) => lhr.audits[id].score === 0);
+  console.log(JSON.stringify({ scores, metrics, inaccessible, bytes: lhr.audits['total-byte-weight'].numericValue }));
 }
