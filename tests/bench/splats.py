@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -129,8 +129,8 @@ def one(name: str, out: Path | None = None) -> dict[str, Any]:
             splats = cover_with_splats(level, count)
             drawn = [_drawn(splats, *each) for each in zip(photos, things, meshes, strict=True)]
             figures[str(count)] = {
-                "mesh": Likeness.of([mesh for mesh, _ in drawn]).__getstate__(),
-                "splats": Likeness.of([splat for _, splat in drawn]).__getstate__(),
+                "mesh": astuple(Likeness.of([mesh for mesh, _ in drawn])),
+                "splats": astuple(Likeness.of([splat for _, splat in drawn])),
                 "spz": len(to_spz(splats)),
                 "glb": len(to_splat_glb(splats)),
             }

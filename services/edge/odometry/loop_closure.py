@@ -84,6 +84,11 @@ def _way_m(poses: Floats) -> Floats:
     return way
 
 
+def _allowed_drift(way: Floats) -> Floats:
+    """How far key frames may be off as seen from others, in metres, by the way (...) between them."""
+    return _DRIFT_M + _DRIFT_SHARE * way
+
+
 def _look_alike(keys: Sequence[PackedLevel], poses: Floats, way: Floats) -> list[tuple[int, int]]:
     """Return pairs (old, new) of key frames that look alike, of long ago, and may have met in spite of the drift."""
     some = np.arange(0, len(keys), _EVERY)
@@ -91,10 +96,7 @@ def _look_alike(keys: Sequence[PackedLevel], poses: Floats, way: Floats) -> list
     olds = [
         np.flatnonzero(
             (some <= new - _LONG_AGO)
-            & (
-                np.linalg.norm(eyes - poses[new, :3, 3], axis=1)
-                < _MEETING_M + _DRIFT_M + _DRIFT_SHARE * (way[new] - way[some])
-            )
+            & (np.linalg.norm(eyes - poses[new, :3, 3], axis=1) < _MEETING_M + _allowed_drift(way[new] - way[some]))
         )
         for new in some.tolist()
     ]
@@ -109,7 +111,7 @@ def _align_pairs(
     edges = []
     for number, (old, new) in enumerate(pairs):
         guess = np.linalg.inv(poses[old]) @ poses[new]
-        fit = _align_pair(keys, old, new, guess, _DRIFT_M + _DRIFT_SHARE * float(way[new] - way[old]))
+        fit = _align_pair(keys, old, new, guess, float(_allowed_drift(way[new] - way[old])))
         edges += [] if fit is None else [Edge(old, new, fit.pose, fit.information)]
         tick((number + 1) / len(pairs))
     return edges

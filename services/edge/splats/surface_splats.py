@@ -12,8 +12,9 @@ from io import BytesIO
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
+from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.render.sample_image import bilinear
+from services.edge.render.sample_image import bilinear, shrink_to
 
 MOST_SPLATS = 300_000
 """As many as a standalone headset sorts and draws in time."""
@@ -58,8 +59,8 @@ def cover_with_splats(surface: Mesh | TexturedMesh, count: int = MOST_SPLATS) ->
     """
     mesh = surface.mesh if isinstance(surface, TexturedMesh) else surface
     corners = np.asarray(mesh.vertices, np.float64)[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled = np.linalg.norm(cross, axis=1)
+    normals = face_normals(np.asarray(mesh.vertices, np.float64), mesh.faces)
+    doubled = np.linalg.norm(normals, axis=1)
     total = float(doubled.sum()) / 2
     if not total > 0:
         raise ValueError(f"a mesh of {len(mesh.faces)} faces without area cannot be covered with splats")
@@ -69,7 +70,7 @@ def cover_with_splats(surface: Mesh | TexturedMesh, count: int = MOST_SPLATS) ->
     thickness = max(_THICKNESS * width, _THINNEST_M)
     return Splats(
         np.einsum("nc,ncx->nx", bary, corners[face]).astype(np.float32),
-        _turns_to(cross[face] / doubled[face, None]).astype(np.float32),
+        _turns_to(normals[face] / doubled[face, None]).astype(np.float32),
         np.tile(np.array([width, width, thickness], np.float32), (count, 1)),
         np.full(count, _OPACITY, np.float32),
         _colours(surface, mesh.faces[face], bary, spacing),
@@ -108,22 +109,20 @@ def _colours(surface: Mesh | TexturedMesh, corners: Ints, bary: Floats, spacing:
 
 def _shrunk_texture(surface: TexturedMesh, spacing: float) -> Bytes:
     """The texture with texels about as large as a splat, each the mean of what it covers: single ones would alias."""
-    import cv2
     from PIL import Image
 
     with Image.open(BytesIO(surface.jpeg)) as image:
         picture = np.asarray(image.convert("RGB"))
     shrink = max(1.0, spacing / max(_texel_m(surface), 1e-12))
-    size = (max(1, round(picture.shape[1] / shrink)), max(1, round(picture.shape[0] / shrink)))
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return shrink_to(picture, max(1, round(max(picture.shape[:2]) / shrink)))
 
 
 def _texel_m(surface: TexturedMesh) -> float:
     """Mean side of a texel on the surface, metres: from the areas in the texture and in space."""
-    corners, places = surface.uv[surface.mesh.faces], surface.mesh.vertices[surface.mesh.faces]
+    corners = surface.uv[surface.mesh.faces]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     in_texture = float(np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum())
-    in_space = float(np.linalg.norm(np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]), axis=1).sum())
+    in_space = float(np.linalg.norm(face_normals(surface.mesh.vertices, surface.mesh.faces), axis=1).sum())
     return math.sqrt(in_space / max(in_texture, 1e-12)) / surface.side
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from services.storage.catalogue.collection import REMOVED, Row
+from services.storage.catalogue.collection import Row
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class RowFilter:
 
     def accepts(self, row: Row) -> bool:
         """Return whether the row of an asset is wanted."""
-        state = row.state == self.state if self.state else row.state != REMOVED
+        state = row.state == self.state if self.state else not row.removed
         return state and self._has_label(row) and self._in_time(row.updated) and self._has_size(row.bytes)
 
     def _has_label(self, row: Row) -> bool:
