@@ -4,6 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from playwright.sync_api import Locator
+
+
+def picture_of(image: Locator) -> bytes:
+    """The screenshot of an image, as PNG, once the page has it: an image is visible before it has come."""
+    image.evaluate("each => each.decode()")
+    return image.screenshot()
 
 
 def text_of(png: bytes) -> str:

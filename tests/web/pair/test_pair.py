@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from tests.support.pages import await_data
-from tests.support.qr_codes import text_of
+from tests.support.qr_codes import picture_of, text_of
 from tests.support.sites import Site
 from tests.support.tenants import bearer
 from tests.web.conftest import PHONE, GuardedSite, without_a_past
@@ -42,7 +42,7 @@ def test_a_phone_that_scans_the_code_is_logged_in(operator: Page, phone: Page, g
     operator.get_by_role("button", name="Show a new code").click()
     expect(operator.locator("#code")).not_to_have_text(before)
 
-    address = text_of(operator.locator("#qr").screenshot())
+    address = text_of(picture_of(operator.locator("#qr")))
     phone.goto(address)
     await_data(phone, state="done", tenant="ada")
     assert phone.url == f"{guarded.url}/pair", "the token does not stay in the address"

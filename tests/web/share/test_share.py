@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
 from tests.support.pages import await_data
-from tests.support.qr_codes import text_of
+from tests.support.qr_codes import picture_of, text_of
 from tests.support.screenshots import drawn, stage
 from tests.support.things import GREEN, box
 from tests.web.conftest import PHONE, GuardedSite, without_a_past
@@ -50,7 +50,7 @@ def revoke(owner: Page) -> None:
 
 def test_a_link_is_opened_without_a_login_until_it_is_revoked(owner: Page, visitor: Page, guarded: GuardedSite) -> None:
     make_link(owner)
-    address = text_of(owner.get_by_role("img", name="QR code of the link").screenshot())
+    address = text_of(picture_of(owner.get_by_role("img", name="QR code of the link")))
     assert address == owner.locator("#links a").get_attribute("href")
     visitor.goto(address)
     visitor.wait_for_url(f"{guarded.url}/view/bowl?tenant=ada")
