@@ -20,6 +20,7 @@ export async function showPoster({ files = [] }, isNeeded) {
   image.src = URL.createObjectURL(new Blob([bytes], { type: 'image/webp' }));
   image.hidden = false;
   document.body.dataset.poster = 'yes';
+  await image.decode().catch(() => {}); // it may be taken away meanwhile
 }
 
 /** Takes the poster away. */

@@ -5,7 +5,7 @@ import { MOST_TRIANGLES, chooseLevels } from './layout-and-lod.js';
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { LoadedItem } from './scene-item.js' */
 
-const REDRAW_MS = 300; // after the last change: what was sent to the graphics card comes with the next frame
+const REDRAW_MS = 100; // after the last change: what was sent to the graphics card comes with the next frame
 const LONGEST_FRAME_S = 0.1; // a page that was in the background must not push things through the wall
 const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'];
 
@@ -28,10 +28,12 @@ const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'
  */
 export function startRenderLoop({ renderer, camera }, { items, controls, onHeadsetFrame, draw, onDrawn }) {
   let last = performance.now();
-  let drawUntil = last + REDRAW_MS;
+  let drawUntil = 0;
+  let isStale = true; // a page that was busy draws what has changed, however late
 
   function redraw() {
     drawUntil = performance.now() + REDRAW_MS;
+    isStale = true;
   }
 
   for (const kind of REDRAW_EVENTS) renderer.domElement.addEventListener(kind, redraw, true);
@@ -47,7 +49,8 @@ export function startRenderLoop({ renderer, camera }, { items, controls, onHeads
     showLevels(items(), eyes);
     showTiles(items(), eyes);
     reportState(items(), renderer.info.memory);
-    if (!inHeadset && now > drawUntil) return;
+    if (!inHeadset && now > drawUntil && !isStale) return;
+    isStale = false;
     draw();
     onDrawn();
   });

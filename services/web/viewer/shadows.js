@@ -59,6 +59,7 @@ export class Shadows {
    * @param {Cast} cast
    */
   #show(item, cast) {
+    if (!cast.isReady) return; // then it is not the thing's first frame either, which has enough to do
     const { position } = item.group;
     const pose = item.group.matrix.compose(position, item.group.quaternion, item.group.scale).clone().setPosition(0, position.y, 0);
     const level = item.model.coarsest;
@@ -67,7 +68,7 @@ export class Shadows {
       Object.assign(cast, { level, pose, offset: cast.shadow.object.position.clone().sub(position).setY(0) });
     }
     cast.shadow.object.position.set(position.x, 0, position.z).add(cast.offset);
-    cast.shadow.object.visible = cast.isReady;
+    cast.shadow.object.visible = true;
   }
 
   /** @param {LoadedItem} item */
@@ -77,6 +78,7 @@ export class Shadows {
     /** @type {Cast} */
     const cast = { shadow: new ContactShadow(), isReady: false, level: undefined, pose: new THREE.Matrix4(), offset: new THREE.Vector3() };
     this.#casts.set(item, cast);
+    cast.shadow.object.visible = false;
     this.#root.add(cast.shadow.object);
     this.#prepare(cast.shadow.object).then(() => (cast.isReady = true));
     return cast;

@@ -1,4 +1,4 @@
-// The viewer page (/view/{key}, /view?key=a&key=b): things on a screen or in a headset, side by side where there are several.
+// The viewer page (/view/{key}, /view?key=a&key=b): things on a screen or in a headset, side by side where there are several. Begun by start.js.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { startBackdrop } from './backdrop.js';
@@ -10,11 +10,12 @@ import { ItemUpdates, hasFailed } from './item-updates.js';
 import { placeSideBySide } from './layout-and-lod.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
 import { offerAbout, offerDownloads, offerManaging } from './panels.js';
-import { hidePoster, showPoster } from './poster.js';
+import { hidePoster } from './poster.js';
 import { startRenderLoop } from './render-loop.js';
 import { SceneItem, isLoaded } from './scene-item.js';
 import { Shadows } from './shadows.js';
 import { findStandingPlace } from './standing-place.js';
+import { keys, nextEntry } from './start.js';
 import { startTurntable } from './turntable.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
@@ -22,7 +23,6 @@ import { XrSession } from './xr-session.js';
 import { pause, prepare } from '../graphics/gpu-warmup.js';
 import { createStage, frame, hintsOf } from '../graphics/scene.js';
 import { showAccount } from '../shared/account.js';
-import { getCachedJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
@@ -34,7 +34,6 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { VersionComparison } from './version-comparison.js' */
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 
-const MOST = 24; // things in one scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
   ? 'Drag a thing to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.'
   : 'Drag a thing to move it. Two fingers scale and turn it.';
@@ -60,7 +59,7 @@ const { renderer, scene, camera } = stage;
 const root = new THREE.Group(); // what moves in front of the wearer: all things, and the floor under them
 const controls = new OrbitControls(camera, renderer.domElement);
 
-let items = keysFrom(location).map((key) => new SceneItem(key));
+let items = keys.map((key) => new SceneItem(key));
 /** @type {SceneItem | null} */
 let selected = null;
 /** @type {VersionComparison | null} */
@@ -113,16 +112,6 @@ function startStage() {
   }
 }
 
-/**
- * The assets' keys in the page's address.
- * @param {Location} address
- */
-function keysFrom({ pathname, search }) {
-  const key = pathname.split('/')[2];
-  const keys = key ? [decodeURIComponent(key)] : new URLSearchParams(search).getAll('key');
-  return [...new Set(keys)].slice(0, MOST);
-}
-
 /** The items that are shown. */
 function loadedItems() {
   return items.filter(isLoaded);
@@ -162,13 +151,12 @@ function hasShadow(item) {
  * @param {SceneItem} item
  */
 async function update(item) {
-  /** @type {AssetEntry} */
-  const unchecked = await getCachedJson(ofShownTenant(`/v1/assets/${encodeURIComponent(item.key)}`));
+  const unchecked = await nextEntry(item.key);
   const before = item.entry;
   if (before && before.version === unchecked.version) return;
   const entry = await checkEntry(unchecked);
   if (before) endComparison();
-  else showPlaceholders(item, entry);
+  else showHints(item, entry);
   await item.show(entry, renderer, {
     prepare: (group) => prepare(stage, group),
     onChange: redraw,
@@ -192,16 +180,6 @@ async function update(item) {
 function updateText(before, now, name) {
   const refined = before.state === 'preview' && now.state === 'refined';
   return `${refined ? 'The refined version' : 'A new version'} of ${name} took its place: version ${now.version}.`;
-}
-
-/**
- * Shows the poster of a thing that is alone, and its points.
- * @param {SceneItem} item
- * @param {AssetEntry} entry
- */
-function showPlaceholders(item, entry) {
-  if (items.length === 1) showPoster(entry, () => !item.entry && items.includes(item));
-  showHints(item, entry);
 }
 
 /**
