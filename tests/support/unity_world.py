@@ -41,9 +41,9 @@ def build(root: Path) -> dict[str, Any]:
     keys = Keys((signer,))
     store = LocalStore(root / "store")
     publish(_bundle(0.1), store, key="cup", keys=keys)
-    publish(_bundle(0.5), store, key="bowl", keys=keys)
+    publish(_bundle(0.5, picture=b"\x89PNG one"), store, key="bowl", keys=keys)
     _snapshot(store, root / "v1")
-    publish(_bundle(0.6), store, key="bowl", keys=keys)
+    publish(_bundle(0.6, picture=b"\x89PNG two"), store, key="bowl", keys=keys)
     _snapshot(store, root / "v2")
     lods = read_entry(store, "bowl").document["lods"]
     remove(store, "bowl", keys)
@@ -53,13 +53,13 @@ def build(root: Path) -> dict[str, Any]:
     return {"key": base64.b64encode(signer.public.raw).decode(), "lods": lods, "signatures": signatures}
 
 
-def _bundle(radius_m: float) -> Bundle:
-    """A bowl on the floor, three levels of it."""
+def _bundle(radius_m: float, picture: bytes = b"") -> Bundle:
+    """A bowl on the floor, three levels of it; its preview's bytes need be no picture, since no engine reads them."""
     levels = {f"lod{level}.glb": to_glb(_bowl(radius_m, 48 >> level), "meshopt") for level in range(3)}
     lods = [{"file": name, "level": level} for level, name in enumerate(levels)]
     size = [2 * radius_m, radius_m, 2 * radius_m]
-    manifest = {"lods": lods, "label": "Bowl", "scale_confidence": "metric", "size_m": size}
-    return Bundle(state="preview", files=levels, manifest=manifest)
+    manifest = {"lods": lods, "label": "Bowl", "labels": ["kitchen", "round"], "scale_confidence": "metric", "size_m": size}
+    return Bundle(state="preview", files={**levels, **({"preview.png": picture} if picture else {})}, manifest=manifest)
 
 
 def _bowl(radius_m: float, steps: int) -> Mesh:

@@ -21,7 +21,7 @@ namespace Capture2vr
         private readonly string _folder;
         private readonly Versions _versions;
         private readonly List<byte[]> _keys = new List<byte[]>();
-        private Trust _trust;
+        private CollectionReader _reader;
         private IResourceLocator _locator;
         private IResourceLocator _before; // of the last update: who has one of its locations may still load it
         private string _hash;
@@ -48,6 +48,26 @@ namespace Capture2vr
 
         /// <summary>Keys of the assets that bear a label, sorted.</summary>
         public IReadOnlyList<string> WithLabel(string label) => AssetsAt(new[] { label });
+
+        /// <summary>
+        /// Names, labels and pictures of its assets, for people to choose from: asked for anew each time, and without a network
+        /// as they were. Throws CaptureFault.
+        /// </summary>
+        public Task<IReadOnlyList<AssetRow>> RowsAsync()
+        {
+            var reader = _reader;
+            return Task.Run(() => reader.Rows());
+        }
+
+        /// <summary>
+        /// The picture of an asset as a PNG, its hash checked: four sides of it, the front at the top left. Null where it has
+        /// none. Throws CaptureFault.
+        /// </summary>
+        public Task<byte[]> PreviewAsync(AssetRow row)
+        {
+            var reader = _reader;
+            return Task.Run(() => reader.Preview(row));
+        }
 
         /// <summary>Take the newer catalogue if there is one. Without a network, what there is stays.</summary>
         public Task UpdateAsync()
@@ -104,8 +124,7 @@ namespace Capture2vr
         internal void Believe(IEnumerable<byte[]> keys)
         {
             _keys.AddRange(keys.Where(key => !_keys.Any(known => known.SequenceEqual(key))));
-            if (_keys.Count == 0) return;
-            _trust = new Trust(BaseUrl, Name, _keys.ToList(), _folder, Catalogue.Cache, _versions, Catalogue.FetchAsync);
+            _reader = new CollectionReader(BaseUrl, Name, _keys.ToList(), _folder, Catalogue.Cache, _versions, Catalogue.FetchAsync);
         }
 
         internal async Task OpenAsync()
@@ -144,8 +163,8 @@ namespace Capture2vr
         private Task Check(string key, IReadOnlyList<GlbFile> files)
         {
             var hashes = files.Select(each => each.Sha256).ToList();
-            var trust = _trust;
-            return trust == null ? Task.CompletedTask : Task.Run(() => trust.Check(key, hashes));
+            var reader = _reader;
+            return Task.Run(() => reader.Check(key, hashes));
         }
 
         private async Task Load()

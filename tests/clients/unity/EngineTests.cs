@@ -14,6 +14,7 @@ using UnityEngine.AddressableAssets;
 using UnityEngine.ResourceManagement.AsyncOperations;
 using UnityEngine.ResourceManagement.ResourceLocations;
 using UnityEngine.ResourceManagement.ResourceProviders;
+using UnityEngine.XR.Interaction.Toolkit.Interactables;
 using Object = UnityEngine.Object;
 
 public static class EngineTests
@@ -674,6 +675,74 @@ public static class EngineTests
         await Expect.Fault(CaptureFault.Unreachable, () => collection.DownloadAsync("bowl"));
         await Expect.Fault(CaptureFault.AssetUnknown, () => collection.DownloadAsync("nobody"));
         NothingIsLeft();
+    }
+
+    // The wall of pictures.
+
+    private static async Task<Pick> Wall(string way = "live")
+    {
+        var wall = new GameObject("wall").AddComponent<Pick>();
+        Set(wall, "baseUrl", $"{Facts.Server}/{way}");
+        Set(wall, "publicKey", Key);
+        await wall.OpenAsync();
+        return wall;
+    }
+
+    private static void Set(object target, string field, string value)
+    {
+        target.GetType().GetField(field, BindingFlags.Instance | BindingFlags.NonPublic).SetValue(target, value);
+    }
+
+    private static IEnumerable<GameObject> Cards() => Object.Alive.OfType<XRSimpleInteractable>().Select(each => each.gameObject);
+
+    private static IEnumerable<string> Names() => Cards().Select(each => each.name);
+
+    private static void Choose(string card) => Cards().First(each => each.name == card).GetComponent<XRSimpleInteractable>().Select();
+
+    public static async Task TheWallHasPicturesOfAllAssetsAndTheirLabels()
+    {
+        var wall = await Wall();
+        Expect.Lines(new[] { "All", "kitchen", "round", "Bowl", "Bowl" }, Names());
+        Expect.Equal(1, wall.Pages);
+        var pictures = Object.Alive.OfType<Texture2D>().ToList();
+        Expect.Equal(1, pictures.Count);
+        var rows = await Catalogue.Opened[0].RowsAsync();
+        Expect.Equal(rows[0].PreviewSha256, Sha256.Of(pictures[0].Loaded));
+        Choose("round");
+        Expect.Equal("round", wall.Label);
+        Object.Destroy(wall.gameObject);
+    }
+
+    public static async Task WhatIsChosenOnTheWallIsShown()
+    {
+        await Wall();
+        Cards().Last().GetComponent<XRSimpleInteractable>().Select();
+        var asset = Object.Alive.OfType<CapturedAsset>().Single();
+        Expect.Equal("cup", asset.Key);
+        Expect.Equal("default", asset.Collection.Name);
+        await asset.ShowAsync();
+        Expect.Equal(1, asset.Info.Version);
+        asset.Release();
+    }
+
+    public static async Task APageOfTheWallLeavesNothingBehind()
+    {
+        var wall = await Wall();
+        var before = Object.Alive.Count;
+        await wall.ShowAsync("", 0);
+        Expect.Equal(before, Object.Alive.Count);
+        Invoke(typeof(Pick), wall, "OnDestroy");
+        Expect.Equal(0, Cards().Count() + Object.Alive.OfType<Texture2D>().Count() + Object.Alive.OfType<Material>().Count());
+    }
+
+    public static async Task AWallWhosePicturesCannotBeHadHasTheNames()
+    {
+        var wall = await Wall();
+        Catalogue.Cache.Remove(Catalogue.Opened[0].RowsAsync().Result[0].PreviewSha256);
+        await Facts.Ask("turn/off");
+        await wall.ShowAsync("", 0);
+        Expect.Lines(new[] { "All", "kitchen", "round", "Bowl", "Bowl" }, Names());
+        Expect.Equal(1, Debug.Errors.Count);
     }
 
     private sealed class Told : IProgress<float>

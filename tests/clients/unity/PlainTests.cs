@@ -265,34 +265,63 @@ public static class PlainTests
         }
     }
 
-    private static Trust Trust(string folder, string way = "www/v2", Fetch fetch = null)
+    private static CollectionReader Reader(string folder, string way = "www/v2", Fetch fetch = null)
     {
         var versions = new Versions(Path.Combine(folder, "versions.txt"));
         var cache = Cache(Path.Combine(folder, "files"), fetch: fetch);
-        return new Trust($"{Facts.Server}/{way}", "default", Keys, folder, cache, versions, fetch ?? Http.Fetch);
+        return new CollectionReader($"{Facts.Server}/{way}", "default", Keys, folder, cache, versions, fetch ?? Http.Fetch);
     }
 
     public static async Task FromTheSignatureDownToTheFiles()
     {
-        var manifest = await Trust(Facts.NewFolder()).ManifestOf("bowl");
+        var manifest = await Reader(Facts.NewFolder()).ManifestOf("bowl");
         Expect.Lines(Facts.All.In("lods").List().Select(each => each.In("sha256").Text()), manifest.Lods.Select(each => each.Sha256));
         Expect.Lines(Facts.All.In("lods").List().Select(each => each.In("name").Text()), manifest.Lods.Select(each => each.ObjectName));
         Expect.Equal("metric", manifest.ScaleConfidence);
     }
 
+    public static async Task RowsAreTheAssetsThatAreNotRemoved()
+    {
+        var rows = await Reader(Facts.NewFolder()).Rows();
+        Expect.Lines(new[] { "bowl", "cup" }, rows.Select(each => each.Key));
+        Expect.Equal("Bowl", rows[0].Label);
+        Expect.Lines(new[] { "kitchen", "round" }, rows[0].Labels);
+        Expect.Lines(new[] { "cup" }, (await Reader(Facts.NewFolder(), "www/removed").Rows()).Select(each => each.Key));
+    }
+
+    public static async Task APictureIsThatOfTheRow()
+    {
+        var reader = Reader(Facts.NewFolder());
+        foreach (var row in await reader.Rows())
+        {
+            var picture = await reader.Preview(row);
+            if (row.Key == "cup") Expect.Equal(null, picture);
+            else Expect.Equal(row.PreviewSha256, Sha256.Of(picture));
+        }
+    }
+
+    public static async Task WithoutKeysNoSignatureIsAskedFor()
+    {
+        var folder = Facts.NewFolder();
+        var versions = new Versions(Path.Combine(folder, "versions.txt"));
+        var reader = new CollectionReader($"{Facts.Server}/www/v2", "default", new byte[0][], folder, Cache(Path.Combine(folder, "files")), versions, Http.Fetch);
+        Expect.Equal(2, (await reader.Rows()).Count);
+        await reader.Check("bowl", new[] { "no hash" });
+    }
+
     public static async Task FilesOfAnotherAssetAreNotSignedForThisOne()
     {
-        var trust = Trust(Facts.NewFolder());
-        await trust.Check("bowl", new[] { Sha });
-        await Expect.Fault(CaptureFault.FileNotSigned, () => trust.Check("cup", new[] { Sha }));
-        await Expect.Fault(CaptureFault.AssetUnknown, () => trust.Check("nobody", new[] { Sha }));
+        var reader = Reader(Facts.NewFolder());
+        await reader.Check("bowl", new[] { Sha });
+        await Expect.Fault(CaptureFault.FileNotSigned, () => reader.Check("cup", new[] { Sha }));
+        await Expect.Fault(CaptureFault.AssetUnknown, () => reader.Check("nobody", new[] { Sha }));
     }
 
     public static async Task ARemovedAssetIsNotSignedAnyMore()
     {
         var folder = Facts.NewFolder();
-        await Trust(folder).Check("bowl", new[] { Sha });
-        await Expect.Fault(CaptureFault.AssetRemoved, () => Trust(folder, "www/removed").Check("bowl", new[] { Sha }));
+        await Reader(folder).Check("bowl", new[] { Sha });
+        await Expect.Fault(CaptureFault.AssetRemoved, () => Reader(folder, "www/removed").Check("bowl", new[] { Sha }));
     }
 
     public static void EveryChangeOfTheTextIsNoticed()
@@ -333,21 +362,21 @@ public static class PlainTests
     public static async Task AnOlderCatalogueIsRefusedHoweverWellSigned()
     {
         var folder = Facts.NewFolder();
-        await Trust(folder, "www/v1").ManifestOf("bowl");
-        await Trust(folder, "www/v2").ManifestOf("bowl");
-        var fault = await Expect.Fault(CaptureFault.CatalogueOlder, () => Trust(folder, "www/v1").ManifestOf("bowl"));
+        await Reader(folder, "www/v1").ManifestOf("bowl");
+        await Reader(folder, "www/v2").ManifestOf("bowl");
+        var fault = await Expect.Fault(CaptureFault.CatalogueOlder, () => Reader(folder, "www/v1").ManifestOf("bowl"));
         Expect.True(fault.Message.Contains("out of date"), fault.Message);
     }
 
     public static async Task WithoutANetworkTheLastGoodCatalogueCounts()
     {
         var folder = Facts.NewFolder();
-        await Expect.Fault(CaptureFault.Unreachable, () => Trust(folder, fetch: NoNetwork).ManifestOf("bowl"));
-        await Trust(folder).ManifestOf("bowl");
-        await Trust(folder, fetch: NoNetwork).ManifestOf("bowl");
+        await Expect.Fault(CaptureFault.Unreachable, () => Reader(folder, fetch: NoNetwork).ManifestOf("bowl"));
+        await Reader(folder).ManifestOf("bowl");
+        await Reader(folder, fetch: NoNetwork).ManifestOf("bowl");
         var kept = Path.Combine(folder, "index.default.json");
         File.WriteAllText(kept, File.ReadAllText(kept).Replace("version", "versiom"));
-        await Expect.Fault(CaptureFault.SignatureWrong, () => Trust(folder, fetch: NoNetwork).ManifestOf("bowl"));
+        await Expect.Fault(CaptureFault.SignatureWrong, () => Reader(folder, fetch: NoNetwork).ManifestOf("bowl"));
     }
 
     // Versions.

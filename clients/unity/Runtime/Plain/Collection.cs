@@ -18,7 +18,7 @@ namespace Capture2vr
         /// The index in its object, once its signature holds for one of the keys. Throws CaptureFault of classes
         /// SIGNATURE_*, KEY_UNKNOWN and CATALOGUE_*.
         /// </summary>
-        /// <param name="keys">whose signature to believe, 32 bytes each</param>
+        /// <param name="keys">whose signature to believe, 32 bytes each; with none no signature is asked for</param>
         public static CollectionIndex Read(byte[] data, string collection, IReadOnlyList<byte[]> keys)
         {
             var name = ObjectName(collection);
@@ -26,7 +26,7 @@ namespace Capture2vr
             {
                 var envelope = Json.Parse(Encoding.UTF8.GetString(data));
                 var text = envelope.In("signed").Text();
-                Signatures.Check(name, Encoding.UTF8.GetBytes(text), envelope.In("signatures").List(), keys);
+                if (keys.Count > 0) Signatures.Check(name, Encoding.UTF8.GetBytes(text), envelope.In("signatures").List(), keys);
                 return From(Json.Parse(text));
             });
             if (index.Collection == collection) return index;
@@ -83,6 +83,14 @@ namespace Capture2vr
         public bool Removed { get; private set; }
         public string ManifestSha256 { get; private set; }
 
+        /// <summary>Words to find it by.</summary>
+        public IReadOnlyList<string> Labels { get; private set; }
+
+        /// <summary>The hash of its picture, or "".</summary>
+        public string PreviewSha256 { get; private set; }
+
+        public string PreviewName => $"assets/{Key}/preview.{PreviewSha256}.png";
+
         public string ManifestName => $"assets/{Key}/manifest.{ManifestSha256}.json";
 
         /// <summary>All rows of a shard, whose bytes have been checked by their hash.</summary>
@@ -106,9 +114,13 @@ namespace Capture2vr
                 Label = cell("label").Text(),
                 Version = cell("version").Whole(),
                 Removed = words.At(cell("state").Whole()).Text() == "removed",
-                ManifestSha256 = Reading.Hash(Capture2vr.Sha256.Hex(FromBase64Url(cell("manifest").Text()))),
+                ManifestSha256 = HashOf(cell("manifest").Text()),
+                Labels = cell("labels").List().Select(place => words.At(place.Whole()).Text()).ToList(),
+                PreviewSha256 = cell("preview").Text() == "" ? "" : HashOf(cell("preview").Text()),
             };
         }
+
+        private static string HashOf(string base64) => Reading.Hash(Capture2vr.Sha256.Hex(FromBase64Url(base64)));
 
         private static byte[] FromBase64Url(string text)
         {

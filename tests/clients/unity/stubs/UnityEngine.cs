@@ -88,6 +88,14 @@ namespace UnityEngine
 
         public void SetActive(bool value) => activeSelf = value;
 
+        public static GameObject CreatePrimitive(PrimitiveType type)
+        {
+            var made = new GameObject(type.ToString());
+            made.AddComponent<MeshRenderer>();
+            made.AddComponent<MeshCollider>();
+            return made;
+        }
+
         public T AddComponent<T>() where T : Component
         {
             var made = Activator.CreateInstance<T>();
@@ -137,6 +145,7 @@ namespace UnityEngine
 
         public Transform parent { get; private set; }
         public Vector3 position { get; set; }
+        public Vector3 localPosition { get; set; }
         public Quaternion rotation { get; set; }
         public Vector3 localScale { get; set; } = Vector3.one;
         public Vector3 forward { get; set; } = new Vector3(0, 0, 1);
@@ -165,6 +174,62 @@ namespace UnityEngine
     }
 
     public class Renderer : Component
+    {
+        private Material _material;
+
+        /// <summary>A copy of its own, which whoever asks for it has to destroy.</summary>
+        public Material material => _material = _material ?? new Material();
+    }
+
+    public sealed class Material : Object
+    {
+        public Texture mainTexture { get; set; }
+        public Vector2 mainTextureScale { get; set; }
+        public Vector2 mainTextureOffset { get; set; }
+    }
+
+    public class Texture : Object
+    {
+    }
+
+    public sealed class Texture2D : Texture
+    {
+        public byte[] Loaded;
+
+        public Texture2D(int width, int height)
+        {
+        }
+    }
+
+    public static class ImageConversion
+    {
+        public static bool LoadImage(this Texture2D tex, byte[] data, bool markNonReadable)
+        {
+            Object.OnMainThread();
+            tex.Loaded = data;
+            return true;
+        }
+    }
+
+    public enum TextAnchor
+    {
+        UpperCenter = 1,
+    }
+
+    public sealed class TextMesh : Component
+    {
+        public string text { get; set; }
+        public int fontSize { get; set; }
+        public float characterSize { get; set; } = 1;
+        public TextAnchor anchor { get; set; }
+    }
+
+    public enum PrimitiveType
+    {
+        Quad = 5,
+    }
+
+    public sealed class MeshCollider : Collider
     {
     }
 
@@ -255,6 +320,17 @@ namespace UnityEngine
         }
     }
 
+    public struct Vector2
+    {
+        public float x, y;
+
+        public Vector2(float x, float y)
+        {
+            this.x = x;
+            this.y = y;
+        }
+    }
+
     public struct Vector3
     {
         public float x, y, z;
@@ -311,6 +387,7 @@ namespace UnityEngine
         public static float Tan(float f) => (float)Math.Tan(f);
         public static float Max(float a, float b) => Math.Max(a, b);
         public static float Min(float a, float b) => Math.Min(a, b);
+        public static int Clamp(int value, int min, int max) => Math.Max(min, Math.Min(max, value));
     }
 
     public static class Application

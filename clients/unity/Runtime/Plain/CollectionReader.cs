@@ -7,10 +7,11 @@ using System.Threading.Tasks;
 namespace Capture2vr
 {
     /// <summary>
-    /// Whether an asset may consist of certain files, by the signed catalogue of its collection. Addressables' own
-    /// catalogues are not signed; with this beside them, whoever changes one can only make assets disappear.
+    /// Reads a collection as the server publishes it: index, rows, manifests, each checked by its hash, and the index by its
+    /// signature where keys are given. Addressables' own catalogues are not signed; with this beside them, whoever changes
+    /// one can only make assets disappear.
     /// </summary>
-    public sealed class Trust
+    public sealed class CollectionReader
     {
         private const long IndexBytes = 8L << 20; // a thousand times what 10,000 assets take
 
@@ -22,15 +23,12 @@ namespace Capture2vr
         private readonly Fetch _fetch;
         private readonly string _kept;
 
-        /// <param name="keys">public keys, 32 bytes each, that came with the app</param>
+        /// <param name="keys">public keys, 32 bytes each; with none no signature is asked for</param>
         /// <param name="folder">where the last good index is kept, for times without a network</param>
-        public Trust(string baseUrl, string collection, IReadOnlyList<byte[]> keys, string folder, FileCache cache,
+        public CollectionReader(string baseUrl, string collection, IReadOnlyList<byte[]> keys, string folder, FileCache cache,
             Versions versions, Fetch fetch)
         {
-            if (keys.Count == 0 || keys.Any(key => key.Length != Ed25519.KeyBytes))
-            {
-                throw new ArgumentException($"give at least one public key, of {Ed25519.KeyBytes} bytes");
-            }
+            if (keys.Any(key => key.Length != Ed25519.KeyBytes)) throw new ArgumentException($"a public key has {Ed25519.KeyBytes} bytes");
             _baseUrl = baseUrl;
             _collection = collection;
             _keys = keys;
@@ -41,10 +39,12 @@ namespace Capture2vr
         }
 
         /// <summary>
-        /// Throws CaptureFault unless all files, by their SHA-256, belong to the current version of the asset.
+        /// Throws CaptureFault unless all files, by their SHA-256, belong to the current version of the asset. Does nothing
+        /// without keys: what anybody may change proves nothing.
         /// </summary>
         public async Task Check(string key, IEnumerable<string> files)
         {
+            if (_keys.Count == 0) return;
             var manifest = await ManifestOf(key).ConfigureAwait(false);
             var signed = new HashSet<string>(manifest.Lods.Select(lod => lod.Sha256));
             if (files.All(signed.Contains)) return;
@@ -53,25 +53,50 @@ namespace Capture2vr
                 "The Addressables catalogue is older or newer than it, or was tampered with; update the catalogues");
         }
 
-        /// <summary>The manifest of the asset's current version, every hash on the way to it checked.</summary>
-        public async Task<Manifest> ManifestOf(string key)
+        /// <summary>All assets of the collection that are not removed, in the order of their keys.</summary>
+        public Task<IReadOnlyList<AssetRow>> Rows() => Retried(RowsOnce);
+
+        /// <summary>The manifest of the asset's current version.</summary>
+        public Task<Manifest> ManifestOf(string key) => Retried(() => ManifestOnce(key));
+
+        /// <summary>The asset's picture, a PNG of its four sides, the front at the top left; null where it has none.</summary>
+        public async Task<byte[]> Preview(AssetRow row)
+        {
+            if (row.PreviewSha256 == "") return null;
+            return await Content(row.PreviewName, row.PreviewSha256, -1).ConfigureAwait(false);
+        }
+
+        /// <summary>A shard goes when enough newer ones have come; the index of this moment knows another.</summary>
+        private static async Task<T> Retried<T>(Func<Task<T>> read)
         {
             try
             {
-                return await ManifestOnce(key).ConfigureAwait(false);
+                return await read().ConfigureAwait(false);
             }
             catch (CaptureFault fault) when (fault.Code == CaptureFault.FileMissing)
             {
-                // A shard goes when enough newer ones have come; the index of this moment knows another.
-                return await ManifestOnce(key).ConfigureAwait(false);
+                return await read().ConfigureAwait(false);
             }
+        }
+
+        private async Task<IReadOnlyList<AssetRow>> RowsOnce()
+        {
+            var rows = new List<AssetRow>();
+            var index = await Index().ConfigureAwait(false);
+            foreach (var shard in index.Shards) rows.AddRange(await RowsOf(shard).ConfigureAwait(false));
+            return rows.Where(row => !row.Removed).ToList();
+        }
+
+        private async Task<IReadOnlyList<AssetRow>> RowsOf(ShardName shard)
+        {
+            return AssetRow.Read(await Content(shard.ObjectName, shard.Sha256, shard.Bytes).ConfigureAwait(false), shard);
         }
 
         private async Task<Manifest> ManifestOnce(string key)
         {
             var index = await Index().ConfigureAwait(false);
             var shard = index.ShardOf(key) ?? throw Unknown(key);
-            var rows = AssetRow.Read(await Content(shard.ObjectName, shard.Sha256, shard.Bytes).ConfigureAwait(false), shard);
+            var rows = await RowsOf(shard).ConfigureAwait(false);
             var row = rows.FirstOrDefault(each => each.Key == key) ?? throw Unknown(key);
             if (row.Removed) throw new CaptureFault(CaptureFault.AssetRemoved, $"asset {key} was removed");
             var manifest = await Content(row.ManifestName, row.ManifestSha256, -1).ConfigureAwait(false);
