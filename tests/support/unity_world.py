@@ -58,8 +58,10 @@ def _bundle(radius_m: float, picture: bytes = b"") -> Bundle:
     levels = {f"lod{level}.glb": to_glb(_bowl(radius_m, 48 >> level), "meshopt") for level in range(3)}
     lods = [{"file": name, "level": level} for level, name in enumerate(levels)]
     size = [2 * radius_m, radius_m, 2 * radius_m]
-    manifest = {"lods": lods, "label": "Bowl", "labels": ["kitchen", "round"], "scale_confidence": "metric", "size_m": size}
-    return Bundle(state="preview", files={**levels, **({"preview.png": picture} if picture else {})}, manifest=manifest)
+    names = {"label": "Bowl", "labels": ["kitchen", "round"]}
+    files = {**levels, **({"preview.png": picture} if picture else {})}
+    manifest = {**names, "lods": lods, "scale_confidence": "metric", "size_m": size}
+    return Bundle(state="preview", files=files, manifest=manifest)
 
 
 def _bowl(radius_m: float, steps: int) -> Mesh:
