@@ -1,6 +1,6 @@
 // How the crop box is set: by dragging its handles on the picture, and by a slider for each side.
 import * as THREE from '../vendor/three-0.187.0.module.js';
-import { placeOf } from './picking.js';
+import { placeOf } from '../graphics/picking.js';
 import { element } from '../shared/dom.js';
 
 /** @import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js' */

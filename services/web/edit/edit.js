@@ -4,7 +4,7 @@ import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { showSides, startDragging, startSides } from './box-control.js';
 import { CropBoxTool } from './crop-box.js';
 import { CutPreview, planesOf } from './cut-preview.js';
-import { pick, watchTaps } from './picking.js';
+import { pick, watchTaps } from '../graphics/picking.js';
 import { PlaneList } from './plane-list.js';
 import { runEdited } from './saving.js';
 import { findJob, loadVersion } from './shown-version.js';

@@ -3,7 +3,7 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 import { create, element } from '../shared/dom.js';
 
 /** @import { CaptureFrame } from '../graphics/capture-frame.js' */
-/** @import { Picked } from './picking.js' */
+/** @import { Picked } from '../graphics/picking.js' */
 /** @import { CutPlane } from '../shared/types.d.ts' */
 
 const MOST = 20; // planes of a recipe

@@ -3,7 +3,7 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 import { element } from '../shared/dom.js';
 
 /** @import { CaptureFrame } from '../graphics/capture-frame.js' */
-/** @import { Picked } from './picking.js' */
+/** @import { Picked } from '../graphics/picking.js' */
 /** @import { MeasuredLength } from '../shared/types.d.ts' */
 
 const DOT = 0.008; // radius of a point, of the thing's size

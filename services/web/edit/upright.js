@@ -3,7 +3,7 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 import { element } from '../shared/dom.js';
 
 /** @import { CaptureFrame } from '../graphics/capture-frame.js' */
-/** @import { Picked } from './picking.js' */
+/** @import { Picked } from '../graphics/picking.js' */
 /** @import { Triple } from '../shared/types.d.ts' */
 
 const UP = new THREE.Vector3(0, 1, 0);

@@ -17,3 +17,53 @@ export function formatBytes(bytes) {
   const size = bytes / 1000 ** power;
   return `${size < 10 && power ? size.toFixed(1) : Math.round(size)} ${UNITS[power]}`;
 }
+
+/** @typedef {[least: number, size: number, name: string]} Unit from which value on it is used, and what it is of the unit of all */
+
+/** @type {Unit[]} */
+const LENGTHS = [[1, 1, 'm'], [0.01, 0.01, 'cm'], [0, 0.001, 'mm']];
+/** @type {Unit[]} */
+const AREAS = [[0.1, 1, 'm²'], [1e-4, 1e-4, 'cm²'], [0, 1e-6, 'mm²']];
+const MOST_DECIMALS = 3;
+
+/**
+ * Metres as 1.23 m, 42.3 cm or 8 mm; with how far off it may be as 42.3 ± 0.2 cm.
+ * @param {number} metres
+ * @param {number | null} [error]
+ */
+export const formatLength = (metres, error = null) => inUnit(metres, error, LENGTHS);
+
+/**
+ * Square metres as 0.42 m², 42.3 cm² or 8 mm².
+ * @param {number} area
+ * @param {number | null} [error]
+ */
+export const formatArea = (area, error = null) => inUnit(area, error, AREAS);
+
+/**
+ * Degrees as 90.0°, or 90.0 ± 0.4°.
+ * @param {number} degrees
+ * @param {number | null} [error]
+ */
+export const formatAngle = (degrees, error = null) => (error === null ? `${degrees.toFixed(1)}°` : `${withError(degrees, error)}°`);
+
+/**
+ * @param {number} value
+ * @param {number | null} error
+ * @param {Unit[]} units
+ */
+function inUnit(value, error, units) {
+  const [, size, name] = units.find(([least]) => Math.abs(value) >= least) ?? units[units.length - 1];
+  return `${error === null ? Number(Number((value / size).toPrecision(3)).toFixed(MOST_DECIMALS)) : withError(value / size, error / size)} ${name}`;
+}
+
+/**
+ * A value to the place of its error's first digit, which is rounded up: it must not promise more than is known.
+ * @param {number} value
+ * @param {number} error
+ */
+function withError(value, error) {
+  const decimals = Math.min(MOST_DECIMALS, Math.max(0, -Math.floor(Math.log10(Math.max(error, 1e-9)))));
+  const step = 10 ** decimals;
+  return `${value.toFixed(decimals)} ± ${(Math.ceil(error * step - 1e-9) / step).toFixed(decimals)}`;
+}

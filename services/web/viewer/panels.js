@@ -5,11 +5,13 @@ import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 /** @import { Stage } from '../graphics/scene.js' */
+/** @import { Measuring, MeasuringCallbacks } from './measuring.js' */
 /** @import { SceneItem } from './scene-item.js' */
 
 const page = {
   about: element('about', HTMLDetailsElement),
   downloads: element('downloads', HTMLDetailsElement),
+  measure: element('measure', HTMLDetailsElement),
   names: element('names', HTMLDetailsElement),
   share: element('share', HTMLDetailsElement),
   edit: element('edit', HTMLAnchorElement),
@@ -55,6 +57,24 @@ export function offerAbout(item, loadManifest) {
   page.about.hidden = false;
   page.about.addEventListener('toggle', fill);
   return fill;
+}
+
+/**
+ * Offers to measure the thing.
+ * @param {SceneItem} item
+ * @param {Stage} stage
+ * @param {MeasuringCallbacks} callbacks
+ * @returns {() => void} to be called for each version that is shown
+ */
+export function offerMeasuring(item, stage, callbacks) {
+  /** @type {Measuring | null} */
+  let measuring = null;
+  offer(page.measure, async () => {
+    const { Measuring: Panel } = await import('./measuring.js');
+    measuring = new Panel(item, stage, callbacks);
+    measuring.update();
+  });
+  return () => measuring?.update();
 }
 
 /**

@@ -9,7 +9,7 @@ import { Grabber } from './grab.js';
 import { ItemUpdates, hasFailed } from './item-updates.js';
 import { placeSideBySide } from './layout-and-lod.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
-import { offerAbout, offerDownloads, offerManaging } from './panels.js';
+import { offerAbout, offerDownloads, offerManaging, offerMeasuring } from './panels.js';
 import { hidePoster } from './poster.js';
 import { startRenderLoop } from './render-loop.js';
 import { SceneItem, isLoaded } from './scene-item.js';
@@ -345,7 +345,12 @@ async function offerPanels(asking) {
   }
   offerDownloads(item, stage, redraw);
   const fillAbout = offerAbout(item, loadManifest);
-  showFacts = fillAbout;
+  const updateMeasuring = offerMeasuring(item, stage, { loadManifest, redraw, onStart: () => allowMoving(false) });
+  const fill = () => {
+    fillAbout();
+    updateMeasuring();
+  };
+  showFacts = fill;
   const session = await asking;
   offerManaging(item, session, ({ label, description, labels }) => {
     if (item.entry) item.entry = { ...item.entry, label, description, labels };
@@ -353,7 +358,7 @@ async function offerPanels(asking) {
   });
   if (!session?.scopes.includes('read') || ofShownTenant('') !== '') return;
   showFacts = () => {
-    fillAbout();
+    fill();
     offerComparison(item);
   };
   showFacts();

@@ -1,4 +1,4 @@
-// Picks a place on the thing, and the plane around it, where somebody taps, or at the cross in the middle by the Enter key.
+// Picks a place on a thing, and the plane around it, where somebody taps, or at a cross by the Enter key.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 
 /** @typedef {{ point: THREE.Vector3, normal: THREE.Vector3 }} Picked in the frame of the thing; the normal is towards the eye */
@@ -11,8 +11,9 @@ const ALIKE = 0.7; // least cosine between a face of the plane and the one that 
  * Calls back for every tap on a canvas that turns nothing, and for Enter, with the place in the view: x and y from -1 to 1.
  * @param {HTMLCanvasElement} canvas
  * @param {(place: THREE.Vector2) => void} onTap
+ * @param {() => THREE.Vector2} [cross] where Enter picks; without it in the middle
  */
-export function watchTaps(canvas, onTap) {
+export function watchTaps(canvas, onTap, cross = () => new THREE.Vector2()) {
   /** @type {PointerEvent | null} */
   let down = null;
   canvas.addEventListener('pointerdown', (event) => (down = event.isPrimary ? event : null));
@@ -21,7 +22,7 @@ export function watchTaps(canvas, onTap) {
     onTap(placeOf(event, canvas));
   });
   canvas.addEventListener('keydown', (event) => {
-    if (event.key === 'Enter') onTap(new THREE.Vector2());
+    if (event.key === 'Enter') onTap(cross());
   });
 }
 
@@ -53,8 +54,11 @@ export function pick(thing, raycaster, clipping) {
   return { point: hit.point.clone().applyMatrix4(inverse), normal: normal.transformDirection(inverse) };
 }
 
-/** @param {THREE.Object3D} object */
-function isShown(object) {
+/**
+ * Whether an object and all that it is part of are visible.
+ * @param {THREE.Object3D} object
+ */
+export function isShown(object) {
   for (let each = /** @type {THREE.Object3D | null} */ (object); each; each = each.parent) if (!each.visible) return false;
   return true;
 }
