@@ -361,6 +361,42 @@ def test_an_order_that_makes_no_sense_is_refused(name: str, product: Product) ->
     assert (document["status"], document["code"]) == (status, code), document
 
 
+def scene(**changes: object) -> bytes:
+    """A scene of one thing, which is changed."""
+    thing = {"id": "a", "asset": "chair", "position_m": [0, 0, 0], **changes}
+    return json.dumps({"name": "Room", "items": [thing]}).encode()
+
+
+SCENES: dict[str, tuple[bytes, int, str]] = {
+    "no body": (b"", 422, "REQUEST_INVALID"),
+    "no name": (b"{}", 422, "REQUEST_INVALID"),
+    "a name of blanks": (b'{"name": "  "}', 422, "REQUEST_INVALID"),
+    "a name with a line's end": (b'{"name": "a\\nb"}', 422, "REQUEST_INVALID"),
+    "a name of 101 letters": (json.dumps({"name": "x" * 101}).encode(), 422, "REQUEST_INVALID"),
+    "51 things": (json.dumps({"name": "x", "items": [{}] * 51}).encode(), 422, "REQUEST_INVALID"),
+    "60,000 brackets": (b"[" * 60_000, 400, "BAD_REQUEST"),
+    "a megabyte": (json.dumps({"name": "x" * 1_000_000}).encode(), 413, "REQUEST_TOO_LARGE"),
+    "NaN": (b'{"name": "x", "items": [{"id": "a", "asset": "b", "position_m": [NaN, 0, 0]}]}', 422, "REQUEST_INVALID"),
+    "an asset that leads out": (scene(asset="../x"), 422, "REQUEST_INVALID"),
+    "an id of markup": (scene(id="<img>"), 422, "REQUEST_INVALID"),
+    "a place on the moon": (scene(position_m=[0, 3.8e8, 0]), 422, "REQUEST_INVALID"),
+    "a place in the plane": (scene(position_m=[0, 0]), 422, "REQUEST_INVALID"),
+    "words for a place": (scene(position_m=["0", "0", "0"]), 422, "REQUEST_INVALID"),
+    "a rotation to nowhere": (scene(rotation=[0, 0, 0, 0]), 422, "REQUEST_INVALID"),
+    "a scale of 0": (scene(scale=0), 422, "REQUEST_INVALID"),
+    "a mirror": (scene(scale=-1), 422, "REQUEST_INVALID"),
+    "an unknown field": (scene(colour="red"), 422, "REQUEST_INVALID"),
+}
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_that_makes_no_sense_is_refused(name: str, product: Product) -> None:
+    body, status, code = SCENES[name]
+    document = problem_of(product.client.post("/v1/scenes", content=body, headers=JSON))
+    assert (document["status"], document["code"]) == (status, code), document
+
+
 CONTINUES: dict[str, tuple[str, int, str]] = {
     "an unknown capture": ("cap_unknown", 404, "CAPTURE_UNKNOWN"),
     "a capture that is a path": ("../../etc/passwd", 422, "REQUEST_INVALID"),
@@ -440,6 +476,11 @@ GETS: dict[str, tuple[str, str]] = {
     "an asset of another tenant": ("/v1/assets/dress?tenant=nobody", "ASSET_UNKNOWN"),
     "a tenant that leads out": ("/v1/assets/dress?tenant=..%2fada", "REQUEST_INVALID"),
     "an altered share link": ("/s/shr_000000000000000000000000.x", "SHARE_UNKNOWN"),
+    "an unknown scene": ("/v1/scenes/scn_000000000000000000000000", "SCENE_UNKNOWN"),
+    "a scene that leads out": ("/v1/scenes/..%2fx", "NOT_FOUND"),
+    "a scene of letters": ("/v1/scenes/room", "REQUEST_INVALID"),
+    "scenes behind nothing": ("/v1/scenes?after=x", "REQUEST_INVALID"),
+    "a viewer of no scene": ("/scene/room", "SCENE_INVALID"),
     "a share of letters": ("/v1/shares/dress/qr.svg", "REQUEST_INVALID"),
     "a level of letters": ("/v1/assets/dress/lod/x", "REQUEST_INVALID"),
     "an unknown asset's QR code": ("/v1/assets/unknown/qr.svg", "ASSET_UNKNOWN"),

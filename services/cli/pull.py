@@ -156,6 +156,10 @@ def _find_shared(source: _CollectionSource, shared: SharedThing, key: str) -> _F
         if not key:
             raise BadInput(f"the link shares the collection {shared.name}: name one of its assets")
         return retry_if_shard_missing(lambda: _find(source, key))
+    if shared.kind == "scene":
+        if not valid_key(key):
+            raise BadInput("the link shares a scene: name one of its assets")
+        return _find_entry(source, key)
     if key not in ("", shared.name) or not valid_key(shared.name):
         raise BadInput(f"the link shares the asset {shared.name}, not {key}")
     return _find_entry(source, shared.name)

@@ -16,7 +16,7 @@ PASSWORD_VARIABLE = "CAPTURE2VR_SHARE_PASSWORD"  # noqa: S105 - the name of the 
 
 @dataclass(frozen=True, slots=True)
 class SharedThing:
-    """What a link opened: an asset or a collection of a tenant."""
+    """What a link opened: an asset, a collection or a scene of a tenant."""
 
     tenant: str
     kind: str

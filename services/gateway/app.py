@@ -63,6 +63,7 @@ from services.gateway.routes import (
     jobs,
     names,
     pages,
+    scenes,
     service,
     shares,
     tenants,
@@ -89,10 +90,10 @@ from services.strict_settings import SettingsError
 from services.traces import start_tracing
 
 # What pages of other origins may send and read, beside what uploads need.
-_REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID")
+_REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "If-Match", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _ROUTES = (
-    *(captures, uploads, jobs, assets, versions, downloads, names, collections, files, visibility, shares),
+    *(captures, uploads, jobs, assets, versions, downloads, names, collections, files, visibility, shares, scenes),
     *(access, tenants, webhooks, data, health, service, pages),
 )
 _GRACE_S = 5  # for answers in progress when the gateway stops

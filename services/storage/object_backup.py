@@ -23,8 +23,8 @@ from services.storage.tenant_store import tenant_of
 
 _AT_ONCE = 8  # objects: a store far away answers each only after some time
 # What is rewritten in place refers to objects that were written before it. Read first, it refers to nothing that is
-# missing from the copy: publishing writes files, entry, alias and collection in this order.
-_CHANGING = ("collections/", "alias/", "catalog/")
+# missing from the copy: publishing writes files, entry, alias and collection in this order, and scenes name assets.
+_CHANGING = ("scenes/", "collections/", "alias/", "catalog/")
 _LEFT_OUT = "uploads/"  # parts of unfinished uploads, which are gone in an hour
 _BATCH = 1_000  # objects, as many as a store lists at once
 PART = ".part-"

@@ -40,6 +40,8 @@ _PARAMETERS = {
     "/v1/tenants": {"name": "tenant"},
     "/v1/readable": {"folder": "folder"},
     "/v1/shares": {"share": "share"},
+    "/v1/scenes": {"scene": "scene"},
+    "/scene": {"scene": "scene"},
     "/s": {"token": "share_token"},
     "/v1/webhooks": {"webhook": "webhook", "message": "message"},
     "/view": {"key": "asset"},
@@ -63,6 +65,8 @@ _BODIES: Mapping[str, Any] = {
     "put /v1/assets/{key}/visibility": {"visibility": "public"},
     "put /v1/collections/{name}/visibility": {"visibility": "public"},
     "post /v1/shares": {"asset": "{asset}"},
+    "post /v1/scenes": {"name": "Mine"},
+    "put /v1/scenes/{scene}": {"name": "Mine"},
     "post /v1/shares/open": {"token": "no token"},
     "post /v1/session": {"key": "c2v_bob_" + "x" * 43},
     "post /v1/pairings": {"scopes": ["read"]},
@@ -82,12 +86,13 @@ _BODIES: Mapping[str, Any] = {
 }
 """Bodies of what has one; "{capture}" is a tenant's capture, "{asset}" its asset."""
 _HEADERS: Mapping[str, Mapping[str, str]] = {
+    "/v1/scenes": {"If-Match": '"1"'},
     "/v1/uploads": {"Tus-Resumable": "1.0.0", "Upload-Length": "3", "Upload-Offset": "0"},
 }
 """Headers without which a request says nothing, by the beginning of the path."""
 _WITHOUT_KEY = {  # what anyone may ask
     "get /", "get /admin", "get /login", "get /pair", "get /view", "get /view/{key}", "get /edit/{key}",
-    "get /browse/{name}", "get /web/shell.json", "get /v1/schemas/edits",
+    "get /scene/{scene}", "get /browse/{name}", "get /web/shell.json", "get /v1/schemas/edits",
     "get /livez", "get /readyz", "get /v1/keys", "get /v1/session", "post /v1/session", "delete /v1/session",
     "post /v1/pairings/claim", "get /s/{token}", "post /v1/shares/open",
 }  # fmt: skip
@@ -110,6 +115,7 @@ class Ids:
     share: str
     share_token: str
     folder: str
+    scene: str
     tenant: str = "ada"
     level: str = "0"
     version: str = "1"
@@ -171,7 +177,8 @@ async def ids_of(site: TwoTenants, client: httpx.AsyncClient, tenant: str, store
     upload = created.headers["Location"].rpartition("/")[2]
     share = (await client.post("/v1/shares", json={"asset": key})).json()
     links = (share["id"], share["url"].rpartition("/")[2], f"tenants/{tenant}/assets/{key}")
-    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message, upload, *links)
+    scene = (await client.post("/v1/scenes", json={"name": "Room"})).json()["id"]
+    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message, upload, *links, scene)
 
 
 def nothing() -> Ids:
@@ -190,6 +197,7 @@ def nothing() -> Ids:
         share="shr_" + "0" * 24,
         share_token="shr_" + "0" * 24 + "." + "0" * 43,
         folder="tenants/nobody/assets/a",
+        scene="scn_" + "0" * 24,
         tenant="nobody",
     )
 

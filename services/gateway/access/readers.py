@@ -1,4 +1,4 @@
-"""Who may read an asset or a collection besides its tenant: its visibility, cached for a few seconds.
+"""Who may read an asset, a collection or a scene besides its tenant: its visibility, cached for a few seconds.
 
 The cache bounds how long a change goes unnoticed by other gateways; the one that makes it forgets at once.
 """
@@ -15,18 +15,19 @@ from cachetools import TTLCache
 from services.gateway.access.authentication import CACHE_S
 from services.storage.catalogue.collection import index_name, read_index
 from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.scene_documents import read_scene
 from services.storage.catalogue.visibility import Visibility, effective
 from services.storage.store import Store
 from services.storage.tenant_store import store_of_tenant
 
 _CACHED = 20_000
 
-Kind = Literal["asset", "collection"]
+Kind = Literal["asset", "collection", "scene"]
 
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """An asset or a collection of a tenant."""
+    """An asset, a collection or a scene of a tenant."""
 
     tenant: str
     kind: Kind
@@ -39,10 +40,12 @@ class Readers:
 
     visibility   the one that holds; None: the gateway's default
     collections  those that list an asset
+    assets       those that stand in a scene
     """
 
     visibility: Visibility | None = None
     collections: tuple[str, ...] = ()
+    assets: frozenset[str] = frozenset()
 
 
 class ReadersCache:
@@ -56,9 +59,10 @@ class ReadersCache:
         """Return who may read a thing. A missing or damaged one, or a store that fails, opens nothing to anybody."""
         found = self._cached.get(thing)
         if found is None:
-            look: Callable[[Thing], Readers] = self._of_asset if thing.kind == "asset" else self._of_collection
+            looks: dict[Kind, Callable[[Thing], Readers]]
+            looks = {"asset": self._of_asset, "collection": self._of_collection, "scene": self._of_scene}
             try:
-                found = await anyio.to_thread.run_sync(look, thing)
+                found = await anyio.to_thread.run_sync(looks[thing.kind], thing)
             except (OSError, ValueError):  # CatalogueFault is an OSError; ValueError: no valid name
                 return Readers()
             self._cached[thing] = found
@@ -79,6 +83,9 @@ class ReadersCache:
 
     def _of_collection(self, thing: Thing) -> Readers:
         return Readers(_collection_visibility(store_of_tenant(self._store, thing.tenant), thing.name))
+
+    def _of_scene(self, thing: Thing) -> Readers:
+        return Readers(assets=read_scene(store_of_tenant(self._store, thing.tenant), thing.name).assets)
 
 
 def _collection_visibility(store: Store, name: str) -> Visibility | None:

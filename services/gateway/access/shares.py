@@ -1,4 +1,4 @@
-"""Share store: links by which somebody without a key reads one asset or one collection of a tenant.
+"""Share store: links by which somebody without a key reads one asset, one collection or one scene of a tenant.
 
 Each method is one short transaction. They block; async code runs them on threads.
 """

@@ -22,6 +22,7 @@ from services.gateway.routes.access_rules import ANYONE
 from services.gateway.schemas import problems
 from services.gateway.settings import GatewaySettings
 from services.storage.catalogue.entry import valid_key
+from services.storage.catalogue.scene import SCENE_ID
 from services.storage.store import PresigningStore, Store
 
 router = APIRouter(tags=["pages"])
@@ -39,6 +40,7 @@ _SHELL_PAGES = {
     "/": "capture/index.html",
     "/browse/default": "collection/collection.html",
     "/view/any": "viewer/view.html",
+    f"/scene/scn_{'0' * 24}": "viewer/view.html",
 }
 # Pages that need the server in any case.
 _ONLINE = {WEB / name for name in ("admin", "edit", "login", "pair", "share")}
@@ -101,6 +103,14 @@ async def view_assets(
 async def view_asset(key: str, request: Request) -> Response:
     """The viewer page of an asset, for a screen or a headset."""
     _check_keys([key])
+    return _page("viewer/view.html", request)
+
+
+@router.get("/scene/{scene}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
+async def view_scene(scene: str, request: Request) -> Response:
+    """The viewer page of a scene: its things where they were put, for a screen or a headset."""
+    if not re.fullmatch(SCENE_ID, scene):
+        raise Problem(404, "SCENE_INVALID", "this is not a valid scene id", hints=("check the id in the URL",))
     return _page("viewer/view.html", request)
 
 

@@ -1,5 +1,5 @@
-"""Access rules of routes that read one asset, collection or file: its tenant may, and others as its visibility and
-shares allow.
+"""Access rules of routes that read one asset, collection, scene or file: its tenant may, and others as its visibility
+and shares allow.
 
 The rule finds out whose thing a request names and refuses who may not read it; the handler then asks `reading_of`.
 """
@@ -131,6 +131,11 @@ def unknown_collection(name: str) -> Problem:
     return Problem(404, "COLLECTION_UNKNOWN", f"there is no collection {name}", hints=hints)
 
 
+def unknown_scene(scene: str) -> Problem:
+    """Return the problem for a scene that there is not, or not for this caller."""
+    return Problem(404, "SCENE_UNKNOWN", f"there is no scene {scene}", hints=("check the id", "it may have been deleted"))
+
+
 def unknown_file(_: str = "") -> Problem:
     """Return the problem for a file that there is not, or not for this caller."""
     hints = ("GET /v1/assets/{key} lists the URLs of an asset's files",)
@@ -173,17 +178,19 @@ async def _readable(readers: ReadersCache, thing: Thing, found: Readers, share: 
 
 
 async def _opens(share: Share, thing: Thing, found: Readers, readers: ReadersCache) -> bool:
-    """Return whether a share is one of the thing, or of a collection that lists it."""
+    """Return whether a share is one of the thing, of a scene that it stands in, or of a collection that lists it."""
     if share.thing == thing:
         return True
-    if share.thing.tenant != thing.tenant or share.thing.kind != "collection" or thing.kind != "asset":
+    if share.thing.tenant != thing.tenant or share.thing.kind == "asset" or thing.kind != "asset":
         return False
+    if share.thing.kind == "scene":
+        return thing.name in (await readers.of(share.thing)).assets
     # An open collection does not list what is private.
     return share.thing.name in found.collections and not is_open((await readers.of(share.thing)).visibility)
 
 
 class _NamedRule(_ReadRule):
-    """Of a route whose path names an asset or a collection of the caller's tenant, or of the one in the query."""
+    """Of a route whose path names an asset, a collection or a scene of the caller's tenant, or of the query's."""
 
     def __init__(self, kind: Kind, parameter: str, unknown: Callable[[str], Problem]) -> None:
         super().__init__(unknown)
@@ -219,6 +226,8 @@ READS_ASSET: Any = Depends(_NamedRule("asset", "key", unknown_asset))
 """The dependency of a route that reads the asset `key`."""
 READS_COLLECTION: Any = Depends(_NamedRule("collection", "name", unknown_collection))
 """The dependency of a route that reads the collection `name`."""
+READS_SCENE: Any = Depends(_NamedRule("scene", "scene", unknown_scene))
+"""The dependency of a route that reads the scene `scene`."""
 READS_FILE: Any = Depends(_FileRule(unknown_file))
 """The dependency of a route that reads the object `name` of the whole store."""
 READS_FOLDER: Any = Depends(_FolderRule(unknown_file))

@@ -1,8 +1,9 @@
-"""/v1/shares: share an asset or a collection by a link, list the links, revoke them, open one. /s/TOKEN: its page."""
+"""/v1/shares: share an asset, a collection or a scene by a link, list links, revoke, open one. /s/TOKEN: its page."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Annotated, Any
 from urllib.parse import urljoin
@@ -18,28 +19,39 @@ from services.gateway.errors import Problem
 from services.gateway.qr_code import qr_svg
 from services.gateway.routes.access import Days, utc, utc_or_none
 from services.gateway.routes.access_rules import ANYONE, authentication_of, caller_of, needs
-from services.gateway.routes.read_rules import unknown_asset, unknown_collection
+from services.gateway.routes.read_rules import unknown_asset, unknown_collection, unknown_scene
 from services.gateway.routes.store_access import gateway_url, in_thread, path_of_tenant, store_of
 from services.gateway.schemas import Label, StrictBody, problems
 from services.storage.catalogue.collection import index_name
 from services.storage.catalogue.entry import entry_name, valid_key
+from services.storage.catalogue.scene_documents import scene_name
 
 router = APIRouter(prefix="/v1", tags=["shares"])
 
 _DAY_S = 86_400.0
 _DEFAULT_DAYS = 30
+_PAGES: Mapping[Kind, str] = {"asset": "view", "collection": "browse", "scene": "scene"}
+"""First part of the path of a thing's page."""
+
+_DOCUMENTS: Mapping[Kind, tuple[Callable[[str], str], Callable[[str], Problem]]] = {
+    "asset": (entry_name, unknown_asset),
+    "collection": (index_name, unknown_collection),
+    "scene": (scene_name, unknown_scene),
+}
+"""The object that a thing has, and the problem where there is none."""
 
 ShareId = Annotated[str, Path(max_length=40, pattern=f"^{SHARE_ID}$", description="Id of a share.")]
 KeyOrEmpty = Annotated[str, Field(max_length=100)]
 
 
 class ShareRequest(StrictBody):
-    """What is shared: either `asset` or `collection`. mode `place`: its visitors may move it about, too. Without
-    `expires_days` (null) the link works until it is revoked.
+    """What is shared: one of `asset`, `collection` and `scene`; a scene's link opens the assets that stand in it, too.
+    mode `place`: its visitors may move it about. Without `expires_days` (null) the link works until it is revoked.
     """
 
     asset: KeyOrEmpty = ""
     collection: KeyOrEmpty = ""
+    scene: KeyOrEmpty = ""
     mode: Mode = "read"
     label: Label = ""
     expires_days: Days | None = _DEFAULT_DAYS
@@ -97,7 +109,7 @@ class OpenedShareView(BaseModel):
     responses=problems(404, 415, 422, 503),
 )
 async def create_share(body: ShareRequest, request: Request) -> ShareView:
-    """Share an asset or a collection by a link, which needs no login."""
+    """Share an asset, a collection or a scene by a link, which needs no login."""
     thing = await _existing_thing(body, request)
     expires = time.time() + body.expires_days * _DAY_S if body.expires_days else None
     store = _sharing(request).store
@@ -112,14 +124,15 @@ async def list_shares(
     request: Request,
     asset: Annotated[str, Query(max_length=100, description="Only of this asset.")] = "",
     collection: Annotated[str, Query(max_length=100, description="Only of this collection.")] = "",
+    scene: Annotated[str, Query(max_length=100, description="Only of this scene.")] = "",
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     after: Annotated[str, Query(pattern=f"^({SHARE_ID})?$", description="`next` of the previous page.")] = "",
 ) -> SharePage:
     """List share links, the oldest first, with those that have ended."""
     store, tenant = _sharing(request).store, caller_of(request).tenant
-    kind: Kind | None = "asset" if asset else "collection" if collection else None
+    kind: Kind | None = "asset" if asset else "collection" if collection else "scene" if scene else None
     found = await authentication_of(request).run(
-        lambda: store.page(tenant, limit=limit + 1, after=after, kind=kind, name=asset or collection)
+        lambda: store.page(tenant, limit=limit + 1, after=after, kind=kind, name=asset or collection or scene)
     )
     views = [await _view(share, request) for share in found[:limit]]
     return SharePage(shares=views, next=views[-1].id if len(found) > limit else None)
@@ -172,8 +185,8 @@ async def open_share(body: OpenRequest, request: Request, response: Response) ->
         httponly=True,
         samesite="lax",
     )
-    thing, page = share.thing, "view" if share.thing.kind == "asset" else "browse"
-    view = path_of_tenant(thing.tenant, f"/{page}/{thing.name}")
+    thing = share.thing
+    view = path_of_tenant(thing.tenant, f"/{_PAGES[thing.kind]}/{thing.name}")
     return OpenedShareView(
         tenant=thing.tenant, kind=thing.kind, name=thing.name, mode=share.mode, label=share.label, view=view
     )
@@ -181,19 +194,21 @@ async def open_share(body: OpenRequest, request: Request, response: Response) ->
 
 async def _existing_thing(body: ShareRequest, request: Request) -> Thing:
     """Return what is to be shared. Raises Problem where there is no such thing."""
-    if bool(body.asset) == bool(body.collection):
+    names: dict[Kind, str] = {"asset": body.asset, "collection": body.collection, "scene": body.scene}
+    named = [(kind, name) for kind, name in names.items() if name]
+    if len(named) != 1:
         hints = ("send one of them",)
-        raise Problem(422, "REQUEST_INVALID", "send either `asset` or `collection`", hints=hints)
-    name = body.asset or body.collection
+        raise Problem(422, "REQUEST_INVALID", "send either `asset`, `collection` or `scene`", hints=hints)
+    ((kind, name),) = named
     store = store_of(request)
-    object_name = entry_name if body.asset else index_name
+    object_name, unknown = _DOCUMENTS[kind]
     try:
         if not valid_key(name):
             raise FileNotFoundError(name)
         await in_thread(lambda: store.head(object_name(name)))
     except FileNotFoundError:
-        raise (unknown_asset if body.asset else unknown_collection)(name) from None
-    return Thing(caller_of(request).tenant, "asset" if body.asset else "collection", name)
+        raise unknown(name) from None
+    return Thing(caller_of(request).tenant, kind, name)
 
 
 async def _view(share: Share, request: Request) -> ShareView:

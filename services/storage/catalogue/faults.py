@@ -17,6 +17,7 @@ MANIFEST_CHANGED = "MANIFEST_CHANGED"
 FILE_MISSING = "FILE_MISSING"
 FILE_CHANGED = "FILE_CHANGED"
 SIGNING_KEY_MISSING = "SIGNING_KEY_MISSING"
+SCENE_DAMAGED = "SCENE_DAMAGED"
 
 
 class CatalogueFault(OSError):  # noqa: N818 - a fault of what was read, not of this program

@@ -2,6 +2,7 @@
 import { Card } from './card.js';
 import { fillFilters, isLimited, listenToFilters, readFilters } from './filters.js';
 import { offerManaging, showManaging } from './manage.js';
+import { listScenes } from './scenes.js';
 import { PER_PAGE, search } from './search.js';
 import { summarize } from './summary.js';
 import { showAccount } from '../shared/account.js';
@@ -249,4 +250,8 @@ if (name !== 'default') {
 }
 registerServiceWorker();
 show();
-showAccount().then((session) => offerManaging(ofShownTenant('') === '' ? session : null, { chosen: () => [...chosenKeys], onDone: showDone }));
+showAccount().then((session) => {
+  const own = ofShownTenant('') === '' ? session : null;
+  offerManaging(own, { chosen: () => [...chosenKeys], onDone: showDone });
+  return listScenes(own);
+});

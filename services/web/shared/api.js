@@ -93,10 +93,11 @@ export const postJson = (url, body, headers = {}) => sendJson('POST', url, body,
  * @template T
  * @param {string} url
  * @param {unknown} body
+ * @param {Record<string, string>} [headers]
  * @returns {Promise<T>} what the caller declares
  * @throws {Problem} as `getJson`
  */
-export const putJson = (url, body) => sendJson('PUT', url, body, {});
+export const putJson = (url, body, headers = {}) => sendJson('PUT', url, body, headers);
 
 /**
  * PATCH a JSON document.

@@ -13,8 +13,8 @@ const worker = /** @type {ServiceWorkerGlobalScope} */ (/** @type {unknown} */ (
 const PREFIX = 'shell-'; // of a cache's name; behind it comes the shell's version
 const LIST = '/web/shell.json'; // a ShellList; written last, so a cache that has it is complete
 const VERSIONED = /-\d+\.\d+\.\d+\./; // a file whose name has its version never changes
-// Every asset has the same page and so has every collection: who has seen one can open another one's without the server.
-const PAGE = /^\/(view|browse)(\/[^/]+)?$/;
+// Every asset has the same page, and so have every collection and every scene: who has seen one can open another one's without the server.
+const PAGE = /^\/(view|browse|scene)(\/[^/]+)?$/;
 const CAPTURE_PAGE = '/';
 const ONLINE = /^\/web\/((admin|login|pair|share)\/|vendor\/tus-js-client-)/; // files of pages that need the server in any case
 const AT_ONCE = 4; // downloads, beside those of the page that is being shown
@@ -41,7 +41,7 @@ function isShell({ origin, pathname }) {
 }
 
 /**
- * An address as the shell's cache has it: the same for all assets, and for all collections.
+ * An address as the shell's cache has it: the same for all assets, for all collections, and for all scenes.
  * @param {string} address
  * @returns {string}
  */

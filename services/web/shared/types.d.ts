@@ -199,6 +199,48 @@ export interface Manifest {
   files: AssetFile[];
 }
 
+// ---- scenes ---------------------------------------------------------------------------------------------------------
+
+/** An asset in a scene. `id`: within the scene; `position_m`: in its frame; `rotation`: a unit quaternion x, y, z, w. */
+export interface PlacedAsset {
+  id: string;
+  asset: string;
+  position_m: number[];
+  rotation: number[];
+  scale: number;
+}
+
+/** A scene: GET /v1/scenes/{scene}. `may_save`: whether the caller may replace it. */
+export interface SceneDocument {
+  id: string;
+  name: string;
+  version: number;
+  items: PlacedAsset[];
+  view: string;
+  may_place: boolean;
+  may_save: boolean;
+}
+
+/** GET /v1/scenes. `next`: the value of `after` for the next page. */
+export interface ScenePage {
+  scenes: { id: string; name: string; things: number; view: string }[];
+  next: string | null;
+}
+
+/** An asset that a search of a collection has found. `preview`: URL of a picture, or "". */
+export interface FoundAsset {
+  key: string;
+  label: string;
+  labels: string[];
+  preview: string;
+}
+
+/** GET /v1/collections/{name}/assets. `next`: the value of `after` for the next page. */
+export interface FoundAssets {
+  assets: FoundAsset[];
+  next: string | null;
+}
+
 // ---- edits (docs/edits.md) ------------------------------------------------------------------------------------------
 
 /** A place or a direction in the capture frame. */

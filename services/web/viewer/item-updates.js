@@ -5,6 +5,7 @@
 const PREVIEW_POLL_MS = 3000; // while a refined version may come
 const REFINED_POLL_MS = 15_000; // once everything is refined
 const LEAST_POLL_MS = 1000; // between two requests, however many things there are
+const GONE = ['ASSET_UNKNOWN', 'ASSET_REMOVED'];
 const NOT_YET = ['ASSET_UNKNOWN', 'CATALOGUE_BEHIND']; // not published yet: it is on its way
 
 /**
@@ -26,15 +27,16 @@ export class ItemUpdates {
     this.#callbacks = callbacks;
   }
 
-  /** Loads all items, then polls for as long as there is one. */
+  /** Loads all items, then polls. */
   async poll() {
     const { items, isVisible } = this.#callbacks;
     await Promise.all(items().map((item) => this.update(item)));
-    for (let turn = 0; items().length > 0; turn++) {
+    for (let turn = 0; ; turn++) {
       const mayChange = items().some(({ entry }) => entry?.state !== 'refined');
-      const wait = Math.max(LEAST_POLL_MS, (mayChange ? PREVIEW_POLL_MS : REFINED_POLL_MS) / items().length);
+      const wait = Math.max(LEAST_POLL_MS, (mayChange ? PREVIEW_POLL_MS : REFINED_POLL_MS) / Math.max(1, items().length));
       await new Promise((resolve) => setTimeout(resolve, wait));
-      if (isVisible()) await this.update(items()[turn % items().length]);
+      const item = items()[turn % Math.max(1, items().length)];
+      if (item && isVisible()) await this.update(item);
     }
   }
 
@@ -57,6 +59,14 @@ export class ItemUpdates {
  * Whether an item could not be loaded, so that trying again may help.
  * @param {SceneItem} item
  */
-export function hasFailed({ entry, code }) {
-  return !entry && Boolean(code) && !NOT_YET.includes(code);
+export function hasFailed(item) {
+  return !item.entry && Boolean(item.code) && !NOT_YET.includes(item.code) && !isGone(item);
+}
+
+/**
+ * Whether an item stands in a scene, and its asset was deleted or taken back.
+ * @param {SceneItem} item
+ */
+export function isGone({ entry, code, placed }) {
+  return !entry && placed !== null && GONE.includes(code);
 }

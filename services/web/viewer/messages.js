@@ -22,19 +22,27 @@ const page = {
 let noticeTimer = 0;
 
 /**
+ * How many things were asked for, and what did not come.
+ * @typedef {object} Wanted
+ * @property {string} title of the scene; '' for one that is not saved
+ * @property {number} wanted how many things were asked for
+ * @property {number} failed how many of them could not be loaded
+ * @property {string[]} gone keys of those that were deleted
+ */
+
+/**
  * Shows name, size and state of what is shown.
  * @param {{ name: string, entry: AssetEntry }[]} items those that are loaded
- * @param {number} wanted how many things were asked for
- * @param {number} failed how many of them could not be loaded
+ * @param {Wanted} of
  */
-export function showCaption(items, wanted, failed) {
-  if (items.length === 0) return;
+export function showCaption(items, { title, wanted, failed, gone }) {
+  if (items.length === 0 && !title) return;
   page.retry.hidden = failed === 0;
   const entries = items.map(({ entry }) => entry);
-  const name = items.length === 1 ? items[0].name : `${items.length} things`;
+  const name = title || (items.length === 1 ? items[0].name : `${items.length} things`);
   document.title = `${name} · capture2vr`;
   page.label.textContent = name;
-  page.summary.textContent = wanted === 1 ? aboutOne(entries[0]) : aboutAll(entries, wanted, failed);
+  page.summary.textContent = wanted === 1 && !title ? aboutOne(entries[0]) : aboutAll(entries, { title, wanted, failed, gone });
   page.canvas.ariaLabel = [name, page.summary.textContent].join(': ');
   page.description.textContent = items.length === 1 ? (entries[0].description ?? '') : '';
   page.description.hidden = !page.description.textContent;
@@ -53,13 +61,14 @@ function aboutOne(entry) {
 
 /**
  * @param {AssetEntry[]} entries
- * @param {number} wanted
- * @param {number} failed
+ * @param {Wanted} of
  */
-function aboutAll(entries, wanted, failed) {
-  const coming = wanted - entries.length - failed;
+function aboutAll(entries, { title, wanted, failed, gone }) {
+  const coming = wanted - entries.length - failed - gone.length;
+  const count = title ? `${wanted} ${wanted === 1 ? 'thing' : 'things'}` : '';
   const more = coming > 0 ? `${coming} more ${coming === 1 ? 'is' : 'are'} on the way` : '';
-  return [trianglesText(entries), more, failed > 0 ? `${failed} could not be loaded` : ''].filter(Boolean).join(' · ');
+  const lost = gone.length > 0 ? `${gone.join(', ')} ${gone.length === 1 ? 'is' : 'are'} not here any more: deleted or taken back` : '';
+  return [count, trianglesText(entries), more, failed > 0 ? `${failed} could not be loaded` : '', lost].filter(Boolean).join(' · ');
 }
 
 /** @param {SizeM} size */

@@ -1,4 +1,4 @@
-// The panels of the viewer's page for the one thing that it shows, and who gets them. A panel's module is loaded when the panel is opened.
+// The panels of the viewer's page for the one thing or the scene that it shows, and who gets them. A panel's module is loaded when the panel is opened.
 import { isLoaded } from './scene-item.js';
 import { element } from '../shared/dom.js';
 import { ofShownTenant } from '../shared/whose.js';
@@ -7,6 +7,7 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { Measuring, MeasuringCallbacks } from './measuring.js' */
 /** @import { SceneItem } from './scene-item.js' */
+/** @import { SceneOffer } from './scene-panel.js' */
 
 const page = {
   about: element('about', HTMLDetailsElement),
@@ -15,16 +16,21 @@ const page = {
   names: element('names', HTMLDetailsElement),
   share: element('share', HTMLDetailsElement),
   edit: element('edit', HTMLAnchorElement),
+  scene: element('scene', HTMLDetailsElement),
+  add: element('add', HTMLDetailsElement),
 };
 
 /**
- * Shows a panel, and fills it when it is opened for the first time.
+ * Shows a panel, and fills it when it is opened for the first time. Until it is filled nothing in it can be pressed: the browser would send its form.
  * @param {HTMLDetailsElement} panel
- * @param {() => void} fill
+ * @param {() => Promise<void>} fill
  */
 function offer(panel, fill) {
+  const content = [...panel.children].filter((part) => part instanceof HTMLElement && part.tagName !== 'SUMMARY');
+  const setInert = (/** @type {boolean} */ inert) => content.forEach((part) => part.toggleAttribute('inert', inert));
+  setInert(true);
   panel.hidden = false;
-  panel.addEventListener('toggle', fill, { once: true });
+  panel.addEventListener('toggle', () => fill().finally(() => setInert(false)), { once: true });
 }
 
 /**
@@ -90,4 +96,28 @@ export function offerManaging({ key }, session, onNames) {
   offer(page.names, () => import('./naming.js').then(({ showNaming }) => showNaming(key, onNames)));
   if (session.via !== 'session') return; // without accounts there is nobody to share it with
   offer(page.share, () => import('./sharing.js').then(({ showSharing }) => showSharing(key)));
+}
+
+/** Hides what is about one thing alone: the page shows several from now on. */
+export function hidePanelsOfOne() {
+  for (const panel of [page.about, page.downloads, page.measure, page.names, page.edit]) panel.hidden = true;
+  page.share.hidden ||= !document.body.dataset.scene;
+}
+
+/**
+ * Offers to add things of a collection.
+ * @param {(key: string) => void} onChoose
+ * @param {() => string} collection
+ */
+export function offerAdding(onChoose, collection) {
+  offer(page.add, () => import('./add-thing.js').then(({ showAdding }) => showAdding(onChoose, collection())));
+}
+
+/**
+ * Offers to save the scene, and to share one that is saved.
+ * @param {SceneOffer} scene
+ */
+export function offerScene(scene) {
+  offer(page.scene, () => import('./scene-panel.js').then(({ showScenePanel }) => showScenePanel(scene)));
+  if (scene.id && scene.canShare) offer(page.share, () => import('./sharing.js').then(({ showSharingOfScene }) => showSharingOfScene(scene.id)));
 }

@@ -4,7 +4,7 @@ import { deletePlacement, loadPlacement, savePlacement } from './saved-placement
 import { Model } from '../graphics/model.js';
 import { dispose } from '../graphics/scene.js';
 
-/** @import { AssetEntry, AssetFile } from '../shared/types.d.ts' */
+/** @import { AssetEntry, AssetFile, PlacedAsset } from '../shared/types.d.ts' */
 /** @import { Tileset, TilesetOptions } from './tileset.js' */
 /** @typedef {SceneItem & { entry: AssetEntry, model: Model }} LoadedItem */
 
@@ -12,6 +12,7 @@ const HALF_VIEW = Math.tan(Math.PI / 8); // half the height of a view of 45 degr
 const TILESET = 'tileset.json'; // of an asset's files, the one that lists the tiles of a large scene
 const WALKABLE_M = 4; // of a side, from which on people walk inside
 const NEAR_M = 0.01; // from inside a thing all of it counts as in view
+const DIGITS = 5; // of what a scene saves of a place: a hundredth of a millimetre
 const DEFAULT_PLACEMENT = { offset_m: [0, 0, 0], turn: [0, 0, 0, 1], scale: 1 };
 
 /** An asset in the scene. */
@@ -29,12 +30,21 @@ export class SceneItem {
   loadedLevels = []; // of detail, in the order in which they came
   problem = ''; // the last message about this item
   code = ''; // of that problem
+  isNew = false; // whether somebody has added it here, and it has no place yet
+  /** @type {PlacedAsset | null} */
+  placed = null; // where its scene has it; null: it stands by itself, or where this device has saved
+  /** @type {PlacedAsset | null} */
+  #placedFirst = null; // when the page began
   /** @type {THREE.Points | null} */
   #hints = null;
 
-  /** @param {string} key of the asset */
-  constructor(key) {
+  /**
+   * @param {string} key of the asset
+   * @param {PlacedAsset | null} [placed] in a scene
+   */
+  constructor(key, placed = null) {
     this.key = key;
+    this.placed = this.#placedFirst = placed;
     this.group = new THREE.Group(); // in the frame of the scene's root: its floor, in metres
     this.home = new THREE.Vector3(); // the default place
   }
@@ -118,6 +128,14 @@ export class SceneItem {
     if (points) this.group.add(points);
   }
 
+  /** Frees the version that is shown; the item keeps its place. */
+  unload() {
+    this.showHints(null);
+    this.#dispose();
+    this.model = null;
+    this.entry = null;
+  }
+
   /** Removes the item from the scene and frees its memory. */
   remove() {
     this.showHints(null);
@@ -154,8 +172,16 @@ export class SceneItem {
     return diameter / (2 * HALF_VIEW * Math.max(NEAR_M, eye.distanceTo(middle)));
   }
 
-  /** Places the item where the person left it, or at its default place. */
+  /** Places the item where its scene has it, where the person left it, or at its default place. */
   place() {
+    if (this.placed) {
+      const { position_m: position, rotation, scale } = this.placed;
+      this.group.position.fromArray(position);
+      this.group.quaternion.fromArray(rotation);
+      this.group.scale.setScalar(scale);
+      this.group.updateMatrixWorld();
+      return;
+    }
     const { offset_m: offset, turn, scale } = loadPlacement(this.key) ?? DEFAULT_PLACEMENT;
     this.group.position.fromArray(offset).add(this.home);
     this.group.quaternion.set(turn[0], turn[1], turn[2], turn[3]);
@@ -163,15 +189,26 @@ export class SceneItem {
     this.group.updateMatrixWorld();
   }
 
+  /** Makes the item part of a scene, where it stands now. */
+  fix() {
+    this.placed ??= { id: randomId(), asset: this.key, ...placementOf(this.group) };
+    this.#placedFirst ??= this.placed;
+  }
+
   /** Saves where the item stands now. */
   savePlace() {
+    if (this.placed) {
+      this.placed = { ...this.placed, ...placementOf(this.group) };
+      return;
+    }
     const offset = this.group.position.clone().sub(this.home);
     savePlacement(this.key, { offset_m: offset.toArray(), turn: this.group.quaternion.toArray(), scale: this.group.scale.x });
   }
 
-  /** Puts the item back to its default place. */
+  /** Puts the item back to its default place, in a scene to where that had it when the page began. */
   resetPlace() {
-    deletePlacement(this.key);
+    if (this.placed) this.placed = this.#placedFirst;
+    else deletePlacement(this.key);
     this.place();
   }
 
@@ -180,6 +217,20 @@ export class SceneItem {
     if (!this.entry) throw new Error(`${this.key} is not loaded, so its size is not known.`);
     return this.entry.size_m;
   }
+}
+
+/**
+ * Where a group stands in its scene, rounded.
+ * @param {THREE.Group} group
+ */
+function placementOf({ position, quaternion, scale }) {
+  const rounded = (/** @type {number[]} */ numbers) => numbers.map((value) => Number(value.toFixed(DIGITS)) + 0); // + 0: no -0
+  return { position_m: rounded(position.toArray()), rotation: rounded(quaternion.clone().normalize().toArray()), scale: Number(scale.x.toFixed(DIGITS)) };
+}
+
+/** An id within a scene. (`crypto.randomUUID` needs HTTPS, which a headset in the same room has not.) */
+function randomId() {
+  return [...crypto.getRandomValues(new Uint8Array(8))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
 }
 
 /**

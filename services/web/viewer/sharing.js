@@ -3,7 +3,7 @@ import { deleteAt, getJson, postJson, putJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 
-/** @import { AssetEntry, Share, SharePage, Visibility } from '../shared/types.d.ts' */
+/** @import { AssetEntry, Share, SharePage } from '../shared/types.d.ts' */
 
 const panel = {
   visibility: element('visibility', HTMLSelectElement),
@@ -13,7 +13,20 @@ const panel = {
   password: element('share-password', HTMLInputElement),
   links: element('links', HTMLElement),
   trouble: element('share-trouble', HTMLElement),
+  ofAsset: element('share-asset', HTMLElement),
 };
+
+/** @typedef {{ asset: string } | { scene: string }} SharedThing what a link opens */
+
+/**
+ * Shows the panel's content for a scene of one's own, which only its links open to others.
+ * @param {string} scene its id
+ */
+export async function showSharingOfScene(scene) {
+  panel.ofAsset.hidden = true;
+  listen({ scene });
+  await attempt(panel.trouble, () => showLinks({ scene }));
+}
 
 /**
  * Shows the panel's content for an asset of one's own.
@@ -22,49 +35,54 @@ const panel = {
 export async function showSharing(key) {
   const path = `/v1/assets/${encodeURIComponent(key)}`;
   panel.visibility.addEventListener('change', () => attempt(panel.trouble, () => putJson(`${path}/visibility`, { visibility: panel.visibility.value || null })));
-  panel.form.addEventListener('submit', (event) => {
-    event.preventDefault();
-    attempt(panel.trouble, () => createLink(key));
-  });
+  listen({ asset: key });
   await attempt(panel.trouble, async () => {
     /** @type {AssetEntry} */
     const { visibility } = await getJson(path);
     panel.visibility.value = visibility ?? '';
-    await showLinks(key);
+    await showLinks({ asset: key });
   });
 }
 
-/** @param {string} key */
-async function createLink(key) {
+/** @param {SharedThing} thing */
+function listen(thing) {
+  panel.form.addEventListener('submit', (event) => {
+    event.preventDefault();
+    attempt(panel.trouble, () => createLink(thing));
+  });
+}
+
+/** @param {SharedThing} thing */
+async function createLink(thing) {
   const days = Number(panel.days.value);
-  const body = { asset: key, mode: panel.mode.value, expires_days: days || null, password: panel.password.value };
+  const body = { ...thing, mode: panel.mode.value, expires_days: days || null, password: panel.password.value };
   await postJson('/v1/shares', body);
   panel.password.value = '';
-  await showLinks(key);
+  await showLinks(thing);
 }
 
 /**
  * Lists the links that work, the newest first.
- * @param {string} key
+ * @param {SharedThing} thing
  */
-async function showLinks(key) {
+async function showLinks(thing) {
   /** @type {Share[]} */
   const shares = [];
   for (let after = /** @type {string | null} */ (''); after !== null;) {
     /** @type {SharePage} */
-    const found = await getJson(`/v1/shares?${new URLSearchParams({ asset: key, limit: '200', after })}`);
+    const found = await getJson(`/v1/shares?${new URLSearchParams({ ...thing, limit: '200', after })}`);
     shares.push(...found.shares.filter(({ ended }) => !ended));
     after = found.next;
   }
-  panel.links.replaceChildren(...shares.reverse().map((share) => createItem(share, key)));
+  panel.links.replaceChildren(...shares.reverse().map((share) => createItem(share, thing)));
   document.body.dataset.links = String(shares.length);
 }
 
 /**
  * @param {Share} share
- * @param {string} key
+ * @param {SharedThing} thing
  */
-function createItem(share, key) {
+function createItem(share, thing) {
   const item = create('li');
   const code = create('img', { alt: 'QR code of the link', width: 180, height: 180, src: `/v1/shares/${share.id}/qr.svg` });
   const link = create('a', { href: share.url, textContent: share.url });
@@ -72,7 +90,7 @@ function createItem(share, key) {
   const revoke = create('button', { type: 'button', textContent: 'Revoke' });
   revoke.addEventListener('click', () => attempt(panel.trouble, async () => {
     await deleteAt(`/v1/shares/${share.id}`);
-    await showLinks(key);
+    await showLinks(thing);
   }));
   item.append(code, link, facts, revoke);
   return item;

@@ -10,8 +10,10 @@ import { ofShownTenant } from '../shared/whose.js';
 const MOST = 24; // things in one scene
 const POSTER_MS = 1000; // longest that the library waits for the poster
 
+/** The id of the saved scene in the page's address; '' without one. */
+export const sceneId = /^\/scene\/([^/]+)$/.exec(location.pathname)?.[1] ?? '';
 /** The assets' keys in the page's address. */
-export const keys = keysFrom(location);
+export const keys = sceneId ? [] : keysFrom(location);
 let asked = keys.length === 1 ? askForEntry(keys[0]) : null;
 
 /**

@@ -1,4 +1,4 @@
-// The viewer page (/view/{key}, /view?key=a&key=b): things on a screen or in a headset, side by side where there are several. Begun by start.js.
+// The viewer page (/view/{key}, /view?key=a&key=b, /scene/{id}): things on a screen or in a headset, side by side where there are several. Begun by start.js.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { startBackdrop } from './backdrop.js';
@@ -6,16 +6,18 @@ import { startCameraKeys } from './camera-orbit.js';
 import { DragControls } from './drag.js';
 import { startFullScreen } from './full-screen.js';
 import { Grabber } from './grab.js';
-import { ItemUpdates, hasFailed } from './item-updates.js';
+import { ItemUpdates, hasFailed, isGone } from './item-updates.js';
 import { placeSideBySide } from './layout-and-lod.js';
+import { placeAhead, placeBeside } from './new-place.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
 import { offerAbout, offerDownloads, offerManaging, offerMeasuring } from './panels.js';
 import { hidePoster } from './poster.js';
 import { startRenderLoop } from './render-loop.js';
+import { Room } from './room.js';
 import { SceneItem, isLoaded } from './scene-item.js';
 import { Shadows } from './shadows.js';
 import { findStandingPlace } from './standing-place.js';
-import { keys, nextEntry } from './start.js';
+import { keys, nextEntry, sceneId } from './start.js';
 import { startTurntable } from './turntable.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
@@ -30,6 +32,7 @@ import { checkEntry } from '../shared/signed-catalogue.js';
 import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
+/** @import { PickerWall } from './picker-wall.js' */
 /** @import { LoadedItem } from './scene-item.js' */
 /** @import { VersionComparison } from './version-comparison.js' */
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
@@ -64,6 +67,8 @@ let items = keys.map((key) => new SceneItem(key));
 let selected = null;
 /** @type {VersionComparison | null} */
 let comparison = null; // once somebody wants one
+/** @type {PickerWall | null} */
+let wall = null; // once somebody who may add things is in a headset
 let showFacts = () => {}; // of a thing that is alone, after each change of it
 
 const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onMove: savePlace, onSelect: select });
@@ -78,6 +83,8 @@ const input = new XrInput(renderer, scene, {
   isMovable,
   grabber,
   walker,
+  panels: () => wall?.panels ?? [],
+  onMenu: () => wall?.toggle(renderer.xr.getCamera()),
   onReset: resetAll,
   showHands: () => document.body.dataset.mode === 'vr',
 });
@@ -85,7 +92,10 @@ const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page
   height: () => Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
   standingPlace,
   onMode: showMode,
-  onPlaced: reportPlace,
+  onPlaced: (metres) => {
+    reportPlace(metres);
+    offerWall();
+  },
   onRefused: (error) => showError(new Problem({ code: 'XR_REFUSED', detail: `The headset did not start: ${error.message}` })),
 });
 const { redraw } = startRenderLoop(stage, {
@@ -100,6 +110,15 @@ const updates = new ItemUpdates({
   isVisible: () => !document.hidden || renderer.xr.isPresenting,
   update,
   onError: showItemError,
+});
+const room = new Room({
+  items: () => items,
+  setItems,
+  createItem: (key, placed) => new SceneItem(key, placed),
+  isHeld: (item) => grabber.handCount(item) > 0,
+  isVisible: () => !document.hidden || renderer.xr.isPresenting,
+  isWorn: () => renderer.xr.isPresenting,
+  onChange: showTexts,
 });
 
 /** Creates the stage, or says that this browser has no WebGL. */
@@ -168,7 +187,7 @@ async function update(item) {
     return;
   }
   if (before) showNotice(updateText(before, entry, item.name));
-  else placeAll();
+  else placeFirst(item);
   showTexts();
 }
 
@@ -206,6 +225,21 @@ async function loadManifest({ manifest: { url, sha256 } }) {
   return JSON.parse(new TextDecoder().decode(bytes));
 }
 
+/**
+ * Places an item that has just come, and all others as they were, or side by side.
+ * @param {SceneItem} item
+ */
+function placeFirst(item) {
+  if (item.isNew && isLoaded(item)) {
+    if (renderer.xr.isPresenting) placeAhead(item, renderer.xr.getCamera());
+    else placeBeside(item, loadedItems().filter((other) => other !== item));
+    item.isNew = false;
+    item.fix();
+    room.touch();
+  }
+  placeAll();
+}
+
 /** Places all items side by side, or where the person put them, and shows all of them. */
 function placeAll() {
   const places = placeSideBySide(loadedItems().map(({ entry }) => entry.size_m));
@@ -241,7 +275,7 @@ function frameAll() {
 function showTexts() {
   redraw();
   const loaded = loadedItems();
-  showCaption(loaded, items.length, items.filter(hasFailed).length);
+  showCaption(loaded, { title: room.name, wanted: items.length, failed: items.filter(hasFailed).length, gone: items.filter(isGone).map(({ key }) => key) });
   showList(items, { selected, onSelect: (item) => allowMoving(true, item), onRemove: remove });
   showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
   const [first] = loaded;
@@ -254,14 +288,32 @@ function showTexts() {
 }
 
 /**
+ * Shows these items: loads those that are new, and removes those that are missing.
+ * @param {SceneItem[]} wanted
+ */
+function setItems(wanted) {
+  const [gone, added] = [items.filter((item) => !wanted.includes(item)), wanted.filter((item) => !items.includes(item))];
+  items = wanted;
+  for (const item of gone) {
+    grabber.drop(item);
+    item.remove();
+  }
+  for (const item of added) {
+    root.add(item.group);
+    updates.update(item);
+  }
+  reportPlaces();
+  showTexts();
+}
+
+/**
  * Removes an item from the scene and from the page's address.
  * @param {SceneItem} item
  */
 function remove(item) {
-  grabber.drop(item);
-  items = items.filter((each) => each !== item);
-  item.remove();
-  if (items.length === 0) return;
+  setItems(items.filter((each) => each !== item));
+  room.touch();
+  if (items.length === 0 || room.isSaved) return;
   history.replaceState(null, '', ofShownTenant(`/view?${new URLSearchParams(items.map(({ key }) => ['key', key]))}`));
   placeAll();
   showTexts();
@@ -275,6 +327,7 @@ function remove(item) {
  */
 function savePlace(item) {
   item.savePlace();
+  room.touch();
   headset.hideHelp(); // the wearer knows how by now
   reportPlaces();
 }
@@ -285,6 +338,7 @@ function resetAll() {
     grabber.drop(item);
     item.resetPlace();
   }
+  room.touch();
   frameAll();
   reportPlaces();
 }
@@ -323,11 +377,25 @@ function allowMoving(allowed, item) {
   showNotice(allowed ? MOVE_HELP : '', { stays: true });
 }
 
+/** Offers a wearer to add things to the scene, where they may. */
+async function offerWall() {
+  if (!room.mayAdd) return;
+  const { PickerWall: Wall } = await import('./picker-wall.js');
+  wall ??= new Wall(scene, {
+    collection: room.collection,
+    onChoose: (key) => room.add(key),
+    saving: () => room.saving,
+    onResetView: () => headset.placeAgain(),
+  });
+  if (renderer.xr.isPresenting) wall.offer(renderer.xr.getCamera());
+}
+
 /** @param {string} mode of the headset: "vr", "ar", or "" when a session has ended */
 function showMode(mode) {
   document.body.dataset.xr = mode ? 'on' : 'off';
   document.body.dataset.mode = mode;
   input.releaseAll();
+  if (!mode) wall?.hide();
   endComparison();
   frameAll(); // the camera was left where the headset was
   redraw();
@@ -339,7 +407,7 @@ function showMode(mode) {
  */
 async function offerPanels(asking) {
   const [item] = items;
-  if (!item || items.length > 1) {
+  if (!item || items.length > 1 || room.isSaved) {
     await asking;
     return;
   }
@@ -401,9 +469,10 @@ function showItemError(item, error) {
   item.problem = message;
   item.code = code;
   if (code === 'ASSET_REMOVED' && item.entry) {
-    remove(item);
+    if (item.placed) item.unload(); // its place in the scene stays, for when it is restored
+    else remove(item);
     showNotice(`${item.name} was taken back by whoever published it.`, { stays: true });
-  } else if (isNew && !isConnectionProblem(error) && items.length > 1) {
+  } else if (isNew && !isConnectionProblem(error) && !isGone(item) && items.length > 1) {
     showNotice(`${item.name}: ${message}`);
   }
   if (loadedItems().length === 0) showError(error, { canRetry: true });
@@ -422,6 +491,22 @@ function retry() {
     updates.update(item);
   }
   showTexts();
+}
+
+/**
+ * Loads what the page's address names, and offers what can be done with it.
+ * @param {Promise<Session | null>} asking who is logged in
+ */
+async function start(asking) {
+  try {
+    if (sceneId) await room.open(sceneId);
+    updates.poll();
+  } catch (error) {
+    showError(error, { canRetry: true });
+    return;
+  }
+  await offerPanels(asking);
+  room.offer(await asking);
 }
 
 // ---- start ------------------------------------------------------------------------------------------------------------
@@ -444,5 +529,4 @@ page.address.textContent = location.href;
 page.qr.src = ofShownTenant(`/v1/assets/${encodeURIComponent(items[0]?.key ?? '')}/qr.svg`);
 page.qr.hidden = items.length !== 1; // the code of several would be that of the first
 registerServiceWorker();
-updates.poll();
-offerPanels(showAccount());
+start(showAccount());

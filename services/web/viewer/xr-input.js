@@ -3,6 +3,7 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 import { aimRay, distanceToFirstBox, findTouchedItem, pickItem } from './hit-test.js';
 
 /** @import { Grabber } from './grab.js' */
+/** @import { PressPanel } from './press-panel.js' */
 /** @import { Walker } from './walk.js' */
 /** @import { LoadedItem } from './scene-item.js' */
 /** @typedef {'select' | 'squeeze'} Press the trigger or a pinch, and the grip */
@@ -15,6 +16,7 @@ import { aimRay, distanceToFirstBox, findTouchedItem, pickItem } from './hit-tes
  * @property {Map<Press, number>} presses since when each is pressed, in milliseconds
  * @property {XRInputSource | null} source null while it is not connected
  * @property {boolean} resetPressed
+ * @property {boolean} menuPressed
  * @property {'' | 'press' | 'stick'} aiming at a place to go to, while this is held
  * @property {(visible: boolean) => void} drawHand
  */
@@ -25,13 +27,15 @@ import { aimRay, distanceToFirstBox, findTouchedItem, pickItem } from './hit-tes
  * @property {(item: LoadedItem) => boolean} isMovable whether an item may be grabbed
  * @property {Grabber} grabber
  * @property {Walker} walker
+ * @property {() => PressPanel[]} panels that a ray can press, in front of all items
+ * @property {() => void} onMenu is called for A and X
  * @property {() => void} onReset is called for B, Y, or a long pinch on nothing
  * @property {() => boolean} showHands whether the wearer's hands must be drawn, because passthrough does not show them
  */
 
 const RAY_M = 2; // of a ray that hits nothing
 const RESET_MS = 1500; // a pinch or trigger held on nothing: longer than anyone searches for a thing
-const [B_OR_Y, STICK_X, STICK_Y] = [5, 2, 3]; // places in the gamepad of the WebXR mapping "xr-standard"
+const [A_OR_X, B_OR_Y, STICK_X, STICK_Y] = [4, 5, 2, 3]; // places in the gamepad of the WebXR mapping "xr-standard"
 const DEAD_ZONE = 0.2; // a thumbstick at rest is not quite at 0
 const TURN_PER_S = 1.5; // radians, with the stick pushed to its end
 const PUSH_M_PER_S = 0.8;
@@ -65,12 +69,15 @@ export class XrInput {
    * @param {number} seconds since the last frame
    */
   update(seconds) {
-    const { items, grabber, walker, onReset, showHands } = this.#callbacks;
+    const { items, grabber, panels, walker, onReset, showHands } = this.#callbacks;
+    for (const panel of panels()) panel.light(undefined);
     for (const input of this.#inputs) {
       const { pointer, presses, ray, source } = input;
       pointer.updateMatrixWorld();
       input.drawHand(showHands());
-      ray.scale.z = grabber.itemIn(pointer) ? 0.05 : distanceToFirstBox(items(), this.#castRay(pointer)) || RAY_M;
+      const panel = this.#findPanel(pointer);
+      panel?.panel.light(panel.zone);
+      ray.scale.z = grabber.itemIn(pointer) ? 0.05 : panel?.distance ?? (distanceToFirstBox(items(), this.#castRay(pointer)) || RAY_M);
       if (performance.now() - (presses.get('select') ?? Infinity) > RESET_MS) {
         presses.set('select', Infinity);
         onReset();
@@ -108,6 +115,12 @@ export class XrInput {
     const { pointer, presses } = input;
     presses.set(press, performance.now());
     if (presses.size > 1) return; // the other finger has grabbed it already
+    const panel = press === 'select' ? this.#findPanel(pointer) : undefined;
+    if (panel) {
+      presses.set(press, Infinity); // never long enough for a reset
+      panel.zone?.press();
+      return;
+    }
     const item = this.#findItem(pointer);
     if (!item) return;
     presses.clear();
@@ -137,6 +150,19 @@ export class XrInput {
   }
 
   /**
+   * The panel that a hand points at, the nearest where there are several.
+   * @param {THREE.Object3D} pointer
+   */
+  #findPanel(pointer) {
+    const raycaster = this.#castRay(pointer);
+    const hits = this.#callbacks.panels().flatMap((panel) => {
+      const hit = panel.hit(raycaster);
+      return hit ? [{ panel, ...hit }] : [];
+    });
+    return hits.sort((one, other) => one.distance - other.distance).at(0);
+  }
+
+  /**
    * The item that a hand touches or points at.
    * @param {THREE.Object3D} pointer
    */
@@ -159,10 +185,11 @@ export class XrInput {
    * @param {number} seconds since the last frame
    */
   #readButtons(input, { buttons, axes }, seconds) {
-    const { grabber, onReset, walker } = this.#callbacks;
-    const pressed = Boolean(buttons[B_OR_Y]?.pressed);
+    const { grabber, onMenu, onReset, walker } = this.#callbacks;
+    const [menu, pressed] = [A_OR_X, B_OR_Y].map((place) => Boolean(buttons[place]?.pressed));
+    if (menu && !input.menuPressed) onMenu();
     if (pressed && !input.resetPressed) onReset();
-    input.resetPressed = pressed;
+    [input.menuPressed, input.resetPressed] = [menu, pressed];
     const [x, y] = [axes[STICK_X] || 0, axes[STICK_Y] || 0].map((value) => (Math.abs(value) < DEAD_ZONE ? 0 : value));
     const rests = !x && !y;
     if (grabber.itemIn(input.pointer)) {
@@ -199,7 +226,7 @@ function createInput(renderer, scene, place) {
   /** @param {boolean} visible */
   const drawHand = (visible) => drawJoints(joints, visible ? hand : null);
   /** @type {Input} */
-  const input = { pointer, ray, presses: new Map(), source: null, resetPressed: false, aiming: '', drawHand };
+  const input = { pointer, ray, presses: new Map(), source: null, resetPressed: false, menuPressed: false, aiming: '', drawHand };
   pointer.add(ray);
   grip.add(controller);
   hand.add(joints);

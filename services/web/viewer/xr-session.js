@@ -76,6 +76,11 @@ export class XrSession {
     this.#placed = true;
   }
 
+  /** Places the scene before the wearer again, as at the beginning. */
+  placeAgain() {
+    this.#placed = false;
+  }
+
   /** Removes the panel with the help. */
   hideHelp() {
     if (!this.#help) return;
@@ -176,6 +181,7 @@ export class XrSession {
    * @param {string[]} lines
    */
   #showHelp(eye, ahead, lines) {
+    this.hideHelp();
     const help = createTextPanel(lines);
     help.position.copy(eye).addScaledVector(ahead, AHEAD_M);
     help.position.y = eye.y + 0.35; // above the things

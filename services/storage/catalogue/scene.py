@@ -1,0 +1,124 @@
+"""Scenes: several assets, each placed, turned and scaled, saved as one small JSON document of a tenant.
+
+Places are in the scene's own frame: metres, Y up, the floor at y = 0. A document is hostile until it has been
+validated, whether a request brings it or the store.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema
+
+from services.one_line import one_line
+from services.storage.catalogue.entry import check_key
+from services.storage.catalogue.faults import SCENE_DAMAGED, CatalogueFault
+
+SCENE_ID = r"scn_[0-9a-f]{24}"
+NAME_CHARS = 100
+MOST_ITEMS = 50
+"""Most things of a scene: their coarsest levels, of 5,000 triangles each, leave most of a headset's budget."""
+_FAR_M = 100.0  # from the scene's middle, along each axis: farther away nobody finds it again
+_SCALES = (0.05, 20.0)  # against true size; the viewer allows no others
+_UNIT_WITHIN = 0.01  # of a quaternion's length: what is sent is rounded
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+def _number(value: Any) -> Any:
+    """Refuse texts and truth values, which would be converted to numbers."""
+    if isinstance(value, bool | str | bytes):
+        raise ValueError("must be a number")
+    return value
+
+
+def _numbers(length: int, largest: float) -> WithJsonSchema:
+    """The JSON Schema of so many numbers: generators of clients do not know that of a tuple."""
+    number = {"type": "number", "minimum": -largest, "maximum": largest}
+    return WithJsonSchema({"type": "array", "items": number, "minItems": length, "maxItems": length})
+
+
+def _not_empty(name: str) -> str:
+    if not name.strip():
+        raise ValueError("a scene needs a name")
+    return name
+
+
+Metres = Annotated[float, BeforeValidator(_number), Field(ge=-_FAR_M, le=_FAR_M)]
+Part = Annotated[float, BeforeValidator(_number), Field(ge=-1.01, le=1.01)]
+SceneName = Annotated[str, Field(max_length=NAME_CHARS), AfterValidator(one_line), AfterValidator(_not_empty)]
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedAsset:
+    """An asset in a scene.
+
+    id          within the scene, since one asset may stand in it twice
+    asset       its key; the asset may be gone
+    position_m  (3,) of its origin, the middle of its underside, in the scene's frame
+    rotation    unit quaternion x, y, z, w
+    scale       against its true size
+    """
+
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
+    asset: Annotated[str, Field(max_length=100), AfterValidator(check_key)]
+    position_m: Annotated[tuple[Metres, Metres, Metres], _numbers(3, _FAR_M)]
+    rotation: Annotated[tuple[Part, Part, Part, Part], _numbers(4, 1.01)] = (0.0, 0.0, 0.0, 1.0)
+    scale: Annotated[float, BeforeValidator(_number), Field(ge=_SCALES[0], le=_SCALES[1])] = 1.0
+
+    __pydantic_config__ = _STRICT
+
+    def __post_init__(self) -> None:
+        length = math.hypot(*self.rotation)
+        if abs(length - 1) > _UNIT_WITHIN:
+            raise ValueError(f"the rotation is no unit quaternion: its length is {length:g}")
+
+
+def check_ids(items: tuple[PlacedAsset, ...]) -> tuple[PlacedAsset, ...]:
+    """Return the things of a scene unchanged. Raises ValueError where two have one id."""
+    ids = [item.id for item in items]
+    twice = next((each for each in ids if ids.count(each) > 1), None)
+    if twice is not None:
+        raise ValueError(f"two things of the scene have the id {twice}")
+    return items
+
+
+PlacedAssets = Annotated[tuple[PlacedAsset, ...], Field(max_length=MOST_ITEMS), AfterValidator(check_ids)]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A scene. `version` grows by one with every change; times are ISO 8601 in UTC."""
+
+    id: Annotated[str, Field(pattern=f"^{SCENE_ID}$")]
+    name: SceneName
+    version: Annotated[int, Field(ge=1)]
+    created: str
+    updated: str
+    items: PlacedAssets
+
+    __pydantic_config__ = _STRICT
+
+    @property
+    def assets(self) -> frozenset[str]:
+        """The keys of the assets that stand in it."""
+        return frozenset(item.asset for item in self.items)
+
+    @property
+    def as_json(self) -> dict[str, Any]:
+        """The document, as the store has it."""
+        document: dict[str, Any] = _SCENE.dump_python(self, mode="json")
+        return document
+
+
+_SCENE = TypeAdapter(Scene)
+
+
+def parse_scene(name: str, data: bytes) -> Scene:
+    """Parse a document of the store. Raises CatalogueFault for one that is damaged. name: of the object"""
+    try:
+        return _SCENE.validate_json(data)
+    except ValidationError:
+        hint = "restore this object from a backup, or delete the scene"
+        raise CatalogueFault(SCENE_DAMAGED, name, "the scene's document is damaged", hint=hint) from None

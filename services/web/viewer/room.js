@@ -1,0 +1,210 @@
+// The scene that the page shows, as something that is saved, named, added to and deleted: a draft on this page, or a document on the server.
+import { showNotice } from './messages.js';
+import { hidePanelsOfOne, offerAdding, offerScene } from './panels.js';
+import { SavedScene, loadScene } from './saved-scene.js';
+import { isSame } from './scene-merge.js';
+import { isLoaded } from './scene-item.js';
+import { deleteAt, postJson } from '../shared/api.js';
+import { toProblem } from '../shared/problems.js';
+import { ofShownTenant } from '../shared/whose.js';
+
+/** @import { SceneItem } from './scene-item.js' */
+/** @import { SceneContent } from './scene-merge.js' */
+/** @import { PlacedAsset, SceneDocument, Session } from '../shared/types.d.ts' */
+
+/** Most things of a scene, as the server has it. */
+export const MOST_ITEMS = 50;
+
+/**
+ * What a room asks and tells the viewer.
+ * @typedef {object} RoomCallbacks
+ * @property {() => SceneItem[]} items
+ * @property {(items: SceneItem[]) => void} setItems shows these; those that are new are loaded, those that are missing are removed
+ * @property {(item: SceneItem) => boolean} isHeld whether a hand has the item
+ * @property {() => boolean} isVisible whether anybody looks at the page
+ * @property {() => boolean} isWorn whether somebody is in the headset
+ * @property {(key: string, placed: PlacedAsset | null) => SceneItem} createItem
+ * @property {() => void} onChange is called when names or places have changed
+ */
+
+/** The scene that the page shows. */
+export class Room {
+  name = ''; // of the scene; '' for what is not saved
+  #callbacks;
+  /** @type {SavedScene | null} */
+  #saved = null;
+  #maySave = false;
+  #mayAdd = false;
+
+  /** @param {RoomCallbacks} callbacks */
+  constructor(callbacks) {
+    this.#callbacks = callbacks;
+  }
+
+  get isSaved() {
+    return this.#saved !== null;
+  }
+
+  /** Whether things may be added here. */
+  get mayAdd() {
+    return this.#mayAdd;
+  }
+
+  /** Saves the scene under the time's name, for a wearer who cannot type; null where it is saved already, or may not be saved. */
+  get saving() {
+    return this.#saved || !this.#maySave ? null : () => this.save(`Scene of ${new Date().toLocaleString()}`);
+  }
+
+  /** The collection from which things are added. */
+  collection = () => this.#callbacks.items()[0]?.entry?.collections?.[0] ?? 'default';
+
+  /**
+   * Opens a scene of the server.
+   * @param {string} id
+   * @throws {Problem} as `getJson`
+   */
+  async open(id) {
+    const document = await loadScene(id);
+    this.#callbacks.setItems(document.items.map((placed) => this.#callbacks.createItem(placed.asset, placed)));
+    this.#follow(document);
+  }
+
+  /**
+   * Offers to save the scene and to add things to somebody who may; to name, share and delete one that is saved.
+   * @param {Session | null} session
+   */
+  offer(session) {
+    if (!session || ofShownTenant('') !== '') return;
+    this.#maySave = session.scopes.includes('manage');
+    this.#mayAdd = session.scopes.includes('read') && (this.#maySave || !this.#saved);
+    if (this.#mayAdd) offerAdding((key) => this.add(key), this.collection);
+    if (!this.#maySave) return;
+    offerScene({
+      id: this.#saved?.id ?? '',
+      canShare: session.via === 'session',
+      name: () => this.name,
+      onSave: (name) => this.save(name),
+      onDelete: () => this.delete(),
+    });
+  }
+
+  /**
+   * Adds a thing. Where it stands is known once it is loaded.
+   * @param {string} key of the asset
+   */
+  add(key) {
+    const { items, setItems, createItem } = this.#callbacks;
+    if (items().length >= MOST_ITEMS) {
+      showNotice(`A scene has at most ${MOST_ITEMS} things.`);
+      return;
+    }
+    hidePanelsOfOne();
+    for (const item of items().filter(isLoaded)) item.fix();
+    const item = createItem(key, null);
+    item.isNew = true;
+    setItems([...items(), item]);
+  }
+
+  /** Saves soon what was moved, added or removed. Nothing happens with what is not saved on the server. */
+  touch() {
+    this.#saved?.touch();
+  }
+
+  /**
+   * Saves the scene under a name: a new one, or the one that the page shows.
+   * @param {string} name
+   * @throws {Problem} as `postJson`
+   */
+  async save(name) {
+    if (this.#saved) {
+      this.name = name;
+      this.#callbacks.onChange();
+      this.touch();
+      return;
+    }
+    for (const item of this.#callbacks.items().filter(isLoaded)) item.fix();
+    /** @type {SceneDocument} */
+    const document = await postJson('/v1/scenes', { ...this.#content(), name });
+    if (this.#callbacks.isWorn()) {
+      history.replaceState(null, '', document.view); // to load another page would end the session
+      this.#follow(document);
+    } else location.assign(document.view);
+  }
+
+  /**
+   * Deletes the scene from the server.
+   * @throws {Problem} as `deleteAt`
+   */
+  async delete() {
+    if (!this.#saved) return;
+    await deleteAt(`/v1/scenes/${this.#saved.id}`);
+    this.#saved.end();
+    location.assign('/browse/default');
+  }
+
+  /** @param {SceneDocument} document as the page shows it */
+  #follow(document) {
+    this.name = document.name;
+    this.#saved = new SavedScene(document, {
+      content: () => this.#content(),
+      show: (content) => this.#show(content),
+      onLost: (ids) => showNotice(lostText(ids.map((id) => this.#nameOf(id))), { stays: true }),
+      onTrouble: (error) => this.#reportTrouble(error),
+      onSaved: () => this.#reportSaved(),
+      isVisible: this.#callbacks.isVisible,
+    });
+    this.#callbacks.onChange();
+    this.#reportSaved();
+  }
+
+  /** @returns {SceneContent} */
+  #content() {
+    return { name: this.name, items: this.#callbacks.items().flatMap(({ placed }) => placed ?? []) };
+  }
+
+  /**
+   * Shows what others have changed. What a hand holds goes on in that hand.
+   * @param {SceneContent} content
+   */
+  #show({ name, items }) {
+    const { items: shown, setItems, createItem, isHeld, onChange } = this.#callbacks;
+    this.name = name;
+    const present = new Map(shown().map((item) => [item.placed?.id, item]));
+    const all = items.map((placed) => {
+      const item = present.get(placed.id) ?? createItem(placed.asset, placed);
+      if (!isSame(item.placed ?? undefined, placed)) item.placed = placed;
+      if (!isHeld(item)) item.place();
+      return item;
+    });
+    setItems([...all, ...shown().filter(({ placed }) => !placed)]); // what was just added has no place yet
+    onChange();
+    this.#reportSaved();
+  }
+
+  /** @param {string} id of a thing; '' means the scene */
+  #nameOf(id) {
+    return this.#callbacks.items().find(({ placed }) => placed?.id === id)?.name ?? (id ? 'A thing' : 'The scene’s name');
+  }
+
+  #reportSaved() {
+    document.body.dataset.scene = `${this.#saved?.id} ${this.#saved?.version}`;
+    document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
+  }
+
+  /** @param {unknown} error */
+  #reportTrouble(error) {
+    const { code, message } = toProblem(error);
+    document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
+    if (code === 'SCENE_UNKNOWN') {
+      this.#saved?.end();
+      showNotice('This scene was deleted. What you see here is kept nowhere.', { stays: true });
+    } else if (this.#saved?.isDirty) showNotice(`Not saved yet, trying again: ${message}`, { stays: true });
+  }
+}
+
+/** @param {string[]} names of things that others moved, too */
+function lostText(names) {
+  const [first, ...others] = names;
+  const all = others.length > 0 ? `${first} and ${others.length} more were` : `${first} was`;
+  return `${all} changed by somebody else at the same time, and stands as they have it. Change it again if you want it otherwise.`;
+}

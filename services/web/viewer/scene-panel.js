@@ -1,0 +1,47 @@
+// The panel of the viewer's page that saves, names and deletes the scene.
+import { attempt } from '../shared/attempt.js';
+import { element } from '../shared/dom.js';
+
+const DELETE_ASKED_MS = 5_000; // for which the second tap deletes
+
+/**
+ * What the panel is about.
+ * @typedef {object} SceneOffer
+ * @property {string} id of the saved scene; '' for one that is not saved
+ * @property {boolean} canShare whether there are accounts, so that there is somebody to share it with
+ * @property {() => string} name
+ * @property {(name: string) => Promise<void>} onSave
+ * @property {() => Promise<void>} onDelete
+ */
+
+const panel = {
+  form: element('scene-form', HTMLFormElement),
+  name: element('scene-name', HTMLInputElement),
+  said: element('scene-said', HTMLElement),
+  trouble: element('scene-trouble', HTMLElement),
+  delete: element('scene-delete', HTMLButtonElement),
+};
+
+/**
+ * Shows the panel's content.
+ * @param {SceneOffer} offer
+ */
+export function showScenePanel({ id, name, onSave, onDelete }) {
+  panel.name.value ||= name(); // somebody may have begun to type while this module was loaded
+  panel.said.textContent = id ? 'What you move is saved at once.' : 'Saved, it opens on other devices too, from its address.';
+  panel.delete.hidden = !id;
+  panel.form.addEventListener('submit', (event) => {
+    event.preventDefault();
+    attempt(panel.trouble, async () => {
+      await onSave(panel.name.value.trim() || 'Scene');
+      panel.said.textContent = 'Saved.';
+    });
+  });
+  let asked = 0;
+  panel.delete.addEventListener('click', () => {
+    if (Date.now() - asked > DELETE_ASKED_MS) {
+      asked = Date.now();
+      panel.delete.textContent = 'Tap again: it cannot be undone';
+    } else attempt(panel.trouble, onDelete);
+  });
+}

@@ -1,0 +1,207 @@
+"""Scenes on the server: saved on one device and opened on another, moved by two at once, added to, deleted, shared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect
+
+from services.storage.catalogue.publish import publish
+from services.storage.catalogue.removal import remove, restore
+from services.storage.catalogue.scene import PlacedAsset
+from services.storage.catalogue.scene_documents import create_scene, read_scene, replace_scene
+from services.storage.store import Store
+from tests.support.headsets import Hand, enter, wear
+from tests.support.pages import await_data
+from tests.support.screenshots import await_frames, places_of, stage
+from tests.support.sites import Site
+from tests.support.things import BLUE, RED, box
+from tests.web.conftest import SMALL, GuardedSite, without_a_past
+
+pytestmark = pytest.mark.browser
+
+LEFT = PlacedAsset("left", "red", (-0.5, 0.0, 0.0))
+RIGHT = PlacedAsset("right", "blue", (0.5, 0.0, 0.0), (0.0, 0.7071068, 0.0, 0.7071068), 1.5)
+GONE = PlacedAsset("gone", "nowhere", (0.0, 0.0, 1.0))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def published(site: Site) -> None:
+    """A red and a blue box."""
+    publish_boxes(site.store)
+
+
+def publish_boxes(store: Store) -> None:
+    publish(box("Red box", RED), store, key="red")
+    publish(box("Blue box", BLUE), store, key="blue")
+
+
+@pytest.fixture
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    """A small wide window."""
+    with without_a_past(browser, {"width": 480, "height": 300}) as context:
+        yield context
+
+
+def places(page: Page) -> list[tuple[float, ...]]:
+    """Where the things stand in the scene (m), and their scales."""
+    told = page.get_attribute("body", "data-moved") or ""
+    return [tuple(map(float, each.split())) for each in told.split("; ")]
+
+
+def await_things(page: Page, count: int) -> None:
+    """Until so many things are shown, as fine as they need to be."""
+    page.wait_for_function("count => document.body.dataset.loaded?.split('; ').length === count", arg=count)
+
+
+def until_saved(page: Page, scene: str, version: int) -> None:
+    await_data(page, scene=f"{scene} {version}", saved="yes")
+
+
+def press(page: Page, name: str, key: str) -> None:
+    """Move a thing by a key."""
+    page.locator("#things").get_by_role("button", name=name, exact=True).click()
+    page.locator("#stage").focus()
+    page.keyboard.press(key)
+
+
+def test_what_is_saved_as_a_scene_opens_elsewhere_as_it_was(
+    browser: Browser, context: BrowserContext, page: Page, site: Site
+) -> None:
+    page.goto(f"{site.url}/view?key=red&key=blue")
+    await_things(page, 2)
+    press(page, "Red box", "PageUp")
+    page.get_by_text("Scene", exact=True).click()
+    page.get_by_label("Name of the scene").fill("Living room")
+    page.get_by_role("button", name="Save").click()
+    page.wait_for_url("**/scene/scn_*")
+    await_things(page, 2)
+    expect(page.locator("#label")).to_have_text("Living room")
+    expect(page.locator("#said")).to_contain_text("2 things")
+    assert places(page)[0][1] == 0.05
+    with without_a_past(browser) as elsewhere:
+        other = elsewhere.new_page()
+        other.goto(page.url)
+        await_things(other, 2)
+        assert places(other) == places(page)
+
+
+def test_two_who_move_things_at_the_same_time_lose_nothing_without_being_told(
+    browser: Browser, context: BrowserContext, page: Page, site: Site
+) -> None:
+    scene = create_scene(site.store, "Room", (LEFT, RIGHT))
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 2)
+    assert places(page) == [(-0.5, 0, 0, 1), (0.5, 0, 0, 1.5)]
+    far = PlacedAsset("right", "blue", (2.0, 0.0, 0.0))
+    replace_scene(site.store, scene.id, 1, "Room", (LEFT, far))
+    press(page, "Red box", "PageUp")
+    until_saved(page, scene.id, 3)
+    assert places(page) == [(-0.5, 0.05, 0, 1), (2, 0, 0, 1)]
+    stored = read_scene(site.store, scene.id)
+    assert [each.position_m for each in stored.items] == [(-0.5, 0.05, 0), (2, 0, 0)]
+    near = PlacedAsset("left", "red", (-3.0, 0.0, 0.0))
+    replace_scene(site.store, scene.id, 3, "Room", (near, far))
+    page.keyboard.press("PageUp")
+    expect(page.locator("#notice")).to_contain_text("Red box was changed by somebody else at the same time")
+    until_saved(page, scene.id, 4)
+    assert places(page)[0] == (-3, 0, 0, 1)
+    page.locator("#reset").click()
+    until_saved(page, scene.id, 5)
+    assert [each.position_m for each in read_scene(site.store, scene.id).items] == [(-0.5, 0, 0), (0.5, 0, 0)]
+
+
+def test_what_others_do_is_seen_and_a_deleted_asset_is_named(page: Page, site: Site) -> None:
+    scene = create_scene(site.store, "Room", (LEFT, GONE))
+    page.goto(f"{site.url}/scene/{scene.id}")
+    expect(page.locator("#said")).to_contain_text("nowhere is not here any more: deleted or taken back")
+    await_things(page, 1)
+    await_frames(page)
+    assert places_of(stage(page), 0)[0] > 0.02
+    replace_scene(site.store, scene.id, 1, "Hall", (LEFT, RIGHT))
+    await_things(page, 2)
+    expect(page.locator("#label")).to_have_text("Hall")
+    remove(site.store, "blue")
+    try:
+        expect(page.locator("#said")).to_contain_text("blue is not here any more")
+        assert len(read_scene(site.store, scene.id).items) == 2, "its place is kept"
+    finally:
+        restore(site.store, "blue")
+
+
+def test_a_hand_moves_a_thing_of_a_saved_scene_and_all_devices_have_it(
+    context: BrowserContext, iwer: Path, page: Page, site: Site
+) -> None:
+    scene = create_scene(site.store, "Room", (LEFT, RIGHT))
+    wear(context, iwer)
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 2)
+    enter(page)
+    hand = Hand(page, "right")
+    hand.move(-0.5, 1.3, -0.5)
+    hand.press()
+    hand.move(-0.5, 1.8, -0.5)
+    hand.release()
+    until_saved(page, scene.id, 2)
+    assert read_scene(site.store, scene.id).items[0].position_m == pytest.approx((-0.5, 0.5, 0), abs=0.02)
+
+
+def test_a_thing_is_added_and_one_taken_away_and_the_scene_is_deleted(page: Page, site: Site) -> None:
+    scene = create_scene(site.store, "Room", (LEFT,))
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 1)
+    page.get_by_text("Add a thing", exact=True).click()
+    page.get_by_label("Name or label").fill("blue")
+    await_data(page, choices="1")
+    page.locator("#add-list button").click()
+    await_things(page, 2)
+    until_saved(page, scene.id, 2)
+    added = read_scene(site.store, scene.id).items[1]
+    assert (added.asset, added.position_m[0]) == ("blue", pytest.approx(0.0, abs=0.01)), "10 cm beside the other"
+    page.get_by_text("Add a thing", exact=True).click()
+    page.get_by_role("button", name="Take Red box away").click()
+    until_saved(page, scene.id, 3)
+    assert [each.asset for each in read_scene(site.store, scene.id).items] == ["blue"]
+    page.get_by_text("Scene", exact=True).click()
+    page.get_by_role("button", name="Delete the scene").click()
+    page.get_by_role("button", name="Tap again").click()
+    page.wait_for_url("**/browse/default")
+    with pytest.raises(FileNotFoundError):
+        read_scene(site.store, scene.id)
+
+
+def test_the_page_of_all_things_lists_the_scenes(page: Page, site: Site) -> None:
+    hostile = "<img src=x>"
+    scene = create_scene(site.store, hostile, (LEFT,))
+    page.goto(f"{site.url}/browse/default")
+    page.get_by_text("Scenes", exact=True).click()
+    page.get_by_role("link", name=hostile).click()
+    page.wait_for_url(f"**/scene/{scene.id}")
+
+
+def test_a_scene_that_there_is_not_says_so(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/scene/scn_{'0' * 24}")
+    expect(page.locator("#said")).to_contain_text("There is no scene")
+    assert page.request.get(f"{site.url}/scene/room").status == 404
+
+
+def test_a_link_shows_the_scene_to_somebody_without_a_login(browser: Browser, guarded: GuardedSite) -> None:
+    publish_boxes(guarded.store)
+    scene = create_scene(guarded.store, "Shop window", (LEFT, RIGHT))
+    with without_a_past(browser) as own, without_a_past(browser, SMALL) as foreign:
+        guarded.log_in(own)
+        mine = own.new_page()
+        mine.goto(f"{guarded.url}/scene/{scene.id}")
+        mine.get_by_text("Share", exact=True).click()
+        mine.get_by_role("button", name="Make a link").click()
+        link: Any = mine.locator("#links a").get_attribute("href")
+        page = foreign.new_page()
+        page.goto(link)
+        page.wait_for_url("**/scene/*")
+        await_things(page, 2)
+        expect(page.locator("#label")).to_have_text("Shop window")
+        for hidden in ("#move", "#scene", "#add", "#share"):
+            expect(page.locator(hidden)).to_be_hidden()
