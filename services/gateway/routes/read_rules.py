@@ -133,7 +133,8 @@ def unknown_collection(name: str) -> Problem:
 
 def unknown_scene(scene: str) -> Problem:
     """Return the problem for a scene that there is not, or not for this caller."""
-    return Problem(404, "SCENE_UNKNOWN", f"there is no scene {scene}", hints=("check the id", "it may have been deleted"))
+    hints = ("check the id", "it may have been deleted")
+    return Problem(404, "SCENE_UNKNOWN", f"there is no scene {scene}", hints=hints)
 
 
 def unknown_file(_: str = "") -> Problem:
