@@ -484,6 +484,8 @@ GETS: dict[str, tuple[str, str]] = {
     "a share of letters": ("/v1/shares/dress/qr.svg", "REQUEST_INVALID"),
     "a level of letters": ("/v1/assets/dress/lod/x", "REQUEST_INVALID"),
     "an unknown asset's QR code": ("/v1/assets/unknown/qr.svg", "ASSET_UNKNOWN"),
+    "an unknown asset's notes": ("/v1/assets/unknown/notes", "ASSET_UNKNOWN"),
+    "notes that lead out": ("/v1/assets/%2e%2e/notes", "KEY_INVALID"),
     "an unknown asset's downloads": ("/v1/assets/unknown/downloads", "ASSET_UNKNOWN"),
     "an unknown asset's download": ("/v1/assets/unknown/download?format=obj", "ASSET_UNKNOWN"),
     "a download of no format": ("/v1/assets/dress/download", "REQUEST_INVALID"),
@@ -540,7 +542,7 @@ def test_what_is_no_range_gives_the_whole_file_or_416(wanted: str, product: Prod
 
 PATHS = ["/", "/view/dress", "/v1/captures", "/v1/jobs", "/v1/jobs/x", "/v1/jobs/x/events", "/v1/jobs/x/cancel"]
 PATHS += ["/v1/presets", "/v1/assets", "/v1/assets/dress", "/v1/assets/dress/lod/0", "/v1/assets/dress/qr.svg"]
-PATHS += ["/v1/assets/dress/downloads"]
+PATHS += ["/v1/assets/dress/downloads", "/v1/assets/dress/notes"]
 PATHS += ["/v1/uploads/upl_0/capture", "/livez", "/readyz", "/metrics", "/openapi.json", "/web/nowhere.js"]
 
 

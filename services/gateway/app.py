@@ -62,6 +62,7 @@ from services.gateway.routes import (
     health,
     jobs,
     names,
+    notes,
     pages,
     scenes,
     service,
@@ -93,7 +94,8 @@ from services.traces import start_tracing
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "If-Match", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _ROUTES = (
-    *(captures, uploads, jobs, assets, versions, downloads, names, collections, files, visibility, shares, scenes),
+    *(captures, uploads, jobs, assets, versions, downloads, names, notes),
+    *(collections, files, visibility, shares, scenes),
     *(access, tenants, webhooks, data, health, service, pages),
 )
 _GRACE_S = 5  # for answers in progress when the gateway stops

@@ -32,7 +32,7 @@ _PARAMETERS = {
     "/v1/captures": {"capture": "capture"},
     "/v1/uploads": {"upload": "upload"},
     "/v1/jobs": {"job": "job"},
-    "/v1/assets": {"key": "asset", "level": "level", "version": "version"},
+    "/v1/assets": {"key": "asset", "level": "level", "version": "version", "note": "note"},
     "/v1/collections": {"name": "collection", "key": "asset"},
     "/v1/files": {"name": "file"},
     "/v1/api-keys": {"key": "api_key"},
@@ -61,6 +61,8 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/assets/{key}/restore": None,
     "post /v1/assets/{key}/versions/{version}/restore": None,
     "patch /v1/assets/{key}": {"label": "Mine"},
+    "post /v1/assets/{key}/notes": {"text": "Mine", "at": [0, 0, 0]},
+    "patch /v1/assets/{key}/notes/{note}": {"text": "Mine"},
     "patch /v1/uploads/{upload}": None,
     "put /v1/assets/{key}/visibility": {"visibility": "public"},
     "put /v1/collections/{name}/visibility": {"visibility": "public"},
@@ -116,6 +118,7 @@ class Ids:
     share_token: str
     folder: str
     scene: str
+    note: str
     tenant: str = "ada"
     level: str = "0"
     version: str = "1"
@@ -176,9 +179,10 @@ async def ids_of(site: TwoTenants, client: httpx.AsyncClient, tenant: str, store
     created = await client.post("/v1/uploads", headers=_HEADERS["/v1/uploads"])
     upload = created.headers["Location"].rpartition("/")[2]
     share = (await client.post("/v1/shares", json={"asset": key})).json()
-    links = (share["id"], share["url"].rpartition("/")[2], f"tenants/{tenant}/assets/{key}")
     scene = (await client.post("/v1/scenes", json={"name": "Room"})).json()["id"]
-    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message, upload, *links, scene)
+    note = (await client.post(f"/v1/assets/{key}/notes", json={"text": "Its own", "at": [0, 0, 0]})).json()["id"]
+    links = (share["id"], share["url"].rpartition("/")[2], f"tenants/{tenant}/assets/{key}", scene, note)
+    return Ids(name, job, key, f"shelf-{tenant}-{key}", file, api_key, pairing, hook, message, upload, *links)
 
 
 def nothing() -> Ids:
@@ -197,7 +201,11 @@ def nothing() -> Ids:
         share="shr_" + "0" * 24,
         share_token="shr_" + "0" * 24 + "." + "0" * 43,
         folder="tenants/nobody/assets/a",
+<<<<<<< HEAD
         scene="scn_" + "0" * 24,
+=======
+        note="note_" + "0" * 16,
+>>>>>>> 88a5196 (Notes that are pinned to places of an asset: catalogue entry and API)
         tenant="nobody",
     )
 
@@ -251,7 +259,10 @@ def _names_a_thing(body: Any) -> bool:
 
 async def everything_of(client: httpx.AsyncClient, ids: Ids) -> list[str]:
     """What a tenant reads of its things, but for the clock."""
-    answers = [await client.get(path) for path in (f"/v1/assets/{ids.asset}", f"/v1/captures/{ids.capture}/archive")]
+    answers = [
+        await client.get(path)
+        for path in (f"/v1/assets/{ids.asset}", f"/v1/assets/{ids.asset}/notes", f"/v1/captures/{ids.capture}/archive")
+    ]
     job = (await client.get(f"/v1/jobs/{ids.job}")).json()
     keys = [(each["id"], each["revoked"]) for each in (await client.get("/v1/api-keys")).json()["keys"]]
     pairing = (await client.get(f"/v1/pairings/{ids.pairing}")).json()

@@ -165,8 +165,9 @@ async def restore_asset(key: Key, request: Request, collection: InCollection = "
 
 
 def add_urls(request: Request, document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a copy of an entry's document with the URL of every file."""
-    copy: dict[str, Any] = json.loads(json.dumps(document))
+    """Return a copy of an entry's document with the URL of every file, and without notes: they have a route."""
+    copy: dict[str, Any] = json.loads(json.dumps({**document, "notes": None}))
+    del copy["notes"]
     for file in [copy["manifest"], copy["preview"], *copy["lods"], *copy["files"]]:
         if file is not None:
             file["url"] = object_url(request, file["name"])

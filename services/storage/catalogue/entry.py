@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from services.asset_names import AssetNames
+from services.asset_notes import Note, notes_of
 from services.storage.bundle import Json
 from services.storage.catalogue.faults import ENTRY_DAMAGED, CatalogueFault
 from services.storage.catalogue.visibility import Visibility, parse_visibility
@@ -71,6 +72,11 @@ class Entry:
     def names(self) -> AssetNames:
         """What people call the asset."""
         return AssetNames.of(self.document)
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What people have pinned to the asset."""
+        return notes_of(self.document)
 
     @property
     def collections(self) -> list[str]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from services.asset_names import AssetNames
+from services.asset_notes import carry
 from services.storage.bundle import Bundle, Json, content_name, content_type, sha256_hex
 from services.storage.catalogue.compare_and_swap import canonical_json, now_iso, put_mutable, retry_on_conflict
 from services.storage.catalogue.entry import (
@@ -220,12 +221,41 @@ def _add_version(
         document["collections"] = list(dict.fromkeys((*present_collections, request.collection)))
         document["visibility"] = request.visibility_of(present)
         document |= request.names_of(present, AssetNames.of(bundle.manifest), key).as_json
+        if present and present.notes and record not in versions:
+            document["notes"] = _notes(store, present, document, bundle)
         if request.keys.signers:
             document["proof"] = sign_proof(key, document, request.keys.signers)
         put_mutable(store, entry_name(key), canonical_json(document), present.etag if present else None)
         return _published_asset(key, record)
 
     return retry_on_conflict(attempt)
+
+
+def _notes(store: Store, present: Entry, document: Mapping[str, Json], bundle: Bundle) -> list[dict[str, Any]]:
+    """Return an asset's notes for its next version: carried into its frame where both are of one capture's."""
+    before, after = present.document.get("capture_to_asset"), document.get("capture_to_asset")
+    record = document["versions"][-1]
+    same = record["job"] and record["job"] == present.versions[-1]["job"]
+    if not before or not after or not (same or _capture_of(bundle.manifest) == _capture_in(store, present) != ""):
+        return [each.as_json for each in present.notes]
+    version = int(document["version"])
+    stands = (each.frame == present.version for each in present.notes)
+    return [
+        (carry(each, before, after, version) if fits else each).as_json
+        for each, fits in zip(present.notes, stands, strict=True)
+    ]
+
+
+def _capture_in(store: Store, present: Entry) -> str:
+    """Return the capture that the current version's recipe names; "" where none does, or its manifest is lost."""
+    try:
+        return _capture_of(json.loads(store.get(present.manifest)))
+    except (FileNotFoundError, ValueError):
+        return ""
+
+
+def _capture_of(manifest: Mapping[str, Any]) -> str:
+    return str((manifest.get("edits") or {}).get("capture") or "")
 
 
 def _existing_version(
