@@ -201,11 +201,8 @@ def nothing() -> Ids:
         share="shr_" + "0" * 24,
         share_token="shr_" + "0" * 24 + "." + "0" * 43,
         folder="tenants/nobody/assets/a",
-<<<<<<< HEAD
         scene="scn_" + "0" * 24,
-=======
         note="note_" + "0" * 16,
->>>>>>> 88a5196 (Notes that are pinned to places of an asset: catalogue entry and API)
         tenant="nobody",
     )
 

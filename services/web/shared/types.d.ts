@@ -128,6 +128,25 @@ export interface AssetNames {
   labels: string[];
 }
 
+/** A note: one of GET /v1/assets/{key}/notes. `at` is in the asset frame of the version `frame`. */
+export interface Note {
+  id: string;
+  text: string;
+  at: Triple;
+  normal: Triple | null;
+  author: string;
+  created: string;
+  edited: string;
+  version: number;
+  frame: number;
+}
+
+/** GET /v1/assets/{key}/notes. `version`: the newest. */
+export interface NoteList {
+  version: number;
+  notes: Note[];
+}
+
 /** Who may read a thing besides its tenant. */
 export type Visibility = 'private' | 'unlisted' | 'public';
 

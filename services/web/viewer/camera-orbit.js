@@ -54,6 +54,19 @@ export function orbit({ object: camera, target }, around, down) {
 }
 
 /**
+ * Turns the camera to the side of what it looks at that a direction is towards.
+ * @param {OrbitControls} controls
+ * @param {THREE.Vector3} direction from the thing to the camera, in the world
+ */
+export function orbitTo({ object: camera, target }, direction) {
+  const distance = camera.position.distanceTo(target);
+  const place = new THREE.Spherical().setFromVector3(direction);
+  place.phi = THREE.MathUtils.clamp(place.phi, STEP, Math.PI - STEP); // straight from above nobody knows what is in front
+  camera.position.setFromSpherical(place.makeSafe()).setLength(distance).add(target);
+  camera.lookAt(target);
+}
+
+/**
  * @param {OrbitControls} controls
  * @param {number} factor of the distance
  */

@@ -6,6 +6,7 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { Measuring, MeasuringCallbacks } from './measuring.js' */
+/** @import { NotesCallbacks } from './notes.js' */
 /** @import { SceneItem } from './scene-item.js' */
 /** @import { SceneOffer } from './scene-panel.js' */
 
@@ -81,6 +82,22 @@ export function offerMeasuring(item, stage, callbacks) {
     measuring.update();
   });
   return () => measuring?.update();
+}
+
+/**
+ * Shows the notes that are pinned to the thing, and lets somebody who manages it pin some.
+ * @param {SceneItem} item
+ * @param {Stage} stage
+ * @param {NotesCallbacks} callbacks
+ * @param {Session | null} session
+ * @returns {Promise<() => void>} to be called for each version that is shown
+ */
+export async function offerNotes(item, stage, callbacks, session) {
+  const { Notes: Panel } = await import('./notes.js');
+  const notes = new Panel(item, stage, callbacks);
+  if (session?.scopes.includes('manage') && ofShownTenant('') === '') notes.allowPinning();
+  await notes.load();
+  return () => notes.load();
 }
 
 /**

@@ -10,7 +10,7 @@ import { ItemUpdates, hasFailed, isGone } from './item-updates.js';
 import { placeSideBySide } from './layout-and-lod.js';
 import { placeAhead, placeBeside } from './new-place.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
-import { offerAbout, offerDownloads, offerManaging, offerMeasuring } from './panels.js';
+import { offerAbout, offerDownloads, offerManaging, offerMeasuring, offerNotes } from './panels.js';
 import { hidePoster } from './poster.js';
 import { startRenderLoop } from './render-loop.js';
 import { Room } from './room.js';
@@ -424,9 +424,15 @@ async function offerPanels(asking) {
     if (item.entry) item.entry = { ...item.entry, label, description, labels };
     showTexts();
   });
+  const loadNotes = await offerNotes(item, stage, { controls, redraw, onStart: () => allowMoving(false) }, session);
+  showFacts = () => {
+    fill();
+    loadNotes();
+  };
   if (!session?.scopes.includes('read') || ofShownTenant('') !== '') return;
   showFacts = () => {
     fill();
+    loadNotes();
     offerComparison(item);
   };
   showFacts();

@@ -76,9 +76,9 @@ async def test_what_is_no_note_is_refused(tmp_path: Path, path: str, body: dict[
         )
         assert answer.json()["code"] == code
         assert (await client.get(NOTES)).json()["notes"] == []
-        for bad in (UNKNOWN, "note_x", "..%2f"):
+        for bad in (UNKNOWN, "note_x"):
             answer = await client.patch(f"{NOTES}/{bad}", json={"text": "a"})
-            assert answer.json()["code"] in ("NOTE_UNKNOWN", "REQUEST_INVALID", "NOT_FOUND")
+            assert answer.json()["code"] in ("NOTE_UNKNOWN", "REQUEST_INVALID")
 
 
 def _finite(body: dict[str, Any]) -> dict[str, Any]:

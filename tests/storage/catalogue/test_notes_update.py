@@ -35,7 +35,7 @@ def store() -> MemoryStore:
     return store
 
 
-def pin(store: Store, text: str = "A stain", at: tuple[float, float, float] = (0.5, 1, 2)) -> Note:
+def pin(store: MemoryStore | LocalStore, text: str = "A stain", at: tuple[float, float, float] = (0.5, 1, 2)) -> Note:
     return add_note(store, "dress", text=text, at=at, normal=(0, 0, 2), author="Ada")
 
 
