@@ -156,9 +156,12 @@ class Operation:
 
 
 def operations(document: dict[str, Any]) -> Iterator[Operation]:
-    """All operations, those that delete last."""
+    """All operations, those that delete last: what is part of a thing before the thing."""
     found = [Operation(method, path) for path, methods in document["paths"].items() for method in methods]
-    return iter(sorted(found, key=lambda each: (each.method == "delete", each.name)))
+    changes = [each for each in found if each.method != "delete"]
+    deletions = [each for each in found if each.method == "delete"]
+    yield from sorted(changes, key=lambda each: each.name)
+    yield from sorted(deletions, key=lambda each: (-each.template.count("/"), each.name))
 
 
 async def ids_of(site: TwoTenants, client: httpx.AsyncClient, tenant: str, store: Store, key: str) -> Ids:
