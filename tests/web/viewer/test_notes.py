@@ -1,4 +1,4 @@
-"""Notes that are pinned to a thing: by who manages it, on its page; read by everybody who sees it, in the headset too."""
+"""Notes that are pinned to a thing: by who manages it, on its page; read by all who see it, in the headset too."""
 
 from __future__ import annotations
 
