@@ -342,6 +342,25 @@ def name(
 
 
 @app.command()
+def notes(
+    key: Annotated[str, typer.Argument(help="Asset key.")],
+    add: Annotated[str, typer.Option(help="Text of a note to pin, at most 500 characters; with --at.")] = "",
+    at: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            metavar="X Y Z", help="Its place in the asset frame: metres, Y up, from the floor under the asset."
+        ),
+    ] = None,
+    remove: Annotated[str, typer.Option(metavar="NOTE", help="Id of a note to remove.")] = "",
+    gateway: Gateway = DEFAULT_GATEWAY,
+) -> None:
+    """List the notes that are pinned to an asset; pin one, or remove one."""
+    from services.cli.notes import change_notes
+
+    change_notes(key, gateway, add=add, at=at, remove=remove)
+
+
+@app.command()
 def visibility(
     name: Annotated[str, typer.Argument(help="Asset key, or with --collection the name of a collection.")],
     who: Annotated[

@@ -1,0 +1,42 @@
+"""`capture2vr notes`: list what is pinned to an asset, pin a note, remove one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+from rich.text import Text
+
+from services.asset_notes import Note, Place
+from services.cli.errors import INVALID_KEY, BadInput, parse_answer, printable
+from services.cli.http import client_of
+from services.cli.progress import console
+from services.storage.catalogue.entry import valid_key
+
+
+def change_notes(key: str, gateway: str, *, add: str, at: Place | None, remove: str) -> None:
+    """Pin or remove a note where one is given, and print all that the asset then has. Raises BadInput."""
+    if not valid_key(key):
+        raise BadInput(INVALID_KEY.format(key))
+    if bool(add) != (at is not None):
+        raise BadInput("a note needs its text and its place: give both --add TEXT and --at X Y Z")
+    path = f"/v1/assets/{key}/notes"
+    try:
+        with client_of(gateway) as client:
+            if add:
+                parse_answer(client.post(path, json={"text": add, "at": at}))
+            if remove:
+                answer = client.delete(f"{path}/{remove}")
+                if answer.status_code != httpx.codes.NO_CONTENT:
+                    parse_answer(answer)
+            found: dict[str, Any] = parse_answer(client.get(path))
+    except (httpx.TransportError, httpx.InvalidURL) as error:
+        raise BadInput(f"{gateway} cannot be reached: {error}") from error
+    for note in map(Note.of, found["notes"]):
+        console.print(Text(printable(_line(note, found["version"]))), soft_wrap=True)
+
+
+def _line(note: Note, version: int) -> str:
+    place = " ".join(f"{value:.3f}" for value in note.at)
+    displaced = "" if note.frame == version else f" (of version {note.version}, may be displaced)"
+    return f"{note.id}  {place}{displaced}  {' / '.join(note.text.splitlines())}"
