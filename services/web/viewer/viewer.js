@@ -425,14 +425,14 @@ async function offerPanels(asking) {
     showTexts();
   });
   const loadNotes = await offerNotes(item, stage, { controls, redraw, onStart: () => allowMoving(false) }, session);
-  showFacts = () => {
+  const fillAll = () => {
     fill();
     loadNotes();
   };
+  showFacts = fillAll;
   if (!session?.scopes.includes('read') || ofShownTenant('') !== '') return;
   showFacts = () => {
-    fill();
-    loadNotes();
+    fillAll();
     offerComparison(item);
   };
   showFacts();
