@@ -48,7 +48,7 @@ class Note:
     def of(cls, stored: Mapping[str, Any]) -> Note:
         """The note in a catalogue entry."""
         at, normal = stored["at"], stored["normal"]
-        return cls(**{**stored, "at": _triple(at), "normal": None if normal is None else _triple(normal)})
+        return cls(**{**stored, "at": triple(at), "normal": None if normal is None else triple(normal)})
 
     @property
     def as_json(self) -> dict[str, Any]:
@@ -106,14 +106,15 @@ def carry(note: Note, before: Sequence[float], after: Sequence[float], frame: in
     inner = [sum(before[4 * row + column] * captured[row] for row in range(3)) / squared for column in range(3)]
     at = [sum(after[4 * row + column] * inner[column] for column in range(3)) + after[4 * row + 3] for row in range(3)]
     normal = None if note.normal is None else unit(_turned(note.normal, before, after))
-    return Note(**{**asdict(note), "at": _triple(at), "normal": normal, "frame": frame})
+    return Note(**{**asdict(note), "at": triple(at), "normal": normal, "frame": frame})
 
 
 def _turned(normal: Place, before: Sequence[float], after: Sequence[float]) -> Place:
     inner = [sum(before[4 * row + column] * normal[row] for row in range(3)) for column in range(3)]
-    return _triple([sum(after[4 * row + column] * inner[column] for column in range(3)) for row in range(3)])
+    return triple([sum(after[4 * row + column] * inner[column] for column in range(3)) for row in range(3)])
 
 
-def _triple(values: Sequence[float]) -> Place:
+def triple(values: Sequence[float]) -> Place:
+    """Return three values as a place or a direction."""
     x, y, z = values
     return (float(x), float(y), float(z))

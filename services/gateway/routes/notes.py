@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
-from services.asset_notes import NOTE_CHARS, Note, NoteRefused
+from services.asset_notes import NOTE_CHARS, Note, NoteRefused, Place, triple
 from services.gateway.access.caller import Scope
 from services.gateway.errors import Problem
 from services.gateway.routes.access_rules import authentication_of, caller_of, needs
@@ -24,7 +24,7 @@ router = APIRouter(prefix="/v1", tags=["assets"])
 
 _T = TypeVar("_T")
 _Metres = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
-_Place = tuple[_Metres, _Metres, _Metres]
+_Triple = Annotated[list[_Metres], Field(min_length=3, max_length=3)]
 NoteId = Annotated[str, Path(pattern=r"^note_[0-9a-f]{16}$", description="Id of a note.")]
 Text = Annotated[str, Field(min_length=1, max_length=NOTE_CHARS, description="Plain text, some lines.")]
 
@@ -33,16 +33,16 @@ class NoteRequest(StrictBody):
     """A text, and the place in the asset frame (metres) to which it is pinned, with the surface's normal."""
 
     text: Text
-    at: _Place
-    normal: _Place | None = None
+    at: _Triple
+    normal: _Triple | None = None
 
 
 class NoteChange(StrictBody):
     """What of a note changes; what is left out, or null, stays. A new place takes its normal along."""
 
     text: Text | None = None
-    at: _Place | None = None
-    normal: _Place | None = None
+    at: _Triple | None = None
+    normal: _Triple | None = None
 
 
 class NoteView(BaseModel):
@@ -52,8 +52,8 @@ class NoteView(BaseModel):
 
     id: str
     text: str
-    at: tuple[float, float, float]
-    normal: tuple[float, float, float] | None
+    at: list[float]
+    normal: list[float] | None
     author: str
     created: str
     edited: str
@@ -94,7 +94,7 @@ async def list_notes(key: Key, request: Request) -> Response:
 async def pin_note(key: Key, body: NoteRequest, request: Request) -> NoteView:
     """Pin a note to an asset: a new catalogue entry, and no new version."""
     store, keys, author = store_of(request), request.app.state.keys, await _author(request)
-    text, at, normal = body.text, body.at, body.normal
+    text, at, normal = body.text, triple(body.at), _place(body.normal)
     return _view(
         await _known(key, lambda: add_note(store, key, text=text, at=at, normal=normal, author=author, keys=keys))
     )
@@ -109,7 +109,7 @@ async def pin_note(key: Key, body: NoteRequest, request: Request) -> NoteView:
 async def change_pinned_note(key: Key, note: NoteId, body: NoteChange, request: Request) -> NoteView:
     """Change a note's text or place."""
     store, keys = store_of(request), request.app.state.keys
-    text, at, normal = body.text, body.at, body.normal
+    text, at, normal = body.text, _place(body.at), _place(body.normal)
     return _view(await _known(key, lambda: change_note(store, key, note, text=text, at=at, normal=normal, keys=keys)))
 
 
@@ -137,6 +137,10 @@ async def _known(key: str, work: Callable[[], _T]) -> _T:
         raise unknown_asset(key) from None
     except NoteRefused as refused:
         raise Problem(422, "NOTE_REFUSED", str(refused)) from None
+
+
+def _place(values: list[float] | None) -> Place | None:
+    return None if values is None else triple(values)
 
 
 async def _author(request: Request) -> str:
