@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from playwright.sync_api import BrowserContext, Page, expect
@@ -14,6 +16,20 @@ device.position.set(0, 1.6, 0);
 device.stereoEnabled = true;
 window.xrDevice = device;
 """
+_FURNISH = """planes => {
+    const half = Math.SQRT1_2;
+    const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([x, z]) => new DOMPointReadOnly(x, 0, z));
+    const natives = planes.map(([label, [x, y, z]]) => {
+        const turn = label === 'wall' ? { x: half, y: 0, z: 0, w: half } : { x: 0, y: 0, z: 0, w: 1 };
+        return new IWER.NativePlane(new XRRigidTransform({ x, y, z }, turn), corners, label);
+    });
+    xrDevice.installSEM(class {
+        trackedPlanes = new Set(natives);
+        trackedMeshes = new Set();
+        environmentCanvas = document.createElement('canvas');
+        render() {}
+    });
+}"""
 _FRAMES = """count => new Promise((done) => {
     const step = () => (count-- > 0 ? xrDevice.activeSession.requestAnimationFrame(step) : done());
     step();
@@ -29,6 +45,11 @@ def wear(context: BrowserContext, iwer: Path) -> None:
     """Pages of this context run in a headset whose wearer stands at the origin, eyes at 1.6 m, looking along -z."""
     context.add_init_script(path=iwer)
     context.add_init_script(_WORN)
+
+
+def furnish(context: BrowserContext, planes: Sequence[tuple[str, tuple[float, float, float]]]) -> None:
+    """The wearer's room has these planes of two metres, each by its label ("wall": it faces +z, else up) and middle."""
+    context.add_init_script(f"({_FURNISH})({json.dumps(planes)})")
 
 
 def enter(page: Page, mode: str = "VR") -> None:

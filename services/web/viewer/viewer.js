@@ -14,8 +14,10 @@ import { offerAbout, offerDownloads, offerManaging, offerMeasuring, offerNotes }
 import { hidePoster } from './poster.js';
 import { startRenderLoop } from './render-loop.js';
 import { Room } from './room.js';
+import { RoomPlanes } from './room-planes.js';
 import { SceneItem, isLoaded } from './scene-item.js';
 import { Shadows } from './shadows.js';
+import { snapItem } from './snap.js';
 import { findStandingPlace } from './standing-place.js';
 import { keys, nextEntry, sceneId } from './start.js';
 import { startTurntable } from './turntable.js';
@@ -37,6 +39,7 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { VersionComparison } from './version-comparison.js' */
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 
+const GROUND_M = 100; // of the floor on which one goes from place to place where there is no large scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
   ? 'Drag a thing to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.'
   : 'Drag a thing to move it. Two fingers scale and turn it.';
@@ -72,10 +75,12 @@ let wall = null; // once somebody who may add things is in a headset
 let showFacts = () => {}; // of a thing that is alone, after each change of it
 
 const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onMove: savePlace, onSelect: select });
-const grabber = new Grabber(savePlace);
+const grabber = new Grabber(letGo);
+const planes = new RoomPlanes(renderer);
+const ground = new THREE.Mesh(new THREE.PlaneGeometry(GROUND_M, GROUND_M).rotateX(-Math.PI / 2)); // of the wearer's room, which nothing draws
 const shadows = new Shadows(root, (shadow) => prepare(stage, shadow).then(redraw));
 const walker = new Walker(renderer, scene, root, {
-  surfaces: () => loadedItems().flatMap((item) => item.surface ?? []),
+  surfaces: walkSurfaces,
   onMove: () => reportPlace(root.position.toArray()),
 });
 const input = new XrInput(renderer, scene, {
@@ -144,6 +149,12 @@ function movableItems() {
 /** @param {LoadedItem} item */
 function isMovable({ entry }) {
   return entry.may_place !== false;
+}
+
+/** What one can stand on: the surfaces of a large scene, which may go down under the room's floor, else that floor too. */
+function walkSurfaces() {
+  const surfaces = loadedItems().flatMap((item) => item.surface ?? []);
+  return loadedItems().some(({ isWalkable }) => isWalkable) ? surfaces : [...surfaces, ground];
 }
 
 /** Draws a frame. */
@@ -320,6 +331,17 @@ function remove(item) {
 }
 
 // ---- moving -----------------------------------------------------------------------------------------------------------
+
+/**
+ * Snaps an item to the floor and the wall that are near, after a hand has let go of it, and saves where it stands.
+ * @param {SceneItem} item
+ */
+function letGo(item) {
+  const others = loadedItems().filter((other) => other !== item && other.isWalkable);
+  const surfaces = [...planes.surfaces, ...others.flatMap(({ surface }) => surface ?? [])];
+  if (isLoaded(item) && !item.isWalkable) snapItem(item, { surfaces, floor: root.position.y });
+  savePlace(item);
+}
 
 /**
  * Saves where an item stands, after the person has moved it.

@@ -21,7 +21,7 @@ const EYE_SHARE = 0.75; // small things are lifted so that their middle is at th
 const SMALL_M = 0.8; // a thing lower than this would lie at the wearer's feet
 const FLOOR_M = 20; // of the floor's grid, a metre for each field
 const HELP_S = 12; // long enough to read two lines
-const FEATURES = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-tracking'] };
+const FEATURES = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-tracking', 'plane-detection'] };
 const NAMES = { vr: 'VR', ar: 'AR' };
 /** @type {Mode[]} */
 const MODES = ['vr', 'ar'];

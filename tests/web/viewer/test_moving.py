@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
@@ -115,6 +116,20 @@ def test_bare_hands_pinch_and_a_place_outlives_the_visit(
     page.wait_for_function("() => document.body.dataset.moved === '0.000 0.000 0.000 1.000'")
     hand.release()
     assert page.evaluate("localStorage.getItem('capture2vr:placed')") == "[]"
+
+
+def test_among_small_things_one_goes_where_one_points_on_the_floor(
+    context: BrowserContext, iwer: Path, page: Page, viewer: str
+) -> None:
+    wear(context, iwer)
+    visit(page, viewer)
+    enter(page)
+    right = Hand(page, "right")
+    right.move(0.5, 1.5, 0, down=50)  # beside the cube
+    right.stick(0, -1, 10)
+    x, y, z = map(float, (page.get_attribute("body", "data-placed") or "").split())
+    assert (x, y) == (pytest.approx(-0.5, abs=0.02), pytest.approx(1.0, abs=0.02)), "the scene goes by, at its height"
+    assert z == pytest.approx(-1.5 + 1.5 / np.tan(np.radians(50)), abs=0.05)
 
 
 def test_the_thumbstick_pushes_away_and_turns_what_is_held(
