@@ -172,7 +172,7 @@ export class Room {
     const present = new Map(shown().map((item) => [item.placed?.id, item]));
     const all = items.map((placed) => {
       const item = present.get(placed.id) ?? createItem(placed.asset, placed);
-      if (!isSame(item.placed ?? undefined, placed)) item.placed = placed;
+      if (!isSame(item.placed ?? undefined, placed)) item.adopt(placed);
       if (!isHeld(item)) item.place();
       return item;
     });

@@ -34,7 +34,7 @@ export class SceneItem {
   /** @type {PlacedAsset | null} */
   placed = null; // where its scene has it; null: it stands by itself, or where this device has saved
   /** @type {PlacedAsset | null} */
-  #placedFirst = null; // when the page began
+  #placedFirst = null; // as others have saved it, before it was moved here
   /** @type {THREE.Points | null} */
   #hints = null;
 
@@ -195,6 +195,14 @@ export class SceneItem {
     this.#placedFirst ??= this.placed;
   }
 
+  /**
+   * Takes over where somebody else has put the item.
+   * @param {PlacedAsset} placed
+   */
+  adopt(placed) {
+    this.placed = this.#placedFirst = placed;
+  }
+
   /** Saves where the item stands now. */
   savePlace() {
     if (this.placed) {
@@ -205,7 +213,7 @@ export class SceneItem {
     savePlacement(this.key, { offset_m: offset.toArray(), turn: this.group.quaternion.toArray(), scale: this.group.scale.x });
   }
 
-  /** Puts the item back to its default place, in a scene to where that had it when the page began. */
+  /** Puts the item back to its default place, in a scene to where that had it before it was moved here. */
   resetPlace() {
     if (this.placed) this.placed = this.#placedFirst;
     else deletePlacement(this.key);

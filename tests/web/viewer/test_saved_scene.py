@@ -109,9 +109,13 @@ def test_two_who_move_things_at_the_same_time_lose_nothing_without_being_told(
     expect(page.locator("#notice")).to_contain_text("Red box was changed by somebody else at the same time")
     until_saved(page, scene.id, 4)
     assert places(page)[0] == (-3, 0, 0, 1)
-    page.locator("#reset").click()
+    page.locator("#stage").focus()
+    page.keyboard.press("PageUp")
     until_saved(page, scene.id, 5)
-    assert [each.position_m for each in read_scene(site.store, scene.id).items] == [(-0.5, 0, 0), (0.5, 0, 0)]
+    page.locator("#reset").click()
+    until_saved(page, scene.id, 6)
+    stored = read_scene(site.store, scene.id)
+    assert [each.position_m for each in stored.items] == [(-3, 0, 0), (2, 0, 0)], "what others did is not undone"
 
 
 def test_what_others_do_is_seen_and_a_deleted_asset_is_named(page: Page, site: Site) -> None:
