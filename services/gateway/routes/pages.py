@@ -18,6 +18,7 @@ from starlette.types import Scope
 
 from services.gateway.browser_permissions import CAMERA_PAGE
 from services.gateway.errors import Problem
+from services.gateway.page_texts import LANGUAGES, TEXTS, preferred_language, translate_page
 from services.gateway.routes.access_rules import ANYONE
 from services.gateway.schemas import problems
 from services.gateway.settings import GatewaySettings
@@ -29,7 +30,7 @@ router = APIRouter(tags=["pages"])
 
 WEB = Path(__file__).parents[2] / "web"
 
-_INLINE_SCRIPT = re.compile(r"<script(?![^>]*\bsrc=)[^>]*>(.*?)</script>", re.DOTALL)
+_INLINE_SCRIPT = re.compile(r"<script(?![^>]*\bsrc=|[^>]*application/json)[^>]*>(.*?)</script>", re.DOTALL)
 _VERSIONED = re.compile(r"-\d+\.\d+\.\d+\.")  # a file whose name has its version, such as three-0.187.0.module.js
 # The KTX2 decoder makes functions from text (eval). That is safe in a web worker, which has no page and, with this
 # policy, no network access.
@@ -72,8 +73,10 @@ async def pairing_page(request: Request) -> Response:
 
 @router.get("/admin", response_class=Response, dependencies=[ANYONE], responses=_HTML)
 async def admin_page(request: Request) -> Response:
-    """The operator's page: tenants, keys, limits, queue, workers, stores, failures, disks. Its figures need a key."""
-    return _page("admin/admin.html", request)
+    """The operator's page: tenants, keys, limits, queue, workers, stores, failures, disks. Its figures need a key. It is
+    in English alone, as the runbook and the logs are.
+    """
+    return _page("admin/admin.html", request, languages=LANGUAGES[:1])
 
 
 @router.get("/s/{token}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404, 410)})
@@ -145,7 +148,7 @@ def list_shell(response: Response) -> Shell:
     files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]
     files = [path for path in files if path.parent not in _ONLINE and not path.name.startswith(_ONLINE_LIBRARY)]
     digest = hashlib.sha256(b"".join(hashlib.sha256(_html(name).encode()).digest() for name in _SHELL_PAGES.values()))
-    for path in files:
+    for path in [*files, TEXTS]:
         found = path.stat()
         digest.update(_file_digest(path, found.st_mtime_ns, found.st_size))
     response.headers["Cache-Control"] = "no-cache"
@@ -181,10 +184,16 @@ class WebFiles(StaticFiles):
         return response
 
 
-def _page(name: str, request: Request, status: int = 200) -> Response:
-    html = _html(name)
+def _page(name: str, request: Request, status: int = 200, languages: tuple[str, ...] = LANGUAGES) -> Response:
+    language = preferred_language(request.headers.get("accept-language", ""), languages)
+    html = translate_page(_html(name), language)
     policy = _content_security_policy(html, _origins(request.app.state.store, request.app.state.settings))
-    headers = {"Cache-Control": "no-cache", "Content-Security-Policy": policy}
+    headers = {
+        "Cache-Control": "no-cache",
+        "Content-Language": language,
+        "Content-Security-Policy": policy,
+        "Vary": "Accept-Language",
+    }
     return Response(html, status, media_type="text/html", headers=headers)
 
 

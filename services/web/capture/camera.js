@@ -1,17 +1,18 @@
 // The phone's camera, as pages get it: opened, photographed with, and closed; and why it cannot be.
 import { Problem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 import { PHOTO_MS, withTimeLimit } from '../shared/time-limits.js';
 
-const OTHERWISE = 'Take the photos with the phone’s own camera instead: “Take photos” or “Choose files”.';
+const OTHERWISE = t('Take the photos with the phone’s own camera instead: “Take photos” or “Choose files”.');
 const SHARPEST = { width: { ideal: 3840 }, height: { ideal: 2160 } }; // where frames of the film become the photos
 const PREVIEW = { width: { ideal: 1920 }, height: { ideal: 1080 } }; // where the camera itself takes photos, in full resolution
 const JPEG_QUALITY = 0.92;
 
 /** @type {Record<string, string>} by the name of the browser's error */
 const REASONS = {
-  NotAllowedError: 'This page is not allowed to use the camera. You can allow it in the browser, beside the page’s address.',
-  NotFoundError: 'No camera was found.',
-  NotReadableError: 'The camera does not start; another program may be using it.',
+  NotAllowedError: t('This page is not allowed to use the camera. You can allow it in the browser, beside the page’s address.'),
+  NotFoundError: t('No camera was found.'),
+  NotReadableError: t('The camera does not start; another program may be using it.'),
 };
 
 /** A camera that is open. `photographs`: whether it takes photos by itself, or frames of its film become the photos. */
@@ -35,7 +36,7 @@ export class Camera {
     try {
       await withTimeLimit(this.video.play(), PHOTO_MS);
     } catch {
-      throw noCamera('The camera does not start.');
+      throw noCamera(t('The camera does not start.'));
     }
   }
 
@@ -69,7 +70,7 @@ export class Camera {
  * @throws {Problem} NO_CAMERA, with the reason and what to do instead
  */
 export async function openCamera(video) {
-  if (!navigator.mediaDevices?.getUserMedia) throw noCamera(window.isSecureContext ? 'This browser has no camera for pages.' : 'Browsers open the camera only for pages with an https address.');
+  if (!navigator.mediaDevices?.getUserMedia) throw noCamera(window.isSecureContext ? t('This browser has no camera for pages.') : t('Browsers open the camera only for pages with an https address.'));
   const size = typeof ImageCapture === 'undefined' ? SHARPEST : PREVIEW;
   /** @type {MediaStream} */
   let stream;
@@ -77,7 +78,7 @@ export async function openCamera(video) {
     stream = await navigator.mediaDevices.getUserMedia({ video: { facingMode: { ideal: 'environment' }, ...size }, audio: false });
   } catch (error) {
     const name = error instanceof DOMException ? error.name : '';
-    throw noCamera(REASONS[name] ?? 'The camera does not start.');
+    throw noCamera(REASONS[name] ?? t('The camera does not start.'));
   }
   video.srcObject = stream;
   return new Camera(stream, video);
@@ -95,6 +96,6 @@ function frameOfFilm(video) {
   const canvas = Object.assign(document.createElement('canvas'), { width: video.videoWidth, height: video.videoHeight });
   canvas.getContext('2d')?.drawImage(video, 0, 0);
   return new Promise((resolve, reject) => {
-    canvas.toBlob((blob) => (blob ? resolve(blob) : reject(noCamera('The camera gives no picture.'))), 'image/jpeg', JPEG_QUALITY);
+    canvas.toBlob((blob) => (blob ? resolve(blob) : reject(noCamera(t('The camera gives no picture.')))), 'image/jpeg', JPEG_QUALITY);
   });
 }

@@ -14,6 +14,7 @@ import { element, fillList } from '../shared/dom.js';
 import { isConnectionProblem, offline } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { splitWords } from '../shared/search-words.js';
+import { t } from '../shared/texts.js';
 
 /** @import { JobOrder } from '../shared/kept-captures.js' */
 /** @import { CaptureReceipt, Cut, Job, JobRequest, Presets, Visibility } from '../shared/types.d.ts' */
@@ -46,19 +47,19 @@ async function offerPresets() {
   const { presets, default: automatic } = await getJson('/v1/presets').catch(() => ({ presets: [], default: '' }));
   const others = presets.filter(({ name }) => name !== automatic);
   const first = presets.find(({ name }) => name === automatic);
-  if (first) page.preset.options[0].textContent = `Automatic: ${first.summary || first.name}`;
+  if (first) page.preset.options[0].textContent = t('Automatic: {preset}', { preset: first.summary || first.name });
   page.preset.append(...others.filter((each) => !each.literature).map(presetOption));
   const literature = others.filter((each) => each.literature);
   if (!literature.length) return;
   const group = document.createElement('optgroup');
-  group.label = 'Methods from the literature';
+  group.label = t('Methods from the literature');
   group.append(...literature.map(presetOption));
   page.preset.append(group);
 }
 
 /** The choice of a preset, with what it does and the time that it takes. @param {Presets['presets'][number]} preset */
 function presetOption({ name, summary, takes }) {
-  const words = [summary, takes && `takes ${takes}`].filter(Boolean).join('; ');
+  const words = [summary, takes && t('takes {time}', { time: takes })].filter(Boolean).join('; ');
   return new Option(words ? `${name}: ${words}` : name, name);
 }
 
@@ -107,7 +108,7 @@ async function keepForLater() {
   const name = chosenName();
   const trouble = await keepWhole(chosenFiles(), { name, about: about(), order: jobOrder(name), capture: receipt?.capture ?? '' });
   isKept = !trouble;
-  return trouble || 'It is kept on this device, and sent when the server can be reached: by itself, or when you open this page again.';
+  return trouble || t('It is kept on this device, and sent when the server can be reached: by itself, or when you open this page again.');
 }
 
 /**
@@ -152,7 +153,7 @@ function resumeJob() {
 function offerToGoOn() {
   const names = unfinishedFiles();
   page.unfinished.hidden = names.length === 0;
-  page.unfinished.textContent = `The upload of ${names.join(', ')} has stopped on its way. Choose the same files again, and it goes on.`;
+  page.unfinished.textContent = t('The upload of {files} has stopped on its way. Choose the same files again, and it goes on.', { files: names.join(', ') });
 }
 
 /** Tries again after a lost connection: to watch the job, or to send the files. */

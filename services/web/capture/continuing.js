@@ -3,6 +3,7 @@ import { expectMore } from './file-choice.js';
 import { showState, showTrouble } from './page-state.js';
 import { getJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Job, Manifest } from '../shared/types.d.ts' */
 
@@ -53,7 +54,7 @@ async function showContinued({ asset_key: key, label, edits = {} }) {
   const name = label || key;
   page.section.hidden = false;
   page.details.hidden = true;
-  page.heading.textContent = `More photos of ${name}`;
+  page.heading.textContent = t('More photos of {name}', { name });
   page.lost.hidden = !(edits.crop || edits.planes?.length || edits.up || edits.length);
   expectMore(name);
   showState('choosing');

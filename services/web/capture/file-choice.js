@@ -6,6 +6,8 @@ import { startLiveCamera } from './live-camera.js';
 import { showSinglePhoto } from './photo-box.js';
 import { keyFrom } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { formatNumber } from '../shared/format.js';
+import { t } from '../shared/texts.js';
 
 /** @import { KeptCapture } from '../shared/kept-captures.js' */
 
@@ -45,7 +47,7 @@ export const chosenName = () => page.name.value.trim();
  */
 export function expectMore(name) {
   isMore = true;
-  page.chosen.textContent = 'Photos of the sides that were seen too little, each overlapping the others by two thirds.';
+  page.chosen.textContent = t('Photos of the sides that were seen too little, each overlapping the others by two thirds.');
   page.name.value = name;
   showKey();
 }
@@ -60,7 +62,7 @@ export function startFileChoice() {
   page.compass.addEventListener('click', async () => {
     useCompass = await startCompass();
     page.compass.disabled = useCompass;
-    page.compass.textContent = useCompass ? 'The compass is used' : 'There is no compass; try again';
+    page.compass.textContent = useCompass ? t('The compass is used') : t('There is no compass; try again');
   });
   page.name.addEventListener('input', showKey);
   startLiveCamera(addPhoto);
@@ -123,12 +125,12 @@ async function addFiles(id, input) {
 /** Shows what is chosen: how many files and megabytes, guidance for photos, and the names of other files. */
 function showFiles() {
   const bytes = files.reduce((sum, file) => sum + file.size, 0);
-  const count = files.length === 1 ? '1 file' : `${files.length} files`;
-  page.chosen.textContent = files.length ? `${count}, ${(bytes / 1e6).toFixed(1)} MB` : 'Nothing chosen yet.';
+  const count = files.length === 1 ? t('1 file') : t('{count} files', { count: files.length });
+  page.chosen.textContent = files.length ? `${count}, ${formatNumber((bytes / 1e6).toFixed(1))} MB` : t('Nothing chosen yet.');
   page.list.hidden = guide(files, { isMore, onRemove: removeFiles });
   showSinglePhoto(files.length === 1 && isPhoto(files[0]) && !isMore ? files[0] : null);
   const names = files.slice(0, LISTED).map((file) => file.webkitRelativePath || file.name);
-  if (files.length > LISTED) names.push(`… and ${files.length - LISTED} more`);
+  if (files.length > LISTED) names.push(t('… and {count} more', { count: files.length - LISTED }));
   fillList(page.list, names);
   if (!page.name.value && files.length && !taken.has(files[0])) page.name.value = nameFrom(files[0]);
   showKey();

@@ -4,6 +4,7 @@ import { drawRings } from './coverage-ring.js';
 import { differenceOf } from './photo-quality.js';
 import { queuePhoto } from './photo-quality-queue.js';
 import { ADVISED, FEWEST, coverageOf, findFaults, isMeasured } from './photo-set.js';
+import { t } from '../shared/texts.js';
 
 /** @import { MeasuredPhoto, Photo } from './photo-set.js' */
 /** @typedef {{ item: HTMLLIElement, file: File, sentence: string }} FaultItem an item of the list of photos that would do harm */
@@ -126,7 +127,7 @@ function draw() {
   page.count.textContent = countText(chosen.length, films);
   page.advice.textContent = adviceFor(chosen, films);
   const coverage = coverageOf(measured.filter(({ file }) => !faults.has(file)));
-  page.coverage.textContent = `${coverage.about} ${drawRings(coverage)} seen${coverage.how}.`;
+  page.coverage.textContent = coverage.sentence(drawRings(coverage));
   drawFaults(faults);
   document.body.dataset.looked = chosen.every(({ quality }) => quality !== undefined) ? String(chosen.length) : '';
 }
@@ -136,8 +137,9 @@ function draw() {
  * @param {number} filmCount
  */
 function countText(photoCount, filmCount) {
-  const parts = [photoCount === 1 ? '1 photo' : photoCount && `${photoCount} photos`, filmCount === 1 ? '1 film' : filmCount && `${filmCount} films`];
-  return parts.filter(Boolean).join(' and ');
+  const photoText = photoCount === 1 ? t('1 photo') : t('{count} photos', { count: photoCount });
+  const filmText = filmCount === 1 ? t('1 film') : t('{count} films', { count: filmCount });
+  return photoCount && filmCount ? t('{photos} and {films}', { photos: photoText, films: filmText }) : filmCount ? filmText : photoText;
 }
 
 /**
@@ -146,16 +148,17 @@ function countText(photoCount, filmCount) {
  */
 function adviceFor(chosen, films) {
   const unknown = chosen.filter(({ quality }) => quality === null).length;
-  const rest = unknown ? ` ${unknown} cannot be looked at in this browser; the server will.` : '';
+  const rest = unknown ? ` ${t('{count} cannot be looked at in this browser; the server will.', { count: unknown })}` : '';
   const count = chosen.length;
-  if (isMore) return `They are added to the photos that are stored.${rest}`;
-  if (films && count < FEWEST) return `Its best pictures are chosen for you.${films > 1 ? ' Only the largest film is used.' : ''}`;
-  if (films) return `There are photos enough, so the film is not used.${rest}`;
-  if (count === 1) return `One photo shows one side; the others are a guess. ${ADVISED.join(' to ')} from all around show them.${rest}`;
-  if (count < FEWEST) return `At least ${FEWEST} are needed; ${ADVISED.join(' to ')} from all around are best.${rest}`;
-  if (count < ADVISED[0]) return `${ADVISED.join(' to ')} are best: ${ADVISED[0] - count} more, from where there is none yet.${rest}`;
-  if (count <= ADVISED[1]) return `A good number.${rest}`;
-  return `More than ${ADVISED[1]} take longer and seldom show more.${rest}`;
+  const [least, most] = ADVISED;
+  if (isMore) return t('They are added to the photos that are stored.') + rest;
+  if (films && count < FEWEST) return t('Its best pictures are chosen for you.') + (films > 1 ? ` ${t('Only the largest film is used.')}` : '');
+  if (films) return t('There are photos enough, so the film is not used.') + rest;
+  if (count === 1) return t('One photo shows one side; the others are a guess. {least} to {most} from all around show them.', { least, most }) + rest;
+  if (count < FEWEST) return t('At least {fewest} are needed; {least} to {most} from all around are best.', { fewest: FEWEST, least, most }) + rest;
+  if (count < least) return t('{least} to {most} are best: {count} more, from where there is none yet.', { least, most, count: least - count }) + rest;
+  if (count <= most) return t('A good number.') + rest;
+  return t('More than {most} take longer and seldom show more.', { most }) + rest;
 }
 
 /**
@@ -165,7 +168,7 @@ function adviceFor(chosen, films) {
 function drawFaults(faults) {
   const wanted = files.flatMap((file) => ({ file, sentence: faults.get(file) ?? '' })).filter(({ sentence }) => sentence);
   page.faults.hidden = wanted.length === 0;
-  page.faultCount.textContent = wanted.length === 1 ? '1 photo may do harm' : `${wanted.length} photos may do harm`;
+  page.faultCount.textContent = wanted.length === 1 ? t('1 photo may do harm') : t('{count} photos may do harm', { count: wanted.length });
   page.removeAll.hidden = wanted.length < 2;
   const items = wanted.map(({ file, sentence }) => {
     const shown = faultItems.find((each) => each.file === file && each.sentence === sentence);
@@ -188,7 +191,7 @@ function createFaultItem(file, sentence) {
   const picture = create('img', { src: photos.get(file)?.thumbnailUrl ?? '', alt: '', width: 64, height: 64 });
   const text = create('p');
   text.append(create('strong', { textContent: file.name }), ` ${sentence}`);
-  const button = create('button', { type: 'button', textContent: 'Remove', ariaLabel: `Remove ${file.name}` });
+  const button = create('button', { type: 'button', textContent: t('Remove'), ariaLabel: t('Remove {name}', { name: file.name }) });
   button.addEventListener('click', () => remove([file], item.nextElementSibling ?? item.previousElementSibling));
   item.append(picture, text, button);
   return { item, file, sentence };

@@ -5,6 +5,7 @@ import { hideAnchors, showAnchors, showResult } from './result.js';
 import { followJob, getJson, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { Problem, toProblem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Job, JobState } from '../shared/types.d.ts' */
 
@@ -77,14 +78,14 @@ function showJob(job) {
 
 /** @param {Job} job */
 function cancelled({ preview }) {
-  const hints = preview ? ['Its preview stays.'] : [];
-  return new Problem({ code: 'CANCELLED', detail: 'The job was cancelled.', hints });
+  const hints = preview ? [t('Its preview stays.')] : [];
+  return new Problem({ code: 'CANCELLED', detail: t('The job was cancelled.'), hints });
 }
 
 /** @param {Job} job */
 function showSuccess({ asset, warnings }) {
   page.work.hidden = true;
-  page.ready.textContent = asset?.state === 'refined' ? 'It is ready, refined' : 'It is ready';
+  page.ready.textContent = asset?.state === 'refined' ? t('It is ready, refined') : t('It is ready');
   fillList(page.warnings, warnings);
   document.body.dataset.state = 'done';
 }

@@ -2,6 +2,7 @@
 // is said, and stays in the page.
 import { forget, forgetFile, keep, newKept, readKept, readKeptFiles } from '../shared/kept-captures.js';
 import { exclusively } from '../shared/send-kept.js';
+import { t } from '../shared/texts.js';
 import { newFiletype, pathOf, randomKey } from '../shared/upload-form.js';
 import { ownTenant } from '../shared/whose.js';
 
@@ -123,8 +124,8 @@ async function attempt(files) {
 /** @param {unknown} error */
 function reasonOf(error) {
   const full = error instanceof DOMException && error.name === 'QuotaExceededError';
-  const reason = full ? 'This device has no room for it.' : 'This browser keeps nothing on the device here; a private window never does.';
-  return `${reason} It is in this page only: leave the page open until it is sent.`;
+  const reason = full ? t('This device has no room for it.') : t('This browser keeps nothing on the device here; a private window never does.');
+  return `${reason} ${t('It is in this page only: leave the page open until it is sent.')}`;
 }
 
 /**

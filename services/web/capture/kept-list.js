@@ -5,6 +5,7 @@ import { create, element } from '../shared/dom.js';
 import { sentences } from '../shared/problems.js';
 import { ownTenant } from '../shared/whose.js';
 import { keptId } from './keeping.js';
+import { t } from '../shared/texts.js';
 
 /** @import { KeptCapture } from '../shared/kept-captures.js' */
 
@@ -42,7 +43,7 @@ async function sendAll() {
   try {
     await sendKept((capture, fraction) => {
       const text = document.getElementById(`kept-${capture.id}`);
-      if (text) text.textContent = `${capture.name}: ${Math.round(100 * fraction)} % sent.`;
+      if (text) text.textContent = `${capture.name}: ${t('{percent} % sent', { percent: Math.round(100 * fraction) })}.`;
     });
   } catch (error) {
     page.trouble.textContent = sentences(error);
@@ -64,20 +65,21 @@ async function itemOf(capture) {
   const item = create('li');
   const buttons = create('div', { className: 'kept-buttons' });
   item.append(create('span', { id: `kept-${capture.id}`, textContent: await sentenceOf(capture) }), buttons);
-  if (capture.state === 'draft') buttons.append(button('Go on', () => onGoOn(capture)));
-  if (capture.state === 'waiting') buttons.append(button('Send now', sendWaiting));
-  if (capture.state === 'sent') buttons.append(button('See it', () => seeJob(capture)));
-  buttons.append(button(capture.state === 'sent' ? 'Done' : 'Delete', () => remove(capture)));
+  if (capture.state === 'draft') buttons.append(button(t('Go on'), () => onGoOn(capture)));
+  if (capture.state === 'waiting') buttons.append(button(t('Send now'), sendWaiting));
+  if (capture.state === 'sent') buttons.append(button(t('See it'), () => seeJob(capture)));
+  buttons.append(button(capture.state === 'sent' ? t('Done') : t('Delete'), () => remove(capture)));
   return item;
 }
 
 /** @param {KeptCapture} capture */
 async function sentenceOf({ id, state, name, created, trouble }) {
-  if (state === 'sent') return `${name}: sent.`;
+  if (state === 'sent') return t('{name}: sent.', { name });
   if (state === 'refused') return `${name}: ${trouble}`;
-  if (state === 'waiting') return `${name}: it waits for the server.`;
+  if (state === 'waiting') return t('{name}: it waits for the server.', { name });
   const count = (await readKeptFiles(id)).length;
-  return `${count === 1 ? '1 photo' : `${count} photos`} of ${new Date(created).toLocaleString()}, not sent.`;
+  const photos = count === 1 ? t('1 photo') : t('{count} photos', { count });
+  return t('{photos} of {date}, not sent.', { photos, date: new Date(created).toLocaleString() });
 }
 
 /**
@@ -99,7 +101,7 @@ async function seeJob({ id, job }) {
 
 /** @param {KeptCapture} capture */
 async function remove({ id, state }) {
-  if (state !== 'sent' && !window.confirm('Delete these photos? They are on this device only.')) return;
+  if (state !== 'sent' && !window.confirm(t('Delete these photos? They are on this device only.'))) return;
   await forget(id);
   await showKept();
 }

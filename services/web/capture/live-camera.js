@@ -7,6 +7,7 @@ import { faultOfNew } from './guidance.js';
 import { afterFrame, afterPhoto, afterRefusal, isStill, newShutter } from './shutter.js';
 import { element } from '../shared/dom.js';
 import { sentences } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Camera } from './camera.js' */
 /** @import { Follower } from './camera-motion.js' */
@@ -15,14 +16,14 @@ import { sentences } from '../shared/problems.js';
 
 /** @type {Record<Cue, string>} */
 const CUES = {
-  plain: 'Too dark or too plain to see how you move. Use the button.',
-  move: 'Take a step to the side.',
-  hold: 'Hold still.',
+  plain: t('Too dark or too plain to see how you move. Use the button.'),
+  move: t('Take a step to the side.'),
+  hold: t('Hold still.'),
   wait: '',
-  take: 'Hold still.',
+  take: t('Hold still.'),
 };
-const SHAKEN = 'You moved while it was taken. Hold still until the picture flashes.';
-const BY_HAND = 'Take a step to the side, and use the button.';
+const SHAKEN = t('You moved while it was taken. Hold still until the picture flashes.');
+const BY_HAND = t('Take a step to the side, and use the button.');
 
 const page = {
   dialog: element('camera', HTMLDialogElement),
@@ -92,7 +93,7 @@ function start(opened) {
   [shutter, taken, shooting] = [newShutter(), 0, false];
   opened.track.addEventListener('ended', () => {
     page.dialog.close();
-    showTrouble('The camera has stopped. What it took is here; open it again to go on.');
+    showTrouble(t('The camera has stopped. What it took is here; open it again to go on.'));
   });
   showCameraOptions(opened.track);
   setAutomatic(automatic);
@@ -215,12 +216,12 @@ function accept(photo, at) {
 /** @param {string} fault */
 function refuse(fault) {
   shutter = afterRefusal(shutter);
-  say(`Not kept: ${fault.charAt(0).toLowerCase()}${fault.slice(1)}`);
+  say(t('Not kept. {fault}', { fault }));
   document.body.dataset.refused = fault;
 }
 
 function showCount() {
-  page.count.textContent = taken === 1 ? '1 photo' : `${taken} photos`;
+  page.count.textContent = taken === 1 ? t('1 photo') : t('{count} photos', { count: taken });
   document.body.dataset.taken = String(taken);
 }
 

@@ -2,6 +2,7 @@
 import { showTrouble } from './page-state.js';
 import { postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { CaptureSummary, Cut, Job } from '../shared/types.d.ts' */
 
@@ -13,8 +14,8 @@ const page = {
 
 /** @type {{ kept: string, name: string, other: Cut, offer: string }[]} */
 const CUTS = [
-  { kept: 'object', name: 'the thing in the middle', other: 'scene', offer: 'Keep everything that was seen' },
-  { kept: 'scene', name: 'everything that was seen', other: 'object', offer: 'Keep only the thing in the middle' },
+  { kept: 'object', name: t('the thing in the middle'), other: 'scene', offer: t('Keep everything that was seen') },
+  { kept: 'scene', name: t('everything that was seen'), other: 'object', offer: t('Keep only the thing in the middle') },
 ];
 
 /** @type {() => void} */
@@ -30,7 +31,7 @@ export function showCut(job, capture) {
   const choice = CUTS.find(({ kept }) => kept === cut?.kept);
   page.section.hidden = !cut || !choice;
   if (!cut || !choice) return;
-  page.kept.textContent = `What was kept: ${choice.name}; ${cut.because}.`; // a doubt stands among the warnings
+  page.kept.textContent = t('What was kept: {what}; {because}.', { what: choice.name, because: cut.because }); // a doubt stands among the warnings
   page.button.textContent = choice.offer;
   recut = () => repeatJob(job, choice.other);
 }

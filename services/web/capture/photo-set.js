@@ -1,5 +1,6 @@
 // Checks a set of photos: which of them would do harm, and how far around the object they go.
 import { isCopy } from './photo-quality.js';
+import { t } from '../shared/texts.js';
 
 /** @import { PhotoQuality } from './photo-quality.js' */
 
@@ -30,8 +31,7 @@ const COMPASS_SHARE = 0.5; // share of the photos that must have a direction bef
  * How far around the object the photos go, and how that is known.
  * @typedef {object} Coverage
  * @property {Arc[]} arcs
- * @property {string} about words in front of the degrees
- * @property {string} how words behind them
+ * @property {(degrees: string) => string} sentence says it, of a number of degrees
  */
 
 /**
@@ -57,7 +57,7 @@ export function findFaults(photos) {
     if (fault) faults.set(photo.file, fault);
   }
   const rest = photos.filter(({ file }) => !faults.has(file));
-  for (const { file } of findBlurred(rest)) faults.set(file, 'Blurred, next to the others. Hold still, or use more light.');
+  for (const { file } of findBlurred(rest)) faults.set(file, t('Blurred, next to the others. Hold still, or use more light.'));
   return faults;
 }
 
@@ -66,10 +66,10 @@ export function findFaults(photos) {
  * @param {MeasuredPhoto[]} earlier photos that it may be a copy of
  */
 function faultOf({ quality, differences }, earlier) {
-  if (quality.dark) return 'Almost black. Take it again with more light.';
-  if (quality.white > MOST_WHITE) return 'More than half of it is plain white. Use less light, or tap on the thing before you take it.';
+  if (quality.dark) return t('Almost black. Take it again with more light.');
+  if (quality.white > MOST_WHITE) return t('More than half of it is plain white. Use less light, or tap on the thing before you take it.');
   const original = earlier.find((other) => isCopy(quality, other.quality, differences.get(other.file) ?? Infinity));
-  return original ? `Shows the same as ${original.file.name}. Take a step to the side between photos.` : '';
+  return original ? t('Shows the same as {name}. Take a step to the side between photos.', { name: original.file.name }) : '';
 }
 
 /**
@@ -102,8 +102,10 @@ export function coverageOf(photos) {
   if (headings.length < FEWEST || headings.length < COMPASS_SHARE * photos.length) return coverageByDifferences(photos);
   const arcs = mergeArcs(headings.map((degrees) => [degrees - STEP / 2, degrees + STEP / 2]));
   const rest = photos.length - headings.length;
-  const missing = rest ? `; ${rest} without a direction ${rest === 1 ? 'is' : 'are'} not counted` : '';
-  return { arcs, about: 'About', how: `, by the compass${missing}` };
+  return {
+    arcs,
+    sentence: (degrees) => t('About {degrees} seen, by the compass.', { degrees }) + (rest ? ` ${t('Not counted, for they have no direction: {count}.', { count: rest })}` : ''),
+  };
 }
 
 /**
@@ -116,7 +118,10 @@ function coverageByDifferences(photos) {
     return STEP * Math.min(1, nearest / FULL_STEP);
   });
   const sum = Math.min(360, steps.reduce((total, step) => total + step, 0));
-  return { arcs: [[0, sum]], about: 'Up to about', how: ': a guess from how much the photos change, for this page cannot see where you stood' };
+  return {
+    arcs: [[0, sum]],
+    sentence: (degrees) => t('Up to about {degrees} seen: a guess from how much the photos change, for this page cannot see where you stood.', { degrees }),
+  };
 }
 
 /**

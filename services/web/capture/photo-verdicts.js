@@ -1,16 +1,17 @@
 // The lists of the result: which photos were used, why others were left out, and which sides need more photos.
 import { child, create, fillList } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { CaptureSummary, PhotoVerdict } from '../shared/types.d.ts' */
 
 /** @type {Record<string, string>} */
 const REASONS = {
-  ok: 'used',
-  blur: 'blurred',
-  dark: 'too dark',
-  duplicate: 'a copy',
-  no_overlap: 'no overlap',
-  unreadable: 'unreadable',
+  ok: t('used'),
+  blur: t('blurred'),
+  dark: t('too dark'),
+  duplicate: t('a copy'),
+  no_overlap: t('no overlap'),
+  unreadable: t('unreadable'),
 };
 
 /**
@@ -21,9 +22,10 @@ const REASONS = {
 export function showVerdicts(details, { photos: verdicts = [], format } = {}) {
   const rejected = verdicts.filter(({ verdict }) => verdict !== 'ok');
   const used = verdicts.filter(({ verdict }) => verdict === 'ok');
-  const kind = format === 'video' ? 'pictures of the film' : 'photos';
   details.hidden = verdicts.length === 0;
-  child(details, 'summary', HTMLElement).textContent = `Used ${used.length} of ${verdicts.length} ${kind}`;
+  child(details, 'summary', HTMLElement).textContent = format === 'video'
+    ? t('Used {count} of {total} pictures of the film', { count: used.length, total: verdicts.length })
+    : t('Used {count} of {total} photos', { count: used.length, total: verdicts.length });
   child(details, 'ul', HTMLUListElement).replaceChildren(...[...rejected, ...used].map(verdictItem));
 }
 

@@ -5,29 +5,31 @@ import { showCut } from './other-cut.js';
 import { showUnseenSides, showVerdicts } from './photo-verdicts.js';
 import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
+import { formatCount, formatNumber } from '../shared/format.js';
+import { t } from '../shared/texts.js';
 import { PREVIEW_MODULES_MS, withTimeLimit } from '../shared/time-limits.js';
 
 /** @import { AnchorPoints, AssetEntry, Job, Manifest, PublishedVersion, QualityFigures } from '../shared/types.d.ts' */
 /** @typedef {(value: number) => string} Format */
 
 /** @type {Format} */
-const ofSize = (share) => `${(100 * share).toFixed(2)} % of its size`;
+const ofSize = (share) => t('{percent} % of its size', { percent: formatNumber((100 * share).toFixed(2)) });
 /** @type {Format} */
-const percent = (share) => `${(100 * share).toFixed(1)} %`;
+const percent = (share) => `${formatNumber((100 * share).toFixed(1))} %`;
 /** @type {Format} */
-const count = (number) => Math.round(number).toLocaleString('en');
+const count = (number) => formatCount(Math.round(number));
 
 /** @type {[key: keyof QualityFigures, label: string, format: Format][]} */
 const FIGURES = [
-  ['held_out_mean', 'From points it was not shown', ofSize],
-  ['points_to_mesh_median', 'From the scanned points', ofSize],
-  ['coverage', 'Points covered', percent],
-  ['components', 'Pieces', count],
-  ['boundary_loops', 'Open borders', count],
-  ['non_manifold_edges', 'Edges of more than two sides', count],
-  ['triangles', 'Triangles', count],
-  ['steps', 'Steps of training', count],
-  ['seconds', 'Computed in', durationText],
+  ['held_out_mean', t('From points it was not shown'), ofSize],
+  ['points_to_mesh_median', t('From the scanned points'), ofSize],
+  ['coverage', t('Points covered'), percent],
+  ['components', t('Pieces'), count],
+  ['boundary_loops', t('Open borders'), count],
+  ['non_manifold_edges', t('Edges of more than two sides'), count],
+  ['triangles', t('Triangles'), count],
+  ['steps', t('Steps of training'), count],
+  ['seconds', t('Computed in'), durationText],
 ];
 
 const page = {
@@ -140,8 +142,8 @@ async function showManifest(job, entry) {
   offerMorePhotos(job, capture);
   if (!quality) return;
   /** @type {[title: string, figures: QualityFigures][]} */
-  const columns = [[entry.state === 'refined' ? 'Refined' : 'Preview', quality]];
-  if (quality.preview) columns.unshift(['Preview', quality.preview]);
+  const columns = [[entry.state === 'refined' ? t('Refined') : t('Preview'), quality]];
+  if (quality.preview) columns.unshift([t('Preview'), quality.preview]);
   const rows = FIGURES.filter(([key]) => columns.some(([, figures]) => typeof figures[key] === 'number'));
   page.figures.replaceChildren(
     createRow(['', ...columns.map(([title]) => title)]),

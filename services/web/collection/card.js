@@ -1,8 +1,9 @@
 // A card of the collection page: an asset's picture, name, labels and state, and a box to choose it.
 import { create } from '../shared/dom.js';
-import { formatBytes } from '../shared/format.js';
+import { formatBytes, stateText } from '../shared/format.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
 import { loadManifest } from '../shared/signed-catalogue.js';
+import { t } from '../shared/texts.js';
 import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
@@ -64,14 +65,14 @@ export class Card {
     try {
       const manifest = await loadManifest(this.#collection, this.#row);
       this.#manifest = manifest;
-      if (manifest.origin === 'guess') this.#facts.textContent = 'a guess from one photo';
+      if (manifest.origin === 'guess') this.#facts.textContent = t('a guess from one photo');
       const file = PICTURES.map((name) => this.#findFile(name)).find(Boolean);
       if (file) this.#picture.src = await this.#loadUrl(file);
       dataset.picture = file ? file.file : 'none';
     } catch (error) {
       const { code, message } = toProblem(error);
       dataset.picture = code === 'UNKNOWN' ? 'none' : code;
-      this.#facts.textContent = code === 'ASSET_TAMPERED' ? message : 'Its picture could not be loaded.';
+      this.#facts.textContent = code === 'ASSET_TAMPERED' ? message : t('Its picture could not be loaded.');
       if (isConnectionProblem(error)) this.#onLost();
     }
   }
@@ -124,7 +125,7 @@ export class Card {
 }
 
 /** @param {CollectionRow} row */
-const factsOf = ({ state, bytes }) => [state, ...(bytes ? [formatBytes(bytes)] : [])].join(', ');
+const factsOf = ({ state, bytes }) => [stateText(state), ...(bytes ? [formatBytes(bytes)] : [])].join(', ');
 
 /**
  * @param {CollectionRow} row
@@ -132,10 +133,10 @@ const factsOf = ({ state, bytes }) => [state, ...(bytes ? [formatBytes(bytes)] :
  * @param {(yes: boolean) => boolean} onChoose
  */
 function createCheckbox({ label }, chosen, onChoose) {
-  const box = create('input', { type: 'checkbox', checked: chosen, ariaLabel: `Choose ${label}` });
+  const box = create('input', { type: 'checkbox', checked: chosen, ariaLabel: t('Choose {label}', { label }) });
   box.addEventListener('change', () => (box.checked = onChoose(box.checked)));
   const check = create('label', { className: 'check' });
-  check.append(box, 'Choose');
+  check.append(box, t('Choose'));
   return check;
 }
 
@@ -148,7 +149,7 @@ function createLabels({ labels }, onLabel) {
   if (labels.length === 0) return [];
   const line = create('p', { className: 'labels' });
   for (const label of labels.slice(0, SHOWN_LABELS)) {
-    const button = create('button', { type: 'button', dir: 'auto', textContent: label, title: `Everything labelled ${label}` });
+    const button = create('button', { type: 'button', dir: 'auto', textContent: label, title: t('Everything labelled {label}', { label }) });
     button.addEventListener('click', () => onLabel(label));
     line.append(button);
   }

@@ -10,6 +10,7 @@ import { element } from '../shared/dom.js';
 import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { withNewest } from '../shared/signed-catalogue.js';
+import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { SearchResult } from './search.js' */
@@ -59,7 +60,7 @@ async function show() {
   const request = ++lastRequest;
   document.body.setAttribute('aria-busy', 'true');
   page.retry.hidden = true;
-  if (document.body.dataset.state === 'error') page.summary.textContent = 'Loading …';
+  if (document.body.dataset.state === 'error') page.summary.textContent = t('Loading …');
   try {
     const result = await withNewest(name, (collection) => search(collection, { words: query, ...readFilters() }, pageNumber));
     if (request === lastRequest) showResult(result);
@@ -100,7 +101,7 @@ function showResult({ rows, count, exact, collection }) {
 /** @param {number | null} pages null where it is not known how many there are */
 function showPageNumber(pages) {
   page.pages.hidden = pageNumber === 1 && pages !== null && pages <= 1;
-  page.pageNumber.textContent = pages ? `Page ${pageNumber} of ${pages}` : `Page ${pageNumber}`;
+  page.pageNumber.textContent = pages ? t('Page {number} of {pages}', { number: pageNumber, pages }) : t('Page {number}', { number: pageNumber });
   page.previous.disabled = pageNumber === 1;
   page.next.disabled = pages !== null && pageNumber >= pages;
 }
@@ -136,7 +137,7 @@ function showError(error) {
   document.body.dataset.state = 'error';
   document.body.dataset.code = problem.code;
   const nothingYet = problem.code === 'COLLECTION_UNKNOWN' && name === 'default';
-  page.summary.textContent = nothingYet ? 'Nothing is here yet.' : sentences(problem);
+  page.summary.textContent = nothingYet ? t('Nothing is here yet.') : sentences(problem);
   page.retry.hidden = nothingYet;
 }
 
@@ -203,8 +204,8 @@ function choose(key, yes) {
   showManaging(removed);
   page.open.hidden = removed;
   page.choice.hidden = count === 0;
-  page.choiceCount.textContent = count < MOST_CHOSEN ? `${count} chosen` : `${count} chosen, which is as many as a headset draws`;
-  page.open.textContent = count === 1 ? 'Open it' : 'Open together';
+  page.choiceCount.textContent = count < MOST_CHOSEN ? t('{count} chosen', { count }) : t('{count} chosen, which is as many as a headset draws', { count });
+  page.open.textContent = count === 1 ? t('Open it') : t('Open together');
   page.open.href = ofShownTenant(`/view?${new URLSearchParams([...chosenKeys].map((each) => ['key', each]))}`);
   return chosenKeys.has(key);
 }

@@ -2,6 +2,7 @@
 import { deleteAt, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { sentences } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
 
@@ -20,7 +21,7 @@ const ACTIONS = {
   restore: (asset) => postJson(`${asset}/restore`, {}),
   delete: (asset) => deleteAt(asset),
 };
-const SAID = { remove: 'removed; “Show: removed ones” has them', restore: 'restored', delete: 'deleted for good' };
+const SAID = { remove: t('removed; “Show: removed ones” has them'), restore: t('restored'), delete: t('deleted for good') };
 
 /**
  * Offers to manage things to somebody who may.
@@ -35,7 +36,7 @@ export function offerManaging(session, { chosen, onDone }) {
     buttons[name].addEventListener('click', async () => {
       if (name === 'delete' && Date.now() - asked > DELETE_ASKED_MS) {
         asked = Date.now();
-        buttons.delete.textContent = 'Tap again: it cannot be undone';
+        buttons.delete.textContent = t('Tap again: it cannot be undone');
         return;
       }
       onDone(await doAll(chosen(), name));
@@ -52,7 +53,7 @@ export function showManaging(removed) {
   const manages = document.body.dataset.manages === 'yes';
   buttons.remove.hidden = !manages || removed;
   buttons.restore.hidden = buttons.delete.hidden = !manages || !removed;
-  buttons.delete.textContent = 'Delete for good';
+  buttons.delete.textContent = t('Delete for good');
 }
 
 /**

@@ -1,5 +1,6 @@
 // The line of the collection page that says how many things were found.
-import { formatCount } from '../shared/format.js';
+import { formatCount, stateText } from '../shared/format.js';
+import { t } from '../shared/texts.js';
 
 /**
  * What was searched for. `limited`: by date or size
@@ -15,16 +16,16 @@ import { formatCount } from '../shared/format.js';
  */
 export function summarize(count, exact, size, asked) {
   if (count === 0) return sayNothingFound(asked);
-  const things = `${formatCount(count)} ${count === 1 ? 'thing' : 'things'}`;
-  const found = exact ? things : `More than ${things}`;
-  if (asked.words) return `${found} for “${asked.words}”`;
-  if (asked.state) return `${found}, ${asked.state}`;
-  return exact || asked.limited ? found : `About ${formatCount(size)} things`;
+  const things = count === 1 ? t('1 thing') : t('{count} things', { count: formatCount(count) });
+  const found = exact ? things : t('More than {things}', { things });
+  if (asked.words) return t('{found} for “{words}”', { found, words: asked.words });
+  if (asked.state) return `${found}, ${stateText(asked.state)}`;
+  return exact || asked.limited ? found : t('About {count} things', { count: formatCount(size) });
 }
 
 /** @param {Asked} asked */
 function sayNothingFound({ words, state, limited }) {
-  if (limited) return 'Nothing matches; look at “Date and size”.';
-  if (words) return `Nothing matches “${words}”.`;
-  return state ? `There are no ${state} things.` : 'Nothing is here yet.';
+  if (limited) return t('Nothing matches; look at “Date and size”.');
+  if (words) return t('Nothing matches “{words}”.', { words });
+  return state ? t('There are no {state} things.', { state: stateText(state) }) : t('Nothing is here yet.');
 }

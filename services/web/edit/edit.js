@@ -18,7 +18,9 @@ import { createStage, frame } from '../graphics/scene.js';
 import { getJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
+import { formatNumber } from '../shared/format.js';
 import { Problem, sentences } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { ShownVersion } from './shown-version.js' */
 /** @import { AssetEntry, Edits, Job, Presets, Session } from '../shared/types.d.ts' */
@@ -117,7 +119,7 @@ function showPreview() {
   const left = preview.apply(shown.model.object, [...(kept ? planesOf(kept) : []), ...planes.planes]);
   const extent = new THREE.Box3().setFromPoints(left.map((place) => place.clone().applyQuaternion(root.quaternion)));
   const metres = extent.getSize(new THREE.Vector3()).multiplyScalar(size.factor);
-  page.said.textContent = left.length ? `${metres.toArray().map((side) => `${Number((100 * side).toPrecision(3))}`).join(' × ')} cm` : 'Nothing of it is left.';
+  page.said.textContent = left.length ? `${metres.toArray().map((side) => formatNumber(Number((100 * side).toPrecision(3)))).join(' × ')} cm` : t('Nothing of it is left.');
   page.save.disabled = !(job && isChanged && left.length > 0 && !size.fault);
   page.recipe.href = `data:application/json,${encodeURIComponent(JSON.stringify(recipe(), null, 2))}`;
   Object.assign(document.body.dataset, { kept: preview.share.toFixed(3), changed: isChanged ? 'yes' : 'no' });
@@ -191,7 +193,7 @@ async function compare(version) {
   preview.apply(shown.model.object, []);
   object.applyMatrix4(shown.frame.toAsset.clone().multiply(other.frame.toCapture)); // both in the frame of the capture
   root.add(object);
-  comparison.show(other.model, `Version ${shown.entry.version}`, `Version ${version}`);
+  comparison.show(other.model, t('Version {version}', { version: shown.entry.version }), t('Version {version}', { version }));
   document.body.dataset.compared = String(version);
   redraw();
 }
@@ -266,7 +268,7 @@ function startDrawing() {
 
 async function start() {
   session = await getJson('/v1/session');
-  if (!session?.scopes.includes('capture')) throw new Problem({ code: 'SCOPE_MISSING', detail: 'Editing needs an access key that may capture.' });
+  if (!session?.scopes.includes('capture')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Editing needs an access key that may capture.') });
   /** @type {Presets} */
   const { presets } = await getJson('/v1/presets');
   element('preset', HTMLSelectElement).append(...presets.map(({ name, summary }) => create('option', { value: name, textContent: `${name}: ${summary}` })));

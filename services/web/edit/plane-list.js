@@ -1,6 +1,7 @@
 // The planes that are cut away: chosen on the thing, moved by a slider, turned round, taken away.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { create, element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { CaptureFrame } from '../graphics/capture-frame.js' */
 /** @import { Picked } from '../graphics/picking.js' */
@@ -96,18 +97,18 @@ export class PlaneList {
     const slider = create('input', { type: 'range', min: `-${reach}`, max: reach, step: 'any' });
     slider.value = String(entry.away);
     slider.addEventListener('input', () => this.#change(entry, { away: Number(slider.value) }));
-    const round = create('button', { type: 'button', textContent: 'Other side' });
+    const round = create('button', { type: 'button', textContent: t('Other side') });
     round.addEventListener('click', () => {
       this.#change(entry, { normal: entry.normal.clone().negate(), away: -entry.away });
       slider.value = String(entry.away);
     });
-    const remove = create('button', { type: 'button', textContent: 'Remove', ariaLabel: `Remove plane ${number}` });
+    const remove = create('button', { type: 'button', textContent: t('Remove'), ariaLabel: t('Remove plane {number}', { number }) });
     remove.addEventListener('click', () => {
       this.#entries = this.#entries.filter((each) => each !== entry);
       this.#draw();
       this.#onChange();
     });
-    const label = create('label', { textContent: `Plane ${number} ` });
+    const label = create('label', { textContent: `${t('Plane {number}', { number })} ` });
     label.append(slider);
     const row = create('li');
     row.append(label, round, remove);

@@ -3,6 +3,7 @@ import { followJob, getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { showJobProgress, showProgressNote, startJobProgress } from '../shared/job-progress.js';
 import { Problem, toProblem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Edits, Job, JobState } from '../shared/types.d.ts' */
 
@@ -37,7 +38,7 @@ export async function runEdited(job, edits) {
   try {
     const ended = await end(again);
     if (ended.state === 'SUCCEEDED') return ended;
-    throw new Problem(ended.error ?? { code: 'CANCELLED', detail: 'The job was cancelled.', hints: ['Your edits are still here.'] });
+    throw new Problem(ended.error ?? { code: 'CANCELLED', detail: t('The job was cancelled.'), hints: [t('Your edits are still here.')] });
   } finally {
     page.tools.hidden = false;
     page.work.hidden = true;

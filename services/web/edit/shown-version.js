@@ -7,6 +7,7 @@ import { Model } from '../graphics/model.js';
 import { getJson, getVersion } from '../shared/api.js';
 import { Problem } from '../shared/problems.js';
 import { checkEntry } from '../shared/signed-catalogue.js';
+import { t } from '../shared/texts.js';
 import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { Stage } from '../graphics/scene.js' */
@@ -33,7 +34,7 @@ import { loadFile } from '../shared/verified-cache.js';
 export async function loadVersion(newest, version, stage, onLevel) {
   const entry = version === newest.version ? await checkEntry(newest) : await getVersion(newest.key, version);
   if (!entry.capture_to_asset) {
-    throw new Problem({ code: 'NO_FRAME', detail: 'This thing was not made from a capture here, so there is nothing to edit.' });
+    throw new Problem({ code: 'NO_FRAME', detail: t('This thing was not made from a capture here, so there is nothing to edit.') });
   }
   const { url, sha256 } = entry.manifest;
   /** @type {Manifest} */
@@ -66,4 +67,4 @@ export async function findJob({ versions = [] }, version) {
 }
 
 /** Nothing is stored that the thing could be made from again. */
-const notStored = () => new Problem({ code: 'NO_JOB', detail: 'No capture of this thing is stored here, so it cannot be made again.' });
+const notStored = () => new Problem({ code: 'NO_JOB', detail: t('No capture of this thing is stored here, so it cannot be made again.') });

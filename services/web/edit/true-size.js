@@ -1,6 +1,8 @@
 // The true size: two points on the thing, and the distance between them that somebody has measured.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { element } from '../shared/dom.js';
+import { formatNumber } from '../shared/format.js';
+import { t } from '../shared/texts.js';
 
 /** @import { CaptureFrame } from '../graphics/capture-frame.js' */
 /** @import { Picked } from '../graphics/picking.js' */
@@ -40,7 +42,7 @@ export class TrueSize {
   /** What is wrong with the length; '' where nothing is. */
   get fault() {
     if (this.#ends.length < 2 || this.#input.value === '' || this.metres) return '';
-    return 'A length is from 0.1 centimetres to 100,000.';
+    return t('A length is from 0.1 centimetres to 100,000.');
   }
 
   /**
@@ -91,9 +93,9 @@ export class TrueSize {
   #describe() {
     const complete = this.#ends.length === 2;
     this.#input.disabled = !complete;
-    if (this.#ends.length === 0) this.#said.textContent = 'Choose two points whose distance you know.';
-    else if (!complete) this.#said.textContent = 'And the other one.';
-    else this.#said.textContent = `Now they are ${centimetres(this.#ends[0].distanceTo(this.#ends[1]))} apart.`;
+    if (this.#ends.length === 0) this.#said.textContent = t('Choose two points whose distance you know.');
+    else if (!complete) this.#said.textContent = t('And the other one.');
+    else this.#said.textContent = t('Now they are {distance} apart.', { distance: centimetres(this.#ends[0].distanceTo(this.#ends[1])) });
   }
 
   #draw() {
@@ -116,4 +118,4 @@ export class TrueSize {
 }
 
 /** @param {number} metres */
-const centimetres = (metres) => `${Number((100 * metres).toPrecision(3))} cm`;
+const centimetres = (metres) => `${formatNumber(Number((100 * metres).toPrecision(3)))} cm`;

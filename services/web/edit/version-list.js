@@ -1,6 +1,8 @@
 // The list of versions: edit from one, compare it with the one that is shown, restore it.
 import { postJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
+import { stateText } from '../shared/format.js';
+import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, VersionRecord } from '../shared/types.d.ts' */
 
@@ -33,8 +35,8 @@ export function showVersions({ version: newest, versions = [] }, shown, manages,
     row.append(create('span', { textContent: describe(record, newest) }));
     const { version } = record;
     if (version === shown) row.ariaCurrent = 'true';
-    else row.append(button('Edit from it', version, onShow), button('Compare', version, onCompare));
-    if (version !== newest && manages) row.append(button('Restore', version, onRestore));
+    else row.append(button(t('Edit from it'), version, onShow), button(t('Compare'), version, onCompare));
+    if (version !== newest && manages) row.append(button(t('Restore'), version, onRestore));
     return row;
   });
   element('versions', HTMLUListElement).replaceChildren(...rows);
@@ -46,8 +48,8 @@ export function showVersions({ version: newest, versions = [] }, shown, manages,
  */
 function describe({ version, state, created, restored }, newest) {
   const when = new Date(created).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' });
-  const what = restored ? `version ${restored} restored` : state;
-  return `Version ${version}${version === newest ? ', the newest' : ''}: ${what}, ${when}`;
+  const what = restored ? t('version {version} restored', { version: restored }) : stateText(state);
+  return version === newest ? t('Version {version}, the newest: {what}, {when}', { version, what, when }) : t('Version {version}: {what}, {when}', { version, what, when });
 }
 
 /**
@@ -56,7 +58,7 @@ function describe({ version, state, created, restored }, newest) {
  * @param {(version: number) => void} onClick
  */
 function button(text, version, onClick) {
-  const made = create('button', { type: 'button', textContent: text, ariaLabel: `${text}: version ${version}` });
+  const made = create('button', { type: 'button', textContent: text, ariaLabel: t('{action}: version {version}', { action: text, version }) });
   made.addEventListener('click', () => onClick(version));
   return made;
 }

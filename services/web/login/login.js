@@ -4,6 +4,7 @@ import { element } from '../shared/dom.js';
 import { forgetAccounts } from '../shared/forget.js';
 import { addressAfterLogin } from '../shared/login-redirect.js';
 import { sentences, toProblem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
 
@@ -44,7 +45,7 @@ async function showPresent() {
   const session = await getJson('/v1/session').catch(() => null);
   const isOpen = session?.via === 'open';
   if (!session || session.via === 'anonymous') return;
-  page.present.textContent = isOpen ? 'This server asks nobody for a key.' : `This browser is logged in as ${session.tenant}.`;
+  page.present.textContent = isOpen ? t('This server asks nobody for a key.') : t('This browser is logged in as {tenant}.', { tenant: session.tenant });
   page.present.hidden = false;
 }
 

@@ -3,6 +3,7 @@ import { page, showState } from './page-state.js';
 import { getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { forgetAccounts } from '../shared/forget.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
 
@@ -17,7 +18,7 @@ export async function claim(token) {
   /** @type {Session} */
   const { tenant } = await postJson('/v1/pairings/claim', { token });
   await forgetAccounts(tenant);
-  showState('done', `This device is logged in as ${tenant}.`);
+  showState('done', t('This device is logged in as {tenant}.', { tenant }));
 }
 
 /**
@@ -25,8 +26,8 @@ export async function claim(token) {
  * @param {Session} session
  */
 async function askToReplace({ tenant }) {
-  element('present', HTMLElement).textContent = `This browser is logged in as ${tenant}. The code logs it in anew, with what the other screen allows.`;
-  showState('asking', 'Log in with this code?');
+  element('present', HTMLElement).textContent = t('This browser is logged in as {tenant}. The code logs it in anew, with what the other screen allows.', { tenant });
+  showState('asking', t('Log in with this code?'));
   const button = element('replace', HTMLButtonElement);
   await new Promise((resolve) => button.addEventListener('click', resolve, { once: true }));
   page.question.hidden = true;

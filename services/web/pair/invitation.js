@@ -4,6 +4,7 @@ import { getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { leadToLogin } from '../shared/login-redirect.js';
 import { isConnectionProblem, sentences } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { NewPairing, Pairing, Scope, Session } from '../shared/types.d.ts' */
 
@@ -11,10 +12,10 @@ const POLL_MS = 1000;
 const LOOPBACK = ['localhost', '127.0.0.1', '[::1]'];
 /** @type {[text: string, scopes: Scope[]][]} */
 const CHOICES = [
-  ['look at things, and capture new ones', ['read', 'capture']],
-  ['only look at things', ['read']],
-  ['only capture', ['capture']],
-  ['also remove, share and pair', ['read', 'capture', 'manage']],
+  [t('look at things, and capture new ones'), ['read', 'capture']],
+  [t('only look at things'), ['read']],
+  [t('only capture'), ['capture']],
+  [t('also remove, share and pair'), ['read', 'capture', 'manage']],
 ];
 
 const own = {
@@ -38,12 +39,12 @@ export async function invite() {
     return;
   }
   if (session.via === 'open') {
-    showState('error', 'This server asks nobody for a key, so there is nothing to pair.');
+    showState('error', t('This server asks nobody for a key, so there is nothing to pair.'));
     return;
   }
   const choices = CHOICES.filter(([, scopes]) => scopes.every((scope) => session.scopes.includes(scope)));
   own.may.replaceChildren(...choices.map(([text, scopes]) => new Option(text, scopes.join(' '))));
-  own.may.append(...(choices.length ? [] : [new Option('what you may', session.scopes.join(' '))]));
+  own.may.append(...(choices.length ? [] : [new Option(t('what you may'), session.scopes.join(' '))]));
   page.choice.addEventListener('submit', (event) => {
     event.preventDefault();
     start().catch(showProblem);
@@ -61,7 +62,7 @@ async function start() {
   const { hostname, origin } = new URL(pairing.url);
   own.address.textContent = `${origin}/login`;
   own.unreachable.hidden = !LOOPBACK.includes(hostname);
-  showState('waiting', 'Waiting for the device.');
+  showState('waiting', t('Waiting for the device.'));
   watch(pairing).catch(showProblem);
 }
 
@@ -70,13 +71,13 @@ async function watch(pairing) {
   const ends = performance.now() + (Date.parse(pairing.expires) - Date.now());
   while (shown === pairing) {
     const seconds = Math.max(0, Math.round((ends - performance.now()) / 1000));
-    own.left.textContent = `For ${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, '0')} minutes, and for one device.`;
+    own.left.textContent = t('For {time} minutes, and for one device.', { time: `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, '0')}` });
     if (await isClaimed(pairing)) {
-      showState('paired', `${pairing.label} is paired.`);
+      showState('paired', t('{device} is paired.', { device: pairing.label }));
       return;
     }
     if (seconds === 0) {
-      showState('expired', 'This code has expired.');
+      showState('expired', t('This code has expired.'));
       return;
     }
     await new Promise((resolve) => setTimeout(resolve, POLL_MS));

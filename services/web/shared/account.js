@@ -3,6 +3,7 @@ import { deleteAt, getJson } from './api.js';
 import { create, element } from './dom.js';
 import { forgetAccounts } from './forget.js';
 import { leadToLogin } from './login-redirect.js';
+import { t } from './texts.js';
 
 /** @import { Session } from './types.d.ts' */
 
@@ -29,15 +30,15 @@ async function signOut() {
 }
 
 function createLogin() {
-  const login = create('button', { type: 'button', className: 'link', textContent: 'Log in' });
+  const login = create('button', { type: 'button', className: 'link', textContent: t('Log in') });
   login.addEventListener('click', leadToLogin);
   return login;
 }
 
 /** @param {Session} session */
 function createAccount({ tenant }) {
-  const leave = create('button', { type: 'button', className: 'link', textContent: 'Sign out' });
-  leave.addEventListener('click', () => signOut().catch(() => (leave.textContent = 'The server does not answer. Try again')));
-  const name = create('span', { textContent: tenant, title: 'Who is logged in' });
-  return [name, create('a', { href: '/pair', textContent: 'Pair a device' }), leave];
+  const leave = create('button', { type: 'button', className: 'link', textContent: t('Sign out') });
+  leave.addEventListener('click', () => signOut().catch(() => (leave.textContent = t('The server does not answer. Try again'))));
+  const name = create('span', { textContent: tenant, title: t('Who is logged in') });
+  return [name, create('a', { href: '/pair', textContent: t('Pair a device') }), leave];
 }

@@ -1,10 +1,30 @@
-// Numbers as people read them.
+// Numbers and states as people read them. The browser's own way would load tables for a twentieth of a second first.
+import { language, t } from './texts.js';
+
+/** @import { AssetState } from './types.d.ts' */
+
+const [GROUPS, DECIMALS] = language === 'de' ? ['.', ','] : [',', '.'];
 
 /**
- * 1234567 as 1,234,567. The browser's own way would load tables for a twentieth of a second first.
+ * 1234567 as 1,234,567.
  * @param {number} count
  */
-export const formatCount = (count) => String(count).replace(/\B(?=(\d{3})+$)/g, ',');
+export const formatCount = (count) => String(count).replace(/\B(?=(\d{3})+$)/g, GROUPS);
+
+/**
+ * 1.50 as 1.5, or 1,5 in a German page.
+ * @param {number | string} number a string keeps its zeros, as those of toFixed
+ */
+export const formatNumber = (number) => String(number).replace('.', DECIMALS);
+
+/** @type {Record<AssetState | 'removed', string>} */
+const STATES = { preview: t('preview'), refined: t('refined'), removed: t('removed') };
+
+/**
+ * The word for the state of an asset.
+ * @param {string} state
+ */
+export const stateText = (state) => STATES[/** @type {AssetState} */ (state)] ?? state;
 
 const UNITS = ['bytes', 'KB', 'MB', 'GB'];
 
@@ -15,7 +35,7 @@ const UNITS = ['bytes', 'KB', 'MB', 'GB'];
 export function formatBytes(bytes) {
   const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(Math.max(bytes, 1)) / 3));
   const size = bytes / 1000 ** power;
-  return `${size < 10 && power ? size.toFixed(1) : Math.round(size)} ${UNITS[power]}`;
+  return `${size < 10 && power ? formatNumber(size.toFixed(1)) : Math.round(size)} ${UNITS[power]}`;
 }
 
 /** @typedef {[least: number, size: number, name: string]} Unit from which value on it is used, and what it is of the unit of all */

@@ -1,18 +1,19 @@
 // Progress of an upload and of a job: the bar, the list of stages, the time left, and the curve of the training's loss.
 import { create, element } from './dom.js';
+import { t } from './texts.js';
 
 /** @import { JobProgress } from './types.d.ts' */
 
 /** @type {[stage: string, label: string][]} */
 const STAGES = [
-  ['VALIDATING', 'Checking'],
-  ['ALIGNING', 'Finding where the photos were taken'], // of photos and films alone: hidden until the job is in it
-  ['POINT_CLOUD', 'Gathering points'],
-  ['FITTING', 'Fitting the surface'],
-  ['EXTRACTING', 'Making the mesh'],
-  ['TEXTURING', 'Colouring'],
-  ['PACKING', 'Packing'],
-  ['PUBLISHING', 'Publishing'],
+  ['VALIDATING', t('Checking')],
+  ['ALIGNING', t('Finding where the photos were taken')], // of photos and films alone: hidden until the job is in it
+  ['POINT_CLOUD', t('Gathering points')],
+  ['FITTING', t('Fitting the surface')],
+  ['EXTRACTING', t('Making the mesh')],
+  ['TEXTURING', t('Colouring')],
+  ['PACKING', t('Packing')],
+  ['PUBLISHING', t('Publishing')],
 ];
 const CURVE_POINTS = 200; // as many as the curve has pixels to show
 const LEAST_ETA_S = 5; // shorter times are not worth a sentence
@@ -33,7 +34,7 @@ let stageItems = [];
 
 /** Shows the beginning of an upload. */
 export function startUploadProgress() {
-  page.title.textContent = 'Uploading';
+  page.title.textContent = t('Uploading');
   page.bar.value = 0;
 }
 
@@ -43,7 +44,7 @@ export function startUploadProgress() {
  */
 export function showUploadProgress(fraction) {
   page.bar.value = fraction;
-  page.detail.textContent = fraction < 1 ? `${Math.round(fraction * 100)} % sent` : 'Checking what was sent';
+  page.detail.textContent = fraction < 1 ? t('{percent} % sent', { percent: Math.round(fraction * 100) }) : t('Checking what was sent');
 }
 
 /**
@@ -51,7 +52,7 @@ export function showUploadProgress(fraction) {
  * @param {number} fraction
  */
 export function showUploadWaits(fraction) {
-  page.detail.textContent = `${Math.round(fraction * 100)} % sent. The connection is lost; it goes on by itself.`;
+  page.detail.textContent = t('{percent} % sent. The connection is lost; it goes on by itself.', { percent: Math.round(fraction * 100) });
 }
 
 /** Shows the stages of a job that begins. */
@@ -68,8 +69,8 @@ export function startJobProgress() {
 export function showJobProgress({ stage, fraction, message, eta_s: eta = 0, losses }) {
   if (typeof fraction === 'number') page.bar.value = Math.max(page.bar.value, fraction);
   const current = STAGES.findIndex(([name]) => name === stage);
-  page.title.textContent = current < 0 ? 'Waiting for a worker' : STAGES[current][1];
-  const timeLeft = eta >= LEAST_ETA_S && !message?.endsWith(' left') ? `about ${durationText(eta)} left` : '';
+  page.title.textContent = current < 0 ? t('Waiting for a worker') : STAGES[current][1];
+  const timeLeft = eta >= LEAST_ETA_S && !message?.endsWith(' left') ? t('about {time} left', { time: durationText(eta) }) : '';
   page.detail.textContent = [message, timeLeft].filter(Boolean).join(' · ');
   stageItems.forEach((item, place) => showStage(item, place - current));
   if (losses?.total) showLoss(losses.total);

@@ -1,5 +1,6 @@
 // Captures that wait on this device: photos that were taken and are not sent yet, and captures that found no server. Kept in IndexedDB, which
 // pages and the service worker share.
+import { t } from './texts.js';
 import { KEPT_STORAGE_MS, withTimeLimit } from './time-limits.js';
 
 const DATABASE = 'capture2vr-kept';
@@ -127,14 +128,14 @@ async function run(mode, work) {
     const transaction = database.transaction([CAPTURES, FILES], mode, { durability: 'strict' });
     const request = work((name) => transaction.objectStore(name));
     transaction.oncomplete = () => resolve(request.result);
-    transaction.onabort = () => reject(transaction.error ?? new DOMException('The browser gave up.', 'AbortError'));
+    transaction.onabort = () => reject(transaction.error ?? new DOMException(t('The browser gave up.'), 'AbortError'));
   }), KEPT_STORAGE_MS);
 }
 
 /** @returns {Promise<IDBDatabase>} */
 function open() {
   opened ??= new Promise((resolve, reject) => {
-    if (typeof indexedDB === 'undefined') throw new DOMException('This browser keeps nothing.', 'NotSupportedError');
+    if (typeof indexedDB === 'undefined') throw new DOMException(t('This browser keeps nothing.'), 'NotSupportedError');
     const request = indexedDB.open(DATABASE, 1);
     request.onupgradeneeded = () => {
       request.result.createObjectStore(CAPTURES, { keyPath: 'id' });
@@ -145,7 +146,7 @@ function open() {
       request.result.onclose = () => (opened = null);
       resolve(request.result);
     };
-    request.onerror = () => reject(request.error ?? new DOMException('The browser keeps nothing here.', 'UnknownError'));
+    request.onerror = () => reject(request.error ?? new DOMException(t('The browser keeps nothing here.'), 'UnknownError'));
   });
   opened.catch(() => (opened = null)); // the next one tries again
   return opened;

@@ -1,4 +1,5 @@
 // Problems as exceptions, and the sentences of those that arise on the device. Modules that a worker loads need them too, which has no page.
+import { t } from './texts.js';
 
 /** @import { ProblemDocument } from './types.d.ts' */
 
@@ -6,7 +7,7 @@
 export class Problem extends Error {
   /** @param {ProblemDocument} document */
   constructor(document) {
-    super(document.detail || document.title || 'Something went wrong.');
+    super(document.detail || document.title || t('Something went wrong.'));
     this.code = document.code || 'UNKNOWN';
     this.file = document.file || '';
     this.hints = document.hints || [];
@@ -14,19 +15,19 @@ export class Problem extends Error {
   }
 }
 
-const CHECK_CONNECTION = ['Check the connection and try again.'];
+const CHECK_CONNECTION = [t('Check the connection and try again.')];
 
 /** The server cannot be reached. */
-export const offline = () => new Problem({ code: 'OFFLINE', detail: 'The server cannot be reached.', hints: CHECK_CONNECTION });
+export const offline = () => new Problem({ code: 'OFFLINE', detail: t('The server cannot be reached.'), hints: CHECK_CONNECTION });
 
 /** The server was silent for too long. */
-export const noAnswer = () => new Problem({ code: 'NO_ANSWER', detail: 'The server does not answer.', hints: CHECK_CONNECTION });
+export const noAnswer = () => new Problem({ code: 'NO_ANSWER', detail: t('The server does not answer.'), hints: CHECK_CONNECTION });
 
 /** A file was loaded, but cannot be decoded. */
 export const undecodable = () => new Problem({
   code: 'NOT_DECODED',
-  detail: 'The 3D file was loaded, but this browser could not open it.',
-  hints: ['Try again, or open this address in another browser.'],
+  detail: t('The 3D file was loaded, but this browser could not open it.'),
+  hints: [t('Try again, or open this address in another browser.')],
 });
 
 /**
@@ -43,7 +44,7 @@ export function parseAnswer(status, text) {
   try {
     body = JSON.parse(text);
   } catch {
-    throw new Problem({ status, detail: `The server answered ${status}, with something that this page cannot read.`, hints: ['Try again later.'] });
+    throw new Problem({ status, detail: t('The server answered {status}, with something that this page cannot read.', { status }), hints: [t('Try again later.')] });
   }
   if (status >= 200 && status < 300) return body;
   throw new Problem({ status, ...body });
@@ -64,7 +65,7 @@ export const isConnectionProblem = (error) => error instanceof Problem && ['OFFL
 export function toProblem(error) {
   if (error instanceof Problem) return error;
   console.error(error);
-  return new Problem({ detail: 'Something in this page went wrong.', hints: ['Try again.'] });
+  return new Problem({ detail: t('Something in this page went wrong.'), hints: [t('Try again.')] });
 }
 
 /**

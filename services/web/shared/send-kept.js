@@ -3,6 +3,7 @@
 import { forgetFiles, keep, listKept, readKept, readKeptFiles } from './kept-captures.js';
 import { fetchBytes } from './network.js';
 import { Problem, parseAnswer, sentences } from './problems.js';
+import { t } from './texts.js';
 import { UPLOAD_CHECK_MS } from './time-limits.js';
 import { captureAddress, formOf } from './upload-form.js';
 
@@ -50,7 +51,7 @@ export async function exclusively(options, work) {
 async function loggedInTenant() {
   /** @type {Session} */
   const { tenant, via } = await ask('/v1/session', {});
-  if (via === 'anonymous') throw new Problem({ status: 401, detail: 'Nobody is logged in.' });
+  if (via === 'anonymous') throw new Problem({ status: 401, detail: t('Nobody is logged in.') });
   return via === 'session' ? tenant : '';
 }
 
@@ -96,7 +97,7 @@ async function send(capture, onSending) {
  * @returns {Promise<Job>}
  */
 async function orderJob({ capture, order, jobKey }) {
-  if (!order) throw new Error('A draft is not sent.');
+  if (!order) throw new Error(t('A draft is not sent.'));
   const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': jobKey };
   return ask(order.path, { method: 'POST', headers, body: JSON.stringify({ ...order.body, capture }) });
 }

@@ -2,6 +2,7 @@
 // last file. A server that signs nothing is believed.
 import { getCachedJson } from './api.js';
 import { Problem } from './problems.js';
+import { t } from './texts.js';
 import { loadFile } from './verified-cache.js';
 import { ofShownTenant, ownNameOfShown } from './whose.js';
 
@@ -27,7 +28,7 @@ export async function checkEntry(entry) {
   if (!row && entry.proof) return checkProof(entry, entry.proof, keys);
   if (!collection || !row || row.state === 'removed' || toHex(row.manifest) !== entry.manifest.sha256) {
     // A new version is in its entry a moment before it is in the collection.
-    throw new Problem({ code: 'CATALOGUE_BEHIND', detail: 'This version is not in the signed catalogue yet.', hints: ['Wait a moment.'] });
+    throw new Problem({ code: 'CATALOGUE_BEHIND', detail: t('This version is not in the signed catalogue yet.'), hints: [t('Wait a moment.')] });
   }
   return withSignedHashes(entry, await loadManifest(collection, row));
 }
@@ -40,10 +41,10 @@ export async function checkEntry(entry) {
  * @returns {Promise<AssetEntry>}
  */
 async function checkProof(entry, proof, keys) {
-  if (!(await hasGoodSignature(proof, keys))) throw forged('This thing is not signed by whom it should be, so it is not shown.');
+  if (!(await hasGoodSignature(proof, keys))) throw forged(t('This thing is not signed by whom it should be, so it is not shown.'));
   /** @type {AssetProof} */
   const { asset, version, manifest } = JSON.parse(proof.signed);
-  if (asset !== entry.key || manifest !== entry.manifest.sha256) throw forged('The server answered with the signature of something else.');
+  if (asset !== entry.key || manifest !== entry.manifest.sha256) throw forged(t('The server answered with the signature of something else.'));
   rememberVersion(`${SEEN}asset:${asset}`, version);
   return withSignedHashes(entry, decodeJson(await loadFile({ url: entry.manifest.url, sha256: manifest, file: 'manifest.json' })));
 }
@@ -155,11 +156,11 @@ async function loadKeys() {
  */
 async function checkIndex(envelope, name, keys) {
   if (!(await hasGoodSignature(envelope, keys))) {
-    throw forged('The catalogue of this server is not signed by whom it was before, so nothing of it is shown.');
+    throw forged(t('The catalogue of this server is not signed by whom it was before, so nothing of it is shown.'));
   }
   /** @type {CollectionIndex} */
   const index = JSON.parse(envelope.signed);
-  if (index.collection !== name) throw forged('The server answered with the catalogue of something else.');
+  if (index.collection !== name) throw forged(t('The server answered with the catalogue of something else.'));
   rememberVersion(SEEN + name, index.version);
   return index;
 }
@@ -173,15 +174,15 @@ async function checkIndex(envelope, name, keys) {
 function rememberVersion(item, version) {
   const key = ownNameOfShown(item);
   if (version < (Number(readItem(key)) || 0)) {
-    const hints = ['Somebody may want to show you what was taken back. Tell whoever runs this server.'];
-    throw new Problem({ code: 'CATALOGUE_OLDER', detail: 'The server shows an older catalogue than this device has seen.', hints });
+    const hints = [t('Somebody may want to show you what was taken back. Tell whoever runs this server.')];
+    throw new Problem({ code: 'CATALOGUE_OLDER', detail: t('The server shows an older catalogue than this device has seen.'), hints });
   }
   writeItem(key, version);
 }
 
 /** @param {string} detail */
 function forged(detail) {
-  return new Problem({ code: 'CATALOGUE_FORGED', detail, hints: ['Tell whoever runs this server.'] });
+  return new Problem({ code: 'CATALOGUE_FORGED', detail, hints: [t('Tell whoever runs this server.')] });
 }
 
 /**

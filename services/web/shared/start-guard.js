@@ -2,7 +2,6 @@
 // sentence with a button. The gateway puts this text into the page itself, because a file of its own might not come either,
 // ahead of the style sheet, which scripts behind it wait for.
 (() => {
-  const SENTENCE = 'This page could not be loaded completely. Check the connection and try again.';
   const silenceMs = Number(/** @type {HTMLScriptElement} */ (document.currentScript).dataset.silenceMs);
   let timer = setTimeout(fail, silenceMs);
   const watch = new PerformanceObserver(() => {
@@ -20,6 +19,14 @@
   /** Whether the style sheets are there: until then a browser draws nothing, though scripts may run. */
   function hasStyle() {
     return [...document.querySelectorAll('link[rel=stylesheet]')].every((link) => /** @type {HTMLLinkElement} */ (link).sheet);
+  }
+
+  /**
+   * Translates a sentence as texts.js does, which might not come.
+   * @param {string} text
+   */
+  function t(text) {
+    return JSON.parse(document.getElementById('texts')?.textContent || '{}')[text] ?? text;
   }
 
   function fail() {
@@ -40,10 +47,10 @@
     made.style.cssText = 'position:fixed;inset:0;z-index:9;display:flex;flex-direction:column;gap:1rem;align-items:center;justify-content:center;'
       + 'padding:1.5rem;text-align:center;color-scheme:light dark;background:Canvas;color:CanvasText;font:17px/1.45 system-ui,sans-serif';
     const text = document.createElement('p');
-    text.textContent = SENTENCE;
+    text.textContent = t('This page could not be loaded completely. Check the connection and try again.');
     text.style.cssText = 'margin:0;max-width:24rem';
     const button = document.createElement('button');
-    button.textContent = 'Try again';
+    button.textContent = t('Try again');
     button.style.cssText = 'min-height:48px;padding:0 1.2rem;font:inherit;font-weight:600';
     button.addEventListener('click', () => location.reload());
     made.append(text, button);

@@ -1,4 +1,5 @@
 // Time limits, in milliseconds, of everything that pages wait for. Each wait ends in the thing itself or in a sentence with a button.
+import { t } from './texts.js';
 
 /** Without a single byte from the server. A phone that changes from one cell to the next is silent for some seconds. */
 export const NETWORK_SILENCE_MS = 15_000;
@@ -53,7 +54,7 @@ export const PHOTO_MS = 6_000;
  * @param {() => Error} [makeError] makes the error with which it rejects once the time is over
  * @returns {Promise<T>}
  */
-export function withTimeLimit(promise, limitMs, makeError = () => new DOMException('The time limit is over.', 'TimeoutError')) {
+export function withTimeLimit(promise, limitMs, makeError = () => new DOMException(t('The time limit is over.'), 'TimeoutError')) {
   return new Promise((resolve, reject) => {
     const timer = setTimeout(() => reject(makeError()), limitMs);
     promise.then(resolve, reject).finally(() => clearTimeout(timer));

@@ -3,6 +3,7 @@
 import { checksum, deleteCache, openCache, readEntry, writeEntry } from './cache-storage.js';
 import { fetchBytes } from './network.js';
 import { Problem } from './problems.js';
+import { t } from './texts.js';
 import { ownName } from './whose.js';
 
 const NAME = 'assets-1';
@@ -36,8 +37,8 @@ async function fetchFile(file) {
     const { response, bytes } = await fetchBytes(file.url, { cache });
     if (isDamaged(response.status, bytes)) throw tampered(file);
     if (!response.ok) {
-      const hints = ['Try again later.'];
-      throw new Problem({ code: 'ASSET_ABSENT', status: response.status, detail: `${file.file} is not where the catalogue says.`, hints });
+      const hints = [t('Try again later.')];
+      throw new Problem({ code: 'ASSET_ABSENT', status: response.status, detail: t('{file} is not where the catalogue says.', { file: file.file }), hints });
     }
     if (await hasHash(bytes, file.sha256)) return bytes;
   }
@@ -64,8 +65,8 @@ function isDamaged(status, body) {
  * @returns {Problem}
  */
 function tampered(file) {
-  const hints = ['It was changed on its way or at its place. Tell whoever runs this server.'];
-  return new Problem({ code: 'ASSET_TAMPERED', detail: `${file.file} is not what the catalogue promises, so it is not shown.`, hints });
+  const hints = [t('It was changed on its way or at its place. Tell whoever runs this server.')];
+  return new Problem({ code: 'ASSET_TAMPERED', detail: t('{file} is not what the catalogue promises, so it is not shown.', { file: file.file }), hints });
 }
 
 /**

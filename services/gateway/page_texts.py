@@ -1,0 +1,79 @@
+"""Pages in the reader's language: English as their files have it, German by the table services/web/texts.json."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+
+TEXTS = Path(__file__).parents[1] / "web" / "texts.json"
+LANGUAGES = ("en", "de")
+
+_ELEMENT = re.compile(
+    r"(<(title|h1|h2|p|label|legend|summary|option|button|a|strong|code)\b[^>]*>)(.*?)(</\2>)", re.DOTALL
+)
+_RUN = re.compile(r"(>)([^<>]+)(<)")
+_ATTRIBUTE = re.compile(r'(\s(?:aria-label|aria-roledescription|alt|placeholder|title)=")([^"]+)(")')
+_HEAD = re.compile(r'<html lang="en">\s*<head>')
+
+Translations = Mapping[str, str]
+
+
+def preferred_language(accept: str, languages: tuple[str, ...] = LANGUAGES) -> str:
+    """Return the one of these languages that an Accept-Language header wants most; the first of them for none."""
+    wanted = [_parse_range(each) for each in accept.split(",")]
+    for _, language in sorted(wanted, key=lambda each: -each[0]):
+        if language in languages:
+            return language
+    return languages[0]
+
+
+def _parse_range(text: str) -> tuple[float, str]:
+    """Split a language range such as `de-AT;q=0.8` into its weight, from 0 to 1, and its language without a region."""
+    tag, _, weight = text.partition(";")
+    try:
+        quality = float(weight.strip().removeprefix("q=") or 1)
+    except ValueError:
+        quality = 0.0
+    return quality, tag.strip().split("-")[0].lower()
+
+
+@lru_cache(maxsize=1)
+def german_texts() -> Translations:
+    """Read the table of German texts by their English ones."""
+    table: dict[str, str] = json.loads(TEXTS.read_text(encoding="utf-8"))
+    return table
+
+
+def translate_page(html: str, language: str) -> str:
+    """Return a page in a language, with the table that its scripts translate by, in an element with the id "texts"."""
+    if language == LANGUAGES[0]:
+        return html
+    table = json.dumps(german_texts(), ensure_ascii=False).replace("<", "\\u003c")
+    head = f'<html lang="{language}">\n<head>\n  <script id="texts" type="application/json">{table}</script>'
+    before, separator, body = html.partition("<title>")
+    return _HEAD.sub(lambda _: head, before) + translate_markup(separator + body, german_texts().get)
+
+
+def translate_markup(html: str, find: Callable[[str], str | None]) -> str:
+    """Replace all texts of a page that `find` knows: those of whole elements, with the markup inside them, of the
+    pieces between tags, and of attributes that people read or hear.
+    """
+
+    def element(found: re.Match[str]) -> str:
+        inside = find(one_line(found[3]))
+        return found[1] + (_ELEMENT.sub(element, found[3]) if inside is None else inside) + found[4]
+
+    def piece(found: re.Match[str]) -> str:
+        text = one_line(found[2])
+        translated = find(text) if text else None
+        return found[0] if translated is None else found[0].replace(found[2].strip(), translated)
+
+    return _ATTRIBUTE.sub(piece, _RUN.sub(piece, _ELEMENT.sub(element, html)))
+
+
+def one_line(text: str) -> str:
+    """Return a text as the table has it: without the line breaks and the indents of a page's file."""
+    return " ".join(text.split())

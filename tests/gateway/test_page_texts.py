@@ -1,0 +1,120 @@
+"""Pages in English and German: which language a browser gets, and that no text of a page is without a translation."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import AsyncIterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import httpx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.gateway.page_texts import LANGUAGES, german_texts, one_line, preferred_language, translate_page
+from services.gateway.routes.pages import WEB
+from tests.support.in_process_gateway import gateway, memory
+
+PAGES = sorted(path for path in WEB.glob("*/*.html") if path.parent.name != "admin")
+SCRIPTS = sorted(path for path in WEB.glob("*/*.js") if path.parent.name not in {"admin", "vendor"})
+HEARD = ("aria-label", "aria-roledescription", "alt", "placeholder", "title")  # attributes that people read or hear
+ONLY_NAMES = {"capture2vr", "123 456", "c2v_…"}  # the same in every language
+_CALL = re.compile(r"\bt\(\s*'((?:[^'\\]|\\.)*)'")
+_PLACE = re.compile(r"\{\w+\}")
+
+
+@pytest.mark.parametrize(
+    ("accept", "language"),
+    [
+        ("", "en"),
+        ("de", "de"),
+        ("de-AT,de;q=0.9,en;q=0.8", "de"),
+        ("en-GB,en;q=0.9,de;q=0.8", "en"),
+        ("fr-FR,de;q=0.5,en;q=0.7", "en"),
+        ("fr, DE;q=0.3", "de"),
+        ("de;q=0.4,en", "en"),
+        ("*", "en"),
+        ("de;q=x", "de"),
+    ],
+)
+def test_the_language_is_the_one_that_the_browser_wants_most(accept: str, language: str) -> None:
+    assert preferred_language(accept) == language
+
+
+@given(st.text())
+def test_any_header_leads_to_a_language(accept: str) -> None:
+    assert preferred_language(accept) in LANGUAGES
+
+
+class Texts(HTMLParser):
+    """All texts of a page that people read or hear, each on one line."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self._in_script = False
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._in_script = tag == "script"
+        self.found += [one_line(value) for name, value in attrs if name in HEARD and value]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in_script = False
+
+    def handle_data(self, data: str) -> None:
+        if not self._in_script and re.search("[A-Za-z]{2}", data):
+            self.found.append(one_line(data))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_every_text_of_a_page_is_german_in_the_german_page(page: Path) -> None:
+    english = page.read_text(encoding="utf-8")
+    german = translate_page(english, "de")
+    texts = Texts(german).found
+    assert len(texts) == len(Texts(english).found) > 5
+    table = german_texts()
+    assert [text for text in texts if text not in ONLY_NAMES and not any(text in value for value in table.values())] == []
+    assert '<html lang="de">' in german
+
+
+def test_every_sentence_of_the_scripts_has_a_translation_and_no_translation_is_without_use() -> None:
+    said = {text.replace("\\'", "'") for path in SCRIPTS for text in _CALL.findall(path.read_text(encoding="utf-8"))}
+    table = german_texts()
+    assert said - set(table) == set()
+    pages = " ".join(one_line(path.read_text(encoding="utf-8")) for path in PAGES)
+    assert [text for text in set(table) - said if text not in pages] == []
+
+
+def test_a_translation_has_the_values_of_its_sentence() -> None:
+    table = german_texts()
+    assert len(table) > 300
+    for text, translation in table.items():
+        assert sorted(_PLACE.findall(text)) == sorted(_PLACE.findall(translation)), text
+        assert re.findall("<[^>]*>", text) == re.findall("<[^>]*>", translation), text
+
+
+@pytest.fixture
+async def client(tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
+    async with gateway(tmp_path / "gw", memory()) as found:
+        yield found
+
+
+async def test_a_german_browser_gets_the_german_page_with_the_table_for_its_scripts(client: httpx.AsyncClient) -> None:
+    page = await client.get("/", headers={"Accept-Language": "de-DE,de;q=0.9,en;q=0.8"})
+    assert page.headers["content-language"] == "de"
+    assert "Accept-Language" in page.headers["vary"]
+    assert "<h1>Ein Ding aufnehmen</h1>" in page.text
+    found = re.search(r'<script id="texts" type="application/json">(.*?)</script>', page.text, re.DOTALL)
+    assert found is not None
+    assert json.loads(found[1]) == german_texts()
+
+
+async def test_others_get_the_english_page_and_operators_pages_are_english(client: httpx.AsyncClient) -> None:
+    page = await client.get("/", headers={"Accept-Language": "fr"})
+    assert (page.headers["content-language"], 'id="texts"' in page.text) == ("en", False)
+    assert "<h1>Capture a thing</h1>" in page.text
+    operators = await client.get("/admin", headers={"Accept-Language": "de"})
+    assert operators.headers["content-language"] == "en"
