@@ -169,11 +169,11 @@ def iwer() -> Path:
 
 @contextmanager
 def without_a_past(
-    browser: Browser, size: ViewportSize = SMALL, *, has_touch: bool = False
+    browser: Browser, size: ViewportSize = SMALL, *, has_touch: bool = False, locale: str = "en-GB"
 ) -> Iterator[BrowserContext]:
     """A window of a browser that keeps nothing. Without service workers, whose requests no test could intercept."""
     with browser.new_context(
-        viewport=size, has_touch=has_touch, device_scale_factor=1, service_workers="block"
+        viewport=size, has_touch=has_touch, locale=locale, device_scale_factor=1, service_workers="block"
     ) as context:
         context.set_default_timeout(PATIENCE_MS)
         yield context

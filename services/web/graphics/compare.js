@@ -1,6 +1,7 @@
 // Two versions on one picture, with a line between them that a slider moves: the other version lies in the frame of the one.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { create } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Model } from './model.js' */
 /** @import { Stage } from './scene.js' */
@@ -19,7 +20,7 @@ export class Comparison {
    * @param {() => void} onChange
    */
   constructor(parent, onChange) {
-    const label = create('label', { htmlFor: 'split-at', className: 'offscreen', textContent: 'Where the one version ends and the other begins' });
+    const label = create('label', { htmlFor: 'split-at', className: 'offscreen', textContent: t('Where the one version ends and the other begins') });
     const names = create('p');
     names.append(this.#left, ' ', this.#right);
     this.#split.append(label, this.#at, names);

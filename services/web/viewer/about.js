@@ -1,6 +1,8 @@
 // The panel of the viewer's page that says in plain words how good a thing is, what to mind, what to shoot again, and how it was made.
 import { create, element } from '../shared/dom.js';
+import { formatCount, formatNumber, stateText } from '../shared/format.js';
 import { sentences } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Manifest, QualityFigures } from '../shared/types.d.ts' */
 /** @typedef {[title: string, sentences: string[]]} Section */
@@ -8,24 +10,24 @@ import { sentences } from '../shared/problems.js';
 const [CLOSE, MOSTLY] = [0.98, 0.9]; // share of the points near the surface, from which on it follows them closely, or mostly
 /** @type {Record<string, string>} */
 const VERDICTS = {
-  better: 'Training made it better than the preview was.',
-  even: 'Training did not make it better than the preview was.',
-  worse: 'By its figures it is worse than the preview was.',
+  better: t('Training made it better than the preview was.'),
+  even: t('Training did not make it better than the preview was.'),
+  worse: t('By its figures it is worse than the preview was.'),
 };
 /** @type {Record<string, string>} */
-const KEPT = { object: 'the thing without its surroundings', scene: 'everything that was seen' };
+const KEPT = { object: t('the thing without its surroundings'), scene: t('everything that was seen') };
 /** @type {Record<string, string>} */
-const SCALES = { metric: 'Its size was measured.', estimated: 'Its size was estimated.', unknown: 'Its true size is not known.' };
+const SCALES = { metric: t('Its size was measured.'), estimated: t('Its size was estimated.'), unknown: t('Its true size is not known.') };
 /** @type {Record<string, string>} */
 const UP_TELLERS = {
-  person: 'by a person',
-  app: 'by the app that captured it',
-  gravity: "by the photos' sensors",
-  turntable: 'by the turntable',
-  lines: 'by upright lines in the pictures',
-  walk: 'by the way of the camera',
-  plane: 'by what it stands on',
-  cameras: 'by how the camera was held',
+  person: t('by a person'),
+  app: t('by the app that captured it'),
+  gravity: t('by the photos’ sensors'),
+  turntable: t('by the turntable'),
+  lines: t('by upright lines in the pictures'),
+  walk: t('by the way of the camera'),
+  plane: t('by what it stands on'),
+  cameras: t('by how the camera was held'),
 };
 
 /**
@@ -59,10 +61,10 @@ function sectionElements([title, lines]) {
 function sectionsOf(entry, manifest) {
   const { quality, warnings = [], capture = {} } = manifest;
   return [
-    ['How good it is', quality ? qualityLines(quality, entry) : []],
-    ['Warnings', warnings],
-    ['To see more of it', (capture.unseen ?? []).map(({ advice }) => advice)],
-    ['How it was made', originLines(entry, manifest)],
+    [t('How good it is'), quality ? qualityLines(quality, entry) : []],
+    [t('Warnings'), warnings],
+    [t('To see more of it'), (capture.unseen ?? []).map(({ advice }) => advice)],
+    [t('How it was made'), originLines(entry, manifest)],
   ];
 }
 
@@ -71,30 +73,32 @@ function sectionsOf(entry, manifest) {
  * @param {AssetEntry} entry
  */
 function qualityLines({ held_out: heldOut, held_out_mean: distance, coverage, components, boundary_loops: borders, verdict, photos }, entry) {
-  const points = heldOut ? 'points that were kept aside to test it' : 'the points that it was made from';
+  const points = heldOut ? t('points that were kept aside to test it') : t('the points that it was made from');
   return [
-    coverage === undefined ? '' : `${closeness(coverage)}: ${percent(coverage)} of ${points} lie on it, to within the distance from one to the next.`,
-    distance === undefined ? '' : `On average they are ${distanceText(distance, entry)} away from it.`,
-    photos ? `${percent(photos.cover)} of what photos that were kept aside show of it is there.` : '',
-    components === undefined || borders === undefined ? '' : `It has ${counted(components, 'piece')} and ${counted(borders, 'open border')}.`,
+    coverage === undefined ? '' : t('{closeness}: {percent} of {points} lie on it, to within the distance from one to the next.', { closeness: closeness(coverage), percent: percent(coverage), points }),
+    distance === undefined ? '' : distanceText(distance, entry),
+    photos ? t('{percent} of what photos that were kept aside show of it is there.', { percent: percent(photos.cover) }) : '',
+    components === undefined || borders === undefined ? '' : t('It has {pieces} and {borders}.', { pieces: piecesText(components), borders: bordersText(borders) }),
     VERDICTS[verdict ?? ''] ?? '',
   ].filter(Boolean);
 }
 
 /** @param {number} coverage */
 function closeness(coverage) {
-  if (coverage >= CLOSE) return 'It follows what was captured closely';
-  return coverage >= MOSTLY ? 'It follows most of what was captured' : 'It misses parts of what was captured';
+  if (coverage >= CLOSE) return t('It follows what was captured closely');
+  return coverage >= MOSTLY ? t('It follows most of what was captured') : t('It misses parts of what was captured');
 }
 
 /**
- * A distance as a share of the size, and in millimetres where the size is known.
+ * Says a distance as a share of the size, and in millimetres where the size is known.
  * @param {number} share of the longest side
  * @param {AssetEntry} entry
  */
 function distanceText(share, { size_m: size, scale_confidence: confidence }) {
-  const ofSize = `${(100 * share).toPrecision(2)} % of its size`;
-  return confidence === 'unknown' ? ofSize : `${(1000 * share * Math.max(...size)).toPrecision(2)} mm, ${ofSize},`;
+  const percentage = formatNumber((100 * share).toPrecision(2));
+  if (confidence === 'unknown') return t('On average they are {percentage} % of its size away from it.', { percentage });
+  const millimetres = formatNumber((1000 * share * Math.max(...size)).toPrecision(2));
+  return t('On average they are {millimetres} mm, {percentage} % of its size, away from it.', { millimetres, percentage });
 }
 
 /**
@@ -106,29 +110,45 @@ function originLines(entry, { capture = {}, preset, preset_because: because, tar
   const { cut, up } = capture;
   return [
     captureText(capture),
-    cut ? `Kept: ${KEPT[cut.kept] ?? cut.kept}; ${cut.because}.` : '',
+    cut ? t('Kept: {what}; {because}.', { what: KEPT[cut.kept] ?? cut.kept, because: cut.because }) : '',
     SCALES[entry.scale_confidence] ?? '',
-    up ? `Which way is up was told ${UP_TELLERS[up.source] ?? up.source}, with ${percent(up.confidence)} confidence.` : '',
-    preset ? `Preset ${preset}${because ? `, as ${because}` : ''}${target ? `; for ${target}` : ''}.` : '',
-    `Version ${entry.version}, ${entry.state}${made ? `, of ${new Date(made).toLocaleDateString(undefined, { dateStyle: 'long' })}` : ''}${generator ? `, by ${generator}` : ''}.`,
+    up ? t('Which way is up was told {how}, with {percent} confidence.', { how: UP_TELLERS[up.source] ?? up.source, percent: percent(up.confidence) }) : '',
+    preset ? `${[t('Preset {preset}', { preset }), because && t('as {because}', { because }), target && t('for {target}', { target })].filter(Boolean).join(', ')}.` : '',
+    `${[
+      t('Version {version}', { version: entry.version }),
+      stateText(entry.state),
+      made && t('of {date}', { date: new Date(made).toLocaleDateString(undefined, { dateStyle: 'long' }) }),
+      generator && t('by {program}', { program: generator }),
+    ].filter(Boolean).join(', ')}.`,
   ].filter(Boolean);
 }
 
 /** @param {CaptureSummary} capture */
 function captureText({ kind, format, frames, photos = [] }) {
   const unused = photos.filter(({ verdict }) => verdict !== 'ok').length;
-  if (kind === 'image') return 'Guessed from one photo: what the photo does not show looks as things of its kind do.';
-  if (kind === 'points') return `Made from a scan (${format}).`;
+  if (kind === 'image') return t('Guessed from one photo: what the photo does not show looks as things of its kind do.');
+  if (kind === 'points') return t('Made from a scan ({format}).', { format: format ?? '' });
   if (!frames) return '';
-  const pictures = format === 'video' ? 'pictures of a film' : kind === 'photos' ? 'photos' : 'depth pictures';
-  return `Made from ${frames} ${pictures}${unused ? `; ${unused} of them could not be used` : ''}.`;
+  return madeFrom(frames, format === 'video' ? 'video' : kind) + (unused ? ` ${t('{count} of them could not be used.', { count: unused })}` : '');
 }
-
-/** @param {number} share */
-const percent = (share) => `${(100 * share).toFixed(share > 0.995 && share < 1 ? 1 : 0)} %`;
 
 /**
  * @param {number} count
- * @param {string} noun
+ * @param {string | undefined} kind
  */
-const counted = (count, noun) => `${count === 0 ? 'no' : count.toLocaleString('en')} ${noun}${count === 1 ? '' : 's'}`;
+function madeFrom(count, kind) {
+  if (kind === 'video') return t('Made from {count} pictures of a film.', { count });
+  return kind === 'photos' ? t('Made from {count} photos.', { count }) : t('Made from {count} depth pictures.', { count });
+}
+
+/** @param {number} share */
+const percent = (share) => `${formatNumber((100 * share).toFixed(share > 0.995 && share < 1 ? 1 : 0))} %`;
+
+/** @param {number} count */
+const piecesText = (count) => (count === 1 ? t('1 piece') : t('{count} pieces', { count: formatCount(count) }));
+
+/** @param {number} count */
+function bordersText(count) {
+  if (count === 0) return t('no open borders');
+  return count === 1 ? t('1 open border') : t('{count} open borders', { count: formatCount(count) });
+}

@@ -1,12 +1,13 @@
 // What is behind the things on the page: a light studio, a dark one, or the plain colour of the page. The choice stays on the device.
 import { element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @typedef {'light' | 'dark' | 'plain'} Backdrop as style.css knows them */
 
 const STORAGE_KEY = 'capture2vr:backdrop';
 /** @type {Backdrop[]} */
 const BACKDROPS = ['light', 'dark', 'plain'];
-const NAMES = { light: 'light studio', dark: 'dark studio', plain: 'plain' };
+const NAMES = { light: t('light studio'), dark: t('dark studio'), plain: t('plain') };
 
 /**
  * Shows the backdrop that was chosen last, else the studio that fits the device's colours, and lets a button change it.
@@ -20,7 +21,7 @@ export function startBackdrop(say) {
     shown = BACKDROPS[(BACKDROPS.indexOf(shown) + 1) % BACKDROPS.length];
     show(shown);
     saveBackdrop(shown);
-    say(`Background: ${NAMES[shown]}.`);
+    say(t('Background: {which}.', { which: NAMES[shown] }));
   });
 }
 

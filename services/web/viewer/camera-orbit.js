@@ -1,11 +1,12 @@
 // Moves the camera around what it looks at by steps, for keys and for the turntable, and says in words from where it looks.
+import { t } from '../shared/texts.js';
 import * as THREE from '../vendor/three-0.187.0.module.js';
 
 /** @import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js' */
 
 const STEP = Math.PI / 12; // by one key press
 const CLOSER = 0.85; // of the distance, by one key press
-const SIDES = ['the front', 'the front right', 'the right', 'the back right', 'the back', 'the back left', 'the left', 'the front left'];
+const SIDES = [t('the front'), t('the front right'), t('the right'), t('the back right'), t('the back'), t('the back left'), t('the left'), t('the front left')];
 const [ABOVE, BELOW] = [0.5, -0.1]; // sine of the angle over the floor from which on the view counts as from above, or below which as from below
 
 /** @type {Map<string, (controls: OrbitControls) => void>} */
@@ -78,6 +79,6 @@ function zoom({ object: camera, target }, factor) {
 function viewText({ object: camera, target }) {
   const { x, y, z } = camera.position.clone().sub(target).normalize();
   const side = SIDES[(Math.round(Math.atan2(x, z) / (Math.PI / 4)) + SIDES.length) % SIDES.length];
-  const height = y > ABOVE ? ', from above' : y < BELOW ? ', from below' : '';
-  return `Seen from ${side}${height}.`;
+  const height = y > ABOVE ? t(', from above') : y < BELOW ? t(', from below') : '';
+  return `${t('Seen from {side}', { side })}${height}.`;
 }

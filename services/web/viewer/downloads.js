@@ -5,6 +5,7 @@ import { create, element } from '../shared/dom.js';
 import { formatBytes } from '../shared/format.js';
 import { fetchBytes } from '../shared/network.js';
 import { parseAnswer } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 import { DOWNLOAD_ANSWER_MS } from '../shared/time-limits.js';
 import { ofShownTenant } from '../shared/whose.js';
 
@@ -57,10 +58,10 @@ function createItem(download) {
  */
 async function save({ url, title, file }, button) {
   button.disabled = true;
-  panel.said.textContent = `${title} is being made …`;
+  panel.said.textContent = t('{title} is being made …', { title });
   try {
     await untilMade(url);
-    panel.said.textContent = `${file} is being saved.`;
+    panel.said.textContent = t('{file} is being saved.', { file });
     create('a', { href: url, download: file }).click();
   } catch (error) {
     panel.said.textContent = '';
@@ -77,13 +78,13 @@ async function save({ url, title, file }, button) {
  * @param {ShowSplats} showSplats
  */
 function createSwitch({ url, title }, item, showSplats) {
-  const button = create('button', { type: 'button', textContent: 'Show them here' });
+  const button = create('button', { type: 'button', textContent: t('Show them here') });
   button.setAttribute('aria-pressed', 'false');
   const toggle = async () => {
     if (item.splats) {
       item.splats.dispose();
     } else {
-      panel.said.textContent = `${title}: being made …`;
+      panel.said.textContent = t('{title} is being made …', { title });
       await untilMade(url);
       await showSplats((await fetchBytes(url, { silenceMs: DOWNLOAD_ANSWER_MS })).bytes);
     }

@@ -1,7 +1,8 @@
 // Texts of the viewer's page: what is shown, the list of things, notices, and errors.
 import { child, create, element } from '../shared/dom.js';
-import { formatCount } from '../shared/format.js';
+import { formatCount, formatNumber, stateText } from '../shared/format.js';
 import { sentences, toProblem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, SizeM } from '../shared/types.d.ts' */
 /** @typedef {{ key: string, name: string, entry: AssetEntry | null }} ListedItem a thing in the scene; without an entry it is not loaded */
@@ -39,7 +40,7 @@ export function showCaption(items, { title, wanted, failed, gone }) {
   if (items.length === 0 && !title) return;
   page.retry.hidden = failed === 0;
   const entries = items.map(({ entry }) => entry);
-  const name = title || (items.length === 1 ? items[0].name : `${items.length} things`);
+  const name = title || (items.length === 1 ? items[0].name : t('{count} things', { count: items.length }));
   document.title = `${name} · capture2vr`;
   page.label.textContent = name;
   page.summary.textContent = wanted === 1 && !title ? aboutOne(entries[0]) : aboutAll(entries, { title, wanted, failed, gone });
@@ -54,9 +55,10 @@ export function showCaption(items, { title, wanted, failed, gone }) {
 
 /** @param {AssetEntry} entry */
 function aboutOne(entry) {
-  const scale = entry.scale_confidence === 'unknown' ? ' (true size unknown)' : '';
-  const origin = entry.origin === 'guess' ? 'A guess from one photo · ' : '';
-  return `${origin}${sizeText(entry.size_m)}${scale} · ${trianglesText([entry])} · ${entry.state}, version ${entry.version}`;
+  const scale = entry.scale_confidence === 'unknown' ? ` (${t('true size unknown')})` : '';
+  const origin = entry.origin === 'guess' ? `${t('A guess from one photo')} · ` : '';
+  const version = t('{state}, version {version}', { state: stateText(entry.state), version: entry.version });
+  return `${origin}${sizeText(entry.size_m)}${scale} · ${trianglesText([entry])} · ${version}`;
 }
 
 /**
@@ -65,23 +67,23 @@ function aboutOne(entry) {
  */
 function aboutAll(entries, { title, wanted, failed, gone }) {
   const coming = wanted - entries.length - failed - gone.length;
-  const count = title ? `${wanted} ${wanted === 1 ? 'thing' : 'things'}` : '';
-  const more = coming > 0 ? `${coming} more ${coming === 1 ? 'is' : 'are'} on the way` : '';
-  const lost = gone.length > 0 ? `${gone.join(', ')} ${gone.length === 1 ? 'is' : 'are'} not here any more: deleted or taken back` : '';
-  return [count, trianglesText(entries), more, failed > 0 ? `${failed} could not be loaded` : '', lost].filter(Boolean).join(' · ');
+  const count = title && (wanted === 1 ? t('1 thing') : t('{count} things', { count: wanted }));
+  const more = coming > 0 ? t('{count} more on the way', { count: coming }) : '';
+  const lost = gone.length > 0 ? t('not here any more, deleted or taken back: {keys}', { keys: gone.join(', ') }) : '';
+  return [count, trianglesText(entries), more, failed > 0 ? t('{count} could not be loaded', { count: failed }) : '', lost].filter(Boolean).join(' · ');
 }
 
 /** @param {SizeM} size */
 function sizeText(size) {
-  return size.map((side) => (side < 1 ? `${(side * 100).toFixed(0)} cm` : `${side.toFixed(2)} m`)).join(' × ');
+  return size.map((side) => (side < 1 ? `${(side * 100).toFixed(0)} cm` : `${formatNumber(side.toFixed(2))} m`)).join(' × ');
 }
 
 /** @param {AssetEntry[]} entries */
 function trianglesText(entries) {
   const tiles = entries.flatMap(({ files = [] }) => files).filter(({ file }) => TILE.test(file)).length;
-  if (tiles) return `${formatCount(tiles)} tiles`;
+  if (tiles) return t('{count} tiles', { count: formatCount(tiles) });
   const sum = entries.reduce((all, { lods }) => all + Math.max(...lods.map(({ triangles }) => triangles)), 0);
-  return `${formatCount(sum)} triangles`;
+  return t('{count} triangles', { count: formatCount(sum) });
 }
 
 /**
@@ -111,7 +113,7 @@ function createListItem({ key, name, entry }, selected, onSelect, onRemove) {
   select.setAttribute('aria-pressed', String(selected));
   select.disabled = !entry;
   const remove = createButton('✕', `remove ${key}`, onRemove);
-  remove.setAttribute('aria-label', `Take ${name} away`);
+  remove.setAttribute('aria-label', t('Take {name} away', { name }));
   item.append(select, remove);
   return item;
 }
@@ -165,6 +167,6 @@ export function showError(error, { canRetry = false } = {}) {
   page.summary.textContent = sentences(problem);
   page.canvas.ariaLabel = page.summary.textContent;
   if (!canRetry) return;
-  page.label.textContent = 'Not loaded';
+  page.label.textContent = t('Not loaded');
   page.retry.hidden = false;
 }

@@ -3,6 +3,7 @@ import { getJson, patchJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { element } from '../shared/dom.js';
 import { joinWords, splitWords } from '../shared/search-words.js';
+import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, AssetNames } from '../shared/types.d.ts' */
 
@@ -30,7 +31,7 @@ export async function showNaming(key, onChange) {
       const names = await patchJson(path, changes);
       fill(names);
       onChange(names);
-      panel.saved.textContent = 'Saved.';
+      panel.saved.textContent = t('Saved.');
     });
   });
   panel.form.addEventListener('input', () => (panel.saved.textContent = ''));

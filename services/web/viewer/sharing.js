@@ -2,6 +2,7 @@
 import { deleteAt, getJson, postJson, putJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, Share, SharePage } from '../shared/types.d.ts' */
 
@@ -84,10 +85,10 @@ async function showLinks(thing) {
  */
 function createItem(share, thing) {
   const item = create('li');
-  const code = create('img', { alt: 'QR code of the link', width: 180, height: 180, src: `/v1/shares/${share.id}/qr.svg` });
+  const code = create('img', { alt: t('QR code of the link'), width: 180, height: 180, src: `/v1/shares/${share.id}/qr.svg` });
   const link = create('a', { href: share.url, textContent: share.url });
   const facts = create('p', { className: 'quiet', textContent: factsOf(share) });
-  const revoke = create('button', { type: 'button', textContent: 'Revoke' });
+  const revoke = create('button', { type: 'button', textContent: t('Revoke') });
   revoke.addEventListener('click', () => attempt(panel.trouble, async () => {
     await deleteAt(`/v1/shares/${share.id}`);
     await showLinks(thing);
@@ -98,7 +99,7 @@ function createItem(share, thing) {
 
 /** @param {Share} share */
 function factsOf({ mode, expires, has_password: hasPassword, opened }) {
-  const end = expires ? `until ${new Date(expires).toLocaleDateString()}` : 'until it is revoked';
-  const may = mode === 'place' ? 'look and move' : 'look';
-  return [may, end, hasPassword ? 'with a password' : '', `opened ${opened} ${opened === 1 ? 'time' : 'times'}`].filter(Boolean).join(' · ');
+  const end = expires ? t('until {date}', { date: new Date(expires).toLocaleDateString() }) : t('until it is revoked');
+  const may = mode === 'place' ? t('look and move') : t('look');
+  return [may, end, hasPassword ? t('with a password') : '', opened === 1 ? t('opened 1 time') : t('opened {count} times', { count: opened })].filter(Boolean).join(' · ');
 }

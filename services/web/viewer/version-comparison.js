@@ -5,6 +5,7 @@ import { prepare } from '../graphics/gpu-warmup.js';
 import { Model } from '../graphics/model.js';
 import { getVersion } from '../shared/api.js';
 import { element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { AssetEntry } from '../shared/types.d.ts' */
@@ -84,7 +85,7 @@ export class VersionComparison {
     const [here, there] = [new CaptureFrame(entry.capture_to_asset), new CaptureFrame(before.capture_to_asset)];
     model.object.applyMatrix4(here.toAsset.clone().multiply(there.toCapture)); // both in the frame of the capture
     item.group.add(model.object);
-    this.#comparison.show(model, 'Refined', 'Preview');
+    this.#comparison.show(model, t('Refined'), t('Preview'));
     this.#button.setAttribute('aria-pressed', 'true');
     document.body.dataset.compared = String(record.version);
     this.#callbacks.onChange();

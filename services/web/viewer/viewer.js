@@ -31,6 +31,7 @@ import { element } from '../shared/dom.js';
 import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { checkEntry } from '../shared/signed-catalogue.js';
+import { t } from '../shared/texts.js';
 import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
 
@@ -41,8 +42,8 @@ import { ofShownTenant } from '../shared/whose.js';
 
 const GROUND_M = 100; // of the floor on which one goes from place to place where there is no large scene
 const MOVE_HELP = matchMedia('(hover: hover)').matches
-  ? 'Drag a thing to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.'
-  : 'Drag a thing to move it. Two fingers scale and turn it.';
+  ? t('Drag a thing to move it, with Shift to lift it. Scroll on it to scale it, drag with the right button to turn it. Keys: arrows, page up and down, comma, point, plus, minus.')
+  : t('Drag a thing to move it. Two fingers scale and turn it.');
 
 document.body.dataset.started = 'yes';
 const page = {
@@ -101,7 +102,7 @@ const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page
     reportPlace(metres);
     offerWall();
   },
-  onRefused: (error) => showError(new Problem({ code: 'XR_REFUSED', detail: `The headset did not start: ${error.message}` })),
+  onRefused: (error) => showError(new Problem({ code: 'XR_REFUSED', detail: t('The headset did not start: {reason}', { reason: error.message }) })),
 });
 const { redraw } = startRenderLoop(stage, {
   items: loadedItems,
@@ -131,7 +132,7 @@ function startStage() {
   try {
     return createStage(page.canvas);
   } catch (error) {
-    showError(new Problem({ code: 'NO_WEBGL', detail: 'This browser cannot show 3D.', hints: ['Open this address in another one.'] }));
+    showError(new Problem({ code: 'NO_WEBGL', detail: t('This browser cannot show 3D.'), hints: [t('Open this address in another one.')] }));
     throw error;
   }
 }
@@ -190,7 +191,7 @@ async function update(item) {
   await item.show(entry, renderer, {
     prepare: (group) => prepare(stage, group),
     onChange: redraw,
-    onTileError: (error, file) => showNotice(`A part of ${item.name} is shown coarser: ${file} could not be loaded. ${toProblem(error).message}`),
+    onTileError: (error, file) => showNotice(`${t('A part of {name} is shown coarser: {file} could not be loaded.', { name: item.name, file })} ${toProblem(error).message}`),
   });
   hidePoster();
   if (!items.includes(item)) {
@@ -209,7 +210,8 @@ async function update(item) {
  */
 function updateText(before, now, name) {
   const refined = before.state === 'preview' && now.state === 'refined';
-  return `${refined ? 'The refined version' : 'A new version'} of ${name} took its place: version ${now.version}.`;
+  const values = { name, version: now.version };
+  return refined ? t('The refined version of {name} took its place: version {version}.', values) : t('A new version of {name} took its place: version {version}.', values);
 }
 
 /**
@@ -499,7 +501,7 @@ function showItemError(item, error) {
   if (code === 'ASSET_REMOVED' && item.entry) {
     if (item.placed) item.unload(); // its place in the scene stays, for when it is restored
     else remove(item);
-    showNotice(`${item.name} was taken back by whoever published it.`, { stays: true });
+    showNotice(t('{name} was taken back by whoever published it.', { name: item.name }), { stays: true });
   } else if (isNew && !isConnectionProblem(error) && !isGone(item) && items.length > 1) {
     showNotice(`${item.name}: ${message}`);
   }

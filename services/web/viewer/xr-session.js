@@ -3,6 +3,7 @@ import * as THREE from '../vendor/three-0.187.0.module.js';
 import { createTextPanel } from './text-panel.js';
 import { dispose } from '../graphics/scene.js';
 import { element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @typedef {'vr' | 'ar'} Mode */
 /** @typedef {{ renderer: THREE.WebGLRenderer, scene: THREE.Scene, root: THREE.Group }} World root: what is placed in front of the wearer */
@@ -25,8 +26,8 @@ const FEATURES = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-t
 const NAMES = { vr: 'VR', ar: 'AR' };
 /** @type {Mode[]} */
 const MODES = ['vr', 'ar'];
-const HELP = ['Squeeze or pinch to take hold; two hands scale and turn.', 'B, Y, or a long pinch beside it puts it back.'];
-const WALKING_HELP = ['The left stick walks, the right one turns.', 'Point at the floor and pull the trigger, or pinch, to go there.'];
+const HELP = [t('Squeeze or pinch to take hold; two hands scale and turn.'), t('B, Y, or a long pinch beside it puts it back.')];
+const WALKING_HELP = [t('The left stick walks, the right one turns.'), t('Point at the floor and pull the trigger, or pinch, to go there.')];
 
 /** The session in a headset, and its two buttons. */
 export class XrSession {
@@ -107,7 +108,7 @@ export class XrSession {
 
   /** @param {Mode} mode */
   async #start(mode) {
-    if (!navigator.xr) throw new Error('this browser has no WebXR');
+    if (!navigator.xr) throw new Error(t('this browser has no WebXR'));
     const session = await navigator.xr.requestSession(`immersive-${mode}`, FEATURES);
     this.#mode = mode; // three.js sends 'sessionstart' before setSession resolves
     await this.#world.renderer.xr.setSession(session);
@@ -122,7 +123,7 @@ export class XrSession {
     scene.background = this.#mode === 'vr' ? this.#background : null;
     if (this.#mode === 'vr') scene.add(this.#floor);
     for (const mode of MODES) {
-      this.#buttons[mode].textContent = `Leave ${NAMES[this.#mode]}`;
+      this.#buttons[mode].textContent = t('Leave {mode}', { mode: NAMES[this.#mode] });
       this.#buttons[mode].hidden = mode !== this.#mode;
     }
     this.#callbacks.onMode(this.#mode);
@@ -137,7 +138,7 @@ export class XrSession {
     root.position.set(0, 0, 0);
     root.rotation.set(0, 0, 0);
     root.updateMatrixWorld(true);
-    for (const mode of MODES) this.#buttons[mode].textContent = `Enter ${NAMES[mode]}`;
+    for (const mode of MODES) this.#buttons[mode].textContent = t('Enter {mode}', { mode: NAMES[mode] });
     this.#offer();
     this.#mode = '';
     this.#callbacks.onMode('');

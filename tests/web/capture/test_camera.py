@@ -106,7 +106,7 @@ def test_photos_are_taken_where_the_phone_rests_and_blurred_ones_again(page: Pag
     open_camera(page, site.url)
     expect(page.locator("#automatic")).to_have_attribute("aria-pressed", "true")
     page.wait_for_function("() => document.body.dataset.refused?.startsWith('Blurred')", timeout=3 * PATIENCE_MS)
-    expect(page.locator("#cue")).to_contain_text("Not kept: blurred")
+    expect(page.locator("#cue")).to_contain_text("Not kept. Blurred")
     await_taken(page, 5)
     page.get_by_role("button", name="Done").click()
     await_data(page, camera="closed", looked="5")
@@ -126,7 +126,7 @@ def test_by_hand_a_photo_is_taken_on_a_tap_and_copies_are_refused(page: Page, si
     while not (page.get_attribute("body", "data-refused") or "").startswith("Shows the same"):  # the film begins again
         shutter.click()
         expect(shutter).to_be_enabled()
-    expect(page.locator("#cue")).to_contain_text("Not kept: shows the same as")
+    expect(page.locator("#cue")).to_contain_text("Not kept. Shows the same as")
     assert page.evaluate("() => Number(document.body.dataset.taken)") >= max(1, before)
     expect(page.locator("#cue")).to_contain_text("use the button")
     page.keyboard.press("Escape")

@@ -50,7 +50,7 @@ def test_quality_warnings_advice_and_origin_are_told(page: Page, site: Site) -> 
         "It has 1 piece and no open borders.",
         HOSTILE,
         "Shoot from behind.",
-        "Made from 20 photos; 1 of them could not be used.",
+        "Made from 20 photos. 1 of them could not be used.",
         "Kept: the thing without its surroundings; photos were taken around it.",
         "Which way is up was told by what it stands on, with 90 % confidence.",
         "Preset standard, as 900 points on a CPU.",

@@ -122,7 +122,7 @@ def test_what_its_owner_took_back_goes_while_the_rest_stays(page: Page, site: Si
     publish(box("Leaver", GREEN, state="preview"), site.store, key="leaver")
     page.goto(f"{site.url}/view?key=red&key=leaver&key=nowhere")
     await_data(page, loaded="2 1 0; 2 1 0")
-    expect(page.locator("#said")).to_contain_text("1 more is on the way")
+    expect(page.locator("#said")).to_contain_text("1 more on the way")
     remove(site.store, "leaver")
     expect(page.locator("#notice")).to_contain_text("Leaver was taken back")
     await_frames(page)

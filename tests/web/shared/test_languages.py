@@ -1,0 +1,75 @@
+"""The pages in a browser that prefers German: pages, scripts and the guard of their start speak it; others get English."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from services.gateway.page_texts import german_texts
+from services.storage.catalogue.publish import publish
+from tests.support.pages import await_data
+from tests.support.sites import Site
+from tests.support.things import GREEN, box
+from tests.web.conftest import PHONE, without_a_past
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def german(browser: Browser) -> Iterator[Page]:
+    """A page of a phone whose browser prefers German to English."""
+    with without_a_past(browser, PHONE, has_touch=True, locale="de-DE") as context:
+        yield context.new_page()
+
+
+def english_left(page: Page) -> list[str]:
+    """What of a German page is still English: lines and names that the table has a translation for."""
+    lines = page.locator("body").inner_text().splitlines()
+    names = page.evaluate("[...document.querySelectorAll('[aria-label], [title]')].map((e) => e.ariaLabel || e.title)")
+    table = german_texts()
+    return [text for text in map(str.strip, [*lines, *names]) if table.get(text, text) != text]
+
+
+def test_the_viewer_speaks_german(german: Page, site: Site) -> None:
+    publish(box("Schale", GREEN), site.store, key="german-bowl")
+    german.goto(f"{site.url}/view/german-bowl")
+    await_data(german, loaded="2 1 0")
+    expect(german.locator("#said")).to_have_text("40 cm × 40 cm × 40 cm · 768 Dreiecke · verfeinert, Version 1")
+    german.get_by_text("Über das Ding", exact=True).click()
+    expect(german.locator("#about-text")).to_contain_text("Version 1, verfeinert, vom ")
+    german.get_by_role("button", name="Hintergrund").click()
+    expect(german.locator("#notice")).to_contain_text("Hintergrund:")
+    assert english_left(german) == []
+
+
+def test_the_other_pages_speak_german(german: Page, site: Site) -> None:
+    publish(box("Schale", GREEN), site.store, key="german-bowl")
+    german.goto(f"{site.url}/browse/default?words=german-bowl")
+    await_data(german, state="shown")
+    expect(german.locator("#said")).to_have_text(re.compile(r"^\d+ Dinge?$"))
+    assert english_left(german) == []
+    german.goto(f"{site.url}/")
+    await_data(german, started="yes")
+    german.locator("#files").set_input_files({"name": "schale.ply", "mimeType": "", "buffer": bytes(1_500_000)})
+    expect(german.locator("#chosen")).to_have_text("1 Datei, 1,5 MB")
+    assert english_left(german) == []
+    for path in ("/login", "/pair", "/edit/german-bowl", "/s/none"):
+        german.goto(f"{site.url}{path}")
+        await_data(german, started="yes")
+        assert english_left(german) == [], path
+
+
+def test_a_page_that_does_not_start_says_so_in_german(german: Page, site: Site) -> None:
+    german.route("**/web/collection/collection.js", lambda route: route.abort())
+    german.goto(f"{site.url}/browse/default", wait_until="commit")  # the guard stops the page, which never ends loading
+    expect(german.get_by_role("alert").last).to_contain_text("Diese Seite konnte nicht ganz geladen werden.")
+    expect(german.get_by_role("button", name="Noch einmal versuchen")).to_be_visible()
+
+
+def test_a_browser_of_another_language_gets_english(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/login")
+    expect(page.get_by_role("heading", level=1)).to_have_text("Log in")
+    assert page.locator("html").get_attribute("lang") == "en"
