@@ -73,8 +73,9 @@ async def pairing_page(request: Request) -> Response:
 
 @router.get("/admin", response_class=Response, dependencies=[ANYONE], responses=_HTML)
 async def admin_page(request: Request) -> Response:
-    """The operator's page: tenants, keys, limits, queue, workers, stores, failures, disks. Its figures need a key. It is
-    in English alone, as the runbook and the logs are.
+    """The operator's page: tenants, keys, limits, queue, workers, stores, failures, disks. Its figures need a key.
+
+    It is in English alone, as the runbook and the logs are.
     """
     return _page("admin/admin.html", request, languages=LANGUAGES[:1])
 

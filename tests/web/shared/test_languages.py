@@ -1,4 +1,4 @@
-"""The pages in a browser that prefers German: pages, scripts and the guard of their start speak it; others get English."""
+"""A browser that prefers German gets German pages: their texts, their scripts' sentences, the guard of their start."""
 
 from __future__ import annotations
 
