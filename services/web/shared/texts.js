@@ -1,6 +1,8 @@
 // The sentences of the pages in the reader's language. Modules that a worker loads may use it too: there, sentences are English.
 
-const page = typeof document === 'undefined' ? null : document;
+/** @typedef {{ documentElement: { lang: string }, getElementById: (id: string) => { textContent: string | null } | null }} PageDocument */
+
+const page = /** @type {{ document?: PageDocument }} */ (/** @type {unknown} */ (globalThis)).document; // a worker has none
 
 /** The language of the page: the gateway has chosen it among those that the browser prefers. */
 export const language = page?.documentElement.lang || 'en';
