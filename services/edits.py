@@ -141,6 +141,7 @@ class Edits:
     crop     box outside of which points are cut away
     planes   behind which points are cut away
     up       (3,) direction against gravity in the capture frame, of any length but 0; None: it is estimated
+    front    (3,) direction in the capture frame to which its front looks, likewise; None: as the capture's frame has it
     length   gives the true size; None: as the capture tells it
     cut, fill, preset, target  as in a job; "": as the job says. What the job itself names comes first
     """
@@ -150,6 +151,7 @@ class Edits:
     crop: CropBox | None = None
     planes: Annotated[tuple[CutPlane, ...], Field(max_length=MOST_PLANES)] = ()
     up: Vector | None = None
+    front: Vector | None = None
     length: MeasuredLength | None = None
     cut: CutName = ""
     fill: FillName = ""
@@ -161,6 +163,8 @@ class Edits:
     def __post_init__(self) -> None:
         if self.up is not None:
             _require_direction("up", self.up)
+        if self.front is not None:
+            _require_direction("front", self.front)
 
     @classmethod
     def parse(cls, text: str | bytes) -> Edits:

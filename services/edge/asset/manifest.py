@@ -23,12 +23,20 @@ from services.edge.preset import Preset
 
 _TOLD = 0.005  # share of filled surface from which on a person is told
 _DEFAULT_UP = np.array([0.0, 1.0, 0.0])  # as in modelling tools and glTF; scanners that differ say so in their format
+_UPRIGHT = 1e-3  # sine of the angle to the vertical below which a direction has no horizontal part to speak of
 
 
 def asset_frame(vertices: Floats, points: Points) -> Floats:
-    """Transform (4,4) from the capture frame to the asset frame, for a mesh with vertices (V,3) in the former."""
+    """Transform (4,4) from the capture frame to the asset frame, for a mesh with vertices (V,3) in the former.
+
+    Up is Y. What a person called the front looks along Z, to whoever stands before the asset; else the asset is turned
+    about the vertical no more than bringing up to Y takes.
+    """
     up = _DEFAULT_UP if points.up is None else np.asarray(points.up, dtype=np.float64)
-    linear = points.metres_per_unit * rotation_between(up, _DEFAULT_UP)
+    rotation = rotation_between(up, _DEFAULT_UP)
+    if points.edits.front is not None:
+        rotation = _turn_to_z(rotation @ np.array(points.edits.front)) @ rotation
+    linear = points.metres_per_unit * rotation
     turned = vertices @ linear.T
     low, high = turned.min(axis=0), turned.max(axis=0)
     floor = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
@@ -36,6 +44,16 @@ def asset_frame(vertices: Floats, points: Points) -> Floats:
     to_asset[:3, :3] = linear
     to_asset[:3, 3] = -floor
     return to_asset
+
+
+def _turn_to_z(direction: Floats) -> Floats:
+    """(3,3) the rotation about Y that brings a direction over Z; none for one that is upright, which looks nowhere."""
+    x, _, z = direction
+    length = np.hypot(x, z)
+    if length < _UPRIGHT * np.linalg.norm(direction):
+        return np.eye(3)
+    sine, cosine = x / length, z / length
+    return np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
 
 
 def rotation_between(source: Floats, target: Floats) -> Floats:

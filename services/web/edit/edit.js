@@ -86,6 +86,7 @@ function recipe() {
   if (kept) edits.crop = shown.frame.boxToCapture(kept);
   if (planes.planes.length) edits.planes = planes.recipe(shown.frame);
   if (upright.up) edits.up = shown.frame.directionToCapture(upright.up);
+  if (upright.front) edits.front = shown.frame.directionToCapture(upright.front);
   if (length) edits.length = length;
   for (const { id, value } of choices) if (value) Object.assign(edits, { [id]: value });
   return edits;
@@ -96,7 +97,7 @@ function showRecipe(edits) {
   const diagonal = shown.bounds.getSize(new THREE.Vector3()).length();
   box.show(edits.crop ? shown.frame.boxToAsset(edits.crop) : null, shown.bounds);
   planes.show(edits.planes ?? [], shown.frame, diagonal);
-  upright.show(edits.up ?? null, shown.frame);
+  upright.show(edits, shown.frame);
   size.show(edits.length ?? null, shown.frame, diagonal);
   const said = new Map(Object.entries(edits));
   for (const choice of choices) choice.value = String(said.get(choice.id) ?? '');

@@ -1,19 +1,23 @@
-// Which way is up: a plane of the thing that lies level, or quarter turns as one sees it.
+// Which way is up: a plane of the thing that lies level, or quarter turns as one sees it. Which way is its front: turns about the vertical.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { element } from '../shared/dom.js';
 
 /** @import { CaptureFrame } from '../graphics/capture-frame.js' */
 /** @import { Picked } from '../graphics/picking.js' */
-/** @import { Triple } from '../shared/types.d.ts' */
+/** @import { Edits } from '../shared/types.d.ts' */
 
 const UP = new THREE.Vector3(0, 1, 0);
+const TOWARD = new THREE.Vector3(0, 0, 1); // whoever stands before the thing
 const QUARTER = Math.PI / 2;
+const SPIN = Math.PI / 12; // about the vertical, by one press
 const UPWARDS = 0.1; // from here on a plane's normal looks up: a ceiling's looks down
 
-/** Up in the asset frame, and how the thing is turned so that one sees it. */
+/** Up and front in the asset frame, and how the thing is turned so that one sees them. */
 export class Upright {
   /** @type {THREE.Vector3 | null} */
   up = null; // null: as it was found
+  /** @type {THREE.Vector3 | null} */
+  front = null; // the same
   #onChange;
   #camera;
 
@@ -33,20 +37,27 @@ export class Upright {
     ])) {
       element(id, HTMLButtonElement).addEventListener('click', () => this.#tip(snapped(axis().transformDirection(this.#camera.matrixWorld)), sign));
     }
-    element('upright-reset', HTMLButtonElement).addEventListener('click', () => this.#set(null));
+    for (const [id, sign] of /** @type {[string, number][]} */ ([['turn-left', -1], ['turn-right', 1]])) {
+      element(id, HTMLButtonElement).addEventListener('click', () => this.#spin(sign));
+    }
+    element('upright-reset', HTMLButtonElement).addEventListener('click', () => this.#set(null, null));
   }
 
-  /** Turns the thing so that its up is the page's. */
+  /** Turns the thing so that its up is the page's, and its front looks ahead, as the worker does (asset_frame in asset/manifest.py). */
   get turn() {
-    return new THREE.Quaternion().setFromUnitVectors(this.up ?? UP, UP);
+    const upright = new THREE.Quaternion().setFromUnitVectors(this.up ?? UP, UP);
+    if (!this.front) return upright;
+    const { x, z } = this.front.clone().applyQuaternion(upright);
+    return new THREE.Quaternion().setFromAxisAngle(UP, -Math.atan2(x, z)).multiply(upright);
   }
 
   /**
-   * @param {Triple | null} up of a recipe
+   * @param {Edits} edits
    * @param {CaptureFrame} frame
    */
-  show(up, frame) {
+  show({ up, front }, frame) {
     this.up = up ? frame.directionToAsset(up) : null;
+    this.front = front ? frame.directionToAsset(front) : null;
   }
 
   /**
@@ -55,21 +66,35 @@ export class Upright {
    */
   choose({ normal }) {
     const seen = normal.clone().applyQuaternion(this.turn);
-    this.#set(seen.y < -UPWARDS ? normal.clone().negate() : normal.clone());
+    this.#set(seen.y < -UPWARDS ? normal.clone().negate() : normal.clone(), this.front);
   }
 
   /**
+   * Tips the thing over. What looks ahead then is its front, where somebody has said which that is.
    * @param {THREE.Vector3} axis in the world
    * @param {number} sign
    */
   #tip(axis, sign) {
-    const back = this.turn.invert();
-    this.#set(UP.clone().applyAxisAngle(axis, -sign * QUARTER).applyQuaternion(back));
+    const back = new THREE.Quaternion().setFromAxisAngle(axis, sign * QUARTER).multiply(this.turn).invert();
+    this.#set(UP.clone().applyQuaternion(back), this.front && TOWARD.clone().applyQuaternion(back));
   }
 
-  /** @param {THREE.Vector3 | null} up */
-  #set(up) {
+  /**
+   * Turns the thing about the vertical: what looks ahead then is its front.
+   * @param {number} sign counterclockwise from above
+   */
+  #spin(sign) {
+    const back = new THREE.Quaternion().setFromAxisAngle(UP, sign * SPIN).multiply(this.turn).invert();
+    this.#set(this.up, TOWARD.clone().applyQuaternion(back));
+  }
+
+  /**
+   * @param {THREE.Vector3 | null} up
+   * @param {THREE.Vector3 | null} front
+   */
+  #set(up, front) {
     this.up = up?.normalize() ?? null;
+    this.front = front?.normalize() ?? null;
     this.#onChange();
   }
 }

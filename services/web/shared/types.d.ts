@@ -292,6 +292,7 @@ export interface Edits {
   crop?: CropBox | null;
   planes?: CutPlane[];
   up?: Triple | null;
+  front?: Triple | null;
   length?: MeasuredLength | null;
   cut?: string;
   fill?: string;

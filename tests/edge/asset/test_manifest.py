@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from services.edge.asset.manifest import asset_frame, rotation_between
 from services.edge.points.nouns import Points
+from services.edits import Edits
 
 directions = (
     arrays(np.float64, 3, elements=st.floats(-1, 1))
@@ -36,6 +39,17 @@ def test_half_turns_are_rotations_too(axis: int) -> None:
 
 def _points(xyz: np.ndarray, up: np.ndarray | None, metres_per_unit: float) -> Points:
     return Points(xyz, None, np.ones(len(xyz), np.float32), metres_per_unit, "metric", up)
+
+
+@given(directions, directions)
+def test_the_front_looks_to_whoever_stands_before_the_asset(up: np.ndarray, front: np.ndarray) -> None:
+    xyz = np.random.default_rng(0).random((50, 3))
+    points = replace(_points(xyz, up, 2.0), edits=Edits(front=tuple(front.tolist())))
+    rotation = asset_frame(xyz, points)[:3, :3] / 2.0
+    assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-6)
+    assert rotation @ up == pytest.approx([0, 1, 0], abs=1e-6)
+    x, _, z = rotation @ front
+    assert np.hypot(x, z) < 1.1e-3 or (abs(x) < 1e-6 and z > 0)
 
 
 @given(directions, st.floats(1e-3, 1e3), arrays(np.float64, 3, elements=st.floats(-1e5, 1e5)))

@@ -152,8 +152,19 @@ def test_planes_up_and_length_are_in_the_frame_of_the_capture(page: Page, stack:
     assert abs(tipped @ [0, 0, 1]) < 1e-6
     page.get_by_role("button", name="Tip right").click()
     assert recipe_of(page)["up"] == pytest.approx([0, 0, 1], abs=1e-6)
+    before = recipe_of(page)
+    assert "front" not in before
+    for _ in range(6):
+        page.get_by_role("button", name="Turn left").click()
+    assert recipe_of(page)["up"] == pytest.approx([0, 0, 1], abs=1e-6)
+    front = np.array(recipe_of(page)["front"])
+    assert abs(front @ [0, 0, 1]) < 1e-6, "level"
+    for _ in range(6):
+        page.get_by_role("button", name="Turn right").click()
+    ahead = np.array(recipe_of(page)["front"])
+    assert np.cross(ahead, front) == pytest.approx([0, 0, 1], abs=1e-6), "what was to the right of the front looks ahead"
     page.get_by_role("button", name="As it was found").click()
-    assert "up" not in recipe_of(page), "the estimate again"
+    assert {"up", "front"}.isdisjoint(recipe_of(page)), "the estimate again"
 
     open_tab(page, "Size")
     page.get_by_role("button", name="Choose two points").click()
