@@ -65,7 +65,7 @@ export const formatArea = (area, error = null) => inUnit(area, error, AREAS);
  * @param {number} degrees
  * @param {number | null} [error]
  */
-export const formatAngle = (degrees, error = null) => (error === null ? `${degrees.toFixed(1)}°` : `${withError(degrees, error)}°`);
+export const formatAngle = (degrees, error = null) => (error === null ? `${formatNumber(degrees.toFixed(1))}°` : `${withError(degrees, error)}°`);
 
 /**
  * @param {number} value
@@ -74,7 +74,7 @@ export const formatAngle = (degrees, error = null) => (error === null ? `${degre
  */
 function inUnit(value, error, units) {
   const [, size, name] = units.find(([least]) => Math.abs(value) >= least) ?? units[units.length - 1];
-  return `${error === null ? Number(Number((value / size).toPrecision(3)).toFixed(MOST_DECIMALS)) : withError(value / size, error / size)} ${name}`;
+  return `${error === null ? formatNumber(Number(Number((value / size).toPrecision(3)).toFixed(MOST_DECIMALS))) : withError(value / size, error / size)} ${name}`;
 }
 
 /**
@@ -85,5 +85,5 @@ function inUnit(value, error, units) {
 function withError(value, error) {
   const decimals = Math.min(MOST_DECIMALS, Math.max(0, -Math.floor(Math.log10(Math.max(error, 1e-9)))));
   const step = 10 ** decimals;
-  return `${value.toFixed(decimals)} ± ${(Math.ceil(error * step - 1e-9) / step).toFixed(decimals)}`;
+  return `${formatNumber(value.toFixed(decimals))} ± ${formatNumber((Math.ceil(error * step - 1e-9) / step).toFixed(decimals))}`;
 }

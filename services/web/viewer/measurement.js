@@ -1,8 +1,9 @@
 // What is measured on a thing, from points on its surface, and how far off that may be.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { isShown } from '../graphics/picking.js';
-import { formatAngle, formatArea, formatLength } from '../shared/format.js';
+import { formatAngle, formatArea, formatLength, formatNumber } from '../shared/format.js';
 import { areaInside } from './surface-area.js';
+import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, Manifest } from '../shared/types.d.ts' */
 /** @import { Corners } from './surface-area.js' */
@@ -101,12 +102,12 @@ export function valueText(measurement, accuracy) {
  */
 export function detailText({ kind, points, value }, { confidence, longest_m: longest }) {
   if (confidence === 'unknown' && kind !== 'angle') {
-    return kind === 'area' ? 'As if its size were the one that is shown.' : `${Number(((100 * value) / longest).toPrecision(3))} % of its longest side.`;
+    return kind === 'area' ? t('As if its size were the one that is shown.') : t('{percent} % of its longest side.', { percent: formatNumber(Number(((100 * value) / longest).toPrecision(3))) });
   }
-  if (kind === 'height') return 'Above its lowest point.';
+  if (kind === 'height') return t('Above its lowest point.');
   if (kind !== 'distance') return '';
   const way = points[1].clone().sub(points[0]);
-  return `${formatLength(Math.abs(way.y))} upward, ${formatLength(Math.hypot(way.x, way.z))} across.`;
+  return t('{up} upward, {across} across.', { up: formatLength(Math.abs(way.y)), across: formatLength(Math.hypot(way.x, way.z)) });
 }
 
 /**
@@ -117,20 +118,26 @@ export function detailText({ kind, points, value }, { confidence, longest_m: lon
 export function scaleSentences(entry, manifest) {
   const length = manifest.edits?.length;
   const { point_m: point, confidence } = accuracyOf(entry, manifest);
-  const given = length ? `a length of ${formatLength(length.metres)} between two points` : 'a length';
   /** @type {Record<string, string>} */
   const scales = {
-    metric: 'Its size was measured by what captured it.',
-    estimated: `Its size was set by ${given} that a person gave: figures are as good as that.`,
-    unknown: 'Its true size is not known: angles hold, and lengths only against each other.',
+    metric: t('Its size was measured by what captured it.'),
+    estimated: length
+      ? t('Its size was set by a length of {length} between two points that a person gave: figures are as good as that.', { length: formatLength(length.metres) })
+      : t('Its size was set by a length that a person gave: figures are as good as that.'),
+    unknown: t('Its true size is not known: angles hold, and lengths only against each other.'),
   };
   return [
-    entry.origin === 'guess' ? 'Its shape is a guess from one photo.' : '',
+    entry.origin === 'guess' ? t('Its shape is a guess from one photo.') : '',
     scales[confidence] ?? scales.unknown,
-    point === null ? 'How near its surface is to what was captured is not known.' : `± tells how near its surface is to what was captured${confidence === 'estimated' ? ', and what that means for its size' : ''}; it does not tell how well you chose the points.`,
-    manifest.capture?.up === null ? 'Which way is up was not told: heights are along the Y axis of the capture.' : '',
+    point === null ? t('How near its surface is to what was captured is not known.') : surfaceText(confidence),
+    manifest.capture?.up === null ? t('Which way is up was not told: heights are along the Y axis of the capture.') : '',
   ].filter(Boolean).join(' ');
 }
+
+/** @param {string} confidence of the scale */
+const surfaceText = (confidence) => (confidence === 'estimated'
+  ? t('± tells how near its surface is to what was captured, and what that means for its size; it does not tell how well you chose the points.')
+  : t('± tells how near its surface is to what was captured; it does not tell how well you chose the points.'));
 
 /**
  * The triangles of what is drawn, in the frame of another object. The corners are used again for the next.

@@ -4,6 +4,7 @@ import { drawMeasurements } from './measure-marks.js';
 import { LEAST_LOOP, POINTS, accuracyOf, detailText, measure, scaleSentences, trianglesOf, valueText } from './measurement.js';
 import { pick, watchTaps } from '../graphics/picking.js';
 import { create, element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Stage } from '../graphics/scene.js' */
 /** @import { AssetEntry, Manifest } from '../shared/types.d.ts' */
@@ -17,16 +18,18 @@ import { create, element } from '../shared/dom.js';
  * @property {() => void} onStart is called before points are chosen
  */
 
+/** @type {Record<Kind, string>} */
+const TITLES = { distance: t('Distance'), angle: t('Angle'), height: t('Height'), area: t('Area') };
 /** @type {Record<Kind, string[]>} */
 const PROMPTS = {
-  distance: ['Choose a point on it.', 'And the other one.'],
-  angle: ['Choose a point on one side of the angle.', 'Now its corner.', 'And a point on its other side.'],
-  height: ['Choose the point whose height you want.'],
-  area: ['Choose the points around it, one after the other.', 'The next one.', 'The next one.', 'The next one, or close the loop.'],
+  distance: [t('Choose a point on it.'), t('And the other one.')],
+  angle: [t('Choose a point on one side of the angle.'), t('Now its corner.'), t('And a point on its other side.')],
+  height: [t('Choose the point whose height you want.')],
+  area: [t('Choose the points around it, one after the other.'), t('The next one.'), t('The next one.'), t('The next one, or close the loop.')],
 };
-const NOTHING_THERE = 'There is nothing of it. Choose a point on the thing.';
-const CROSSES = 'The lines of this loop cross, so it has no inside. Take the last point back.';
-const SAME_PLACE = 'Two of these points are one. Choose again.';
+const NOTHING_THERE = t('There is nothing of it. Choose a point on the thing.');
+const CROSSES = t('The lines of this loop cross, so it has no inside. Take the last point back.');
+const SAME_PLACE = t('Two of these points are one. Choose again.');
 const CROSS_STEP = 0.05; // of half the view, by one key press
 const CROSS_MOST = 0.95;
 /** @type {Record<string, [x: number, y: number]>} */
@@ -148,13 +151,13 @@ export class Measuring {
   /** @param {Measurement} measurement */
   #add(measurement) {
     this.#measurements.push(measurement);
-    this.#say(`${titleOf(measurement.kind)}: ${valueText(measurement, this.#accuracy)}.`);
+    this.#say(`${TITLES[measurement.kind]}: ${valueText(measurement, this.#accuracy)}.`);
   }
 
   /** @param {Measurement[]} removed */
   #remove(...removed) {
     this.#measurements = this.#measurements.filter((each) => !removed.includes(each));
-    this.#say(removed.length === 1 ? 'Removed.' : 'All are removed.');
+    this.#say(removed.length === 1 ? t('Removed.') : t('All are removed.'));
     this.#show();
     (this.#measurements.length ? panel.clear : this.#buttons[0]).focus(); // the button that had the focus is gone
   }
@@ -219,10 +222,10 @@ export class Measuring {
   #createRow(measurement, text) {
     const { kind, version } = measurement;
     const row = create('li');
-    const older = version === this.#version ? '' : `Measured on version ${version}.`;
+    const older = version === this.#version ? '' : t('Measured on version {version}.', { version });
     const facts = [detailText(measurement, this.#accuracy), older].filter(Boolean).join(' ');
-    const words = create('p', { textContent: `${titleOf(kind)} ${text}` });
-    const remove = create('button', { type: 'button', textContent: '✕', ariaLabel: `Remove ${kind} ${text}` });
+    const words = create('p', { textContent: `${TITLES[kind]} ${text}` });
+    const remove = create('button', { type: 'button', textContent: '✕', ariaLabel: t('Remove {name}', { name: `${TITLES[kind]} ${text}` }) });
     remove.addEventListener('click', () => this.#remove(measurement));
     row.append(words, remove, create('p', { className: 'quiet', textContent: facts }));
     return row;
@@ -231,6 +234,3 @@ export class Measuring {
 
 /** @param {HTMLButtonElement} button */
 const kindOf = ({ dataset }) => /** @type {Kind} */ (dataset.kind);
-
-/** @param {Kind} kind */
-const titleOf = (kind) => kind[0].toUpperCase() + kind.slice(1);
