@@ -1,6 +1,7 @@
 // The list of saved scenes on the collection page, for whoever is logged in.
 import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { ScenePage, Session } from '../shared/types.d.ts' */
 
@@ -14,7 +15,7 @@ export async function listScenes(session) {
   element('scenes', HTMLDetailsElement).hidden = scenes.length === 0;
   element('scenes-list', HTMLElement).replaceChildren(...scenes.reverse().map(({ name, things, view }) => {
     const item = create('li');
-    item.append(create('a', { href: view, textContent: name, dir: 'auto' }), ` ${things} ${things === 1 ? 'thing' : 'things'}`);
+    item.append(create('a', { href: view, textContent: name, dir: 'auto' }), ` ${things === 1 ? t('1 thing') : t('{count} things', { count: things })}`);
     return item;
   }));
 }

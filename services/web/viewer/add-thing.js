@@ -2,6 +2,7 @@
 import { findThings } from './find-things.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 /** @import { FoundAsset } from '../shared/types.d.ts' */
 
@@ -33,7 +34,7 @@ export function showAdding(onChoose, collection) {
     const found = await findThings(panel.collection.value.trim() || 'default', panel.search.value.trim(), before.at(-1) ?? '');
     following = found.next;
     panel.list.replaceChildren(...found.assets.map((asset) => createChoice(asset, onChoose)));
-    panel.said.textContent = found.assets.length === 0 ? 'Nothing has that name or label.' : '';
+    panel.said.textContent = found.assets.length === 0 ? t('Nothing has that name or label.') : '';
     panel.previous.disabled = before.length === 0;
     panel.next.disabled = following === null;
     document.body.dataset.choices = String(found.assets.length);

@@ -69,7 +69,7 @@ function aboutAll(entries, { title, wanted, failed, gone }) {
   const coming = wanted - entries.length - failed - gone.length;
   const count = title && (wanted === 1 ? t('1 thing') : t('{count} things', { count: wanted }));
   const more = coming > 0 ? t('{count} more on the way', { count: coming }) : '';
-  const lost = gone.length > 0 ? t('not here any more, deleted or taken back: {keys}', { keys: gone.join(', ') }) : '';
+  const lost = gone.length > 0 ? t('Not here any more, deleted or taken back: {keys}', { keys: gone.join(', ') }) : '';
   return [count, trianglesText(entries), more, failed > 0 ? t('{count} could not be loaded', { count: failed }) : '', lost].filter(Boolean).join(' · ');
 }
 

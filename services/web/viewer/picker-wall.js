@@ -6,6 +6,7 @@ import { PressPanel } from './press-panel.js';
 import { headingOf, middleOf } from './xr-session.js';
 import { fetchBytes } from '../shared/network.js';
 import { sentences } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 
 /** @import { Rectangle } from './press-panel.js' */
 /** @import { FoundAsset } from '../shared/types.d.ts' */
@@ -65,7 +66,7 @@ export class PickerWall {
   offer(camera) {
     this.#button.paint((context) => {
       paintGround(context, BUTTON_PX);
-      return [paintButton(context, [12, 12, BUTTON_PX[0] - 24, BUTTON_PX[1] - 24], { name: 'open', text: 'Add a thing', press: () => this.toggle(camera) })];
+      return [paintButton(context, [12, 12, BUTTON_PX[0] - 24, BUTTON_PX[1] - 24], { name: 'open', text: t('Add a thing'), press: () => this.toggle(camera) })];
     });
     standBefore(this.#button, camera, { away: BUTTON_AWAY_M, below: BUTTON_BELOW_M, turn: BUTTON_TURN });
     this.#report();
@@ -133,7 +134,7 @@ export class PickerWall {
       context.fillStyle = INK;
       context.font = '36px system-ui, sans-serif';
       context.textAlign = 'left';
-      context.fillText(this.#said || 'Choose a thing', EDGE, EDGE + TITLE / 2, WALL_PX[0] - 2 * EDGE);
+      context.fillText(this.#said || t('Choose a thing'), EDGE, EDGE + TITLE / 2, WALL_PX[0] - 2 * EDGE);
       return [...this.#paintLabels(context), ...this.#paintThings(context), ...this.#paintButtons(context)];
     });
     this.#report();
@@ -144,7 +145,7 @@ export class PickerWall {
     const width = (WALL_PX[0] - 2 * EDGE + GAP) / (MOST_LABELS + 1) - GAP;
     return ['', ...this.#labels].map((label, place) => paintButton(context, [EDGE + place * (width + GAP), EDGE + TITLE, width, ROW], {
       name: `label ${label}`,
-      text: label || 'All',
+      text: label || t('All'),
       isChosen: label === this.#label,
       press: () => this.#show(label, []),
     }));
@@ -167,11 +168,11 @@ export class PickerWall {
     const saving = this.#callbacks.saving();
     const [before, next] = [this.#before, this.#next];
     const buttons = [
-      before.length > 0 && { name: 'previous', text: 'Previous', press: () => this.#show(this.#label, before.slice(0, -1)) },
-      next !== null && { name: 'next', text: 'Next', press: () => this.#show(this.#label, [...before, next]) },
-      saving && { name: 'save', text: 'Save scene', press: () => this.#save(saving) },
-      { name: 'reset view', text: 'Reset view', press: () => this.#resetView() },
-      { name: 'close', text: 'Close', press: () => this.#close() },
+      before.length > 0 && { name: 'previous', text: t('Previous'), press: () => this.#show(this.#label, before.slice(0, -1)) },
+      next !== null && { name: 'next', text: t('Next'), press: () => this.#show(this.#label, [...before, next]) },
+      saving && { name: 'save', text: t('Save scene'), press: () => this.#save(saving) },
+      { name: 'reset view', text: t('Reset view'), press: () => this.#resetView() },
+      { name: 'close', text: t('Close'), press: () => this.#close() },
     ];
     const width = (WALL_PX[0] - 2 * EDGE + GAP) / buttons.length - GAP;
     return buttons.flatMap((button, place) => button ? paintButton(context, [EDGE + place * (width + GAP), WALL_PX[1] - EDGE - ROW, width, ROW], button) : []);
@@ -190,7 +191,7 @@ export class PickerWall {
 
   /** @param {() => Promise<void>} saving */
   async #save(saving) {
-    this.#said = await saving().then(() => 'The scene is saved.', (error) => sentences(error));
+    this.#said = await saving().then(() => t('The scene is saved.'), (error) => sentences(error));
     this.#paint();
   }
 

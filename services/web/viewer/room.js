@@ -6,6 +6,7 @@ import { isSame } from './scene-merge.js';
 import { isLoaded } from './scene-item.js';
 import { deleteAt, postJson } from '../shared/api.js';
 import { toProblem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { SceneItem } from './scene-item.js' */
@@ -52,7 +53,7 @@ export class Room {
 
   /** Saves the scene under the time's name, for a wearer who cannot type; null where it is saved already, or may not be saved. */
   get saving() {
-    return this.#saved || !this.#maySave ? null : () => this.save(`Scene of ${new Date().toLocaleString()}`);
+    return this.#saved || !this.#maySave ? null : () => this.save(t('Scene of {date}', { date: new Date().toLocaleString() }));
   }
 
   /** The collection from which things are added. */
@@ -95,7 +96,7 @@ export class Room {
   add(key) {
     const { items, setItems, createItem } = this.#callbacks;
     if (items().length >= MOST_ITEMS) {
-      showNotice(`A scene has at most ${MOST_ITEMS} things.`);
+      showNotice(t('A scene has at most {most} things.', { most: MOST_ITEMS }));
       return;
     }
     hidePanelsOfOne();
@@ -183,7 +184,7 @@ export class Room {
 
   /** @param {string} id of a thing; '' means the scene */
   #nameOf(id) {
-    return this.#callbacks.items().find(({ placed }) => placed?.id === id)?.name ?? (id ? 'A thing' : 'The scene’s name');
+    return this.#callbacks.items().find(({ placed }) => placed?.id === id)?.name ?? (id ? t('A thing') : t('The scene’s name'));
   }
 
   #reportSaved() {
@@ -197,14 +198,15 @@ export class Room {
     document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
     if (code === 'SCENE_UNKNOWN') {
       this.#saved?.end();
-      showNotice('This scene was deleted. What you see here is kept nowhere.', { stays: true });
-    } else if (this.#saved?.isDirty) showNotice(`Not saved yet, trying again: ${message}`, { stays: true });
+      showNotice(t('This scene was deleted. What you see here is kept nowhere.'), { stays: true });
+    } else if (this.#saved?.isDirty) showNotice(t('Not saved yet, trying again: {reason}', { reason: message }), { stays: true });
   }
 }
 
 /** @param {string[]} names of things that others moved, too */
 function lostText(names) {
   const [first, ...others] = names;
-  const all = others.length > 0 ? `${first} and ${others.length} more were` : `${first} was`;
-  return `${all} changed by somebody else at the same time, and stands as they have it. Change it again if you want it otherwise.`;
+  return others.length > 0
+    ? t('{name} and {count} more were changed by somebody else at the same time, and stand as they have it. Change them again if you want it otherwise.', { name: first, count: others.length })
+    : t('{name} was changed by somebody else at the same time, and stands as they have it. Change it again if you want it otherwise.', { name: first });
 }

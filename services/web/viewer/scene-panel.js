@@ -1,6 +1,7 @@
 // The panel of the viewer's page that saves, names and deletes the scene.
 import { attempt } from '../shared/attempt.js';
 import { element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 
 const DELETE_ASKED_MS = 5_000; // for which the second tap deletes
 
@@ -28,20 +29,20 @@ const panel = {
  */
 export function showScenePanel({ id, name, onSave, onDelete }) {
   panel.name.value ||= name(); // somebody may have begun to type while this module was loaded
-  panel.said.textContent = id ? 'What you move is saved at once.' : 'Saved, it opens on other devices too, from its address.';
+  panel.said.textContent = id ? t('What you move is saved at once.') : t('Saved, it opens on other devices too, from its address.');
   panel.delete.hidden = !id;
   panel.form.addEventListener('submit', (event) => {
     event.preventDefault();
     attempt(panel.trouble, async () => {
-      await onSave(panel.name.value.trim() || 'Scene');
-      panel.said.textContent = 'Saved.';
+      await onSave(panel.name.value.trim() || t('Scene'));
+      panel.said.textContent = t('Saved.');
     });
   });
   let asked = 0;
   panel.delete.addEventListener('click', () => {
     if (Date.now() - asked > DELETE_ASKED_MS) {
       asked = Date.now();
-      panel.delete.textContent = 'Tap again: it cannot be undone';
+      panel.delete.textContent = t('Tap again: it cannot be undone');
     } else attempt(panel.trouble, onDelete);
   });
 }

@@ -121,7 +121,7 @@ def test_two_who_move_things_at_the_same_time_lose_nothing_without_being_told(
 def test_what_others_do_is_seen_and_a_deleted_asset_is_named(page: Page, site: Site) -> None:
     scene = create_scene(site.store, "Room", (LEFT, GONE))
     page.goto(f"{site.url}/scene/{scene.id}")
-    expect(page.locator("#said")).to_contain_text("not here any more, deleted or taken back: nowhere")
+    expect(page.locator("#said")).to_contain_text("Not here any more, deleted or taken back: nowhere")
     await_things(page, 1)
     await_frames(page)
     assert places_of(stage(page), 0)[0] > 0.02
