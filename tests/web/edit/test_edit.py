@@ -162,7 +162,7 @@ def test_planes_up_and_length_are_in_the_frame_of_the_capture(page: Page, stack:
     for _ in range(6):
         page.get_by_role("button", name="Turn right").click()
     ahead = np.array(recipe_of(page)["front"])
-    assert np.cross(ahead, front) == pytest.approx([0, 0, 1], abs=1e-6), "what was to the right of the front looks ahead"
+    assert np.cross(ahead, front) == pytest.approx([0, 0, 1], abs=1e-6), "a quarter turn apart"
     page.get_by_role("button", name="As it was found").click()
     assert {"up", "front"}.isdisjoint(recipe_of(page)), "the estimate again"
 
