@@ -6,6 +6,7 @@ import { pick, watchTaps } from '../graphics/picking.js';
 import { deleteAt, getCachedJson, patchJson, postJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
+import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js' */
@@ -95,7 +96,7 @@ export class Notes {
     this.#choosing = choosing;
     panel.pin.setAttribute('aria-pressed', String(choosing));
     document.body.toggleAttribute('data-pinning', choosing);
-    this.#say(choosing ? 'Choose the place on it: tap it, or press Enter for the middle of the view.' : '');
+    this.#say(choosing ? t('Choose the place on it: tap it, or press Enter for the middle of the view.') : '');
     if (!choosing) return;
     this.#callbacks.onStart();
     panel.canvas.focus();
@@ -122,7 +123,7 @@ export class Notes {
     raycaster.setFromCamera(place, this.#stage.camera);
     const picked = surface ? pick(surface, raycaster, []) : null;
     if (!surface || !picked) {
-      this.#say('There is nothing of it. Choose a place on the thing.');
+      this.#say(t('There is nothing of it. Choose a point on the thing.'));
       return;
     }
     const toGroup = group.matrixWorld.clone().invert().multiply(surface.matrixWorld);
@@ -150,14 +151,14 @@ export class Notes {
     if (this.#spot) await postJson(this.#path, { text, ...this.#spot });
     else await patchJson(`${this.#path}/${this.#editing}`, { text });
     this.#write(null, '');
-    this.#say('Saved.');
+    this.#say(t('Saved.'));
     await this.load();
   }
 
   /** @param {Note} note */
   async #remove({ id }) {
     await deleteAt(`${this.#path}/${id}`);
-    this.#say('Removed.');
+    this.#say(t('Removed.'));
     await this.load();
     panel.pin.focus(); // the button that had the focus is gone
   }
@@ -214,22 +215,22 @@ export class Notes {
   #createRow(note, place) {
     const row = create('li');
     row.dataset.note = note.id;
-    const show = create('button', { type: 'button', textContent: `${place + 1}`, ariaLabel: `Show note ${place + 1}` });
+    const show = create('button', { type: 'button', textContent: `${place + 1}`, ariaLabel: t('Show note {place}', { place: place + 1 }) });
     show.setAttribute('aria-pressed', String(note.id === this.#open));
     show.addEventListener('click', () => this.#toggle(note, { turn: true }));
     row.append(show, create('p', { dir: 'auto', className: 'text', textContent: note.text }), create('p', { className: 'quiet', textContent: this.#facts(note) }));
-    if (this.#mayPin) row.append(this.#createButton('Change', place, () => this.#write(null, note.id)));
-    if (this.#mayPin) row.append(this.#createButton('Remove', place, () => attempt(panel.trouble, () => this.#remove(note))));
+    if (this.#mayPin) row.append(this.#createButton(t('Change'), t('Change note {place}', { place: place + 1 }), () => this.#write(null, note.id)));
+    if (this.#mayPin) row.append(this.#createButton(t('Remove'), t('Remove note {place}', { place: place + 1 }), () => attempt(panel.trouble, () => this.#remove(note))));
     return row;
   }
 
   /**
    * @param {string} verb
-   * @param {number} place
+   * @param {string} name for who does not see which row it is in
    * @param {() => void} onClick
    */
-  #createButton(verb, place, onClick) {
-    const button = create('button', { type: 'button', className: 'link', textContent: verb, ariaLabel: `${verb} note ${place + 1}` });
+  #createButton(verb, name, onClick) {
+    const button = create('button', { type: 'button', className: 'link', textContent: verb, ariaLabel: name });
     button.addEventListener('click', onClick);
     return button;
   }
@@ -237,7 +238,7 @@ export class Notes {
   /** @param {Note} note */
   #facts({ author, created, edited, version, frame }) {
     const date = new Date(edited || created).toLocaleDateString(undefined, { dateStyle: 'medium' });
-    const displaced = frame === this.#version ? '' : `pinned on version ${version}: it may be displaced`;
-    return [author, edited ? `changed ${date}` : date, displaced].filter(Boolean).join(' · ');
+    const displaced = frame === this.#version ? '' : t('pinned on version {version}: it may be displaced', { version });
+    return [author, edited ? t('changed {date}', { date }) : date, displaced].filter(Boolean).join(' · ');
   }
 }
