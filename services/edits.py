@@ -13,7 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+
+from services.json_numbers import array_schema, require_number
 
 CutName = Literal["", "auto", "object", "scene"]
 FillName = Literal["", "none", "unseen", "all"]
@@ -30,24 +32,11 @@ SEE = "docs/edits.md describes a recipe, and GET /v1/schemas/edits returns its J
 """What to do about a recipe that is none."""
 
 
-def _number(value: Any) -> Any:
-    """Refuse texts and truth values, which would be converted to numbers."""
-    if isinstance(value, bool | str | bytes):
-        raise ValueError("must be a number")
-    return value
+Number = Annotated[float, BeforeValidator(require_number), Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
-Number = Annotated[float, BeforeValidator(_number), Field(ge=-_FARTHEST, le=_FARTHEST)]
-
-
-def _array(length: int) -> WithJsonSchema:
-    """The JSON Schema of so many numbers: generators of clients do not know that of a tuple."""
-    number = {"type": "number", "minimum": -_FARTHEST, "maximum": _FARTHEST}
-    return WithJsonSchema({"type": "array", "items": number, "minItems": length, "maxItems": length})
-
-
-Vector = Annotated[tuple[Number, Number, Number], _array(3)]
-Quaternion = Annotated[tuple[Number, Number, Number, Number], _array(4)]
+Vector = Annotated[tuple[Number, Number, Number], array_schema(3, _FARTHEST)]
+Quaternion = Annotated[tuple[Number, Number, Number, Number], array_schema(4, _FARTHEST)]
 Name = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z0-9._-]*$")]
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -113,7 +102,7 @@ class MeasuredLength:
 
     start: Vector
     end: Vector
-    metres: Annotated[float, BeforeValidator(_number), Field(ge=LEAST_M, le=MOST_M)]
+    metres: Annotated[float, BeforeValidator(require_number), Field(ge=LEAST_M, le=MOST_M)]
 
     __pydantic_config__ = _STRICT
 

@@ -36,6 +36,7 @@ ON_DEMAND = {
     "splats": "Gaussian splats beside the mesh that they cover: likeness to held-out photos, bytes",
     "formats": "which programs read what is downloaded: Blender, Godot, Babylon.js, glTF-Transform, usd-core, trimesh",
     "scenes": "flats of 1 to 64 million points by tiles: time over area, memory, distance from the truth; resumable",
+    "walkthrough": "a new user's way on a phone-sized page, each step with its picture",
     "rgbd-walk": "RGB-D walks of 500 and 2,000 frames through a flat: time, memory, distance; --track: drift",
     "fleet": "10 to 100,000 captures a day, simulated: first look, workers, cost, what a pool bears; --measure first",
     "tables": "the paper's Tables 2 and 3 on the ShapeNet shapes, 3D scenes, DeepFashion3D that you have",

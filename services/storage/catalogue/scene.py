@@ -10,8 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
+from services.json_numbers import array_schema, require_number
 from services.one_line import one_line
 from services.storage.catalogue.entry import check_key
 from services.storage.catalogue.faults import SCENE_DAMAGED, CatalogueFault
@@ -26,27 +27,14 @@ _UNIT_WITHIN = 0.01  # of a quaternion's length: what is sent is rounded
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-def _number(value: Any) -> Any:
-    """Refuse texts and truth values, which would be converted to numbers."""
-    if isinstance(value, bool | str | bytes):
-        raise ValueError("must be a number")
-    return value
-
-
-def _numbers(length: int, largest: float) -> WithJsonSchema:
-    """The JSON Schema of so many numbers: generators of clients do not know that of a tuple."""
-    number = {"type": "number", "minimum": -largest, "maximum": largest}
-    return WithJsonSchema({"type": "array", "items": number, "minItems": length, "maxItems": length})
-
-
 def _not_empty(name: str) -> str:
     if not name.strip():
         raise ValueError("a scene needs a name")
     return name
 
 
-Metres = Annotated[float, BeforeValidator(_number), Field(ge=-_FAR_M, le=_FAR_M)]
-Part = Annotated[float, BeforeValidator(_number), Field(ge=-1.01, le=1.01)]
+Metres = Annotated[float, BeforeValidator(require_number), Field(ge=-_FAR_M, le=_FAR_M)]
+Part = Annotated[float, BeforeValidator(require_number), Field(ge=-1.01, le=1.01)]
 SceneName = Annotated[str, Field(max_length=NAME_CHARS), AfterValidator(one_line), AfterValidator(_not_empty)]
 
 
@@ -63,9 +51,9 @@ class PlacedAsset:
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
     asset: Annotated[str, Field(max_length=100), AfterValidator(check_key)]
-    position_m: Annotated[tuple[Metres, Metres, Metres], _numbers(3, _FAR_M)]
-    rotation: Annotated[tuple[Part, Part, Part, Part], _numbers(4, 1.01)] = (0.0, 0.0, 0.0, 1.0)
-    scale: Annotated[float, BeforeValidator(_number), Field(ge=_SCALES[0], le=_SCALES[1])] = 1.0
+    position_m: Annotated[tuple[Metres, Metres, Metres], array_schema(3, _FAR_M)]
+    rotation: Annotated[tuple[Part, Part, Part, Part], array_schema(4, 1.01)] = (0.0, 0.0, 0.0, 1.0)
+    scale: Annotated[float, BeforeValidator(require_number), Field(ge=_SCALES[0], le=_SCALES[1])] = 1.0
 
     __pydantic_config__ = _STRICT
 
