@@ -100,7 +100,7 @@ export async function withNewest(name, work) {
  * @returns {Promise<CollectionRow[]>}
  */
 export async function loadRows(collection, shard) {
-  const file = { url: new URL(shard.name, collection.base).href, sha256: shard.sha256, file: 'the catalogue' };
+  const file = { url: new URL(shard.name, collection.base).href, sha256: shard.sha256, file: t('the catalogue') };
   /** @type {ShardDocument} */
   const { columns, words, rows } = decodeJson(await loadFile(file));
   return rows.map((cells) => rowFrom(columns, words, cells)).filter(({ key, manifest }) => NAME.test(key) && HASH.test(manifest));
