@@ -115,12 +115,10 @@ def _edit(page: Page, url: str, way: _Way, key: str) -> None:
     way.take(page, "Turn", "#said")
     page.get_by_role("tab", name="Size").click()
     page.get_by_role("button", name="Choose two points").click()
-    page.keyboard.press("Enter")
-    for _ in range(6):
-        page.keyboard.press("Shift+ArrowLeft")
-    page.wait_for_timeout(1000)
-    page.keyboard.press("Enter")
-    page.get_by_label("in centimetres").fill("8")
+    for x in (145, 245):
+        page.locator("#stage").click(position={"x": x, "y": 230})
+        page.wait_for_timeout(500)
+    page.get_by_label("in centimetres").fill("5")
     way.take(page, "True size", "#said")
     page.get_by_role("button", name="Save as a new version").click()
     page.locator("body[data-state=ready]:not([data-version='1']):not([data-version='2'])").wait_for()

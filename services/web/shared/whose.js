@@ -2,8 +2,16 @@
 
 const TENANT_COOKIE = /(?:^|;\s*)c2v_tenant=([a-z0-9-]+)/; // beside the session's cookie, which scripts cannot read
 
-/** The tenant in the page's address, whose things a visitor sees; '' on one's own pages. */
-const shownTenant = new URLSearchParams(location.search).get('tenant') ?? '';
+/** The tenant that is logged in in this browser, as known without the server; '' where nobody is. */
+export const ownTenant = () => TENANT_COOKIE.exec(document.cookie)?.[1] ?? '';
+
+/** The tenant in the page's address, whose things a visitor sees; '' on one's own pages, which may have that address too. */
+const shownTenant = tenantInAddress();
+
+function tenantInAddress() {
+  const tenant = new URLSearchParams(location.search).get('tenant') ?? '';
+  return tenant === ownTenant() ? '' : tenant;
+}
 
 /**
  * An address of the API or of a page, of the tenant whose things this page shows.
@@ -13,9 +21,6 @@ const shownTenant = new URLSearchParams(location.search).get('tenant') ?? '';
 export function ofShownTenant(address) {
   return shownTenant ? `${address}${address.includes('?') ? '&' : '?'}tenant=${encodeURIComponent(shownTenant)}` : address;
 }
-
-/** The tenant that is logged in in this browser, as known without the server; '' where nobody is. */
-export const ownTenant = () => TENANT_COOKIE.exec(document.cookie)?.[1] ?? '';
 
 /**
  * The name of a cache or of a stored item for who is logged in: another user of the same browser does not see what is in it.

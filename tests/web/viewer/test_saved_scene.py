@@ -192,6 +192,21 @@ def test_a_scene_that_there_is_not_says_so(page: Page, site: Site) -> None:
     assert page.request.get(f"{site.url}/scene/room").status == 404
 
 
+def test_a_scene_is_shared_where_it_was_just_saved(browser: Browser, guarded: GuardedSite) -> None:
+    publish_boxes(guarded.store)
+    with without_a_past(browser) as context:
+        guarded.log_in(context)
+        page = context.new_page()
+        page.goto(f"{guarded.url}/view?key=red&key=blue")
+        await_things(page, 2)
+        page.get_by_text("Scene", exact=True).click()
+        page.get_by_role("button", name="Save").click()
+        page.wait_for_url("**/scene/scn_*")
+        page.get_by_text("Share", exact=True).click()
+        page.get_by_role("button", name="Make a link").click()
+        expect(page.locator("#links a")).to_be_visible()
+
+
 def test_a_link_shows_the_scene_to_somebody_without_a_login(browser: Browser, guarded: GuardedSite) -> None:
     publish_boxes(guarded.store)
     scene = create_scene(guarded.store, "Shop window", (LEFT, RIGHT))
