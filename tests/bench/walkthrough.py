@@ -68,7 +68,7 @@ def main(arguments: list[str]) -> None:
             _wear(browser, link, way)
             _visit(browser, link, way)
             browser.close()
-    _sheet(way.pictures).save(_PICTURE, quality=80)
+    _sheet(way.pictures).save(_PICTURE, quality=70)
 
 
 _Step = Callable[[Page, str, _Way, str], None]

@@ -106,3 +106,20 @@ def test_who_may_see_it_is_chosen_on_its_page(owner: Page, visitor: Page, guarde
         owner.get_by_label("Who may see it").select_option("private")
     visitor.reload()
     visitor.wait_for_url("**/login?next=*")
+
+
+def test_links_leave_the_caption_and_the_tools_where_they_are(browser: Browser, guarded: GuardedSite) -> None:
+    publish(box("Bowl", GREEN), guarded.store, key="bowl")
+    with without_a_past(browser, PHONE, has_touch=True) as context:
+        guarded.log_in(context)
+        page = context.new_page()
+        page.goto(f"{guarded.url}/view/bowl")
+        await_data(page, loaded="2 1 0", tenant="ada")
+        page.get_by_text("Share", exact=True).click()
+        expect(page.locator("body")).to_have_attribute("data-links", "0")
+        make_link(page)
+        header, footer = (page.locator(each).bounding_box() for each in ("header", "footer"))
+        assert header is not None
+        assert footer is not None
+        assert header["y"] + header["height"] <= footer["y"]
+        revoke(page)
