@@ -29,9 +29,12 @@ export function showAdding(onChoose, collection) {
   let before = []; // the beginnings of the pages up to this one
   let following = /** @type {string | null} */ (null);
   let timer = 0;
+  let asked = 0;
   const show = (/** @type {string[]} */ pages) => attempt(panel.trouble, async () => {
+    const mine = ++asked;
+    const found = await findThings(panel.collection.value.trim() || 'default', panel.search.value.trim(), pages.at(-1) ?? '');
+    if (mine !== asked) return; // somebody has typed on meanwhile, and this answer came later than the newer one
     before = pages;
-    const found = await findThings(panel.collection.value.trim() || 'default', panel.search.value.trim(), before.at(-1) ?? '');
     following = found.next;
     panel.list.replaceChildren(...found.assets.map((asset) => createChoice(asset, onChoose)));
     panel.said.textContent = found.assets.length === 0 ? t('Nothing has that name or label.') : '';

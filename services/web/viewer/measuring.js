@@ -95,6 +95,8 @@ export class Measuring {
     const manifest = await this.#callbacks.loadManifest(entry).catch(() => /** @type {Manifest} */ ({ files: [] }));
     this.#accuracy = accuracyOf(entry, manifest);
     panel.scale.textContent = scaleSentences(entry, manifest);
+    const last = this.#measurements.at(-1);
+    if (last && this.#points.length === 0) this.#tell(last); // it was measured before this was known
     this.#show();
   }
 
@@ -151,6 +153,11 @@ export class Measuring {
   /** @param {Measurement} measurement */
   #add(measurement) {
     this.#measurements.push(measurement);
+    this.#tell(measurement);
+  }
+
+  /** @param {Measurement} measurement */
+  #tell(measurement) {
     this.#say(`${TITLES[measurement.kind]}: ${valueText(measurement, this.#accuracy)}.`);
   }
 

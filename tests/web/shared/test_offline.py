@@ -179,8 +179,9 @@ def test_a_new_version_of_the_pages_replaces_the_cached_one_as_a_whole(
 ) -> None:
     address = f"{line.url}/view/{cup}"
     _visit_once(context, address)
-    line.change("/web/shell.json", lambda text: text.replace('"version":"', '"version":"new-'))
     line.change("/viewer/viewer.js", lambda text: text + "document.body.dataset.release = 'new';")
+    # Last: an update that is still on its way must not cache the old file under the new version.
+    line.change("/web/shell.json", lambda text: text.replace('"version":"', '"version":"new-'))
     page = _visited(context, address)
     page.wait_for_function(
         """async () => {
