@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,8 @@ from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data
-from tests.support.screenshots import drawn, stage
+from tests.support.patience import PATIENCE_S
+from tests.support.screenshots import await_frames, drawn, stage
 from tests.support.sites import Site
 from tests.support.things import RED, box
 from tests.web.conftest import with_a_past
@@ -174,6 +176,12 @@ def test_pages_that_were_cached_in_part_are_not_used(context: BrowserContext, li
     _visited(context, address)
 
 
+def _has_only_shell(page: Page, prefix: str) -> bool:
+    """Whether one version of the pages is cached, and which: an older one goes once a newer one is complete."""
+    names = [name for name in page.evaluate("caches.keys()") if name.startswith("shell-")]
+    return len(names) == 1 and names[0].startswith(prefix)
+
+
 def test_a_new_version_of_the_pages_replaces_the_cached_one_as_a_whole(
     context: BrowserContext, line: Line, cup: str
 ) -> None:
@@ -183,13 +191,10 @@ def test_a_new_version_of_the_pages_replaces_the_cached_one_as_a_whole(
     # Last: an update that is still on its way must not cache the old file under the new version.
     line.change("/web/shell.json", lambda text: text.replace('"version":"', '"version":"new-'))
     page = _visited(context, address)
-    page.wait_for_function(
-        """async () => {
-            const names = (await caches.keys()).filter((name) => name.startsWith('shell-'));
-            return names.length === 1 && names[0].startsWith('shell-new-');
-        }""",
-        polling=100,
-    )
+    deadline = time.monotonic() + PATIENCE_S
+    while not _has_only_shell(page, "shell-new-"):
+        assert time.monotonic() < deadline, page.evaluate("caches.keys()")
+        await_frames(page)
     page.close()
     line.cut()
     expect(_visited(context, address).locator("body")).to_have_attribute("data-release", "new")
