@@ -47,6 +47,7 @@ def german_texts() -> Translations:
     return table
 
 
+@lru_cache(maxsize=32)  # more than there are pages
 def translate_page(html: str, language: str) -> str:
     """Return a page in a language, with the table that its scripts translate by, in an element with the id "texts"."""
     if language == LANGUAGES[0]:

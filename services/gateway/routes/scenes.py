@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 from pydantic import BaseModel
@@ -193,25 +193,24 @@ def _view(scene: Scene, request: Request) -> SceneView:
     reading = getattr(request.state, "reading", None)
     is_own = reading is None or reading.is_own
     return SceneView(
-        id=scene.id,
-        name=scene.name,
-        version=scene.version,
-        created=datetime.fromisoformat(scene.created),
-        updated=datetime.fromisoformat(scene.updated),
+        **_facts(scene, request),
         items=list(scene.items),
-        view=page_path(request, f"/scene/{scene.id}"),
         may_place=reading is None or reading.may_place,
         may_save=is_own and Scope.MANAGE in caller_of(request).scopes,
     )
 
 
 def _summary(scene: Scene, request: Request) -> SceneSummary:
-    return SceneSummary(
-        id=scene.id,
-        name=scene.name,
-        version=scene.version,
-        created=datetime.fromisoformat(scene.created),
-        updated=datetime.fromisoformat(scene.updated),
-        things=len(scene.items),
-        view=page_path(request, f"/scene/{scene.id}"),
-    )
+    return SceneSummary(**_facts(scene, request), things=len(scene.items))
+
+
+def _facts(scene: Scene, request: Request) -> dict[str, Any]:
+    """What a view and a summary say alike."""
+    return {
+        "id": scene.id,
+        "name": scene.name,
+        "version": scene.version,
+        "created": datetime.fromisoformat(scene.created),
+        "updated": datetime.fromisoformat(scene.updated),
+        "view": page_path(request, f"/scene/{scene.id}"),
+    }

@@ -239,10 +239,9 @@ def _notes(store: Store, present: Entry, document: Mapping[str, Json], bundle: B
     if not before or not after or not (same or _capture_of(bundle.manifest) == _capture_in(store, present) != ""):
         return [each.as_json for each in present.notes]
     version = int(document["version"])
-    stands = (each.frame == present.version for each in present.notes)
     return [
-        (carry(each, before, after, version) if fits else each).as_json
-        for each, fits in zip(present.notes, stands, strict=True)
+        (carry(each, before, after, version) if each.frame == present.version else each).as_json
+        for each in present.notes
     ]
 
 

@@ -18,7 +18,7 @@ import { createStage, frame } from '../graphics/scene.js';
 import { getJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
-import { formatNumber } from '../shared/format.js';
+import { formatRounded } from '../shared/format.js';
 import { Problem, sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
@@ -120,7 +120,7 @@ function showPreview() {
   const left = preview.apply(shown.model.object, [...(kept ? planesOf(kept) : []), ...planes.planes]);
   const extent = new THREE.Box3().setFromPoints(left.map((place) => place.clone().applyQuaternion(root.quaternion)));
   const metres = extent.getSize(new THREE.Vector3()).multiplyScalar(size.factor);
-  page.said.textContent = left.length ? `${metres.toArray().map((side) => formatNumber(Number((100 * side).toPrecision(3)))).join(' × ')} cm` : t('Nothing of it is left.');
+  page.said.textContent = left.length ? `${metres.toArray().map((side) => formatRounded(100 * side)).join(' × ')} cm` : t('Nothing of it is left.');
   page.save.disabled = !(job && isChanged && left.length > 0 && !size.fault);
   page.recipe.href = `data:application/json,${encodeURIComponent(JSON.stringify(recipe(), null, 2))}`;
   Object.assign(document.body.dataset, { kept: preview.share.toFixed(3), changed: isChanged ? 'yes' : 'no' });
@@ -140,9 +140,7 @@ function choose(kind) {
 /** @param {THREE.Vector2} place in the view, from -1 to 1 */
 function tap(place) {
   if (!picking) return;
-  const raycaster = new THREE.Raycaster();
-  raycaster.setFromCamera(place, camera);
-  const picked = pick(shown.model.object, raycaster, preview.world);
+  const picked = pick(shown.model.object, place, camera, preview.world);
   if (!picked) return;
   if (picking === 'length') {
     if (size.add(picked)) choose('');

@@ -1,7 +1,7 @@
 // The true size: two points on the thing, and the distance between them that somebody has measured.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { element } from '../shared/dom.js';
-import { formatNumber } from '../shared/format.js';
+import { formatRounded } from '../shared/format.js';
 import { t } from '../shared/texts.js';
 
 /** @import { CaptureFrame } from '../graphics/capture-frame.js' */
@@ -118,4 +118,4 @@ export class TrueSize {
 }
 
 /** @param {number} metres */
-const centimetres = (metres) => `${formatNumber(Number((100 * metres).toPrecision(3)))} cm`;
+const centimetres = (metres) => `${formatRounded(100 * metres)} cm`;

@@ -37,13 +37,16 @@ export function placeOf({ clientX, clientY }, canvas) {
 }
 
 /**
- * The first place that a ray hits on what is not cut away, and the normal of the plane around it.
+ * The first place on what is not cut away that is seen at a place of the view, and the normal of the plane around it.
  * @param {THREE.Object3D} thing
- * @param {THREE.Raycaster} raycaster
- * @param {THREE.Plane[]} clipping planes in the world; what is behind one is cut away
+ * @param {THREE.Vector2} place in the view, from -1 to 1
+ * @param {THREE.Camera} camera
+ * @param {THREE.Plane[]} [clipping] planes in the world; what is behind one is cut away
  * @returns {Picked | null}
  */
-export function pick(thing, raycaster, clipping) {
+export function pick(thing, place, camera, clipping = []) {
+  const raycaster = new THREE.Raycaster();
+  raycaster.setFromCamera(place, camera);
   const hits = raycaster.intersectObject(thing, true).filter(({ object }) => isShown(object));
   const hit = hits.find(({ point }) => clipping.every((plane) => plane.distanceToPoint(point) >= 0));
   if (!hit || !(hit.object instanceof THREE.Mesh) || !hit.face) return null;

@@ -17,6 +17,12 @@ export const formatCount = (count) => String(count).replace(/\B(?=(\d{3})+$)/g, 
  */
 export const formatNumber = (number) => String(number).replace('.', DECIMALS);
 
+/**
+ * 1234.5 as 1230, and 0.12345 as 0.123: as much as a measurement by hand is worth.
+ * @param {number} value
+ */
+export const formatRounded = (value) => formatNumber(Number(value.toPrecision(3)));
+
 /** @type {Record<AssetState | 'removed', string>} */
 const STATES = { preview: t('preview'), refined: t('refined'), removed: t('removed') };
 

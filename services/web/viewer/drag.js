@@ -2,6 +2,7 @@
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { pickItem } from './hit-test.js';
 import { SCALES } from './saved-placement.js';
+import { placeOf } from '../graphics/picking.js';
 
 /** @import { LoadedItem, SceneItem } from './scene-item.js' */
 /** @typedef {{ x: number, y: number }} Point on the canvas, in pixels */
@@ -161,8 +162,7 @@ export class DragControls {
    * @param {Point} point
    */
   #castRay({ x, y }) {
-    const { left, top, width, height } = this.#canvas.getBoundingClientRect();
-    this.#raycaster.setFromCamera(new THREE.Vector2((2 * (x - left)) / width - 1, 1 - (2 * (y - top)) / height), this.#camera);
+    this.#raycaster.setFromCamera(placeOf({ clientX: x, clientY: y }, this.#canvas), this.#camera);
     return this.#raycaster;
   }
 

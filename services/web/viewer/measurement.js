@@ -1,7 +1,7 @@
 // What is measured on a thing, from points on its surface, and how far off that may be.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { isShown } from '../graphics/picking.js';
-import { formatAngle, formatArea, formatLength, formatNumber } from '../shared/format.js';
+import { formatAngle, formatArea, formatLength, formatRounded } from '../shared/format.js';
 import { areaInside } from './surface-area.js';
 import { t } from '../shared/texts.js';
 
@@ -102,7 +102,7 @@ export function valueText(measurement, accuracy) {
  */
 export function detailText({ kind, points, value }, { confidence, longest_m: longest }) {
   if (confidence === 'unknown' && kind !== 'angle') {
-    return kind === 'area' ? t('As if its size were the one that is shown.') : t('{percent} % of its longest side.', { percent: formatNumber(Number(((100 * value) / longest).toPrecision(3))) });
+    return kind === 'area' ? t('As if its size were the one that is shown.') : t('{percent} % of its longest side.', { percent: formatRounded((100 * value) / longest) });
   }
   if (kind === 'height') return t('Above its lowest point.');
   if (kind !== 'distance') return '';

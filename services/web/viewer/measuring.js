@@ -122,9 +122,7 @@ export class Measuring {
   #tap(place) {
     const { surface, group } = this.#item;
     if (!this.#kind || !surface || this.#stage.renderer.xr.isPresenting) return;
-    const raycaster = new THREE.Raycaster();
-    raycaster.setFromCamera(place, this.#stage.camera);
-    const picked = pick(surface, raycaster, []);
+    const picked = pick(surface, place, this.#stage.camera);
     if (!picked) {
       this.#say(NOTHING_THERE);
       return;

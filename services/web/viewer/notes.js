@@ -119,9 +119,7 @@ export class Notes {
   /** @param {THREE.Vector2} place in the view */
   #pickSpot(place) {
     const { surface, group } = this.#item;
-    const raycaster = new THREE.Raycaster();
-    raycaster.setFromCamera(place, this.#stage.camera);
-    const picked = surface ? pick(surface, raycaster, []) : null;
+    const picked = surface ? pick(surface, place, this.#stage.camera) : null;
     if (!surface || !picked) {
       this.#say(t('There is nothing of it. Choose a point on the thing.'));
       return;

@@ -104,12 +104,12 @@ export class PickerWall {
    */
   async #show(label, before) {
     const request = ++this.#request;
-    [this.#label, this.#before, this.#said, this.#things] = [label, before, 'Loading …', []];
+    [this.#label, this.#before, this.#said, this.#things] = [label, before, t('Loading …'), []];
     this.#paint();
     try {
       const { assets, next } = await findThings(this.#callbacks.collection(), label, before.at(-1) ?? '');
       if (request !== this.#request) return;
-      [this.#things, this.#next, this.#said] = [assets, next, assets.length === 0 ? 'Nothing is here yet.' : ''];
+      [this.#things, this.#next, this.#said] = [assets, next, assets.length === 0 ? t('Nothing is here yet.') : ''];
       if (!label && before.length === 0) this.#labels = commonLabels(assets);
     } catch (error) {
       this.#said = sentences(error);
