@@ -397,6 +397,42 @@ def test_a_scene_that_makes_no_sense_is_refused(name: str, product: Product) -> 
     assert (document["status"], document["code"]) == (status, code), document
 
 
+def moving(sender: object = "me", count: int = 1, **changes: object) -> bytes:
+    """A report of things that are moved, which are changed."""
+    thing = {"id": "a", "position_m": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": 1, **changes}
+    return json.dumps({"sender": sender, "items": [thing] * count}).encode()
+
+
+MOVINGS: dict[str, tuple[bytes, int, str]] = {
+    "no body": (b"", 422, "REQUEST_INVALID"),
+    "a list": (b"[]", 422, "REQUEST_INVALID"),
+    "nothing that moves": (moving(count=0), 422, "REQUEST_INVALID"),
+    "9 things": (moving(count=9), 422, "REQUEST_INVALID"),
+    "60,000 brackets": (b"[" * 60_000, 400, "BAD_REQUEST"),
+    "a megabyte": (moving(sender="x" * 1_000_000), 413, "REQUEST_TOO_LARGE"),
+    "a sender of markup": (moving(sender="<img>"), 422, "REQUEST_INVALID"),
+    "a sender with a line's end": (moving(sender="a\nevent: scene"), 422, "REQUEST_INVALID"),
+    "no sender": (moving(sender=None), 422, "REQUEST_INVALID"),
+    "an id of markup": (moving(id="<img>"), 422, "REQUEST_INVALID"),
+    "a place on the moon": (moving(position_m=[0, 3.8e8, 0]), 422, "REQUEST_INVALID"),
+    "a place that is no number": (moving(position_m=[0, float("nan"), 0]), 422, "REQUEST_INVALID"),
+    "a rotation to nowhere": (moving(rotation=[0, 0, 0, 0]), 422, "REQUEST_INVALID"),
+    "no rotation": (moving(rotation=None), 422, "REQUEST_INVALID"),
+    "a scale of 0": (moving(scale=0), 422, "REQUEST_INVALID"),
+    "an asset": (moving(asset="chair"), 422, "REQUEST_INVALID"),
+    "no such scene": (moving(), 404, "SCENE_UNKNOWN"),
+}
+
+
+@pytest.mark.usefixtures("nothing_stays")
+@pytest.mark.parametrize("name", MOVINGS)
+def test_a_move_that_makes_no_sense_is_refused(name: str, product: Product) -> None:
+    body, status, code = MOVINGS[name]
+    path = "/v1/scenes/scn_000000000000000000000000/moving"
+    document = problem_of(product.client.post(path, content=body, headers=JSON))
+    assert (document["status"], document["code"]) == (status, code), document
+
+
 CONTINUES: dict[str, tuple[str, int, str]] = {
     "an unknown capture": ("cap_unknown", 404, "CAPTURE_UNKNOWN"),
     "a capture that is a path": ("../../etc/passwd", 422, "REQUEST_INVALID"),
@@ -479,6 +515,9 @@ GETS: dict[str, tuple[str, str]] = {
     "an unknown scene": ("/v1/scenes/scn_000000000000000000000000", "SCENE_UNKNOWN"),
     "a scene that leads out": ("/v1/scenes/..%2fx", "NOT_FOUND"),
     "a scene of letters": ("/v1/scenes/room", "REQUEST_INVALID"),
+    "an unknown scene's events": ("/v1/scenes/scn_000000000000000000000000/events", "SCENE_UNKNOWN"),
+    "events of a scene of letters": ("/v1/scenes/room/events", "REQUEST_INVALID"),
+    "events after no version": ("/v1/scenes/scn_000000000000000000000000/events?after=-1", "REQUEST_INVALID"),
     "scenes behind nothing": ("/v1/scenes?after=x", "REQUEST_INVALID"),
     "a viewer of no scene": ("/scene/room", "SCENE_INVALID"),
     "a share of letters": ("/v1/shares/dress/qr.svg", "REQUEST_INVALID"),
@@ -515,8 +554,9 @@ def test_what_is_not_there_is_said(name: str, product: Product) -> None:
 
 
 @pytest.mark.parametrize("number", ["abc", "-1", "1.5", "9" * 30, "\N{ARABIC-INDIC DIGIT ONE}".encode()])
-def test_a_malformed_last_event_id_is_refused(number: str, product: Product) -> None:
-    answer = product.client.get("/v1/jobs/job_unknown/events", headers={"Last-Event-ID": number})
+@pytest.mark.parametrize("path", ["/v1/jobs/job_unknown/events", f"/v1/scenes/scn_{'0' * 24}/events"])
+def test_a_malformed_last_event_id_is_refused(path: str, number: str, product: Product) -> None:
+    answer = product.client.get(path, headers={"Last-Event-ID": number})
     assert problem_of(answer)["code"] == "REQUEST_INVALID"
 
 

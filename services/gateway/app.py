@@ -64,6 +64,7 @@ from services.gateway.routes import (
     names,
     notes,
     pages,
+    scene_events,
     scenes,
     service,
     shares,
@@ -74,6 +75,8 @@ from services.gateway.routes import (
     webhooks,
 )
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
+from services.gateway.scenes.news import SceneNews
+from services.gateway.scenes.reads import SceneReads
 from services.gateway.scrub import Scrub
 from services.gateway.settings import GatewaySettings, worker_credentials
 from services.gateway.snapshots import Snapshots
@@ -95,7 +98,7 @@ _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "If-Matc
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _ROUTES = (
     *(captures, uploads, jobs, assets, versions, downloads, names, notes),
-    *(collections, files, visibility, shares, scenes),
+    *(collections, files, visibility, shares, scenes, scene_events),
     *(access, tenants, webhooks, data, health, service, pages),
 )
 _GRACE_S = 5  # for answers in progress when the gateway stops
@@ -110,8 +113,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    limits, usage, check_processes, code_guesses, password_guesses, readers, sharing, job_store, resumable, webhooks,
-    outbox, deliveries, downloads, dispatcher.
+    limits, usage, check_processes, code_guesses, password_guesses, readers, scene_reads, scene_news, sharing,
+    job_store, resumable, webhooks, outbox, deliveries, downloads, dispatcher.
 
     Raises SettingsError where the workers' certificate or token cannot be used.
     """
@@ -146,6 +149,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     app.state.sharing = Sharing(app.state.authentication)
     app.state.audit = AuditLog()
     app.state.readers = ReadersCache(store)
+    app.state.scene_reads = SceneReads(store)
     for module in _ROUTES:
         check_rules(module.router.routes)
         app.include_router(module.router)
@@ -238,10 +242,13 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.downloads = Downloads(workers, app.state.store)
         stack.push_async_callback(app.state.downloads.close)
         app.state.dispatcher = Dispatcher(dependencies, holder=instance.id, lease_s=settings.lease_s)
-        others = OtherGateways(job_store, wake=app.state.dispatcher.wake, cancel=app.state.dispatcher.cancel)
+        dispatcher: Dispatcher = app.state.dispatcher
+        news = app.state.scene_news = SceneNews(engine, app.state.scene_reads, app.state.readers)
+        others = OtherGateways(job_store, wake=dispatcher.wake, cancel=dispatcher.cancel, scenes=news)
         for background in (
-            app.state.dispatcher.run(),
+            dispatcher.run(),
             others.watch(),
+            news.tell(),
             authentication.store_use(),
             app.state.deliveries.run(),
             app.state.snapshots.run(),

@@ -69,6 +69,10 @@ _BODIES: Mapping[str, Any] = {
     "post /v1/shares": {"asset": "{asset}"},
     "post /v1/scenes": {"name": "Mine"},
     "put /v1/scenes/{scene}": {"name": "Mine"},
+    "post /v1/scenes/{scene}/moving": {
+        "sender": "mine",
+        "items": [{"id": "a", "position_m": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": 1}],
+    },
     "post /v1/shares/open": {"token": "no token"},
     "post /v1/session": {"key": "c2v_bob_" + "x" * 43},
     "post /v1/pairings": {"scopes": ["read"]},
@@ -234,7 +238,7 @@ async def _walk(key: str, folder: Path) -> None:
         before = await everything_of(site.ada, ada)
         for operation in operations(document):
             if operation.template.endswith("/events"):
-                continue  # follows a job to its end: `test_events_of_another_tenant`
+                continue  # follows a job to its end, or a scene without one: `test_events_of_another_tenant`
             has_ids = "{" in operation.template or _names_a_thing(_BODIES.get(operation.name))
             foreign = await operation.ask(site.bob, ada)
             if has_ids and operation.name not in _WITHOUT_KEY:
@@ -292,6 +296,11 @@ async def test_events_of_another_tenant(tmp_path: Path) -> None:
         ids = await ids_of(site, site.ada, "ada", store, "dress")
         answer = await site.bob.get(f"/v1/jobs/{ids.job}/events")
         assert (answer.status_code, answer.json()["code"]) == (404, "JOB_UNKNOWN")
+        for scene in (ids.scene, nothing().scene):
+            answer = await site.bob.get(f"/v1/scenes/{scene}/events")
+            assert (answer.status_code, answer.json()["code"]) == (404, "SCENE_UNKNOWN")
+        answer = await site.bob.get(f"/v1/scenes/{ids.scene}/events", params={"tenant": "ada"})
+        assert (answer.status_code, answer.json()["code"]) == (404, "SCENE_UNKNOWN")
 
 
 async def test_each_has_its_own_keys_collections_and_idempotency_keys(tmp_path: Path) -> None:

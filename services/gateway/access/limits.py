@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 
 from cachetools import TTLCache
-from limits import RateLimitItem, RateLimitItemPerMinute
+from limits import RateLimitItem, RateLimitItemPerMinute, RateLimitItemPerSecond
 from limits.storage import MemoryStorage
 from limits.strategies import SlidingWindowCounterRateLimiter
 
@@ -22,6 +22,7 @@ from services.gateway.settings import GatewaySettings
 
 _UPLOAD_RETRY_S = 5
 _TENANTS = 20_000  # whose limits are cached
+_MOVES = RateLimitItemPerSecond(50)  # of one scene: each of those who move things in it reports 10 times a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +104,12 @@ class Limits:
             return None
         limit = (await self.of(caller.tenant)).requests_per_minute
         return self._spend(limit, "tenant", caller.tenant) if limit else None
+
+    def spend_moves(self, tenant: str, scene: str) -> None:
+        """Count a report of what is moving in a scene. Raises Problem MOVES_LIMITED."""
+        if not self._limiter.hit(_MOVES, "moves", tenant, scene):
+            detail = f"more than {_MOVES.amount} reports a second of what moves in this scene"
+            raise limited("MOVES_LIMITED", detail, 1, hint="report less often; nothing is lost by leaving one out")
 
     @contextmanager
     def upload(self, tenant: str, most: int) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""Follows what other gateways on the same database write: by NOTIFY on Postgres, by polling on SQLite."""
+"""Follows what other gateways on the same database do: by NOTIFY on Postgres, by polling on SQLite."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.job import State
-from services.gateway.jobs.postgres_notify import listen
+from services.gateway.jobs.job_news import CHANNEL
 from services.gateway.jobs.store import JobStore
+from services.gateway.postgres_notify import listen
+from services.gateway.scenes.news import CHANNEL as SCENES_CHANNEL
+from services.gateway.scenes.news import SceneNews
 
 _FIRST_REFUSAL_S = 0.1  # the gateway that queued a job mostly finds a slot for it; then the others need not look
 _POLL_S = 1.0  # SQLite: between checks for changes that another gateway wrote
@@ -24,10 +27,19 @@ class OtherGateways:
 
     wake    called when a job waits that another gateway has queued
     cancel  called with a running job that another gateway was asked to cancel
+    scenes  are told what happens in scenes at other gateways
     """
 
-    def __init__(self, job_store: AsyncJobStore, *, wake: Callable[[], None], cancel: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        job_store: AsyncJobStore,
+        *,
+        wake: Callable[[], None],
+        cancel: Callable[[str], None],
+        scenes: SceneNews,
+    ) -> None:
         self._job_store = job_store
+        self._scenes = scenes
         self._wake = wake
         self._cancel = cancel
         self._queued: dict[str, asyncio.TimerHandle] = {}  # jobs that have just been queued, and when to look at them
@@ -36,11 +48,15 @@ class OtherGateways:
         """Notify until cancelled."""
         store = self._job_store.blocking
         if store.announces:
-            await listen(store.engine, store.origin, on_change=self._on_change, on_connected=self._on_connected)
+            channels = {CHANNEL: self._on_change, SCENES_CHANNEL: self._scenes.hear}
+            await listen(store.engine, channels, on_connected=self._on_connected)
         else:
             await self._poll()
 
-    def _on_change(self, job: str, news: str) -> None:
+    def _on_change(self, text: str) -> None:
+        writer, job, news = text.split(" ")
+        if writer == self._job_store.blocking.origin:
+            return
         self._job_store.notifier.notify(job)
         if (waiting := self._queued.pop(job, None)) is not None:
             waiting.cancel()
@@ -57,6 +73,7 @@ class OtherGateways:
     def _on_connected(self) -> None:
         """Have everybody look again: what was committed while nobody listened was not told."""
         self._job_store.notifier.notify_all()
+        self._scenes.look_again()
         self._wake()
 
     async def _poll(self) -> None:

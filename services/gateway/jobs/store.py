@@ -21,7 +21,7 @@ from sqlalchemy.exc import IntegrityError
 from services.gateway.database import brief_wait, for_writing, pipelined, upsert
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import TERMINAL, Event, Job, Order, State
-from services.gateway.jobs.postgres_notify import announce
+from services.gateway.jobs.job_news import announce
 from services.gateway.jobs.queue_order import (
     by_oldest_job,
     earliest_start,
@@ -42,6 +42,7 @@ from services.gateway.jobs.row_mapping import (
 from services.gateway.jobs.state_machine import RUNNING_STATES, Change, create_job
 from services.gateway.jobs.tables import events, idempotency, jobs, leases, queue_turns
 from services.gateway.jobs.webhook_events import webhook_events
+from services.gateway.postgres_notify import can_notify
 from services.gateway.webhooks.outbox import enqueue, new_messages
 from services.storage.tenant_store import DEFAULT_TENANT
 
@@ -125,7 +126,7 @@ class JobStore:
     @property
     def announces(self) -> bool:
         """Whether the database notifies other gateways of what is written."""
-        return self._engine.dialect.name == "postgresql"
+        return can_notify(self._engine)
 
     def create(
         self, tenant: str, order: Order, *, key: str = "", body_sha256: str = "", at_once: int = 0, per_day: int = 0

@@ -28,6 +28,7 @@ _LOGINS = ("/v1/session", "/v1/pairings/claim")  # recorded without a key too: w
 _EXPORTS = ("/archive", "/export")  # ends of paths that take data out
 _READS = ("GET", "HEAD", "OPTIONS")
 _PART_OF_UPLOAD = "PATCH"  # a film is hundreds of them; the request that begins the upload is recorded
+_PASSING = "/moving"  # end of paths that change nothing: where a thing is while it is dragged, ten times a second
 _PATH_CHARACTERS = 500
 
 _log = logging.getLogger(__name__)
@@ -126,4 +127,4 @@ def _belongs(method: str, path: str, caller: Caller | None) -> bool:
         return path in _LOGINS and method not in _READS
     if method in _READS:
         return method == "GET" and path.endswith(_EXPORTS)
-    return method != _PART_OF_UPLOAD
+    return method != _PART_OF_UPLOAD and not path.endswith(_PASSING)

@@ -78,9 +78,8 @@ async def metrics(request: Request) -> Response:
     job_store = request.app.state.job_store
     scrub: ScrubState = request.app.state.scrub.state
     request.app.state.metrics.show_scrub(len(scrub.damaged), scrub.ended)
-    page = request.app.state.metrics.render(
-        await job_store.read(JobStore.count_by_state), job_store.notifier.listener_count
-    )
+    streams = job_store.notifier.listener_count + request.app.state.scene_news.listener_count
+    page = request.app.state.metrics.render(await job_store.read(JobStore.count_by_state), streams)
     return Response(page, headers={"Content-Type": CONTENT_TYPE_LATEST})
 
 

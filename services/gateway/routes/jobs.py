@@ -29,6 +29,7 @@ from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.photo_boxes import require_box
 from services.gateway.routes.access_rules import ANYONE, caller_of, limits_of, needs
+from services.gateway.routes.event_streams import HEARTBEAT_S, RECONNECT_MS, stream_events, wait_for
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
@@ -41,10 +42,7 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 _log = logging.getLogger(__name__)
 
 _FOLLOWS = needs(Scope.CAPTURE, Scope.READ, Scope.MANAGE)
-_HEARTBEAT_S = 10.0  # longest silence on an event stream: proxies cut silent connections after 30 to 60 s
 _DATABASE_RETRY_S = 1.0  # between two looks of an event stream at a jobs database that is away
-_RECONNECT_MS = 1000  # how long browsers wait before they reconnect
-_SEND_TIMEOUT_S = 30.0  # a client that reads nothing for so long is considered gone
 
 IdempotencyKey = Annotated[
     str,
@@ -173,12 +171,7 @@ async def follow_job(
     tenant = caller_of(request).tenant
     await job_store.read(JobStore.get, tenant, job)  # an unknown job is a 404, not an empty stream
     start = int(last_event_id) if last_event_id else after or 0
-    return EventSourceResponse(
-        _event_stream(job_store, request.app.state.metrics, tenant, job, start),
-        ping=3600,  # in effect off: our own heartbeats carry the job's state and are visible to pages
-        send_timeout=_SEND_TIMEOUT_S,
-        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
-    )
+    return stream_events(_event_stream(job_store, request.app.state.metrics, tenant, job, start))
 
 
 @router.get("/presets", response_model=Presets, dependencies=[needs(*Scope)])
@@ -249,20 +242,13 @@ async def _event_stream(
             if job.ended:
                 return
             replaying = False
-            if not await _wait(news, _HEARTBEAT_S):
+            if not await wait_for(news, HEARTBEAT_S):
                 yield _heartbeat(job)
-
-
-async def _wait(news: asyncio.Event, seconds: float) -> bool:
-    try:
-        return await asyncio.wait_for(news.wait(), seconds)
-    except TimeoutError:
-        return False
 
 
 def _sse(event: Event) -> ServerSentEvent:
     data = {"seq": event.seq, **event.data}
-    return ServerSentEvent(json.dumps(data), event=event.kind, id=str(event.seq), retry=_RECONNECT_MS)
+    return ServerSentEvent(json.dumps(data), event=event.kind, id=str(event.seq), retry=RECONNECT_MS)
 
 
 def _heartbeat(job: Job) -> ServerSentEvent:

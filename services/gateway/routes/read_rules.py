@@ -41,6 +41,7 @@ class Reading:
     is_own       whether it is of the caller's own tenant
     collections  those that list an asset and that the caller may read
     may_place    whether the viewer lets the caller move it about
+    by           id of the share or of the access key that opens it; "" where neither does
     """
 
     thing: Thing
@@ -48,6 +49,7 @@ class Reading:
     is_own: bool
     collections: tuple[str, ...] = ()
     may_place: bool = True
+    by: str = ""
 
     @property
     def cors_headers(self) -> dict[str, str]:
@@ -72,7 +74,15 @@ class _ReadRule(Rule):
         """Check the caller against the thing, which `thing_for` returns for the caller's tenant. Raises Problem."""
         caller, refusal = await _caller_or_refusal(request)
         request.state.rate_limit = await request.app.state.limits.spend(caller)
-        thing = thing_for(caller.tenant)
+        request.state.reading = await self._reading(request, thing_for(caller.tenant), caller, refusal)
+
+    async def check_again(self, request: Request) -> None:
+        """Check whether who began to read something still may, and how. Raises Problem."""
+        caller, refusal = await _caller_or_refusal(request)
+        request.state.reading = await self._reading(request, reading_of(request).thing, caller, refusal)
+
+    async def _reading(self, request: Request, thing: Thing, caller: Caller, refusal: Problem | None) -> Reading:
+        """Return what the request reads. refusal: of the caller's key or session. Raises Problem."""
         readers: ReadersCache = request.app.state.readers
         found = await readers.of(thing)
         is_own = thing.tenant == caller.tenant and Scope.READ in caller.scopes
@@ -85,7 +95,7 @@ class _ReadRule(Rule):
                 raise refusal or self._refusal(caller, thing)
         collections = found.collections if is_own else await _readable(readers, thing, found, share)
         may_place = share is None or share.mode == "place"
-        request.state.reading = Reading(thing, visibility, is_own, collections, may_place)
+        return Reading(thing, visibility, is_own, collections, may_place, by=share.id if share else caller.key)
 
     async def _share_of(self, request: Request, thing: Thing, found: Readers) -> Share | None:
         """Return a share that opens the thing for this request. Raises Problem for one that did until it ended."""
@@ -227,8 +237,11 @@ READS_ASSET: Any = Depends(_NamedRule("asset", "key", unknown_asset))
 """The dependency of a route that reads the asset `key`."""
 READS_COLLECTION: Any = Depends(_NamedRule("collection", "name", unknown_collection))
 """The dependency of a route that reads the collection `name`."""
-READS_SCENE: Any = Depends(_NamedRule("scene", "scene", unknown_scene))
+_SCENE_RULE = _NamedRule("scene", "scene", unknown_scene)
+READS_SCENE: Any = Depends(_SCENE_RULE)
 """The dependency of a route that reads the scene `scene`."""
+still_reads_scene = _SCENE_RULE.check_again
+"""Check whether who began to read a scene still may: await it with the request. Raises Problem."""
 READS_FILE: Any = Depends(_FileRule(unknown_file))
 """The dependency of a route that reads the object `name` of the whole store."""
 READS_FOLDER: Any = Depends(_FolderRule(unknown_file))

@@ -100,7 +100,7 @@ async def post_scene(body: SceneRequest, request: Request, response: Response) -
         raise Problem(409, "SCENES_LIMITED", f"there are {MOST_SCENES:,} scenes already", hints=hints) from None
     response.headers["Location"] = f"/v1/scenes/{scene.id}"
     response.headers["ETag"] = _etag(scene)
-    return _view(scene, request)
+    return view_of(scene, request)
 
 
 @router.get("/scenes", response_model=ScenePage, dependencies=[needs(Scope.READ)], responses=problems(422, 503))
@@ -130,7 +130,7 @@ async def get_scene(scene: SceneId, request: Request, response: Response) -> Sce
     if etag_matches(request.headers.get("if-none-match"), str(found.version)):
         return Response(status_code=304, headers=headers)
     response.headers.update(headers)
-    return _view(found, request)
+    return view_of(found, request)
 
 
 @router.put(
@@ -156,9 +156,9 @@ async def put_scene(
         detail = f"somebody saved version {other.present.version} of this scene, and this was made from {version}"
         hints = ("read the scene again, make the change in it, and save that",)
         raise Problem(412, "SCENE_CHANGED", detail, hints=hints, headers={"ETag": _etag(other.present)}) from None
-    request.app.state.readers.forget_all(caller_of(request).tenant)
+    request.app.state.scene_news.change(_thing(scene, request))
     response.headers["ETag"] = _etag(changed)
-    return _view(changed, request)
+    return view_of(changed, request)
 
 
 @router.delete(
@@ -166,14 +166,14 @@ async def put_scene(
 )
 async def remove_scene(scene: SceneId, request: Request) -> None:
     """Delete a scene for good, and revoke its share links. Its assets stay."""
-    store, tenant = store_of(request), caller_of(request).tenant
-    shares, thing = request.app.state.sharing.store, Thing(tenant, "scene", scene)
+    store, thing = store_of(request), _thing(scene, request)
+    shares = request.app.state.sharing.store
     try:
         await in_thread(lambda: delete_scene(store, scene))
     except FileNotFoundError:
         raise unknown_scene(scene) from None
-    await authentication_of(request).run(lambda: shares.revoke_all(tenant, thing))
-    request.app.state.readers.forget_all(tenant)
+    await authentication_of(request).run(lambda: shares.revoke_all(thing.tenant, thing))
+    request.app.state.scene_news.change(thing)
 
 
 def _version_of(if_match: str) -> int:
@@ -185,11 +185,17 @@ def _version_of(if_match: str) -> int:
     return int(found[1])
 
 
+def _thing(scene: str, request: Request) -> Thing:
+    """Return the scene of the caller's tenant."""
+    return Thing(caller_of(request).tenant, "scene", scene)
+
+
 def _etag(scene: Scene) -> str:
     return f'"{scene.version}"'
 
 
-def _view(scene: Scene, request: Request) -> SceneView:
+def view_of(scene: Scene, request: Request) -> SceneView:
+    """Return a scene as whoever makes the request sees it."""
     reading = getattr(request.state, "reading", None)
     is_own = reading is None or reading.is_own
     return SceneView(

@@ -24,7 +24,8 @@ MOST_ITEMS = 50
 _FAR_M = 100.0  # from the scene's middle, along each axis: farther away nobody finds it again
 _SCALES = (0.05, 20.0)  # against true size; the viewer allows no others
 _UNIT_WITHIN = 0.01  # of a quaternion's length: what is sent is rounded
-_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""How documents of scenes are validated: nothing unknown, and numbers that are finite."""
 
 
 def _not_empty(name: str) -> str:
@@ -33,8 +34,19 @@ def _not_empty(name: str) -> str:
     return name
 
 
+def check_unit(rotation: tuple[float, float, float, float]) -> None:
+    """Raises ValueError for a rotation that is no unit quaternion."""
+    length = math.hypot(*rotation)
+    if abs(length - 1) > _UNIT_WITHIN:
+        raise ValueError(f"the rotation is no unit quaternion: its length is {length:g}")
+
+
 Metres = Annotated[float, BeforeValidator(require_number), Field(ge=-_FAR_M, le=_FAR_M)]
 Part = Annotated[float, BeforeValidator(require_number), Field(ge=-1.01, le=1.01)]
+ItemId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
+Position = Annotated[tuple[Metres, Metres, Metres], array_schema(3, _FAR_M)]
+Rotation = Annotated[tuple[Part, Part, Part, Part], array_schema(4, 1.01)]
+Scale = Annotated[float, BeforeValidator(require_number), Field(ge=_SCALES[0], le=_SCALES[1])]
 SceneName = Annotated[str, Field(max_length=NAME_CHARS), AfterValidator(one_line), AfterValidator(_not_empty)]
 
 
@@ -49,18 +61,16 @@ class PlacedAsset:
     scale       against its true size
     """
 
-    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")]
+    id: ItemId
     asset: Annotated[str, Field(max_length=100), AfterValidator(check_key)]
-    position_m: Annotated[tuple[Metres, Metres, Metres], array_schema(3, _FAR_M)]
-    rotation: Annotated[tuple[Part, Part, Part, Part], array_schema(4, 1.01)] = (0.0, 0.0, 0.0, 1.0)
-    scale: Annotated[float, BeforeValidator(require_number), Field(ge=_SCALES[0], le=_SCALES[1])] = 1.0
+    position_m: Position
+    rotation: Rotation = (0.0, 0.0, 0.0, 1.0)
+    scale: Scale = 1.0
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
 
     def __post_init__(self) -> None:
-        length = math.hypot(*self.rotation)
-        if abs(length - 1) > _UNIT_WITHIN:
-            raise ValueError(f"the rotation is no unit quaternion: its length is {length:g}")
+        check_unit(self.rotation)
 
 
 def check_ids(items: tuple[PlacedAsset, ...]) -> tuple[PlacedAsset, ...]:
@@ -86,7 +96,7 @@ class Scene:
     updated: str
     items: PlacedAssets
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
 
     @property
     def assets(self) -> frozenset[str]:

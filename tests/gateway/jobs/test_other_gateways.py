@@ -12,14 +12,18 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
+from services.gateway import postgres_notify
+from services.gateway.access.readers import ReadersCache
 from services.gateway.database import open_engine
 from services.gateway.dispatch import dispatcher
-from services.gateway.jobs import other_gateways, postgres_notify
+from services.gateway.jobs import job_news, other_gateways
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.job import Order
 from services.gateway.jobs.other_gateways import OtherGateways
 from services.gateway.jobs.state_machine import lease_to_worker, request_cancel, requeue_refused
 from services.gateway.jobs.store import JobStore
+from services.gateway.scenes.news import SceneNews
+from services.gateway.scenes.reads import SceneReads
 from services.storage.tenant_store import DEFAULT_TENANT as HOME
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, memory, start, worker
 from tests.support.patience import PATIENCE_S
@@ -36,7 +40,11 @@ class Gateway:
         self.jobs = AsyncJobStore(JobStore(engine))
         self.woken = asyncio.Event()
         self.cancelled: asyncio.Queue[str] = asyncio.Queue()
-        self.others = OtherGateways(self.jobs, wake=self.woken.set, cancel=self.cancelled.put_nowait)
+        store = memory()
+        self.scenes = SceneNews(engine, SceneReads(store), ReadersCache(store))
+        self.others = OtherGateways(
+            self.jobs, wake=self.woken.set, cancel=self.cancelled.put_nowait, scenes=self.scenes
+        )
 
 
 @asynccontextmanager
@@ -94,7 +102,7 @@ async def test_what_is_rolled_back_is_not_told(url: str, other: JobStore) -> Non
         await _heard(mine.woken)
         with mine.jobs.notifier.listen(first.id) as news:
             with other.engine.connect() as db:
-                postgres_notify.announce(db, other.origin, first)
+                job_news.announce(db, other.origin, first)
                 db.rollback()
             other.create(HOME, ORDER)
             await _heard(mine.woken)  # what came later has been heard

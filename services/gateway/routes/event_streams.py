@@ -1,0 +1,34 @@
+"""Answers of server-sent events: how they are sent, and how a stream waits for news."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+
+from sse_starlette import EventSourceResponse, ServerSentEvent
+
+HEARTBEAT_S = 10.0
+"""Longest silence on an event stream: proxies cut silent connections after 30 to 60 s."""
+RECONNECT_MS = 1000
+"""How long browsers wait before they reconnect."""
+_SEND_TIMEOUT_S = 30.0  # a client that reads nothing for so long is considered gone
+
+
+def stream_events(
+    events: AsyncIterator[ServerSentEvent], headers: Mapping[str, str] | None = None
+) -> EventSourceResponse:
+    """Return the answer that sends these events."""
+    return EventSourceResponse(
+        events,
+        ping=3600,  # in effect off: our own heartbeats are visible to pages
+        send_timeout=_SEND_TIMEOUT_S,
+        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no", **(headers or {})},
+    )
+
+
+async def wait_for(news: asyncio.Event, seconds: float) -> bool:
+    """Return whether there were news within so many seconds."""
+    try:
+        return await asyncio.wait_for(news.wait(), seconds)
+    except TimeoutError:
+        return False

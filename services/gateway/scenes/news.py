@@ -1,0 +1,130 @@
+"""Tells those who watch a scene what happens in it: here at once, at other gateways by NOTIFY where there is Postgres.
+
+A scene is a document of the store, which tells nobody of changes. Whoever watches therefore also looks at it now and
+then: news that are lost, or that nobody told, come late and are not missed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from sqlalchemy.engine import Engine
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.gateway.access.readers import ReadersCache, Thing
+from services.gateway.postgres_notify import can_notify, notify
+from services.gateway.scenes.listener import Listener
+from services.gateway.scenes.moves import Moves, moves_as_json, moves_from_json
+from services.gateway.scenes.reads import SceneReads
+
+CHANNEL = "capture2vr_scenes"
+"""Where gateways tell each other."""
+_MOST_WAITING = 64  # texts for other gateways: a second's moves of six hands
+
+_log = logging.getLogger(__name__)
+
+
+class SceneNews:
+    """Wakes listeners of scenes: `with news.listen(scene, client) as listener: await listener.news.wait()`.
+
+    Event loop only. engine: the database, by which other gateways are told
+    """
+
+    def __init__(self, engine: Engine, reads: SceneReads, readers: ReadersCache) -> None:
+        self._engine = engine.execution_options(isolation_level="AUTOCOMMIT")
+        self._reads = reads
+        self._readers = readers
+        self._origin = secrets.token_hex(8)  # in what is sent from here
+        self._listeners: defaultdict[Thing, set[Listener]] = defaultdict(set)
+        self._streams = Counter[str]()
+        self._outbox: asyncio.Queue[str] = asyncio.Queue(_MOST_WAITING)
+
+    @contextmanager
+    def listen(self, scene: Thing, client: str) -> Iterator[Listener]:
+        """Yield what there is to tell of a scene; clear its `news` before taking what it has."""
+        listener = Listener(client)
+        self._listeners[scene].add(listener)
+        self._streams[client] += 1
+        try:
+            yield listener
+        finally:
+            self._listeners[scene].discard(listener)
+            if not self._listeners[scene]:
+                del self._listeners[scene]
+            self._streams[client] -= 1
+            if not self._streams[client]:
+                del self._streams[client]
+
+    def streams_of(self, client: str) -> int:
+        """Return how many streams a client has."""
+        return self._streams[client]
+
+    @property
+    def listener_count(self) -> int:
+        """Number of listeners, over all scenes."""
+        return self._streams.total()
+
+    def change(self, scene: Thing) -> None:
+        """Tell everybody that a scene was replaced or deleted here."""
+        self._change(scene)
+        self._tell_others(scene, "")
+
+    def move(self, scene: Thing, moves: Moves) -> None:
+        """Tell everybody where things of a scene are just now."""
+        self._move(scene, moves)
+        self._tell_others(scene, moves_as_json(moves))
+
+    def hear(self, text: str) -> None:
+        """Tell the listeners here what another gateway has sent."""
+        origin, tenant, name, what = text.split(" ", 3)
+        scene = Thing(tenant, "scene", name)
+        if origin == self._origin:
+            return
+        if not what:
+            self._change(scene)
+            return
+        try:
+            self._move(scene, moves_from_json(what))
+        except ValueError as error:
+            _log.warning("another gateway says of %s what this one does not understand: %s", name, error)
+
+    def look_again(self) -> None:
+        """Have all listeners look at their scenes: what happened while nobody listened was not told."""
+        for scene in tuple(self._listeners):
+            self._change(scene)
+
+    async def tell(self) -> None:
+        """Tell other gateways, one thing after the other, until cancelled."""
+        while True:
+            text = await self._outbox.get()
+            try:
+                await asyncio.to_thread(self._notify, text)
+            except SQLAlchemyError as error:
+                _log.warning("other gateways hear late of a scene's change: %s", error.__cause__ or error)
+
+    def _change(self, scene: Thing) -> None:
+        self._readers.forget_all(scene.tenant)
+        self._reads.forget(scene)
+        for listener in self._listeners.get(scene, ()):
+            listener.change()
+
+    def _move(self, scene: Thing, moves: Moves) -> None:
+        for listener in self._listeners.get(scene, ()):
+            listener.move(moves)
+
+    def _tell_others(self, scene: Thing, what: str) -> None:
+        if not can_notify(self._engine):
+            return
+        try:
+            self._outbox.put_nowait(f"{self._origin} {scene.tenant} {scene.name} {what}")
+        except asyncio.QueueFull:
+            _log.warning("the database takes so long that other gateways hear late of %s", scene.name)
+
+    def _notify(self, text: str) -> None:
+        with self._engine.connect() as db:
+            notify(db, CHANNEL, text)
