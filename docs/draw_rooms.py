@@ -29,6 +29,7 @@ TOP_ROOMS = {
     "gateway": {
         SHARED: ("errors", "database_faults"),
         "app": ("__main__", "app", "middleware", "instance_lock"),
+        "database": ("database", "postgres_notify"),
         "schemas": ("schemas", "settings", "metrics"),
         "worker_client": ("worker_client", "worker_types"),
     },

@@ -75,7 +75,7 @@ from services.gateway.routes import (
     webhooks,
 )
 from services.gateway.routes.access_rules import check_rules, describe_rules, needs
-from services.gateway.scenes.news import SceneNews
+from services.gateway.scenes.news import CHANNEL, SceneNews
 from services.gateway.scenes.reads import SceneReads
 from services.gateway.scrub import Scrub
 from services.gateway.settings import GatewaySettings, worker_credentials
@@ -244,7 +244,13 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.dispatcher = Dispatcher(dependencies, holder=instance.id, lease_s=settings.lease_s)
         dispatcher: Dispatcher = app.state.dispatcher
         news = app.state.scene_news = SceneNews(engine, app.state.scene_reads, app.state.readers)
-        others = OtherGateways(job_store, wake=dispatcher.wake, cancel=dispatcher.cancel, scenes=news)
+        others = OtherGateways(
+            job_store,
+            wake=dispatcher.wake,
+            cancel=dispatcher.cancel,
+            channels={CHANNEL: news.hear},
+            on_connected=news.look_again,
+        )
         for background in (
             dispatcher.run(),
             others.watch(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -13,8 +13,6 @@ from services.gateway.jobs.job import State
 from services.gateway.jobs.job_news import CHANNEL
 from services.gateway.jobs.store import JobStore
 from services.gateway.postgres_notify import listen
-from services.gateway.scenes.news import CHANNEL as SCENES_CHANNEL
-from services.gateway.scenes.news import SceneNews
 
 _FIRST_REFUSAL_S = 0.1  # the gateway that queued a job mostly finds a slot for it; then the others need not look
 _POLL_S = 1.0  # SQLite: between checks for changes that another gateway wrote
@@ -25,9 +23,10 @@ _log = logging.getLogger(__name__)
 class OtherGateways:
     """Notifies this gateway's listeners of changes that other gateways wrote, and its dispatcher of the queue's.
 
-    wake    called when a job waits that another gateway has queued
-    cancel  called with a running job that another gateway was asked to cancel
-    scenes  are told what happens in scenes at other gateways
+    wake          called when a job waits that another gateway has queued
+    cancel        called with a running job that another gateway was asked to cancel
+    channels      on Postgres: what else gateways tell each other, by its channel, and who is called with it
+    on_connected  called whenever this gateway begins to hear it: what was told before may be missed
     """
 
     def __init__(
@@ -36,10 +35,12 @@ class OtherGateways:
         *,
         wake: Callable[[], None],
         cancel: Callable[[str], None],
-        scenes: SceneNews,
+        channels: Mapping[str, Callable[[str], None]],
+        on_connected: Callable[[], None],
     ) -> None:
         self._job_store = job_store
-        self._scenes = scenes
+        self._channels = {CHANNEL: self._on_change, **channels}
+        self._report_connected = on_connected
         self._wake = wake
         self._cancel = cancel
         self._queued: dict[str, asyncio.TimerHandle] = {}  # jobs that have just been queued, and when to look at them
@@ -48,8 +49,7 @@ class OtherGateways:
         """Notify until cancelled."""
         store = self._job_store.blocking
         if store.announces:
-            channels = {CHANNEL: self._on_change, SCENES_CHANNEL: self._scenes.hear}
-            await listen(store.engine, channels, on_connected=self._on_connected)
+            await listen(store.engine, self._channels, on_connected=self._on_connected)
         else:
             await self._poll()
 
@@ -73,7 +73,7 @@ class OtherGateways:
     def _on_connected(self) -> None:
         """Have everybody look again: what was committed while nobody listened was not told."""
         self._job_store.notifier.notify_all()
-        self._scenes.look_again()
+        self._report_connected()
         self._wake()
 
     async def _poll(self) -> None:

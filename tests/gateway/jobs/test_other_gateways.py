@@ -13,7 +13,6 @@ import sqlalchemy as sa
 from sqlalchemy.engine import Engine
 
 from services.gateway import postgres_notify
-from services.gateway.access.readers import ReadersCache
 from services.gateway.database import open_engine
 from services.gateway.dispatch import dispatcher
 from services.gateway.jobs import job_news, other_gateways
@@ -22,8 +21,6 @@ from services.gateway.jobs.job import Order
 from services.gateway.jobs.other_gateways import OtherGateways
 from services.gateway.jobs.state_machine import lease_to_worker, request_cancel, requeue_refused
 from services.gateway.jobs.store import JobStore
-from services.gateway.scenes.news import SceneNews
-from services.gateway.scenes.reads import SceneReads
 from services.storage.tenant_store import DEFAULT_TENANT as HOME
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, memory, start, worker
 from tests.support.patience import PATIENCE_S
@@ -40,10 +37,12 @@ class Gateway:
         self.jobs = AsyncJobStore(JobStore(engine))
         self.woken = asyncio.Event()
         self.cancelled: asyncio.Queue[str] = asyncio.Queue()
-        store = memory()
-        self.scenes = SceneNews(engine, SceneReads(store), ReadersCache(store))
         self.others = OtherGateways(
-            self.jobs, wake=self.woken.set, cancel=self.cancelled.put_nowait, scenes=self.scenes
+            self.jobs,
+            wake=self.woken.set,
+            cancel=self.cancelled.put_nowait,
+            channels={},
+            on_connected=lambda: None,
         )
 
 
