@@ -1,11 +1,12 @@
 // The gateway's HTTP API, as all pages use it.
 import { deleteEntry, openCache, readEntry, writeEntry } from './cache-storage.js';
+import { followEvents } from './event-stream.js';
 import { leadToLogin } from './login-redirect.js';
 import { fetchBytes } from './network.js';
 import { isConnectionProblem, noAnswer, offline, parseAnswer } from './problems.js';
 import { captureAddress } from './upload-form.js';
 import { ownName } from './whose.js';
-import { CACHED_COPY_MS, EVENTS_SILENCE_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
+import { CACHED_COPY_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
 /** @import { About } from './upload-form.js' */
 /** @import { AnchorPoints, AnchorsEvent, AssetEntry, CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
@@ -66,6 +67,15 @@ export async function getCachedJson(url) {
     if (copy && isConnectionProblem(problem)) return JSON.parse(decodeText(copy.bytes));
     throw problem;
   }
+}
+
+/**
+ * Caches what an event brought as the newest answer of an address, for a visit without the server.
+ * @param {string} url
+ * @param {string} text
+ */
+export async function cacheAnswer(url, text) {
+  await writeEntry(await openCache(ownName(CATALOGUE)), url, new TextEncoder().encode(text).buffer);
 }
 
 /**
@@ -204,8 +214,6 @@ export async function finishUpload(upload, about) {
   return parseAnswer(response.status, decodeText(bytes));
 }
 
-const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds
-
 /**
  * @typedef {object} JobCallbacks
  * @property {(progress: JobProgress) => void} onProgress
@@ -221,62 +229,21 @@ const RECONNECT_MS = 2000; // a gateway that restarts is back within seconds
  * @returns {() => void} stops following
  */
 export function followJob(id, { onProgress, onAnchors, onChange, onLost }) {
-  /** @type {EventSource | undefined} */
-  let source;
-  let reconnect = 0;
-  let silence = 0;
-  let last = 0; // number of the last event
-  function restartSilence() {
-    clearTimeout(silence);
-    silence = setTimeout(lose, EVENTS_SILENCE_MS);
-  }
-  /** @param {MessageEvent} event */
-  function received(event) {
-    restartSilence();
-    last = Number(event.lastEventId) || last;
-  }
-  function lose() {
-    stop();
-    onLost();
-    reconnect = setTimeout(connect, RECONNECT_MS);
-  }
-  function stop() {
-    clearTimeout(reconnect);
-    clearTimeout(silence);
-    source?.close();
-  }
-  function connect() {
-    const stream = new EventSource(`/v1/jobs/${id}/events?after=${last}`);
-    source = stream;
-    restartSilence();
-    stream.onopen = () => {
-      restartSilence();
-      onChange();
-    };
-    stream.addEventListener('heartbeat', restartSilence);
-    stream.addEventListener('progress', (event) => {
-      received(event);
-      onProgress(JSON.parse(event.data));
-    });
-    stream.addEventListener('anchors', (event) => {
-      received(event);
-      /** @type {AnchorsEvent} */
-      const { anchors } = JSON.parse(event.data);
-      onAnchors(anchors);
-    });
-    for (const type of ['published', 'state']) {
-      stream.addEventListener(type, (event) => {
-        received(event);
-        onChange();
-      });
-    }
-    // A browser reconnects by itself where the connection breaks, but never after an error's answer (a proxy's 502).
-    stream.onerror = () => {
-      if (stream.readyState === EventSource.CLOSED) lose();
-    };
-  }
-  connect();
-  return stop;
+  return followEvents({
+    address: (last) => `/v1/jobs/${id}/events?after=${last}`,
+    events: {
+      progress: (data) => onProgress(JSON.parse(data)),
+      anchors: (data) => {
+        /** @type {AnchorsEvent} */
+        const { anchors } = JSON.parse(data);
+        onAnchors(anchors);
+      },
+      published: onChange,
+      state: onChange,
+    },
+    onOpen: onChange,
+    onLost,
+  });
 }
 
 /**

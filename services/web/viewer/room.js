@@ -152,6 +152,7 @@ export class Room {
       onLost: (ids) => showNotice(lostText(ids.map((id) => this.#nameOf(id))), { stays: true }),
       onTrouble: (error) => this.#reportTrouble(error),
       onSaved: () => this.#reportSaved(),
+      onDeleted: () => this.#end(),
       isVisible: this.#callbacks.isVisible,
     });
     this.#callbacks.onChange();
@@ -192,14 +193,18 @@ export class Room {
     document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
   }
 
+  /** Somebody has deleted the scene. */
+  #end() {
+    this.#saved?.end();
+    showNotice(t('This scene was deleted. What you see here is kept nowhere.'), { stays: true });
+  }
+
   /** @param {unknown} error */
   #reportTrouble(error) {
     const { code, message } = toProblem(error);
     document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
-    if (code === 'SCENE_UNKNOWN') {
-      this.#saved?.end();
-      showNotice(t('This scene was deleted. What you see here is kept nowhere.'), { stays: true });
-    } else if (this.#saved?.isDirty) showNotice(t('Not saved yet, trying again: {reason}', { reason: message }), { stays: true });
+    if (code === 'SCENE_UNKNOWN') this.#end();
+    else if (this.#saved?.isDirty) showNotice(t('Not saved yet, trying again: {reason}', { reason: message }), { stays: true });
   }
 }
 

@@ -1,6 +1,7 @@
-// A scene on the server, kept in step with this page: saves what is changed here, and shows what others have changed.
+// A scene on the server, kept in step with this page: saves what is changed here, and follows what others change.
 import { isSameContent, mergeScenes } from './scene-merge.js';
-import { getCachedJson, putJson } from '../shared/api.js';
+import { cacheAnswer, getCachedJson, putJson } from '../shared/api.js';
+import { followEvents } from '../shared/event-stream.js';
 import { Problem } from '../shared/problems.js';
 import { ofShownTenant } from '../shared/whose.js';
 
@@ -8,7 +9,7 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { SceneDocument } from '../shared/types.d.ts' */
 
 const SAVE_MS = 500; // after a change: turns and pushes come in series
-const POLL_MS = 4000; // between two looks for what others have changed, which cost 304 mostly
+const POLL_MS = 4000; // between two looks for what others have changed, while no stream of events tells it
 const MOST_TRIES = 5; // against others who save at the same time
 
 /**
@@ -18,6 +19,7 @@ const MOST_TRIES = 5; // against others who save at the same time
  * @property {(ids: string[]) => void} onLost is called with things that others moved at the same time, and '' for the name: as they have it
  * @property {(error: unknown) => void} onTrouble is called where it could not be saved or read; it is tried again
  * @property {() => void} onSaved
+ * @property {() => void} onDeleted is called when somebody has deleted the scene
  * @property {() => boolean} isVisible whether anybody looks at the page
  */
 
@@ -26,17 +28,23 @@ export class SavedScene {
   #document;
   #callbacks;
   #timer = 0;
+  #hasEnded = false;
+  /** @type {(() => void) | null} */
+  #stopFollowing = null; // while nobody looks at the page
+  #isLive = false; // whether the stream of events is open
   /** @type {Promise<void>} */
   #running = Promise.resolve();
 
   /**
-   * @param {SceneDocument} document as the server has it, and as the page shows it
+   * @param {SceneDocument} known as the server has it, and as the page shows it
    * @param {SavedSceneCallbacks} callbacks
    */
-  constructor(document, callbacks) {
-    this.#document = document;
+  constructor(known, callbacks) {
+    this.#document = known;
     this.#callbacks = callbacks;
     this.#wait(POLL_MS);
+    this.#followIfVisible();
+    document.addEventListener('visibilitychange', this.#followIfVisible);
   }
 
   get id() {
@@ -60,26 +68,72 @@ export class SavedScene {
   /** Looks no more: the scene is deleted. */
   end() {
     clearTimeout(this.#timer);
-    this.#wait = () => {};
+    this.#hasEnded = true;
+    this.#followIfVisible();
+    document.removeEventListener('visibilitychange', this.#followIfVisible);
   }
 
   /** @param {number} milliseconds */
-  #wait = (milliseconds) => {
+  #wait(milliseconds) {
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => {
-      this.#running = this.#running.then(() => this.#sync()).finally(() => this.#wait(POLL_MS));
+    if (this.#hasEnded) return;
+    const timer = setTimeout(async () => {
+      this.#followIfVisible(); // a headset's session may have begun or ended
+      await this.#inTurn(() => this.#sync());
+      if (this.#timer === timer) this.#wait(POLL_MS); // else something was changed meanwhile
     }, milliseconds);
+    this.#timer = timer;
+  }
+
+  /**
+   * Does something after what goes on: what an event says is not looked at before the answer to a save, of which it may tell.
+   * @param {() => Promise<void>} step
+   */
+  #inTurn(step) {
+    this.#running = this.#running.then(step).catch((error) => this.#callbacks.onTrouble(error));
+    return this.#running;
+  }
+
+  /** Follows the scene while somebody looks at the page. */
+  #followIfVisible = () => {
+    const wanted = !this.#hasEnded && this.#callbacks.isVisible();
+    if (wanted) this.#stopFollowing ??= this.#follow();
+    else {
+      this.#stopFollowing?.();
+      this.#stopFollowing = null;
+      this.#isLive = false;
+    }
   };
 
-  /** Saves what was changed here, or shows what others have changed. */
+  /** @returns {() => void} stops */
+  #follow() {
+    const lose = () => {
+      this.#isLive = false;
+    };
+    return followEvents({
+      address: () => ofShownTenant(`${addressOf(this.id)}/events?after=${this.version}`),
+      events: {
+        scene: (data) => this.#inTurn(() => this.#hear(data)),
+        deleted: () => this.#callbacks.onDeleted(),
+      },
+      onOpen: () => {
+        this.#isLive = true;
+      },
+      onBreak: lose,
+      onLost: lose,
+    });
+  }
+
+  /** @param {string} data a version of the scene */
+  async #hear(data) {
+    this.#show(JSON.parse(data));
+    await cacheAnswer(ofShownTenant(addressOf(this.id)), data);
+  }
+
+  /** Saves what was changed here, or looks for what others have changed, of which no event tells. */
   async #sync() {
-    const { isVisible, onTrouble } = this.#callbacks;
-    try {
-      if (this.isDirty) await this.#save();
-      else if (isVisible()) await this.#load();
-    } catch (error) {
-      onTrouble(error);
-    }
+    if (this.isDirty) await this.#save();
+    else if (!this.#isLive && this.#callbacks.isVisible()) await this.#load();
   }
 
   async #save() {
@@ -97,10 +151,16 @@ export class SavedScene {
     }
   }
 
-  /** Shows what others have changed, with what was changed here. */
   async #load() {
-    const theirs = await loadScene(this.id);
-    if (theirs.version <= this.version) return; // without the server it is the copy of before
+    this.#show(await loadScene(this.id));
+  }
+
+  /**
+   * Shows what others have changed, with what was changed here.
+   * @param {SceneDocument} theirs
+   */
+  #show(theirs) {
+    if (theirs.version <= this.version) return; // saved here, or without the server the copy of before
     const { lost, ...merged } = mergeScenes(this.#document, this.#callbacks.content(), theirs);
     this.#document = theirs;
     this.#callbacks.show(merged);
