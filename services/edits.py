@@ -16,12 +16,14 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from services.json_numbers import array_schema, require_number
+from services.photo_lasso import MOST_LASSOS, PhotoLasso
 
 CutName = Literal["", "auto", "object", "scene"]
 FillName = Literal["", "none", "unseen", "all"]
 
-MOST_BYTES = 48 << 10
-"""Most bytes of a recipe: less than a request's body may have (64 KiB); one with everything has 2 KB."""
+MOST_BYTES = 60 << 10
+"""Most bytes of a recipe: less than a request's body may have (64 KiB); one without lassos has 2 KB, and 30 lassos have
+57 KB at most."""
 MOST_PLANES = 20
 LEAST_M, MOST_M = 0.001, 1_000.0
 """Shortest and longest length in metres that a person can have measured: a tick, a street."""
@@ -129,6 +131,7 @@ class Edits:
     capture  id of the capture that it was made for; "": any. An order with another capture is refused
     crop     box outside of which points are cut away
     planes   behind which points are cut away
+    lassos   lines in photos, around what is left out or kept
     up       (3,) direction against gravity in the capture frame, of any length but 0; None: it is estimated
     front    (3,) direction in the capture frame to which its front looks, likewise; None: as the capture's frame has it
     length   gives the true size; None: as the capture tells it
@@ -139,6 +142,7 @@ class Edits:
     capture: Name = ""
     crop: CropBox | None = None
     planes: Annotated[tuple[CutPlane, ...], Field(max_length=MOST_PLANES)] = ()
+    lassos: Annotated[tuple[PhotoLasso, ...], Field(max_length=MOST_LASSOS)] = ()
     up: Vector | None = None
     front: Vector | None = None
     length: MeasuredLength | None = None
@@ -174,7 +178,12 @@ class Edits:
     @property
     def cuts_away(self) -> bool:
         """Whether it cuts points away."""
-        return self.crop is not None or bool(self.planes)
+        return self.crop is not None or bool(self.planes or self.lassos)
+
+    @property
+    def photos(self) -> frozenset[str]:
+        """Names of the photos that its lassos are in."""
+        return frozenset(lasso.photo for lasso in self.lassos)
 
     @property
     def as_json(self) -> dict[str, Any]:

@@ -14,7 +14,10 @@ def require_number(value: Any) -> Any:
     return value
 
 
-def array_schema(length: int, largest: float) -> WithJsonSchema:
-    """Return the JSON Schema of an array of so many numbers: generators of clients do not know that of a tuple."""
-    number = {"type": "number", "minimum": -largest, "maximum": largest}
+def array_schema(length: int, largest: float, *, least: float | None = None) -> WithJsonSchema:
+    """Return the JSON Schema of an array of so many numbers, from `least` (-largest) to `largest`.
+
+    Generators of clients do not know that of a tuple.
+    """
+    number = {"type": "number", "minimum": -largest if least is None else least, "maximum": largest}
     return WithJsonSchema({"type": "array", "items": number, "minItems": length, "maxItems": length})

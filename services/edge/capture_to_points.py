@@ -26,6 +26,7 @@ from services.edge.points.frame_faults import FrameFaults
 from services.edge.points.fuse import FusedPoints, fuse, has_stereo_depth
 from services.edge.points.fuse_scene import fuse_scene
 from services.edge.points.isolate import isolate_object
+from services.edge.points.lasso import require_photos
 from services.edge.points.nouns import Cut, CutReport, Points, TextureView
 from services.edge.points.orbit import sees_a_scene
 from services.edge.points.outliers import inliers
@@ -102,6 +103,7 @@ def prepare(
     refines  whether a training may follow the preview
     """
     require_single_photo(capture, box)
+    require_photos(capture, edits.lassos)
     clock = Clock()
     starts = PHOTO_STARTS if capture.kind == "photos" else STARTS
     bar.set_range(starts, 0.0, preview_share(capture.kind) if refines else 1.0)
@@ -113,7 +115,7 @@ def prepare(
             source = replace(source, verdicts=capture.verdicts)
     yield bar.begin("POINT_CLOUD", f"reading {source.format}")
     with clock("POINT_CLOUD"):
-        points = _points(capture, cut, hold_out, box, bar)
+        points = _points(capture, cut, hold_out, box, edits.photos, bar)
         points = scale_to_longest(points, longest_m) if longest_m else points  # it was measured before a cut
         points = cut_away(points, edits, part_of(bar.tick("POINT_CLOUD"), 1.0, 1.0))
         points = set_frame(points, edits)
@@ -143,12 +145,14 @@ def require_single_photo(capture: Capture, box: PhotoBox | None) -> None:
         )
 
 
-def _points(capture: Capture, cut: Cut, hold_out: int | None, box: PhotoBox | None, bar: Bar) -> Points:
+def _points(
+    capture: Capture, cut: Cut, hold_out: int | None, box: PhotoBox | None, drawn: frozenset[str], bar: Bar
+) -> Points:
     if capture.kind == "image":
         from services.edge.single_photo.to_points import to_points as guess_points  # loads torch
 
         return guess_points(capture, box=box, tick=bar.tick("POINT_CLOUD"))
-    return to_points(capture, cut=cut, hold_out=hold_out, tick=bar.tick("POINT_CLOUD"))
+    return to_points(capture, cut=cut, hold_out=hold_out, drawn=drawn, tick=bar.tick("POINT_CLOUD"))
 
 
 def to_points(
@@ -157,6 +161,7 @@ def to_points(
     voxel: float | None = None,
     cut: Cut = "auto",
     hold_out: int | None = None,
+    drawn: frozenset[str] = frozenset(),
     tick: Tick = no_tick,
 ) -> Points:
     """Make a clean, coloured point cloud of a capture, in its frame and units.
@@ -165,6 +170,7 @@ def to_points(
     cut      what to keep: "object" the one in the middle, without what it stands on and what stands around it; "scene"
              everything; "auto" the object where photos were taken around one, and it is found
     hold_out number of pictures that points and textures are not made from; None: a few of a capture that has many
+    drawn    names of the pictures whose frames the points keep, for the lines that a person drew in them
 
     Raises CaptureError: CAPTURE_TOO_FEW_POINTS where too few points remain, CAPTURE_NOTHING_LEFT where `cut` finds
     no object, CAPTURE_NO_POSES where frames without poses cannot be placed, CAPTURE_BAD_POSE where poses contradict
@@ -180,13 +186,14 @@ def to_points(
         kept = _ALL_WANTED if cut == "scene" else CutReport("scene", "a cloud is taken as it is")
         return isolate_object(replace(points, whole=None), tick=tick) if cut == "object" else replace(points, cut=kept)
     cameras = tuple(frame.picture for frame in capture.frames if frame.picture)
+    drawn_in = tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
     held_out = tuple(frame for frame in held_out if FrameFaults().read_picture(frame) is not None)
     in_parts = not has_stereo_depth(frames) and cut != "object"  # which is cut out of points in memory
     fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
     capture = replace(capture, frames=fused.frames)
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
-    points = replace(points, held_out_views=tuple(map(texture_view, held_out)), cameras=cameras)
+    points = replace(points, held_out_views=tuple(map(texture_view, held_out)), cameras=cameras, drawn_in=drawn_in)
     points = _cut(points, capture, fused, cut, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))

@@ -11,8 +11,9 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats
 from services.edge.capture.depth import ColourSource, DepthSource, ImageColour, confidence_image, depth_file
 from services.edge.capture.files import Folder, unreadable
-from services.edge.capture.nouns import Capture, Frame, Intrinsics
+from services.edge.capture.nouns import Capture, Frame, Intrinsics, ShownPicture
 from services.edge.capture.poses import Axes, checked_pose
+from services.edge.capture.upright_places import StoredPlaces
 from services.edge.errors import CaptureError
 
 MAX_BAD_SHARE = 0.1  # of the frames may have a broken pose or depth; they are dropped with a warning
@@ -165,7 +166,15 @@ def _frame(record: FrameRecord, axes: Axes, colourless: list[CaptureError]) -> F
     confidence = (
         None if record.load_confidence is None else partial(_resized_confidence, record.load_confidence, width, height)
     )
-    return Frame(record.name, scaled, pose, record.depth.load, confidence, load_rgb)
+    shown = _shown_picture(record.colour) if load_rgb else None
+    return Frame(record.name, scaled, pose, record.depth.load, confidence, load_rgb, shown=shown)
+
+
+def _shown_picture(colour: ColourSource | None) -> ShownPicture | None:
+    """Return the picture that a person sees of a frame whose colours are a file of their own."""
+    if not isinstance(colour, ImageColour):
+        return None
+    return ShownPicture(colour.file, StoredPlaces(colour.path, colour.file))
 
 
 def _resized_confidence(load: Callable[[], Floats], width: int, height: int) -> Floats:

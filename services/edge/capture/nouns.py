@@ -87,6 +87,19 @@ class PictureCamera:
 
 
 @dataclass(frozen=True, slots=True)
+class ShownPicture:
+    """The upright picture that a person sees of a frame.
+
+    name        its file inside the capture
+    to_upright  positions (N,2) in the frame's images -> positions (N,2) in the upright picture, both as shares of width
+                and height: (0, 0) is the top left corner of the top left pixel
+    """
+
+    name: str
+    to_upright: Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True, slots=True)
 class Frame:
     """A depth image with its camera and, where known, pose and colours. Images load lazily: hundreds cost no memory.
 
@@ -97,6 +110,7 @@ class Frame:
     load_rgb         -> (h,w,3) uint8 sRGB with the field of view of the depth image, any resolution, or None
     window_px        side of the window that stereo matched per pixel: depth errors within it correlate; 1 for sensors
     picture          camera of the photo that it was made from; None for depth cameras
+    shown            the upright picture that a person sees, where that is a file or a key frame; None otherwise
     """
 
     name: str
@@ -107,6 +121,7 @@ class Frame:
     load_rgb: Callable[[], Bytes] | None = None
     window_px: int = 1
     picture: PictureCamera | None = None
+    shown: ShownPicture | None = None
 
 
 class LoadPhoto(Protocol):
@@ -133,6 +148,7 @@ class Photo:
     mask             (h,w) bool of any size, as stored: True where the picture may be used; None: everywhere
     up_in_camera     unit vector against gravity in the axes of the stored picture, or None where the file has none
     elevation_deg    of the optical axis over the horizon, or None where the file has none
+    part             left, top, right, bottom of what it shows of the stored picture, as shares of that one's sides
     """
 
     name: str
@@ -148,6 +164,7 @@ class Photo:
     mask: Bools | None = None
     up_in_camera: tuple[float, float, float] | None = None
     elevation_deg: float | None = None
+    part: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
 
 
 PhotoFault = Literal["ok", "blur", "dark", "duplicate", "no_overlap", "unreadable"]

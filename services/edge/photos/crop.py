@@ -42,7 +42,15 @@ def crop_photo(photo: Photo, box: CropBox) -> Photo:
     if mask is not None:
         mask = _cut(mask.astype(np.uint8), photo.size, (left, top, width, height), cv2.INTER_NEAREST).astype(bool)
     load = _CropLoader(photo.load, photo.size, (left, top, width, height))
-    return replace(photo, size=(width, height), load=load, load_alpha=None, mask=mask)
+    part = _part_of(photo, (left, top, width, height))
+    return replace(photo, size=(width, height), load=load, load_alpha=None, mask=mask, part=part)
+
+
+def _part_of(photo: Photo, pixels: tuple[int, int, int, int]) -> tuple[float, float, float, float]:
+    """Return which part of the stored picture a crop (left, top, width, height) of a photo, itself a part, shows."""
+    (left, top, right, bottom), (x, y, width, height) = photo.part, pixels
+    across, down = (right - left) / photo.size[0], (bottom - top) / photo.size[1]
+    return left + x * across, top + y * down, left + (x + width) * across, top + (y + height) * down
 
 
 @dataclass(frozen=True, slots=True)

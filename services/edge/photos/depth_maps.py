@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Tick, no_tick, part_of
-from services.edge.capture.nouns import Frame, Intrinsics
+from services.edge.capture.nouns import Frame, Intrinsics, ShownPicture
 from services.edge.capture.photo_copy import COPY_PX
 from services.edge.errors import Cancelled, CaptureError
 from services.edge.parallel import in_threads
@@ -27,6 +27,7 @@ from services.edge.photos.nouns import Alignment, PhotoView, picture_camera
 from services.edge.photos.plane_sweep import DepthMap, SweepBackendOf, backend_on, sweep
 from services.edge.photos.source_views import SOURCES, choose_sources
 from services.edge.photos.undistorted import UndistortedPhoto, load_undistorted_grey, load_undistorted_rgb
+from services.edge.photos.upright_photo import UprightPhoto
 from services.edge.photos.zncc import WINDOW
 
 LONGEST_PX = 640
@@ -156,6 +157,7 @@ def _frame(seen: UndistortedPhoto, depth: Floats, score: Floats, longest: int) -
         PhotoColours(seen.view, longest),
         window_px=WINDOW,
         picture=picture_camera(seen.view),
+        shown=ShownPicture(seen.view.photo.name, UprightPhoto(seen.view)),
     )
 
 

@@ -1,8 +1,9 @@
-"""Apply a recipe of edits to points: cut away what is outside a box or behind planes, set what is up and the scale."""
+"""Apply a recipe of edits to points: cut away what is outside a box, behind planes, or in a line that a person drew in
+a photo; set what is up and the scale."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from services.edge.arrays import Bools, Floats, Tick, no_tick
 from services.edge.capture.nouns import Capture, Cloud, CloudParts, UpSource
 from services.edge.errors import EdgeError
 from services.edge.points.clean_cloud import MAX_POINTS, MIN_POINTS, cloud_points
+from services.edge.points.lasso import DrawnView, drawn_views, hide_left_out
 from services.edge.points.nouns import Points
 from services.edits import CropBox, CutPlane, Edits
 
@@ -18,24 +20,26 @@ _BY_PERSON = UpSource("person", 1.0)
 
 
 def cut_away(points: Points, edits: Edits, tick: Tick = no_tick) -> Points:
-    """Keep the points that are inside the recipe's box and before its planes, also of a large scene's `whole`.
+    """Keep the points that the recipe's box, planes and lassos keep, also of a large scene's `whole`; of pictures with
+    lassos no colours are used where something is left out.
 
     Where so little of a scene remains that all of it fits, all its points are taken instead of the few that showed the
     scene. Raises EdgeError EDITS_NOTHING_LEFT where fewer than `MIN_POINTS` points remain.
     """
     if not edits.cuts_away:
         return points
-    keep = kept_mask(points.xyz, edits)
+    drawn = drawn_views(points.drawn_in, edits.lassos, points.xyz)
+    keep = kept_mask(points.xyz, edits, drawn)
     if keep.sum() < MIN_POINTS:
         raise EdgeError(
             "EDITS_NOTHING_LEFT",
             f"the edits leave {int(keep.sum()):,} of {len(points):,} points; at least {MIN_POINTS} are needed",
-            hints=("make the crop box larger, or leave a plane out", "check that the edits are of this capture"),
+            hints=("make the crop box larger, or leave a plane or a lasso out", "check that they are of this capture"),
         )
-    kept = points.subset(keep)
+    kept = _with_lassos(points.subset(keep), edits)
     if points.whole is None:
         return kept
-    whole = kept_parts(points.whole, edits, tick)
+    whole = kept_parts(points.whole, edits, drawn, tick)
     if whole.count <= len(kept):
         return replace(kept, whole=None)
     return replace(kept, whole=whole) if whole.count > MAX_POINTS else _with_all(kept, whole)
@@ -55,14 +59,39 @@ def set_frame(points: Points, edits: Edits) -> Points:
     return replace(points, edits=edits)
 
 
-def kept_mask(xyz: Floats, edits: Edits) -> Bools:
-    """Return a mask (N,) of the points (N,3) that a recipe keeps; those on a box's side or on a plane are kept."""
+def kept_mask(xyz: Floats, edits: Edits, drawn: Sequence[DrawnView] = ()) -> Bools:
+    """Return a mask (N,) of the points (N,3) that a recipe keeps; those on a box's side or on a plane are kept.
+
+    drawn  the photos that its lassos are in
+    """
     keep = np.ones(len(xyz), bool)
     if edits.crop is not None:
         keep &= _inside(xyz, edits.crop)
     for plane in edits.planes:
         keep &= _before(xyz, plane)
+    for view in drawn:
+        keep &= ~view.leaves_out(xyz)
     return keep
+
+
+def _with_lassos(points: Points, edits: Edits) -> Points:
+    """Hide in the pictures what the lassos leave out, and warn of lassos in photos that were not used."""
+    if not edits.lassos:
+        return points
+    frames, lassos = points.drawn_in, edits.lassos
+    used = {frame.shown.name for frame in frames if frame.shown}
+    unused = tuple(
+        f"The lasso in {name} had no effect, because that photo was not used: draw it in another one"
+        for name in sorted(edits.photos - used)
+    )
+    return replace(
+        points,
+        texture_views=hide_left_out(points.texture_views, frames, lassos),
+        held_out_views=hide_left_out(points.held_out_views, frames, lassos),
+        scene_views=hide_left_out(points.scene_views, frames, lassos),
+        drawn_in=(),
+        warnings=(*points.warnings, *unused),
+    )
 
 
 def _inside(xyz: Floats, box: CropBox) -> Bools:
@@ -74,18 +103,18 @@ def _before(xyz: Floats, plane: CutPlane) -> Bools:
     return np.asarray((np.asarray(xyz, np.float64) - np.array(plane.point)) @ np.array(plane.normal) >= 0)
 
 
-def kept_parts(whole: CloudParts, edits: Edits, tick: Tick = no_tick) -> CloudParts:
+def kept_parts(whole: CloudParts, edits: Edits, drawn: Sequence[DrawnView] = (), tick: Tick = no_tick) -> CloudParts:
     """Return the parts of a large scene without the points that are cut away. It is read once, to count them."""
 
     def read() -> Iterator[Cloud]:
         for part in whole.read():
-            if (keep := kept_mask(part.xyz, edits)).any():
+            if (keep := kept_mask(part.xyz, edits, drawn)).any():
                 yield part.subset(keep)
 
     count, done = 0, 0
     for part in whole.read():
         done += len(part.xyz)
-        count += int(kept_mask(part.xyz, edits).sum())
+        count += int(kept_mask(part.xyz, edits, drawn).sum())
         tick(min(1.0, done / whole.count))
     return CloudParts(count, read)
 

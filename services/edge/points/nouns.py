@@ -9,7 +9,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints, pick
-from services.edge.capture.nouns import Cloud, CloudParts, Intrinsics, PictureCamera, ScaleConfidence, UpSource
+from services.edge.capture.nouns import (
+    Cloud,
+    CloudParts,
+    Frame,
+    Intrinsics,
+    PictureCamera,
+    ScaleConfidence,
+    UpSource,
+)
 from services.edits import NO_EDITS, Edits
 
 Cut = Literal["auto", "object", "scene"]
@@ -81,7 +89,8 @@ class Points:
     each part of it can be textured from those that show it;
     cameras: of all photos that could be placed, those that are held out too;
     uncut: some of the points that a cut was made from, None without one or where the capture is not on this machine;
-    edits: the recipe that was applied.
+    edits: the recipe that was applied;
+    drawn_in: posed frames of the pictures that the recipe's lassos are in, until it is applied.
     """
 
     xyz: Floats
@@ -101,6 +110,7 @@ class Points:
     cameras: tuple[PictureCamera, ...] = ()
     up_source: UpSource | None = None
     edits: Edits = NO_EDITS
+    drawn_in: tuple[Frame, ...] = ()
 
     def __len__(self) -> int:
         return len(self.xyz)
