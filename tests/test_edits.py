@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.edits import MOST_BYTES, NO_EDITS, CropBox, CutPlane, Edits, InvalidEdits, MeasuredLength, json_schema
+from services.photo_lasso import MOST_CORNERS, MOST_LASSOS, PhotoLasso
 
 NUMBERS = st.floats(-1e6, 1e6)
 VECTORS = st.tuples(NUMBERS, NUMBERS, NUMBERS)
@@ -21,11 +22,20 @@ LENGTHS = st.builds(
     lambda start, way, metres: MeasuredLength(start, tuple(np.add(start, way).tolist()), metres),
     VECTORS, DIRECTIONS, SIDES,
 )  # fmt: skip
+SHARES = st.integers(0, 10_000).map(lambda number: number / 10_000)
+LINES = st.lists(st.tuples(SHARES, SHARES), min_size=3, max_size=8).filter(
+    lambda line: all(max(side) - min(side) > 0.01 for side in zip(*line, strict=True))
+)
+LASSOS = st.builds(
+    PhotoLasso, st.sampled_from(["a.jpg", "é/b 1.heic"]), LINES.map(tuple), keeps=st.booleans(), through=st.booleans()
+)
+SQUARE = [[0.1, 0.1], [0.9, 0.1], [0.9, 0.9]]
 RECIPES = st.builds(
     Edits,
     capture=st.sampled_from(["", "cap_1"]),
     crop=st.none() | BOXES,
     planes=PLANES,
+    lassos=st.lists(LASSOS, max_size=3).map(tuple),
     up=st.none() | DIRECTIONS,
     front=st.none() | DIRECTIONS,
     length=st.none() | LENGTHS,
@@ -59,6 +69,23 @@ BAD = {
     "a tiny line": ('{"length": {"start": [0, 0, 0], "end": [1e-320, 0, 0], "metres": 1}}', "two points of the length"),
     "a cut that there is not": ('{"cut": "half"}', "cut: "),
     "a name with a path": ('{"preset": "../x"}', "preset: "),
+    "a lasso without a photo": (json.dumps({"lassos": [{"line": SQUARE}]}), "lassos.0.photo: "),
+    "a lasso in no photo": (json.dumps({"lassos": [{"photo": "", "line": SQUARE}]}), "lassos.0.photo: "),
+    "a lasso of two corners": (json.dumps({"lassos": [{"photo": "a", "line": SQUARE[:2]}]}), "lassos.0.line: "),
+    "a corner of one number": (json.dumps({"lassos": [{"photo": "a", "line": [[0], *SQUARE]}]}), "lassos.0.line.0.1: "),
+    "a corner beyond": (json.dumps({"lassos": [{"photo": "a", "line": [*SQUARE, [0, 1.01]]}]}), "lassos.0.line.3.1: "),
+    "a corner before": (json.dumps({"lassos": [{"photo": "a", "line": [*SQUARE, [-0.1, 1]]}]}), "lassos.0.line.3.0: "),
+    "a corner that is none": (
+        '{"lassos": [{"photo": "a", "line": [[NaN, 0], [0, 1], [1, 1]]}]}',
+        "lassos.0.line.0.0: ",
+    ),
+    "a corner of text": ('{"lassos": [{"photo": "a", "line": [["0", 0], [0, 1], [1, 1]]}]}', "must be a number"),
+    "a lasso around nothing": (json.dumps({"lassos": [{"photo": "a", "line": 3 * [[0.5, 0.5]]}]}), "round nothing"),
+    "a lasso along a line": (json.dumps({"lassos": [{"photo": "a", "line": [[0, 0], [0, 1], [0, 0.5]]}]}), "width"),
+    "keeps that is no truth value": (json.dumps({"lassos": [{"photo": "a", "line": SQUARE, "keeps": "yes"}]}), "keeps"),
+    "a key of a lasso that there is not": (json.dumps({"lassos": [{"photo": "a", "lines": SQUARE}]}), "lassos.0.lines"),
+    "too many lassos": (json.dumps({"lassos": (MOST_LASSOS + 1) * [{"photo": "a", "line": SQUARE}]}), "lassos: "),
+    "too many corners": (json.dumps({"lassos": [{"photo": "a", "line": 22 * SQUARE}]}), "lassos.0.line: "),
     "half a letter": ('{"capture": "\\ud800"}', "Invalid JSON"),
     "too much": (" " * (MOST_BYTES + 1), "bytes"),
 }
@@ -67,6 +94,18 @@ BAD = {
 @given(RECIPES)
 def test_a_recipe_round_trips(edits: Edits) -> None:
     assert Edits.parse(edits.text) == Edits.parse(json.dumps(edits.as_json)) == Edits.of(edits.as_json) == edits
+
+
+def test_the_largest_lassos_fit_into_a_recipe() -> None:
+    """With names of the longest kind and corners of too many digits, which are rounded."""
+    corner = [0.123456789, 0.98765432101]
+    line = [*(MOST_CORNERS - 2) * [corner], [0.00011111, 0.00012], [0.5, 0.5]]
+    lasso = {"photo": 200 * "é", "line": line, "keeps": True, "through": True}
+    edits = Edits.parse(json.dumps({"lassos": [lasso]}))
+    assert edits.lassos[0].line[0] == (0.1235, 0.9877)
+    largest = Edits(lassos=MOST_LASSOS * edits.lassos)
+    assert len(largest.text.encode()) < MOST_BYTES - 3_000
+    assert Edits.parse(largest.text) == largest
 
 
 def test_nothing_is_a_recipe_too() -> None:

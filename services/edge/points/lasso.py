@@ -27,6 +27,7 @@ _CELL_PX = 4
 """Side, in pixels of the depth image, of the cells in which points hide each other: fused points are 2 pixels apart."""
 _NEAR = 1e-3
 """Depth, of the deepest in the image, of what hides everything where a person drew: nothing that is kept is so near."""
+_AROUND = np.ones((3, 3), np.uint8)  # a pixel, or a cell, and those beside it: a surface may be seen at a slant
 _NAMED = 5  # photos that a sentence names
 _STAYS, _GOES_IF_SEEN, _GOES = 0, 1, 2
 
@@ -144,20 +145,24 @@ def _drawn_view(frame: Frame, lassos: tuple[PhotoLasso, ...], xyz: Floats) -> Dr
     to_camera = np.linalg.inv(np.asarray(frame.camera_to_world, np.float64))
     shape = depth.shape if depth.size > 1 else (camera.height, camera.width)
     depth = np.broadcast_to(depth, shape)
-    surface = np.where(depth > 0, depth, _nearest_points(camera, to_camera, xyz, shape))
-    farthest = cv2.dilate(surface.astype(np.float32), np.ones((3, 3), np.uint8))
-    return DrawnView(camera, to_camera, (1 + _TOLERANCE) * farthest, frame.shown, lassos)
+    surface = cv2.dilate(np.ascontiguousarray(depth, np.float32), _AROUND)
+    reach = np.where(surface > 0, surface, _reach_of_points(camera, to_camera, xyz, shape))
+    return DrawnView(camera, to_camera, (1 + _TOLERANCE) * reach, frame.shown, lassos)
 
 
-def _nearest_points(camera: Intrinsics, to_camera: Floats, xyz: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return the depth (H,W) of the nearest point in each pixel's cell (a z-buffer), infinite where there is none."""
+def _reach_of_points(camera: Intrinsics, to_camera: Floats, xyz: Floats, shape: tuple[int, ...]) -> Floats:
+    """Return for each pixel (H,W) the farthest, within a cell, of the depths of the cells' nearest points (a z-buffer);
+    infinite beside cells without points."""
+    import cv2
+
     at, z = _project(camera, to_camera, xyz)
     within = (z > 0) & (at >= 0).all(axis=1) & (at < 1).all(axis=1)
     cells = tuple(-(-side // _CELL_PX) for side in shape)
     nearest = np.full(cells, np.inf, np.float32)
     row, column = (each // _CELL_PX for each in _pixels(at[within], shape))
     np.minimum.at(nearest, (row, column), z[within].astype(np.float32))
-    return nearest.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)[: shape[0], : shape[1]]
+    farthest = np.asarray(cv2.dilate(nearest, _AROUND))
+    return farthest.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)[: shape[0], : shape[1]]
 
 
 def _project(camera: Intrinsics, to_camera: Floats, xyz: Floats) -> tuple[Floats, Floats]:
