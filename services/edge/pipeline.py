@@ -121,9 +121,10 @@ def reconstruct(
     engine      works at the tiles of a large scene; None: this process
 
     Raises CaptureError where the capture cannot give a surface; EdgeError EDITS_NOTHING_LEFT where too few points
-    remain; Cancelled when `watch` does; EdgeError KTX2_UNAVAILABLE at once where `target` wants KTX2 and there is no
-    `encode`; after a preview and before a refined bundle EdgeError BUDGET_UNREACHABLE where one costs more than
-    `target` allows, and KTX2_FAILED where a texture cannot be encoded.
+    remain, EDITS_UNKNOWN_PHOTO where a lasso is in a photo that there is not; Cancelled when `watch` does; EdgeError
+    KTX2_UNAVAILABLE at once where `target` wants KTX2 and there is no `encode`; after a preview and before a refined
+    bundle EdgeError BUDGET_UNREACHABLE where one costs more than `target` allows, and KTX2_FAILED where a texture
+    cannot be encoded.
     Any other failure after the preview is not raised, but yields `PreviewKept`. A caller that stops early should close
     the generator.
     """

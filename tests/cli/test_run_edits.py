@@ -1,4 +1,5 @@
-"""`capture2vr run --edits`: the recipe cuts, turns and scales; the one of a manifest gives the same files again."""
+"""`capture2vr run --edits`: the recipe cuts, turns and scales; the one of a manifest gives the same files again; a
+lasso in one picture removes the thing that it goes round, and leaves the other."""
 
 from __future__ import annotations
 
@@ -8,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from services.cli.errors import BadInput
 from services.cli.main import app
+from tests.support.two_balls import BLUE_AT, RADIUS_M, RED_AT, line_around, picture_name, write_two_balls
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_pictures")]
 
@@ -73,6 +76,24 @@ def test_a_cut_changes_no_size(scan: Path, tmp_path: Path) -> None:
     recipe = {"crop": RECIPE["crop"], "planes": RECIPE["planes"], "preset": "draft"}
     report = run(scan, tmp_path / "out", recipe, "--longest", str(2**0.5))
     assert report["size_m"] == pytest.approx([0.1, 0.1, 0.1], abs=0.01)
+
+
+def test_a_lasso_removes_one_of_two_things(tmp_path: Path) -> None:
+    capture = write_two_balls(tmp_path / "capture")
+    lasso = {"photo": picture_name(3), "line": line_around(RED_AT, 3), "through": True}
+    recipe = {"lassos": [lasso], "cut": "scene", "fill": "none", "preset": "draft"}
+    report = run(capture, tmp_path / "out", recipe)
+    assert report["edits"]["lassos"] == json.loads(json.dumps([lasso]))
+    mesh = trimesh.load(tmp_path / "out" / "mesh.ply", process=False)  # in the capture's frame
+    xyz, _ = trimesh.sample.sample_surface(mesh, 20_000, seed=0)
+    on = [np.linalg.norm(xyz - centre, axis=1) < 1.2 * RADIUS_M for centre in (RED_AT, BLUE_AT)]
+    red, blue = ((each & (xyz[:, 2] > 0.03)).sum() for each in on)
+    assert blue > 500
+    assert red < 0.05 * blue
+
+    with pytest.raises(BadInput, match=r"lassos.0.photo: there is no photo 'IMG_1.jpg' in this capture \(open3d\)"):
+        run(capture, tmp_path / "none", {"lassos": [{**lasso, "photo": "IMG_1.jpg"}], "preset": "draft"})
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize(

@@ -285,12 +285,21 @@ export interface MeasuredLength {
   metres: number;
 }
 
+/** A closed line in a photo of the capture, around what is left out, or kept. `line`: corners as shares of its sides. */
+export interface PhotoLasso {
+  photo: string;
+  line: [x: number, y: number][];
+  keeps?: boolean;
+  through?: boolean;
+}
+
 /** A recipe: GET /v1/schemas/edits. */
 export interface Edits {
   schema?: 1;
   capture?: string;
   crop?: CropBox | null;
   planes?: CutPlane[];
+  lassos?: PhotoLasso[];
   up?: Triple | null;
   front?: Triple | null;
   length?: MeasuredLength | null;
