@@ -44,6 +44,7 @@ from services.gateway.jobs.state_machine import Retry
 from services.gateway.jobs.store import JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.middleware import RequestMiddleware
+from services.gateway.pictures.picture_processes import PictureProcesses
 from services.gateway.records.audit_log import AuditLog, AuditStore
 from services.gateway.records.deletions import DeletionStore
 from services.gateway.records.tenant_data import TenantData
@@ -64,6 +65,7 @@ from services.gateway.routes import (
     names,
     notes,
     pages,
+    pictures,
     scene_events,
     scenes,
     service,
@@ -97,7 +99,7 @@ from services.traces import start_tracing
 _REQUEST_HEADERS = ("Authorization", "Content-Type", "Idempotency-Key", "If-Match", "Last-Event-ID")
 _ANSWER_HEADERS = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After", "X-Request-ID")
 _ROUTES = (
-    *(captures, uploads, jobs, assets, versions, downloads, names, notes),
+    *(captures, pictures, uploads, jobs, assets, versions, downloads, names, notes),
     *(collections, files, visibility, shares, scenes, scene_events),
     *(access, tenants, webhooks, data, health, service, pages),
 )
@@ -113,8 +115,8 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     """Build the app. Its database, dispatcher and connections are opened at startup and closed at shutdown.
 
     Routes find their dependencies in `app.state`: settings, store, keys, load_rows, workers, metrics, authentication,
-    limits, usage, check_processes, code_guesses, password_guesses, readers, scene_reads, scene_news, sharing,
-    job_store, resumable, webhooks, outbox, deliveries, downloads, dispatcher.
+    limits, usage, check_processes, picture_processes, code_guesses, password_guesses, readers, scene_reads, scene_news,
+    sharing, job_store, resumable, webhooks, outbox, deliveries, downloads, dispatcher.
 
     Raises SettingsError where the workers' certificate or token cannot be used.
     """
@@ -143,6 +145,7 @@ def create_app(settings: GatewaySettings, store: Store, keys: Keys = NO_KEYS) ->
     app.state.authentication = Authentication(told_open=settings.open, may_open=not settings.is_public)
     app.state.limits = Limits(settings, app.state.authentication)
     app.state.check_processes = CheckProcesses()
+    app.state.picture_processes = PictureProcesses()
     app.state.usage = Usage(app.state.authentication, store)
     app.state.code_guesses = Guesses("code")
     app.state.password_guesses = Guesses("password")
@@ -199,6 +202,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         stack.callback(engine.dispose)
         app.state.check_processes.start()
         stack.callback(app.state.check_processes.close)
+        stack.callback(app.state.picture_processes.close)
         authentication: Authentication = app.state.authentication
         authentication.connect(AccessStore(engine))
         app.state.sharing.connect(ShareStore(engine))

@@ -161,14 +161,14 @@ def _reach_of_points(camera: Intrinsics, to_camera: Floats, xyz: Floats, shape: 
     nearest = np.full(cells, np.inf, np.float32)
     row, column = (each // _CELL_PX for each in _pixels(at[within], shape))
     np.minimum.at(nearest, (row, column), z[within].astype(np.float32))
-    farthest = np.asarray(cv2.dilate(nearest, _AROUND))
+    farthest: Floats = np.asarray(cv2.dilate(nearest, _AROUND))
     return farthest.repeat(_CELL_PX, axis=0).repeat(_CELL_PX, axis=1)[: shape[0], : shape[1]]
 
 
 def _project(camera: Intrinsics, to_camera: Floats, xyz: Floats) -> tuple[Floats, Floats]:
     """Return positions (N,2) in the image, as shares of its sides, and depths (N,); those ≤ 0 have no position."""
     x, y, z = to_camera[:3, :3] @ np.asarray(xyz, np.float64).T + to_camera[:3, 3:]
-    over = 1 / np.where(z > 0, z, 1)
+    over: Floats = 1 / np.where(z > 0, z, 1)
     column, row = camera.fx * x * over + camera.cx, camera.fy * y * over + camera.cy
     return np.stack([(column + 0.5) / camera.width, (row + 0.5) / camera.height], axis=1), z
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
-import os
 import signal
 from dataclasses import asdict
 from pathlib import Path
@@ -12,8 +9,9 @@ from typing import Any
 
 from anyio import CapacityLimiter
 
-from services.fork_client import Forked, ForkServer
+from services.fork_client import ForkServer
 from services.gateway.errors import Problem, storage_full
+from services.gateway.forked_talk import talk
 from services.gateway.uploads.check_and_pack import CheckOrder, PackedFiles, archive_of
 from services.gateway.uploads.refusal import SEND_FEWER
 from services.gateway.uploads.validate import FileReport
@@ -46,27 +44,11 @@ class CheckProcesses:
         if self._at_once is None:  # belongs to the event loop that serves the requests
             self._at_once = CapacityLimiter(_AT_ONCE)
         async with self._at_once:
-            return _result(order, await _talk(self._server.fork(), order))
+            return _result(order, await talk(self._server.fork(), asdict(order)))
 
 
-async def _talk(forked: Forked, order: CheckOrder) -> list[dict[str, Any]]:
-    """Send the order and return all that the check says. When cancelled, ends the check and waits for that."""
-    reader, writer = await asyncio.open_unix_connection(sock=forked.channel)
-    writer.write(json.dumps(asdict(order)).encode() + b"\n")
-    answer = asyncio.ensure_future(reader.read())
-    try:
-        return [json.loads(line) for line in (await asyncio.shield(answer)).splitlines()]
-    except ConnectionError:
-        return []
-    finally:
-        os.close(forked.leash)
-        await asyncio.gather(answer, return_exceptions=True)
-        writer.close()
-
-
-def _result(order: CheckOrder, messages: list[dict[str, Any]]) -> PackedFiles:
+def _result(order: CheckOrder, said: dict[str, Any]) -> PackedFiles:
     """Return what was packed. Raises Problem for what was refused, and for a process that was ended."""
-    said = {name: value for message in messages for name, value in message.items()}
     if (refused := said.get("refused")) is not None:
         code, detail, file = refused["code"], refused["detail"], refused["file"]
         raise Problem(refused["status"], code, detail, file=file, hints=tuple(refused["hints"]))

@@ -7,8 +7,6 @@ Messages: `{"file": NAME}` for each file that is begun, then at most one of `{"p
 from __future__ import annotations
 
 import errno
-import resource
-import signal
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,14 +14,13 @@ from typing import Any
 from services.fork_server import Send
 from services.gateway.uploads.check_and_pack import CheckOrder, check_and_pack, earlier_archive_of
 from services.gateway.uploads.image_checks import load_pillow
+from services.gateway.uploads.process_limits import limit_process
 from services.gateway.uploads.refusal import Refused
 from services.storage.archives import is_zip
 
 # Of processor time, beside what files of this number and size may take: 12 megapixels are checked in 60 ms.
 _LEAST_SECONDS, _SECONDS_PER_FILE, _SECONDS_PER_GB = 10.0, 0.02, 100.0
 _ENTRY_BYTES = 100  # least of a file in a zip: its name, sizes and times, twice
-_SLOWED = 4.0  # times as much of the clock, on a machine that does other work too; and a minute for a slow disk
-_DISK_SECONDS = 60.0
 _MOST_DATA_BYTES = 768 << 20  # of a check, which needs 60 MB, and for a WebP or progressive JPEG of 24 MP 250 MB
 
 load_pillow()
@@ -32,7 +29,7 @@ load_pillow()
 def work(fields: dict[str, Any], send: Send) -> None:
     """Check and pack an upload, and send the result, within limits that follow from its size."""
     order = CheckOrder(**fields)
-    _limit(_allowed_seconds(order))
+    limit_process(_allowed_seconds(order), _MOST_DATA_BYTES)
     try:
         packed = check_and_pack(order, lambda name: send({"file": name}))
         verdicts = [asdict(verdict) for verdict in packed.verdicts]
@@ -54,18 +51,3 @@ def _allowed_seconds(order: CheckOrder) -> float:
     size = sum(path.stat().st_size for path in paths)
     packed = min(order.most_files, size // _ENTRY_BYTES) if any(map(is_zip, paths)) else 0
     return _LEAST_SECONDS + _SECONDS_PER_FILE * max(len(paths), packed) + _SECONDS_PER_GB * size / 1e9
-
-
-def _limit(seconds: float) -> None:
-    """Limit this process's time and memory; a crash leaves no core file, which would hold the upload."""
-    whole = int(seconds) + 1
-    # The hard limit of the processor time kills; the soft one, a second before it, says why.
-    for kind, most, more in (
-        (resource.RLIMIT_CPU, whole, 1),
-        (resource.RLIMIT_DATA, _MOST_DATA_BYTES, 0),
-        (resource.RLIMIT_CORE, 0, 0),
-    ):
-        hard = resource.getrlimit(kind)[1]
-        hard = most + more if hard == resource.RLIM_INFINITY else min(most + more, hard)
-        resource.setrlimit(kind, (min(most, hard), hard))
-    signal.setitimer(signal.ITIMER_REAL, _SLOWED * seconds + _DISK_SECONDS)  # SIGALRM kills, also in native code

@@ -1,0 +1,101 @@
+"""Find the photos in a stored capture that lassos may be in, and read one, without fetching the whole archive."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable
+from pathlib import PurePosixPath
+from typing import Any, TypeVar
+
+from services.gateway.errors import Problem
+from services.gateway.jobs.capture_objects import capture_name, unknown_capture
+from services.storage.store import Store
+
+T = TypeVar("T")
+
+_BLOCK_BYTES = 1 << 18  # of a read: the archive's list of files comes in one or two requests to the store
+MOST_PICTURE_BYTES = 128 << 20
+"""Most bytes of a photo that is shown: 48 megapixels take 15 MB, as a TIFF 144."""
+_PHOTOS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif"}
+_COLOURS = {".jpg", ".jpeg"}
+"""Suffixes of the pictures beside depth images: PNGs there are the depth itself."""
+
+
+def list_pictures(store: Store, capture: str, kind: str) -> list[str]:
+    """Return the names of a capture's photos, sorted as in its archive.
+
+    kind  of the capture, as its receipt tells it. Beside depth images only JPEGs are pictures; a single photo has no
+          camera that lassos could be seen by
+
+    Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED; OSError.
+    """
+    return _with_archive(store, capture, lambda archive: _photos(archive, kind))
+
+
+def read_picture(store: Store, capture: str, kind: str, number: int) -> tuple[str, bytes]:
+    """Return the name and the bytes of the photo at `number` in `list_pictures`.
+
+    Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED, PICTURE_UNKNOWN; OSError.
+    """
+
+    def read(archive: zipfile.ZipFile) -> tuple[str, bytes]:
+        names = _photos(archive, kind)
+        if number >= len(names):
+            detail = f"the capture has {len(names):,} pictures, so there is none of number {number:,}"
+            raise Problem(404, "PICTURE_UNKNOWN", detail, hints=("number them from 0",))
+        return names[number], archive.read(names[number])
+
+    return _with_archive(store, capture, read)
+
+
+def _photos(archive: zipfile.ZipFile, kind: str) -> list[str]:
+    suffixes = {"rgbd": _COLOURS, "points": set[str](), "image": set[str]()}.get(kind, _PHOTOS)
+    return [
+        info.filename
+        for info in archive.infolist()
+        if PurePosixPath(info.filename).suffix.lower() in suffixes and info.file_size <= MOST_PICTURE_BYTES
+    ]
+
+
+def _with_archive(store: Store, capture: str, read: Callable[[zipfile.ZipFile], T]) -> T:
+    """Call `read` with a capture's archive. Raises what it raises, Problem and OSError."""
+    name = capture_name(capture)
+    try:
+        size = store.head(name).size
+    except (FileNotFoundError, ValueError):
+        raise unknown_capture(capture) from None
+    with io.BufferedReader(_StoredFile(store, name, size), _BLOCK_BYTES) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                return read(archive)
+        except zipfile.BadZipFile:
+            hints = ("delete the capture, and upload it again",)
+            raise Problem(503, "CAPTURE_DAMAGED", f"the files of '{capture}' are damaged", hints=hints) from None
+
+
+class _StoredFile(io.RawIOBase):
+    """An object of a store as a file that is read in parts."""
+
+    def __init__(self, store: Store, name: str, size: int) -> None:
+        super().__init__()
+        self._store, self._name, self._size, self._at = store, name, size, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        self._at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._store.get(self._name, start=self._at, length=len(buffer))
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)

@@ -1,0 +1,47 @@
+"""Have photos shrunk in processes of their own, which run shrink_work.py."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from anyio import CapacityLimiter
+
+from services.fork_client import ForkServer
+from services.gateway.errors import Problem
+from services.gateway.forked_talk import talk
+
+_AT_ONCE = 2  # photos, each with up to 1 GB
+
+
+class PictureProcesses:
+    """Shrinks photos, a few at once, each in a process that ends with it. The first one starts their server."""
+
+    def __init__(self) -> None:
+        self._at_once: CapacityLimiter | None = None
+        self._server = ForkServer.of("services.gateway.pictures.shrink_work")
+
+    def close(self) -> None:
+        """End the server of the processes. Photos that are being shrunk are given up."""
+        self._server.close()
+
+    async def shrink(self, name: str, photo: bytes) -> bytes:
+        """Return a small upright JPEG of a photo. Raises Problem PICTURE_UNREADABLE.
+
+        name  of its file, for the message
+        """
+        if self._at_once is None:  # belongs to the event loop that serves the requests
+            self._at_once = CapacityLimiter(_AT_ONCE)
+        async with self._at_once:
+            with TemporaryDirectory(prefix="picture-") as folder:
+                source, target = Path(folder, "photo"), Path(folder, "small.jpg")
+                await asyncio.to_thread(source.write_bytes, photo)
+                said = await talk(self._server.fork(), {"source": str(source), "target": str(target)})
+                if "failed" in said:
+                    raise RuntimeError(f"a photo could not be shrunk: {said['failed']}")
+                if "jpeg" not in said or said.get("ended") != 0:
+                    reason = said.get("unreadable", "its decoder crashed, or took too long")
+                    detail = f"it cannot be shown: {reason}"
+                    raise Problem(422, "PICTURE_UNREADABLE", detail, file=name, hints=("choose another photo",))
+                return await asyncio.to_thread(target.read_bytes)

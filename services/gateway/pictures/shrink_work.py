@@ -1,0 +1,58 @@
+"""Decode a photo of a capture, turn it upright and shrink it, in a process with limits: what fork_server.py runs.
+
+Messages: `{"jpeg": true}` once the small picture is written, or `{"unreadable": REASON}`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from services.fork_server import Send
+from services.gateway.uploads.image_checks import MAX_PIXELS, load_pillow
+from services.gateway.uploads.process_limits import limit_process
+
+LONGEST_PX = 1024
+"""Longer side of what is sent: enough to draw a line within a pixel of a phone's screen; 80 to 200 KB."""
+_QUALITY = 82
+_SECONDS = 30.0  # of processor time: 100 megapixels of HEIC take 12
+_MOST_DATA_BYTES = 1 << 30  # 100 megapixels decoded twice are 600 MB
+_ORIENTATION = 0x0112
+# EXIF orientation -> how Pillow turns it; mirrored pictures stay mirrored, as they do when they are reconstructed.
+_TURNS = {
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.ROTATE_180,
+    5: Image.Transpose.ROTATE_270,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.ROTATE_90,
+    8: Image.Transpose.ROTATE_90,
+}
+_TURNED_BY_TAG = ("JPEG", "PNG", "WEBP")  # decoders of HEIF and TIFF turn them by themselves
+
+load_pillow()
+
+
+def work(order: dict[str, Any], send: Send) -> None:
+    """Write the small, upright JPEG of the photo at `source` to `target`."""
+    limit_process(_SECONDS, _MOST_DATA_BYTES)
+    try:
+        shrink(Path(order["source"])).save(order["target"], "JPEG", quality=_QUALITY)
+    except (OSError, ValueError, SyntaxError, EOFError) as error:
+        send({"unreadable": str(error)})
+        return
+    send({"jpeg": True})
+
+
+def shrink(path: Path) -> Image.Image:
+    """Return the upright photo, at most `LONGEST_PX` long. Raises OSError, ValueError, SyntaxError, EOFError."""
+    with load_pillow().open(path, formats=(*_TURNED_BY_TAG, "TIFF", "HEIF")) as image:
+        if image.width * image.height > MAX_PIXELS:
+            raise ValueError(f"it has more than {MAX_PIXELS // 1_000_000} megapixels")
+        if image.format == "JPEG":
+            image.draft("RGB", (2 * LONGEST_PX, 2 * LONGEST_PX))
+        turn = _TURNS.get(image.getexif().get(_ORIENTATION, 1)) if image.format in _TURNED_BY_TAG else None
+        image.thumbnail((LONGEST_PX, LONGEST_PX))
+        upright: Image.Image = image.convert("RGB")
+    return upright if turn is None else upright.transpose(turn)

@@ -1,0 +1,97 @@
+"""The photos of a stored capture: listed by their names in it, and sent small and upright."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from PIL import Image
+
+from services.gateway.jobs.capture_objects import capture_name, receipt_name
+from services.storage.store import Store
+from tests.support.in_process_gateway import gateway, memory
+
+
+def photo(colour: tuple[int, int, int], orientation: int = 1, kind: str = "JPEG") -> bytes:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    buffer = io.BytesIO()
+    Image.new("RGB", (1600, 1200), colour).save(buffer, kind, exif=exif.tobytes())
+    return buffer.getvalue()
+
+
+async def upload(client: httpx.AsyncClient, files: dict[str, bytes]) -> str:
+    parts = [("files", (name, data, "application/octet-stream")) for name, data in files.items()]
+    answer = await client.post("/v1/captures", files=parts)
+    assert answer.status_code == 201, answer.text
+    return str(answer.json()["capture"])
+
+
+def stored(store: Store, kind: str, files: dict[str, bytes]) -> str:
+    """A capture of which a worker has told the kind."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    store.put(capture_name("cap_1"), buffer.getvalue(), content_type="application/zip")
+    receipt = f'{{"capture": "cap_1", "kind": "{kind}"}}'
+    store.put(receipt_name("cap_1"), receipt.encode(), content_type="application/json")
+    return "cap_1"
+
+
+def problem_of(answer: httpx.Response) -> tuple[int, str]:
+    return answer.status_code, answer.json()["code"]
+
+
+async def test_photos_are_listed_and_sent_small_and_upright(tmp_path: Path) -> None:
+    async with gateway(tmp_path, memory()) as client:
+        files = {"b.jpg": photo((200, 30, 30), 6), "a.heic": photo((30, 30, 200), kind="HEIF")}
+        capture = await upload(client, files)
+        pictures = (await client.get(f"/v1/captures/{capture}/pictures")).json()["pictures"]
+        assert [each["name"] for each in pictures] == ["a.heic", "b.jpg"]
+        for each, size, colour in zip(
+            pictures, [(1024, 768), (768, 1024)], [(30, 30, 200), (200, 30, 30)], strict=True
+        ):
+            answer = await client.get(each["url"])
+            assert (answer.status_code, answer.headers["content-type"]) == (200, "image/jpeg"), answer.text
+            assert answer.headers["cache-control"] == "private, no-store"
+            with Image.open(io.BytesIO(answer.content)) as small:
+                assert small.size == size
+                found = small.getpixel((9, 9))
+            assert max(abs(a - b) for a, b in zip(found, colour, strict=True)) < 12  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [("photos", ["a.jpg", "b.png"]), ("", ["a.jpg", "b.png"]), ("rgbd", ["a.jpg"]), ("points", []), ("image", [])],
+)
+async def test_only_what_a_lasso_may_be_in_is_listed(tmp_path: Path, kind: str, names: list[str]) -> None:
+    store = memory()
+    capture = stored(store, kind, {"a.jpg": b"x", "b.png": b"x", "c.txt": b"x", "film.mp4": b"x"})
+    async with gateway(tmp_path, store) as client:
+        pictures = (await client.get(f"/v1/captures/{capture}/pictures")).json()["pictures"]
+        assert [each["name"] for each in pictures] == names
+
+
+async def test_what_there_is_not_is_told(tmp_path: Path) -> None:
+    store = memory()
+    capture = stored(store, "photos", {"a.jpg": b"no picture at all", "b.jpg": photo((9, 9, 9))[:3_000]})
+    async with gateway(tmp_path, store) as client:
+        for path, problem in {
+            "cap_2/pictures": (404, "CAPTURE_UNKNOWN"),
+            "cap_2/pictures/0": (404, "CAPTURE_UNKNOWN"),
+            f"{capture}/pictures/2": (404, "PICTURE_UNKNOWN"),
+            f"{capture}/pictures/-1": (422, "REQUEST_INVALID"),
+            f"{capture}/pictures/x": (422, "REQUEST_INVALID"),
+            f"{capture}/pictures/0": (422, "PICTURE_UNREADABLE"),
+            f"{capture}/pictures/1": (422, "PICTURE_UNREADABLE"),
+        }.items():
+            assert problem_of(await client.get(f"/v1/captures/{path}")) == problem, path
+        answer: Any = (await client.get(f"/v1/captures/{capture}/pictures/0")).json()
+        assert answer["file"] == "a.jpg"
+        store.put(capture_name("cap_1"), b"no zip", content_type="application/zip")
+        assert problem_of(await client.get(f"/v1/captures/{capture}/pictures")) == (503, "CAPTURE_DAMAGED")
