@@ -452,6 +452,9 @@ def test_an_upload_that_continues_nothing_is_refused(name: str, product: Product
 
 
 INSIDE_OUT = b'{"edits": {"crop": {"centre": [0, 0, 0], "size": [-1, 1, 1]}}}'
+TWO_CORNERS = b'{"edits": {"lassos": [{"photo": "a.jpg", "line": [[0, 0], [1, 1]]}]}}'
+BEYOND_PHOTO = b'{"edits": {"lassos": [{"photo": "a.jpg", "line": [[0, 0], [1, 1e9], [0, 1]]}]}}'
+MANY_LASSOS = json.dumps({"edits": {"lassos": 31 * [{"photo": "a", "line": [[0, 0], [1, 1], [0, 1]]}]}}).encode()
 ZERO_LENGTH = b'{"edits": {"length": {"start": [0, 0, 0], "end": [1, 0, 0], "metres": 0}}}'
 AGAIN: dict[str, tuple[str, bytes, int, str]] = {
     "an unknown job": ("job_unknown", b'{"cut": "scene"}', 404, "JOB_UNKNOWN"),
@@ -461,6 +464,9 @@ AGAIN: dict[str, tuple[str, bytes, int, str]] = {
     "edits that are none": ("job_unknown", b'{"edits": {"crop": {}}}', 422, "EDITS_INVALID"),
     "a box inside out": ("job_unknown", INSIDE_OUT, 422, "EDITS_INVALID"),
     "a length of zero": ("job_unknown", ZERO_LENGTH, 422, "EDITS_INVALID"),
+    "a lasso of two corners": ("job_unknown", TWO_CORNERS, 422, "EDITS_INVALID"),
+    "a lasso beyond its photo": ("job_unknown", BEYOND_PHOTO, 422, "EDITS_INVALID"),
+    "31 lassos": ("job_unknown", MANY_LASSOS, 422, "EDITS_INVALID"),
     "NaN": ("job_unknown", b'{"edits": {"up": [NaN, 0, 0]}}', 422, "EDITS_INVALID"),
     "a capture of 300 letters": ("job_unknown", b'{"capture": "' + b"x" * 300 + b'"}', 422, "REQUEST_INVALID"),
     "another preset": ("job_unknown", b'{"cut": "scene", "preset": "fine"}', 422, "REQUEST_INVALID"),
