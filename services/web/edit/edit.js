@@ -23,7 +23,8 @@ import { Problem, sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
 /** @import { ShownVersion } from './shown-version.js' */
-/** @import { AssetEntry, Edits, Job, Presets, Session } from '../shared/types.d.ts' */
+/** @import { PhotoLassos } from './photo-lassos.js' */
+/** @import { AssetEntry, Edits, Job, PhotoLasso, Presets, Session } from '../shared/types.d.ts' */
 
 const REDRAW_MS = 300; // after the last change
 const MARGIN = 0.04; // of a new box around the thing, of its size: a coarse mesh is smaller than the thing
@@ -66,6 +67,10 @@ let shown;
 let job = null;
 /** @type {Session | null} */
 let session = null;
+/** @type {PhotoLasso[]} */
+let lassos = [];
+/** @type {PhotoLassos | null} */
+let photos = null; // once their tab is opened
 let picking = ''; // what the next tap chooses: plane, ground, length
 let isChanged = false;
 let drawUntil = 0;
@@ -85,6 +90,7 @@ function recipe() {
   if (job?.capture) edits.capture = job.capture;
   if (kept) edits.crop = shown.frame.boxToCapture(kept);
   if (planes.planes.length) edits.planes = planes.recipe(shown.frame);
+  if (lassos.length) edits.lassos = lassos;
   if (upright.up) edits.up = shown.frame.directionToCapture(upright.up);
   if (upright.front) edits.front = shown.frame.directionToCapture(upright.front);
   if (length) edits.length = length;
@@ -97,6 +103,8 @@ function showRecipe(edits) {
   const diagonal = shown.bounds.getSize(new THREE.Vector3()).length();
   box.show(edits.crop ? shown.frame.boxToAsset(edits.crop) : null, shown.bounds);
   planes.show(edits.planes ?? [], shown.frame, diagonal);
+  lassos = edits.lassos ?? [];
+  photos?.show(lassos);
   upright.show(edits, shown.frame);
   size.show(edits.length ?? null, shown.frame, diagonal);
   const said = new Map(Object.entries(edits));
@@ -158,6 +166,20 @@ function switchBox(on) {
   box.show(on ? { middle, turn: new THREE.Quaternion(), size: around } : null, shown.bounds);
   showSides(box);
   change();
+}
+
+/** Shows the photos of the capture, to draw lines in them; hides them where another tool is chosen. @param {boolean} on */
+async function showPhotos(on) {
+  document.body.dataset.photos = on ? 'yes' : 'no';
+  photos?.close();
+  if (!on || !job) return;
+  if (!session?.scopes.includes('manage')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Photos are shown to access keys that may manage.') });
+  const { PhotoLassos: Tool } = await import('./photo-lassos.js');
+  photos ??= new Tool((drawn) => {
+    lassos = drawn;
+    change();
+  });
+  await photos.open(job.capture, lassos, () => document.body.dataset.photos === 'yes');
 }
 
 // ---- versions ---------------------------------------------------------------------------------------------------------
@@ -237,9 +259,10 @@ function startControls() {
   startSides(box, { onSwitch: switchBox, onChange: change });
   startDragging(box, page.canvas, camera, controls, change);
   watchTaps(page.canvas, tap);
-  startTabs(() => {
+  startTabs((tool) => {
     choose('');
     endComparison();
+    attempt(page.trouble, () => showPhotos(tool === 'photos'));
   });
   for (const [kind, button] of picks) button.addEventListener('click', () => choose(picking === kind ? '' : kind));
   for (const choice of choices) choice.addEventListener('change', change);

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from services.gateway.jobs.capture_objects import capture_name, receipt_name
+from services.gateway.uploads.image_checks import load_pillow
 from services.storage.store import Store
 from tests.support.in_process_gateway import gateway, memory
 
@@ -20,7 +21,7 @@ def photo(colour: tuple[int, int, int], orientation: int = 1, kind: str = "JPEG"
     exif = Image.Exif()
     exif[0x0112] = orientation
     buffer = io.BytesIO()
-    Image.new("RGB", (1600, 1200), colour).save(buffer, kind, exif=exif.tobytes())
+    load_pillow().new("RGB", (1600, 1200), colour).save(buffer, kind, exif=exif.tobytes())
     return buffer.getvalue()
 
 

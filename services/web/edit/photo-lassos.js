@@ -1,0 +1,178 @@
+// Lassos: lines in the capture's photos around what is left out, or kept. The tab loads this once it is opened.
+import { LassoLine, pathOf } from './lasso-line.js';
+import { getJson } from '../shared/api.js';
+import { create, element } from '../shared/dom.js';
+import { Problem } from '../shared/problems.js';
+import { t } from '../shared/texts.js';
+
+/** @import { PhotoLasso } from '../shared/types.d.ts' */
+
+const MOST = 30; // lassos of a recipe
+
+/** The photos, the lines in them, and their list. */
+export class PhotoLassos {
+  /** @type {PhotoLasso[]} */
+  #lassos = [];
+  /** @type {{ name: string, url: string }[]} */
+  #pictures = [];
+  #capture = '';
+  #onChange;
+  #page = {
+    photo: element('photo', HTMLElement),
+    image: element('photo-image', HTMLImageElement),
+    drawing: element('photo-lines', SVGSVGElement),
+    out: element('lines-out', SVGPathElement),
+    keep: element('lines-keep', SVGPathElement),
+    beyond: element('beyond-lines', SVGPathElement),
+    choice: element('photo-choice', HTMLSelectElement),
+    earlier: element('photo-earlier', HTMLButtonElement),
+    later: element('photo-later', HTMLButtonElement),
+    keeps: element('lasso-keeps', HTMLSelectElement),
+    through: element('lasso-through', HTMLInputElement),
+    close: element('lasso-close', HTMLButtonElement),
+    undo: element('lasso-undo', HTMLButtonElement),
+    said: element('lasso-said', HTMLElement),
+    list: element('lassos', HTMLUListElement),
+  };
+  #line = new LassoLine({
+    onClose: (line) => this.#add(line),
+    onCorners: (count) => {
+      this.#page.close.hidden = count < 3;
+      this.#page.undo.disabled = count === 0 && this.#lassos.length === 0;
+    },
+  });
+
+  /** @param {(lassos: PhotoLasso[]) => void} onChange */
+  constructor(onChange) {
+    this.#onChange = onChange;
+    const { image, choice, earlier, later, close, undo } = this.#page;
+    image.addEventListener('load', () => this.#fit());
+    image.addEventListener('error', () => this.#say(t('This photo cannot be shown. Choose another one.')));
+    choice.addEventListener('change', () => this.#showPhoto());
+    earlier.addEventListener('click', () => this.#step(-1));
+    later.addEventListener('click', () => this.#step(1));
+    close.addEventListener('click', () => this.#line.close());
+    undo.addEventListener('click', () => this.#undo());
+  }
+
+  /**
+   * Shows the photos of a capture.
+   * @param {string} capture
+   * @param {PhotoLasso[]} lassos that are drawn already
+   * @param {() => boolean} isWanted whether the photos are still to be shown, once the server has answered
+   * @throws {Problem} NO_PHOTOS, and what the server says
+   */
+  async open(capture, lassos, isWanted) {
+    if (capture !== this.#capture) {
+      /** @type {{ pictures: { name: string, url: string }[] }} */
+      const { pictures } = await getJson(`/v1/captures/${encodeURIComponent(capture)}/pictures`);
+      [this.#capture, this.#pictures] = [capture, pictures];
+      this.#page.choice.replaceChildren(...pictures.map(({ name }) => create('option', { value: name, textContent: name })));
+    }
+    if (!isWanted()) return;
+    this.show(lassos);
+    if (!this.#pictures.length) throw new Problem({ code: 'NO_PHOTOS', detail: t('This capture has no photos that a line can be drawn in.') });
+    this.#page.photo.hidden = false;
+    this.#showPhoto();
+  }
+
+  /** Hides the photo. */
+  close() {
+    this.#line.clear();
+    this.#page.photo.hidden = true;
+  }
+
+  /** @param {PhotoLasso[]} lassos of a recipe */
+  show(lassos) {
+    this.#lassos = lassos;
+    this.#line.clear();
+    this.#draw();
+  }
+
+  /** @param {[x: number, y: number][]} line */
+  #add(line) {
+    if (this.#lassos.length >= MOST) return this.#say(t('A recipe takes {count} lines: remove one first.', { count: MOST }));
+    /** @type {PhotoLasso} */
+    const lasso = { photo: this.#page.choice.value, line };
+    if (this.#page.keeps.value === 'keep') lasso.keeps = true;
+    if (this.#page.through.checked) lasso.through = true;
+    this.#change([...this.#lassos, lasso]);
+  }
+
+  #undo() {
+    if (!this.#line.undo()) this.#change(this.#lassos.slice(0, -1));
+  }
+
+  /** @param {PhotoLasso[]} lassos */
+  #change(lassos) {
+    this.#lassos = lassos;
+    this.#draw();
+    this.#onChange(lassos);
+  }
+
+  /** @param {number} by */
+  #step(by) {
+    const { choice } = this.#page;
+    choice.selectedIndex = (choice.selectedIndex + by + this.#pictures.length) % this.#pictures.length;
+    this.#showPhoto();
+  }
+
+  #showPhoto() {
+    const { image, choice } = this.#page;
+    const picture = this.#pictures.find(({ name }) => name === choice.value);
+    if (!picture) return;
+    this.#line.clear();
+    this.#say('');
+    document.body.dataset.photo = '';
+    image.alt = picture.name;
+    image.src = picture.url;
+    this.#draw();
+  }
+
+  /** Gives the drawing the photo's shape, once that is known. */
+  #fit() {
+    const { image, drawing } = this.#page;
+    drawing.setAttribute('viewBox', `0 0 ${image.naturalWidth} ${image.naturalHeight}`);
+    document.body.dataset.photo = this.#page.choice.value;
+    this.#draw();
+  }
+
+  #draw() {
+    const { drawing, out, keep, beyond, choice, list, undo } = this.#page;
+    const { width, height } = drawing.viewBox.baseVal;
+    const here = this.#lassos.filter(({ photo }) => photo === choice.value);
+    const [left, kept] = [false, true].map((keeps) =>
+      here.filter((lasso) => Boolean(lasso.keeps) === keeps).map(({ line }) => pathOf(line, width, height, true)).join(''));
+    out.setAttribute('d', left);
+    keep.setAttribute('d', kept);
+    beyond.setAttribute('d', kept && `M0 0H${width}V${height}H0Z${kept}`);
+    list.replaceChildren(...this.#lassos.map((lasso, number) => this.#row(lasso, number)));
+    undo.disabled = this.#lassos.length === 0;
+  }
+
+  /**
+   * @param {PhotoLasso} lasso
+   * @param {number} place
+   */
+  #row(lasso, place) {
+    const number = place + 1;
+    const about = { number, photo: lasso.photo };
+    const text = lasso.keeps ? t('Line {number} in {photo}: is kept', about) : t('Line {number} in {photo}: is left out', about);
+    const show = create('button', { type: 'button', textContent: t('Show'), ariaLabel: t('Show line {number}', { number }) });
+    show.disabled = !this.#pictures.some(({ name }) => name === lasso.photo);
+    show.addEventListener('click', () => {
+      this.#page.choice.value = lasso.photo;
+      this.#showPhoto();
+    });
+    const remove = create('button', { type: 'button', textContent: t('Remove'), ariaLabel: t('Remove line {number}', { number }) });
+    remove.addEventListener('click', () => this.#change(this.#lassos.filter((each) => each !== lasso)));
+    const row = create('li');
+    row.append(create('span', { textContent: text }), show, remove);
+    return row;
+  }
+
+  /** @param {string} text */
+  #say(text) {
+    this.#page.said.textContent = text;
+  }
+}
