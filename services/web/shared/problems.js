@@ -23,6 +23,8 @@ export const offline = () => new Problem({ code: 'OFFLINE', detail: t('The serve
 /** The server was silent for too long. */
 export const noAnswer = () => new Problem({ code: 'NO_ANSWER', detail: t('The server does not answer.'), hints: CHECK_CONNECTION });
 
+const NO_CONTENT = 204;
+
 /** A file was loaded, but cannot be decoded. */
 export const undecodable = () => new Problem({
   code: 'NOT_DECODED',
@@ -35,10 +37,11 @@ export const undecodable = () => new Problem({
  * @template T
  * @param {number} status
  * @param {string} text
- * @returns {T} what the caller declares: the server's document is trusted to have that shape
+ * @returns {T} what the caller declares: the server's document is trusted to have that shape; undefined for an answer that has none
  * @throws {Problem} where the status or the body is an error
  */
 export function parseAnswer(status, text) {
+  if (status === NO_CONTENT) return /** @type {T} */ (undefined);
   /** @type {T} */
   let body;
   try {

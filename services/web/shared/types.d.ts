@@ -220,13 +220,23 @@ export interface Manifest {
 
 // ---- scenes ---------------------------------------------------------------------------------------------------------
 
-/** An asset in a scene. `id`: within the scene; `position_m`: in its frame; `rotation`: a unit quaternion x, y, z, w. */
-export interface PlacedAsset {
-  id: string;
-  asset: string;
+/** Where an asset stands in a scene. `position_m`: in the scene's frame; `rotation`: a unit quaternion x, y, z, w. */
+export interface Pose {
   position_m: number[];
   rotation: number[];
   scale: number;
+}
+
+/** An asset in a scene. `id`: within the scene. */
+export interface PlacedAsset extends Pose {
+  id: string;
+  asset: string;
+}
+
+/** The event `moving` of GET /v1/scenes/{scene}/events. `sender`: as the page that moves the thing calls itself. */
+export interface MovingEvent extends Pose {
+  sender: string;
+  id: string;
 }
 
 /** A scene: GET /v1/scenes/{scene}. `may_save`: whether the caller may replace it. */

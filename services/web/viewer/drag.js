@@ -11,6 +11,7 @@ import { placeOf } from '../graphics/picking.js';
 /**
  * @typedef {object} DragCallbacks
  * @property {() => LoadedItem[]} items what can be moved
+ * @property {(item: LoadedItem) => void} onDrag is called while an item is being dragged
  * @property {(item: LoadedItem) => void} onMove is called when an item was moved and let go
  * @property {(item: SceneItem) => void} onSelect is called with the item that the keys move from now on
  */
@@ -65,6 +66,14 @@ export class DragControls {
   }
 
   /**
+   * Whether an item is being dragged.
+   * @param {SceneItem} item
+   */
+  holds(item) {
+    return this.#drag?.item === item;
+  }
+
+  /**
    * Selects the item that the keys move.
    * @param {SceneItem} item
    */
@@ -108,6 +117,7 @@ export class DragControls {
     else if (this.#drag.turning) turn(this.#drag.item, (now.x - before.x) * TURN_PX);
     else this.#slide(this.#drag, before, now);
     this.#pointers.set(event.pointerId, now);
+    this.#callbacks.onDrag(this.#drag.item);
   }
 
   /** @param {PointerEvent} event */

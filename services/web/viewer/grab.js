@@ -67,6 +67,11 @@ export class Grabber {
     return this.#handsOn(item).length;
   }
 
+  /** The items that are held. */
+  get items() {
+    return [...this.#grips.keys()];
+  }
+
   /** Moves the items after the hands have moved. */
   moveItems() {
     for (const [item, { hands, from, start }] of this.#grips) {

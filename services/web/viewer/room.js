@@ -1,5 +1,6 @@
 // The scene that the page shows, as something that is saved, named, added to and deleted: a draft on this page, or a document on the server.
 import { showNotice } from './messages.js';
+import { MoveReports, sender } from './move-reports.js';
 import { hidePanelsOfOne, offerAdding, offerScene } from './panels.js';
 import { SavedScene, loadScene } from './saved-scene.js';
 import { isSame } from './scene-merge.js';
@@ -9,9 +10,10 @@ import { toProblem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
 
+/** @import { LiveMoves } from './live-moves.js' */
 /** @import { SceneItem } from './scene-item.js' */
 /** @import { SceneContent } from './scene-merge.js' */
-/** @import { PlacedAsset, SceneDocument, Session } from '../shared/types.d.ts' */
+/** @import { MovingEvent, PlacedAsset, SceneDocument, Session } from '../shared/types.d.ts' */
 
 /** Most things of a scene, as the server has it. */
 export const MOST_ITEMS = 50;
@@ -21,7 +23,8 @@ export const MOST_ITEMS = 50;
  * @typedef {object} RoomCallbacks
  * @property {() => SceneItem[]} items
  * @property {(items: SceneItem[]) => void} setItems shows these; those that are new are loaded, those that are missing are removed
- * @property {(item: SceneItem) => boolean} isHeld whether a hand has the item
+ * @property {(item: SceneItem) => boolean} isHeld whether a hand or the mouse has the item
+ * @property {LiveMoves} live what others are moving
  * @property {() => boolean} isVisible whether anybody looks at the page
  * @property {() => boolean} isWorn whether somebody is in the headset
  * @property {(key: string, placed: PlacedAsset | null) => SceneItem} createItem
@@ -36,10 +39,12 @@ export class Room {
   #saved = null;
   #maySave = false;
   #mayAdd = false;
+  #reports;
 
   /** @param {RoomCallbacks} callbacks */
   constructor(callbacks) {
     this.#callbacks = callbacks;
+    this.#reports = new MoveReports({ isHeld: callbacks.isHeld, send: async (report) => this.#saved?.report(report) });
   }
 
   get isSaved() {
@@ -112,6 +117,14 @@ export class Room {
   }
 
   /**
+   * Shows others on its way what is moved here.
+   * @param {SceneItem} item
+   */
+  report(item) {
+    if (this.#saved?.maySave) this.#reports.touch(item);
+  }
+
+  /**
    * Saves the scene under a name: a new one, or the one that the page shows.
    * @param {string} name
    * @throws {Problem} as `postJson`
@@ -152,6 +165,7 @@ export class Room {
       onLost: (ids) => showNotice(lostText(ids.map((id) => this.#nameOf(id))), { stays: true }),
       onTrouble: (error) => this.#reportTrouble(error),
       onSaved: () => this.#reportSaved(),
+      onMoving: (moving) => this.#showMoving(moving),
       onDeleted: () => this.#end(),
       isVisible: this.#callbacks.isVisible,
     });
@@ -169,18 +183,30 @@ export class Room {
    * @param {SceneContent} content
    */
   #show({ name, items }) {
-    const { items: shown, setItems, createItem, isHeld, onChange } = this.#callbacks;
+    const { items: shown, setItems, createItem, isHeld, live, onChange } = this.#callbacks;
     this.name = name;
     const present = new Map(shown().map((item) => [item.placed?.id, item]));
     const all = items.map((placed) => {
       const item = present.get(placed.id) ?? createItem(placed.asset, placed);
-      if (!isSame(item.placed ?? undefined, placed)) item.adopt(placed);
-      if (!isHeld(item)) item.place();
+      const isNew = !isSame(item.placed ?? undefined, placed);
+      if (isNew) item.adopt(placed);
+      if (!live.has(item) && !isHeld(item)) item.place();
+      else if (isNew) live.settle(item);
       return item;
     });
     setItems([...all, ...shown().filter(({ placed }) => !placed)]); // what was just added has no place yet
     onChange();
     this.#reportSaved();
+  }
+
+  /**
+   * Shows on its way what somebody else is moving; not what was moved here and is not saved yet.
+   * @param {MovingEvent} moving
+   */
+  #showMoving(moving) {
+    const { items, isHeld, live } = this.#callbacks;
+    const item = items().find(({ placed }) => placed?.id === moving.id);
+    if (moving.sender !== sender && item?.placed && this.#saved?.isSaved(item.placed) && !isHeld(item)) live.hear(item, moving);
   }
 
   /** @param {string} id of a thing; '' means the scene */

@@ -1,12 +1,13 @@
 // A scene on the server, kept in step with this page: saves what is changed here, and follows what others change.
-import { isSameContent, mergeScenes } from './scene-merge.js';
-import { cacheAnswer, getCachedJson, putJson } from '../shared/api.js';
+import { isSame, isSameContent, mergeScenes } from './scene-merge.js';
+import { cacheAnswer, getCachedJson, postJson, putJson } from '../shared/api.js';
 import { followEvents } from '../shared/event-stream.js';
 import { Problem } from '../shared/problems.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { SceneContent } from './scene-merge.js' */
-/** @import { SceneDocument } from '../shared/types.d.ts' */
+/** @import { Report } from './move-reports.js' */
+/** @import { MovingEvent, PlacedAsset, SceneDocument } from '../shared/types.d.ts' */
 
 const SAVE_MS = 500; // after a change: turns and pushes come in series
 const POLL_MS = 4000; // between two looks for what others have changed, while no stream of events tells it
@@ -19,6 +20,7 @@ const MOST_TRIES = 5; // against others who save at the same time
  * @property {(ids: string[]) => void} onLost is called with things that others moved at the same time, and '' for the name: as they have it
  * @property {(error: unknown) => void} onTrouble is called where it could not be saved or read; it is tried again
  * @property {() => void} onSaved
+ * @property {(moving: MovingEvent) => void} onMoving is called with where a thing is that somebody is moving, here or elsewhere
  * @property {() => void} onDeleted is called when somebody has deleted the scene
  * @property {() => boolean} isVisible whether anybody looks at the page
  */
@@ -57,7 +59,29 @@ export class SavedScene {
 
   /** Whether this page has something that the server has not. */
   get isDirty() {
-    return this.#document.may_save && !isSameContent(this.#document, this.#callbacks.content());
+    return this.maySave && !isSameContent(this.#document, this.#callbacks.content());
+  }
+
+  /** Whether what is changed on this page is saved. */
+  get maySave() {
+    return this.#document.may_save;
+  }
+
+  /**
+   * Whether a thing stands where the server has it.
+   * @param {PlacedAsset} placed
+   */
+  isSaved(placed) {
+    return isSame(placed, this.#document.items.find(({ id }) => id === placed.id));
+  }
+
+  /**
+   * Tells those who follow the scene where things are while they are moved.
+   * @param {Report} report
+   * @throws {Problem} as `postJson`
+   */
+  report(report) {
+    return postJson(`${addressOf(this.id)}/moving`, report);
   }
 
   /** Saves soon: something was changed. */
@@ -114,6 +138,7 @@ export class SavedScene {
       address: () => ofShownTenant(`${addressOf(this.id)}/events?after=${this.version}`),
       events: {
         scene: (data) => this.#inTurn(() => this.#hear(data)),
+        moving: (data) => this.#callbacks.onMoving(JSON.parse(data)),
         deleted: () => this.#callbacks.onDeleted(),
       },
       onOpen: () => {

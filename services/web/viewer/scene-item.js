@@ -4,7 +4,7 @@ import { deletePlacement, loadPlacement, savePlacement } from './saved-placement
 import { Model } from '../graphics/model.js';
 import { dispose } from '../graphics/scene.js';
 
-/** @import { AssetEntry, AssetFile, PlacedAsset } from '../shared/types.d.ts' */
+/** @import { AssetEntry, AssetFile, PlacedAsset, Pose } from '../shared/types.d.ts' */
 /** @import { Tileset, TilesetOptions } from './tileset.js' */
 /** @typedef {SceneItem & { entry: AssetEntry, model: Model }} LoadedItem */
 
@@ -191,7 +191,7 @@ export class SceneItem {
 
   /** Makes the item part of a scene, where it stands now. */
   fix() {
-    this.placed ??= { id: randomId(), asset: this.key, ...placementOf(this.group) };
+    this.placed ??= { id: randomId(), asset: this.key, ...this.pose };
     this.#placedFirst ??= this.placed;
   }
 
@@ -203,10 +203,20 @@ export class SceneItem {
     this.placed = this.#placedFirst = placed;
   }
 
+  /**
+   * Where it stands now in its scene, rounded.
+   * @returns {Pose}
+   */
+  get pose() {
+    const { position, quaternion, scale } = this.group;
+    const rounded = (/** @type {number[]} */ numbers) => numbers.map((value) => Number(value.toFixed(DIGITS)) + 0); // + 0: no -0
+    return { position_m: rounded(position.toArray()), rotation: rounded(quaternion.clone().normalize().toArray()), scale: Number(scale.x.toFixed(DIGITS)) };
+  }
+
   /** Saves where the item stands now. */
   savePlace() {
     if (this.placed) {
-      this.placed = { ...this.placed, ...placementOf(this.group) };
+      this.placed = { ...this.placed, ...this.pose };
       return;
     }
     const offset = this.group.position.clone().sub(this.home);
@@ -227,17 +237,8 @@ export class SceneItem {
   }
 }
 
-/**
- * Where a group stands in its scene, rounded.
- * @param {THREE.Group} group
- */
-function placementOf({ position, quaternion, scale }) {
-  const rounded = (/** @type {number[]} */ numbers) => numbers.map((value) => Number(value.toFixed(DIGITS)) + 0); // + 0: no -0
-  return { position_m: rounded(position.toArray()), rotation: rounded(quaternion.clone().normalize().toArray()), scale: Number(scale.x.toFixed(DIGITS)) };
-}
-
 /** An id within a scene. (`crypto.randomUUID` needs HTTPS, which a headset in the same room has not.) */
-function randomId() {
+export function randomId() {
   return [...crypto.getRandomValues(new Uint8Array(8))].map((byte) => byte.toString(16).padStart(2, '0')).join('');
 }
 

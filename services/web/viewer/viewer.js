@@ -8,6 +8,7 @@ import { startFullScreen } from './full-screen.js';
 import { Grabber } from './grab.js';
 import { ItemUpdates, hasFailed, isGone } from './item-updates.js';
 import { placeSideBySide } from './layout-and-lod.js';
+import { LiveMoves } from './live-moves.js';
 import { placeAhead, placeBeside } from './new-place.js';
 import { showCaption, showError, showList, showNotice, showQuickLook } from './messages.js';
 import { offerAbout, offerDownloads, offerManaging, offerMeasuring, offerNotes } from './panels.js';
@@ -75,8 +76,9 @@ let comparison = null; // once somebody wants one
 let wall = null; // once somebody who may add things is in a headset
 let showFacts = () => {}; // of a thing that is alone, after each change of it
 
-const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onMove: savePlace, onSelect: select });
+const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onDrag: (item) => room.report(item), onMove: savePlace, onSelect: select });
 const grabber = new Grabber(letGo);
+const live = new LiveMoves({ isHeld, onChange: reportPlaces });
 const planes = new RoomPlanes(renderer);
 const ground = new THREE.Mesh(new THREE.PlaneGeometry(GROUND_M, GROUND_M).rotateX(-Math.PI / 2)); // of the wearer's room, which nothing draws
 const shadows = new Shadows(root, (shadow) => prepare(stage, shadow).then(redraw));
@@ -106,8 +108,8 @@ const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page
 });
 const { redraw } = startRenderLoop(stage, {
   items: loadedItems,
-  controls,
-  onHeadsetFrame: (seconds) => input.update(seconds),
+  controls: { update: (seconds) => [live.update(seconds), controls.update(seconds)].includes(true) },
+  onHeadsetFrame: moveInHeadset,
   draw,
   onDrawn: () => headset.update(),
 });
@@ -121,7 +123,8 @@ const room = new Room({
   items: () => items,
   setItems,
   createItem: (key, placed) => new SceneItem(key, placed),
-  isHeld: (item) => grabber.handCount(item) > 0,
+  isHeld,
+  live,
   isVisible: () => !document.hidden || renderer.xr.isPresenting,
   isWorn: () => renderer.xr.isPresenting,
   onChange: showTexts,
@@ -150,6 +153,24 @@ function movableItems() {
 /** @param {LoadedItem} item */
 function isMovable({ entry }) {
   return entry.may_place !== false;
+}
+
+/**
+ * Whether a hand or the mouse has an item, so that it goes where that goes.
+ * @param {SceneItem} item
+ */
+function isHeld(item) {
+  return grabber.handCount(item) > 0 || drag.holds(item);
+}
+
+/**
+ * Moves what the hands hold, and what others are moving.
+ * @param {number} seconds since the last frame
+ */
+function moveInHeadset(seconds) {
+  live.update(seconds);
+  input.update(seconds);
+  for (const item of grabber.items) room.report(item);
 }
 
 /** What one can stand on: the surfaces of a large scene, which may go down under the room's floor, else that floor too. */
@@ -259,7 +280,7 @@ function placeAll() {
   loadedItems().forEach((item, index) => {
     const [x, z] = places[index];
     item.home.set(x, 0, z);
-    if (grabber.handCount(item) === 0) item.place();
+    if (!isHeld(item) && !live.has(item)) item.place();
   });
   reportPlaces();
   frameAll();
@@ -309,6 +330,7 @@ function setItems(wanted) {
   items = wanted;
   for (const item of gone) {
     grabber.drop(item);
+    live.drop(item);
     item.remove();
   }
   for (const item of added) {
@@ -352,6 +374,7 @@ function letGo(item) {
 function savePlace(item) {
   item.savePlace();
   room.touch();
+  room.report(item);
   headset.hideHelp(); // the wearer knows how by now
   reportPlaces();
 }
@@ -360,6 +383,7 @@ function savePlace(item) {
 function resetAll() {
   for (const item of loadedItems()) {
     grabber.drop(item);
+    live.drop(item);
     item.resetPlace();
   }
   room.touch();

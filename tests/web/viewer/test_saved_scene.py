@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import io
+import re
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
+from services.gateway.routes.pages import WEB
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove, restore
 from services.storage.catalogue.scene import PlacedAsset
@@ -18,6 +24,7 @@ from services.storage.catalogue.scene_documents import create_scene, read_scene,
 from services.storage.store import Store
 from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data
+from tests.support.patience import PATIENCE_S
 from tests.support.screenshots import await_frames, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import BLUE, RED, box
@@ -77,6 +84,48 @@ def save(site: Site, scene: str, version: int, *items: PlacedAsset, name: str = 
     assert answer.status_code == 200, answer.text
 
 
+def quicker(context: BrowserContext, module: str, constant: str, milliseconds: int) -> None:
+    """Have the pages of a browser load one of the viewer's modules with another constant."""
+    text = (WEB / "viewer" / module).read_text()
+    changed, count = re.subn(rf"const {constant} = \d+;", f"const {constant} = {milliseconds};", text)
+    assert count == 1, f"{module} has no {constant}"
+    context.route(f"**/viewer/{module}", lambda route: route.fulfill(body=changed, content_type="text/javascript"))
+
+
+def middle_of(page: Page, channel: int) -> tuple[float, float]:
+    """The middle of the red (0) or the blue (2) thing on the page, in its pixels."""
+    pixels = np.asarray(Image.open(io.BytesIO(stage(page))).convert("RGB")).astype(int)
+    others = np.delete(pixels, channel, axis=2).max(axis=2)
+    rows, columns = np.nonzero((pixels[..., channel] > 60) & (pixels[..., channel] > 1.5 * others))
+    found: Any = page.locator("#stage").bounding_box()
+    return found["x"] + float(np.median(columns)), found["y"] + float(np.median(rows))
+
+
+def until_moved(page: Page, before: str) -> None:
+    """Until things are not where they were."""
+    page.wait_for_function("before => document.body.dataset.moved !== before", arg=before)
+
+
+def hide(page: Page, hidden: bool) -> None:
+    """Have the page believe that its tab is, or is not, behind another one."""
+    page.evaluate("hidden => Object.defineProperty(document, 'hidden', { value: hidden, configurable: true })", hidden)
+    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+
+
+def until(holds: Callable[[], bool]) -> None:
+    """Wait for a condition."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def listeners(site: Site) -> float:
+    """How many event streams the gateway has."""
+    page = httpx.get(f"{site.url}/metrics").text
+    return float(next(line.split()[1] for line in page.splitlines() if line.startswith("capture2vr_event_listeners ")))
+
+
 def test_what_is_saved_as_a_scene_opens_elsewhere_as_it_was(
     browser: Browser, context: BrowserContext, page: Page, site: Site
 ) -> None:
@@ -127,6 +176,58 @@ def test_two_who_move_things_at_the_same_time_lose_nothing_without_being_told(
     assert [each.position_m for each in stored.items] == [(-3, 0, 0), (2, 0, 0)], "what others did is not undone"
 
 
+def test_a_thing_is_seen_on_its_way_before_it_is_saved(
+    browser: Browser, context: BrowserContext, page: Page, site: Site
+) -> None:
+    scene = create_scene(site.store, "Room", (LEFT, RIGHT))
+    quicker(context, "live-moves.js", "SILENCE_MS", 300)
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 2)
+    with without_a_past(browser) as elsewhere:
+        other = elsewhere.new_page()
+        other.goto(page.url)
+        await_things(other, 2)
+        before = other.get_attribute("body", "data-moved") or ""
+        page.locator("#move").click()
+        await_frames(page)
+        x, y = middle_of(page, 0)
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 40, y, steps=4)
+        until_moved(other, before)
+        assert other.get_attribute("body", "data-scene") == f"{scene.id} 1"
+        assert places(other)[1] == (0.5, 0, 0, 1.5), "and nothing else"
+        assert read_scene(site.store, scene.id).version == 1, "on its way nothing is stored"
+        page.mouse.move(x + 60, y, steps=2)
+        page.mouse.up()
+        until_saved(page, scene.id, 2)
+        now = page.get_attribute("body", "data-moved") or ""
+        await_data(other, scene=f"{scene.id} 2", moved=now)
+        assert places(page)[0][0] > -0.4
+        far = {"id": "left", "position_m": [-3, 0, 0], "rotation": [0, 0, 0, 1], "scale": 1}
+        watch = (
+            "() => new MutationObserver(() => (window.seen ||= Number.parseFloat(document.body.dataset.moved) < -0.4))"
+        )
+        page.evaluate(watch + ".observe(document.body, { attributes: true })")
+        for _ in range(2):  # a place is told with the next report
+            told = httpx.post(f"{site.url}/v1/scenes/{scene.id}/moving", json={"sender": "third", "items": [far]})
+            assert told.status_code == 204
+            await_frames(page)
+    page.wait_for_function("() => window.seen")
+    await_data(page, moved=now)  # where it was saved, for nothing else was
+    assert read_scene(site.store, scene.id).version == 2
+
+
+def test_without_a_stream_of_events_the_page_asks_now_and_then(context: BrowserContext, page: Page, site: Site) -> None:
+    scene = create_scene(site.store, "Room", (LEFT,))
+    quicker(context, "saved-scene.js", "POLL_MS", 400)
+    context.route("**/v1/scenes/*/events?*", lambda route: route.fulfill(status=502))
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 1)
+    save(site, scene.id, 1, LEFT, RIGHT)
+    await_things(page, 2)
+
+
 def test_what_others_do_is_seen_and_a_deleted_asset_is_named(page: Page, site: Site) -> None:
     scene = create_scene(site.store, "Room", (LEFT, GONE))
     page.goto(f"{site.url}/scene/{scene.id}")
@@ -137,6 +238,12 @@ def test_what_others_do_is_seen_and_a_deleted_asset_is_named(page: Page, site: S
     save(site, scene.id, 1, LEFT, RIGHT, name="Hall")
     await_things(page, 2)
     expect(page.locator("#label")).to_have_text("Hall")
+    assert listeners(site) == 1
+    hide(page, True)
+    until(lambda: listeners(site) == 0)
+    save(site, scene.id, 2, LEFT, RIGHT, name="Attic")
+    hide(page, False)
+    expect(page.locator("#label")).to_have_text("Attic")
     remove(site.store, "blue")
     try:
         expect(page.locator("#said")).to_contain_text("taken back: blue")
@@ -156,7 +263,9 @@ def test_a_hand_moves_a_thing_of_a_saved_scene_and_all_devices_have_it(
     hand = Hand(page, "right")
     hand.move(-0.5, 1.3, -0.5)
     hand.press()
-    hand.move(-0.5, 1.8, -0.5)
+    with page.expect_request("**/moving") as told:
+        hand.move(-0.5, 1.8, -0.5)
+    assert told.value.post_data_json["items"][0]["id"] == "left"
     hand.release()
     until_saved(page, scene.id, 2)
     assert read_scene(site.store, scene.id).items[0].position_m == pytest.approx((-0.5, 0.5, 0), abs=0.02)
@@ -233,3 +342,8 @@ def test_a_link_shows_the_scene_to_somebody_without_a_login(browser: Browser, gu
         expect(page.locator("#label")).to_have_text("Shop window")
         for hidden in ("#move", "#scene", "#add", "#share"):
             expect(page.locator(hidden)).to_be_hidden()
+        press(mine, "Red box", "PageUp")
+        await_data(page, scene=f"{scene.id} 2", moved=mine.get_attribute("body", "data-moved") or "")
+        moving = {"id": "left", "position_m": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": 1}
+        path = f"{guarded.url}/v1/scenes/{scene.id}/moving?tenant=ada"
+        assert page.request.post(path, data={"sender": "visitor", "items": [moving]}).status == 401
