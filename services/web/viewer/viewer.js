@@ -76,7 +76,7 @@ let comparison = null; // once somebody wants one
 let wall = null; // once somebody who may add things is in a headset
 let showFacts = () => {}; // of a thing that is alone, after each change of it
 
-const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onDrag: (item) => room.report(item), onMove: savePlace, onSelect: select });
+const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onDrag: showDrag, onMove: savePlace, onSelect: select });
 const grabber = new Grabber(letGo);
 const live = new LiveMoves({ isHeld, onChange: reportPlaces });
 const planes = new RoomPlanes(renderer);
@@ -365,6 +365,15 @@ function letGo(item) {
   const surfaces = [...planes.surfaces, ...others.flatMap(({ surface }) => surface ?? [])];
   if (isLoaded(item) && !item.isWalkable) snapItem(item, { surfaces, floor: root.position.y });
   savePlace(item);
+}
+
+/**
+ * Draws an item on its way, here and for those who look at the same scene.
+ * @param {SceneItem} item
+ */
+function showDrag(item) {
+  redraw();
+  room.report(item);
 }
 
 /**

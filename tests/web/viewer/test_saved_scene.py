@@ -55,6 +55,11 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
         yield context
 
 
+SEE_FAR_LEFT = """() => new MutationObserver(() => {
+    window.seen ||= Number.parseFloat(document.body.dataset.moved) < -1;
+}).observe(document.body, { attributes: true })"""
+
+
 def places(page: Page) -> list[tuple[float, ...]]:
     """Where the things stand in the scene (m), and their scales."""
     told = page.get_attribute("body", "data-moved") or ""
@@ -198,6 +203,8 @@ def test_a_thing_is_seen_on_its_way_before_it_is_saved(
         assert other.get_attribute("body", "data-scene") == f"{scene.id} 1"
         assert places(other)[1] == (0.5, 0, 0, 1.5), "and nothing else"
         assert read_scene(site.store, scene.id).version == 1, "on its way nothing is stored"
+        await_frames(page)
+        assert middle_of(page, 0)[0] > x + 20, "who moves it sees it, too"
         page.mouse.move(x + 60, y, steps=2)
         page.mouse.up()
         until_saved(page, scene.id, 2)
@@ -205,15 +212,11 @@ def test_a_thing_is_seen_on_its_way_before_it_is_saved(
         await_data(other, scene=f"{scene.id} 2", moved=now)
         assert places(page)[0][0] > -0.4
         far = {"id": "left", "position_m": [-3, 0, 0], "rotation": [0, 0, 0, 1], "scale": 1}
-        watch = (
-            "() => new MutationObserver(() => (window.seen ||= Number.parseFloat(document.body.dataset.moved) < -0.4))"
-        )
-        page.evaluate(watch + ".observe(document.body, { attributes: true })")
-        for _ in range(2):  # a place is told with the next report
+        page.evaluate(SEE_FAR_LEFT)
+        while not page.evaluate("window.seen"):
             told = httpx.post(f"{site.url}/v1/scenes/{scene.id}/moving", json={"sender": "third", "items": [far]})
             assert told.status_code == 204
             await_frames(page)
-    page.wait_for_function("() => window.seen")
     await_data(page, moved=now)  # where it was saved, for nothing else was
     assert read_scene(site.store, scene.id).version == 2
 
