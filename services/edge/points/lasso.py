@@ -126,8 +126,8 @@ def inside(at: Floats, line: Sequence[tuple[float, float]]) -> Bools:
     x, y = at[:, 0], at[:, 1]
     odd = np.zeros(len(at), bool)
     for (x0, y0), (x1, y1) in zip(line, (*line[1:], line[0]), strict=True):
-        if y0 != y1:
-            odd ^= ((y0 > y) != (y1 > y)) & (x < x0 + (x1 - x0) * ((y - y0) / (y1 - y0)))
+        beside = np.flatnonzero((y0 > y) != (y1 > y))  # whose row the edge crosses: it is not level then
+        odd[beside] ^= x[beside] < x0 + (x1 - x0) * ((y[beside] - y0) / (y1 - y0))
     return odd
 
 

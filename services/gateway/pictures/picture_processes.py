@@ -12,7 +12,7 @@ from services.fork_client import ForkServer
 from services.gateway.errors import Problem
 from services.gateway.forked_talk import talk
 
-_AT_ONCE = 2  # photos, each with up to 1 GB
+_AT_ONCE = 2  # photos, each with up to 768 MB
 
 
 class PictureProcesses:

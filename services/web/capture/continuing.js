@@ -55,7 +55,7 @@ async function showContinued({ asset_key: key, label, edits = {} }) {
   page.section.hidden = false;
   page.details.hidden = true;
   page.heading.textContent = t('More photos of {name}', { name });
-  page.lost.hidden = !(edits.crop || edits.planes?.length || edits.up || edits.length);
+  page.lost.hidden = !(edits.crop || edits.planes?.length || edits.lassos?.length || edits.up || edits.front || edits.length);
   expectMore(name);
   showState('choosing');
   document.body.dataset.continues = key;

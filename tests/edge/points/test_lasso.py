@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +15,17 @@ from hypothesis import strategies as st
 
 from services.edge.arrays import Floats
 from services.edge.capture.detect import read_capture
-from services.edge.capture.nouns import Capture, Cloud, Frame, Intrinsics, Photo, PhotoVerdict, ShownPicture
-from services.edge.capture_to_points import to_points
+from services.edge.capture.nouns import Capture, Cloud, CloudParts, Frame, Intrinsics, Photo, PhotoVerdict, ShownPicture
+from services.edge.capture.upright_places import turn_places
+from services.edge.capture_to_points import CaptureSummary, PreparedPoints, to_points
 from services.edge.errors import CaptureError, EdgeError
+from services.edge.jobs.points_archive import read_prepared, write_prepared
 from services.edge.photos.crop import CropBox, crop_photo
 from services.edge.photos.nouns import PhotoView
 from services.edge.photos.structure_from_motion import project
 from services.edge.photos.upright_photo import UprightPhoto
-from services.edge.points.edit import cut_away
-from services.edge.points.lasso import inside, left_out, require_photos
+from services.edge.points.edit import cut_away, kept_parts
+from services.edge.points.lasso import drawn_views, inside, left_out, require_photos
 from services.edge.points.nouns import Points
 from services.edits import Edits
 from services.photo_lasso import PhotoLasso
@@ -112,8 +115,6 @@ def test_turned_places_are_those_that_opencv_turns() -> None:
     picture = np.zeros((3, 4), np.uint8)
     picture[0, 3] = 1
     row, column = np.argwhere(cv2.rotate(picture, cv2.ROTATE_90_CLOCKWISE))[0]
-    from services.edge.capture.upright_places import turn_places
-
     assert np.allclose(turn_places(np.array([(3.5 / 4, 0.5 / 3)]), 1), [((column + 0.5) / 3, (row + 0.5) / 4)])
 
 
@@ -203,6 +204,30 @@ def test_no_colours_come_of_what_is_left_out(points: Points) -> None:
     assert len(row) > 500
     assert (other.load_depth_m() == points.drawn_in[4].load_depth_m()).all()
     assert not after.drawn_in
+
+
+def test_a_large_scene_is_cut_part_by_part_as_at_once(points: Points) -> None:
+    def read() -> Iterator[Cloud]:
+        for part in np.array_split(points.xyz, 5):
+            yield Cloud(part)
+
+    (view,) = drawn_views([points.drawn_in[3]], [lasso(3)], points.xyz)
+    parts = kept_parts(CloudParts(len(points), read), Edits(lassos=(lasso(3),)), [view])
+    assert np.concatenate([part.xyz for part in parts.read()]).tolist() == cut(points, lasso(3)).xyz.tolist()
+
+
+def test_another_worker_gets_no_colours_of_it_either(points: Points, tmp_path: Path) -> None:
+    """What is before the lens survives the archive's steps of depth."""
+    after = cut(points, lasso(3))
+    write_prepared(PreparedPoints(after, CaptureSummary("rgbd", "synthetic", 12)), tmp_path / "points.zip")
+    read = read_prepared(tmp_path / "points.zip", tmp_path / "read").points
+    assert read.edits == after.edits
+    sent, received = (
+        next(view for view in each.texture_views if view.name == "0003").load_depth_m() for each in (after, read)
+    )
+    covered = (sent > 0) & (sent < 0.01)
+    assert covered.any()
+    assert ((received > 0) & (received < 0.01))[covered].all()
 
 
 def test_a_lasso_that_leaves_nothing_is_refused(points: Points) -> None:

@@ -24,14 +24,14 @@ CLOUD = b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"
 SCRIPTED = """
 import errno, os, signal, socket, sys, time
 from services import fork_server
-from services.gateway.uploads import check_work
+from services.gateway.uploads import check_work, process_limits
 def check_and_pack(order, begin):
     begin("a.ply")
     {does}
 check_work.check_and_pack = check_and_pack
 check_work._LEAST_SECONDS = 0.0
 check_work._MOST_DATA_BYTES = 200 << 20
-check_work._SLOWED, check_work._DISK_SECONDS = 0.0, {seconds}
+process_limits._SLOWED, process_limits._DISK_SECONDS = 0.0, {seconds}
 fork_server.serve(socket.socket(fileno=int(sys.argv[1])), check_work.work)
 """
 
