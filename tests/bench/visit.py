@@ -63,7 +63,7 @@ def main(arguments: list[str]) -> None:
     print("|---|---|---|---|---|---|---|---|")
     levels = lods(scan())
     with sync_playwright() as playwright:
-        chromium = launch(playwright)
+        chromium = launch(playwright, composited=True)
         _visits("colours at vertices", sheet_bundle(levels), chromium)
         pictured = [painted(level, side) for level, side in zip(levels, SIDES, strict=True)]
         _visits("pictures", sheet_bundle(pictured), chromium)

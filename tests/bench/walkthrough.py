@@ -26,6 +26,7 @@ from tests.bench.data_files import data_file
 from tests.support.chromium import launch
 from tests.support.headsets import Hand, enter, frames, wear
 from tests.support.npm_packages import installed
+from tests.support.pages import open_panel
 from tests.support.tenants import bearer, make_key
 from tests.web.conftest import PHONE, without_a_past
 
@@ -131,17 +132,17 @@ def _name(page: Page, url: str, way: _Way, key: str) -> None:
     page.locator("body[data-loaded]").wait_for()
     page.wait_for_timeout(3000)  # finer levels come
     way.take(page, "View", "#said")
-    page.get_by_text("Name it", exact=True).click()
+    open_panel(page, "Name it")
     page.get_by_label("Name", exact=True).fill("Fruit on a plate")
     page.get_by_label("Search words").fill("kitchen, still life")
     page.locator("#names").get_by_role("button", name="Save").click()
     page.locator("#names-saved", has_text="Saved.").wait_for()
     way.take(page, "Name and label", "#names-saved")
-    page.get_by_text("Name it", exact=True).click()
+    open_panel(page, "Name it")
 
 
 def _share(page: Page, url: str, way: _Way, key: str) -> None:
-    page.get_by_text("Share", exact=True).click()
+    open_panel(page, "Share")
     page.get_by_role("button", name="Make a link").click()
     image = page.locator("#links img")
     image.wait_for()
@@ -177,13 +178,13 @@ def _place(page: Page, url: str, way: _Way) -> str:
     page.locator("#stage").focus()
     for _ in range(4):
         page.keyboard.press("ArrowUp")
-    page.get_by_text("Scene", exact=True).click()
+    open_panel(page, "Scene")
     page.get_by_label("Name of the scene").fill("On the table")
     page.locator("#scene").get_by_role("button", name="Save").click()
     page.wait_for_url("**/scene/scn_*")
     _await_things(page, 3)
     way.take(page, "A scene", "#said")
-    page.get_by_text("Share", exact=True).click()
+    open_panel(page, "Share")
     page.get_by_role("button", name="Make a link").click()
     page.locator("#links a").wait_for()
     return str(page.locator("#links a").get_attribute("href"))

@@ -11,6 +11,8 @@ from services.gateway.routes.pages import WEB
 _TIME_LIMITS = WEB / "shared" / "time-limits.js"
 
 _HAS = "told => Object.entries(told).every(([name, value]) => document.body?.dataset[name] === value)"
+_IS_FILLED = """name => [...document.querySelectorAll('summary')].some((each) =>
+    each.textContent.trim() === name && !each.parentElement.querySelector(':scope > [inert]'))"""
 
 
 def await_data(page: Page, **told: str) -> None:
@@ -22,6 +24,15 @@ def await_data(page: Page, **told: str) -> None:
         page.wait_for_function(_HAS, arg=told, polling=20)
     except Error:
         raise AssertionError(f"the page has {page.evaluate('({ ...document.body.dataset })')}, not {told}") from None
+
+
+def open_panel(page: Page, name: str) -> None:
+    """Open a panel of a page, or close it, and wait until its module has filled it.
+
+    Until then nobody can type into it, and Playwright's `fill` does not mind: what it types is lost.
+    """
+    page.get_by_text(name, exact=True).click()
+    page.wait_for_function(_IS_FILLED, arg=name, polling=20)
 
 
 def time_limit_ms(name: str) -> int:

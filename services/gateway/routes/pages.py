@@ -18,6 +18,7 @@ from starlette.types import Scope
 
 from services.gateway.browser_permissions import CAMERA_PAGE
 from services.gateway.errors import Problem
+from services.gateway.page_modules import name_modules
 from services.gateway.page_texts import LANGUAGES, TEXTS, preferred_language, translate_page
 from services.gateway.routes.access_rules import ANYONE
 from services.gateway.schemas import problems
@@ -199,9 +200,11 @@ def _page(name: str, request: Request, status: int = 200, languages: tuple[str, 
 
 
 def _html(name: str) -> str:
-    """Return a page's text, with the script that guards its start inline: as a file it might fail to load as well."""
+    """Return a page's text: with all its modules named, and with the script that guards its start inline, as a file it
+    might fail to load as well.
+    """
     guard = (WEB / "shared" / "start-guard.js").read_text(encoding="utf-8")
-    html = (WEB / name).read_text(encoding="utf-8")
+    html = name_modules((WEB / name).read_text(encoding="utf-8"), WEB)
     return _START_GUARD.sub(lambda found: f"<script{found[1]}>\n{guard}</script>", html)
 
 

@@ -63,29 +63,38 @@ export class ContactShadow {
  * @param {THREE.Matrix4} toFloor
  */
 function trianglesOf(thing, toFloor) {
-  /** @type {number[]} */
-  const found = [];
+  /** @type {THREE.Mesh[]} */
+  const meshes = [];
   thing.updateWorldMatrix(true, true);
-  thing.traverse((node) => {
-    if (!(node instanceof THREE.Mesh)) return;
-    const matrix = new THREE.Matrix4().multiplyMatrices(toFloor, node.matrixWorld);
-    const { index } = node.geometry;
-    const positions = node.geometry.getAttribute('position');
-    const count = index?.count ?? positions.count;
-    const step = 3 * Math.ceil(count / 3 / MOST_TRIANGLES);
-    const corner = new THREE.Vector3();
-    for (let first = 0; first + 2 < count; first += step) {
-      for (const place of [first, first + 1, first + 2]) {
-        corner.fromBufferAttribute(positions, index ? index.getX(place) : place).applyMatrix4(matrix).toArray(found, found.length);
-      }
-    }
-  });
-  return found;
+  thing.traverse((node) => node instanceof THREE.Mesh && meshes.push(node));
+  const parts = meshes.map(({ geometry, matrixWorld }) => cornersOf(geometry, new THREE.Matrix4().multiplyMatrices(toFloor, matrixWorld)));
+  const all = new Float32Array(parts.reduce((sum, { length }) => sum + length, 0));
+  parts.reduce((start, part) => {
+    all.set(part, start);
+    return start + part.length;
+  }, 0);
+  return all;
+}
+
+/**
+ * @param {THREE.BufferGeometry} geometry
+ * @param {THREE.Matrix4} matrix
+ */
+function cornersOf({ index, attributes: { position } }, matrix) {
+  const count = Math.floor((index?.count ?? position.count) / 3);
+  const step = Math.ceil(count / MOST_TRIANGLES);
+  const corners = new Float32Array(9 * Math.ceil(count / step));
+  const corner = new THREE.Vector3();
+  for (let place = 0; 3 * place < corners.length; place++) {
+    const source = 3 * step * Math.floor(place / 3) + (place % 3);
+    corner.fromBufferAttribute(position, index ? index.getX(source) : source).applyMatrix4(matrix).toArray(corners, 3 * place);
+  }
+  return corners;
 }
 
 /**
  * The height of the lowest surface over each cell of the floor, row by row; Infinity where there is none.
- * @param {number[]} triangles
+ * @param {Float32Array} triangles
  * @param {{ x: number, z: number, cell: number }} grid its corner and the side of a cell, in metres
  */
 function heightsUnder(triangles, { x, z, cell }) {

@@ -1,6 +1,7 @@
 // What the pages draw with: renderer, light, a camera that sees the whole of a thing, and freeing memory of the graphics card.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { createStudioLight } from './studio-light.js';
+import { createContext, pixelRatio } from './webgl-context.js';
 
 /** @import { Manifest, SizeM } from '../shared/types.d.ts' */
 
@@ -13,13 +14,13 @@ const POINT_SHARE = 1 / 40; // size of a point of the hints, of the thing's diam
 /**
  * Creates a renderer, a scene in the light of a studio, and a camera that fit a canvas. Throws where the browser has no WebGL.
  * @param {HTMLCanvasElement} canvas
+ * @param {WebGL2RenderingContext | null} [context] of the canvas, by `createContext`
  * @returns {Stage}
  */
-export function createStage(canvas) {
-  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+export function createStage(canvas, context = createContext(canvas)) {
+  const renderer = new THREE.WebGLRenderer({ canvas, context: context ?? undefined });
   renderer.debug.checkShaderErrors = false; // asking for them waits for the graphics card
   renderer.toneMapping = THREE.NeutralToneMapping; // Khronos PBR Neutral: keeps hues and all but the brightest tones; filmic curves tint paint
-  renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
   const scene = new THREE.Scene();
   scene.add(...createStudioLight());
   const camera = new THREE.PerspectiveCamera(45, 1, 0.01, 200);
@@ -27,7 +28,7 @@ export function createStage(canvas) {
   function resize() {
     const { clientWidth: width, clientHeight: height } = canvas;
     if (renderer.xr.isPresenting || width === 0 || height === 0) return;
-    renderer.setSize(width, height, false);
+    renderer.setDrawingBufferSize(width, height, pixelRatio()); // once: each new size costs the canvas its memory, and half a tenth of a second
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
   }

@@ -96,8 +96,13 @@ export async function offerNotes(item, stage, callbacks, session) {
   const { Notes: Panel } = await import('./notes.js');
   const notes = new Panel(item, stage, callbacks);
   if (session?.scopes.includes('manage') && ofShownTenant('') === '') notes.allowPinning();
-  await notes.load();
-  return () => notes.load();
+  let shown = 0; // the version whose notes are there
+  return () => {
+    const version = item.entry?.version ?? shown;
+    if (version === shown) return;
+    shown = version;
+    notes.load();
+  };
 }
 
 /**

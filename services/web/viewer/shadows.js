@@ -1,5 +1,6 @@
 // The shadows of the things in the scene, on its floor. One is worked out anew only when its thing was turned, scaled, lifted or replaced.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { isLoaded } from './scene-item.js';
 import { ContactShadow } from '../graphics/contact-shadow.js';
 
 /** @import { LoadedItem } from './scene-item.js' */
@@ -60,15 +61,24 @@ export class Shadows {
    */
   #show(item, cast) {
     if (!cast.isReady) return; // then it is not the thing's first frame either, which has enough to do
+    this.#workOut(item, cast);
+    const { position } = item.group;
+    cast.shadow.object.position.set(position.x, 0, position.z).add(cast.offset);
+    cast.shadow.object.visible = true;
+  }
+
+  /**
+   * Works a shadow out anew where its thing has changed.
+   * @param {LoadedItem} item
+   * @param {Cast} cast
+   */
+  #workOut(item, cast) {
     const { position } = item.group;
     const pose = item.group.matrix.compose(position, item.group.quaternion, item.group.scale).clone().setPosition(0, position.y, 0);
     const level = item.model.coarsest;
-    if (level && (level !== cast.level || !pose.equals(cast.pose))) {
-      cast.shadow.cast(level, this.#root.matrixWorld.clone().invert());
-      Object.assign(cast, { level, pose, offset: cast.shadow.object.position.clone().sub(position).setY(0) });
-    }
-    cast.shadow.object.position.set(position.x, 0, position.z).add(cast.offset);
-    cast.shadow.object.visible = true;
+    if (!level || (level === cast.level && pose.equals(cast.pose))) return;
+    cast.shadow.cast(level, this.#root.matrixWorld.clone().invert());
+    Object.assign(cast, { level, pose, offset: cast.shadow.object.position.clone().sub(position).setY(0) });
   }
 
   /** @param {LoadedItem} item */
@@ -80,7 +90,10 @@ export class Shadows {
     this.#casts.set(item, cast);
     cast.shadow.object.visible = false;
     this.#root.add(cast.shadow.object);
-    this.#prepare(cast.shadow.object).then(() => (cast.isReady = true));
+    this.#prepare(cast.shadow.object).then(() => {
+      if (isLoaded(item)) this.#workOut(item, cast); // between two frames: the browser has not compiled this code yet, and it takes as long as a frame
+      cast.isReady = true;
+    });
     return cast;
   }
 }

@@ -20,7 +20,7 @@ import { SceneItem, isLoaded } from './scene-item.js';
 import { Shadows } from './shadows.js';
 import { snapItem } from './snap.js';
 import { findStandingPlace } from './standing-place.js';
-import { keys, nextEntry, sceneId } from './start.js';
+import { context, keys, nextEntry, sceneId } from './start.js';
 import { startTurntable } from './turntable.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
@@ -31,7 +31,6 @@ import { showAccount } from '../shared/account.js';
 import { element } from '../shared/dom.js';
 import { Problem, isConnectionProblem, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
-import { checkEntry } from '../shared/signed-catalogue.js';
 import { t } from '../shared/texts.js';
 import { loadFile } from '../shared/verified-cache.js';
 import { ofShownTenant } from '../shared/whose.js';
@@ -133,7 +132,7 @@ const room = new Room({
 /** Creates the stage, or says that this browser has no WebGL. */
 function startStage() {
   try {
-    return createStage(page.canvas);
+    return createStage(page.canvas, context);
   } catch (error) {
     showError(new Problem({ code: 'NO_WEBGL', detail: t('This browser cannot show 3D.'), hints: [t('Open this address in another one.')] }));
     throw error;
@@ -203,10 +202,9 @@ function hasShadow(item) {
  * @param {SceneItem} item
  */
 async function update(item) {
-  const unchecked = await nextEntry(item.key);
+  const entry = await nextEntry(item.key, item.entry?.version);
+  if (!entry) return;
   const before = item.entry;
-  if (before && before.version === unchecked.version) return;
-  const entry = await checkEntry(unchecked);
   if (before) endComparison();
   else showHints(item, entry);
   await item.show(entry, renderer, {
@@ -487,6 +485,7 @@ async function offerPanels(asking) {
     loadNotes();
   };
   showFacts = fillAll;
+  loadNotes();
   if (!session?.scopes.includes('read') || ofShownTenant('') !== '') return;
   showFacts = () => {
     fillAll();

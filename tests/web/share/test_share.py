@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
-from tests.support.pages import await_data
+from tests.support.pages import await_data, open_panel
 from tests.support.qr_codes import picture_of, text_of
 from tests.support.screenshots import drawn, stage
 from tests.support.things import GREEN, box
@@ -25,7 +25,7 @@ def owner(context: BrowserContext, guarded: GuardedSite) -> Page:
     page = context.new_page()
     page.goto(f"{guarded.url}/view/bowl")
     await_data(page, loaded="2 1 0", tenant="ada")
-    page.get_by_text("Share", exact=True).click()
+    open_panel(page, "Share")
     expect(page.locator("#share")).to_have_attribute("open", "")
     expect(page.locator("body")).to_have_attribute("data-links", "0")
     return page
@@ -62,7 +62,7 @@ def test_a_link_is_opened_without_a_login_until_it_is_revoked(owner: Page, visit
 
     owner.reload()
     await_data(owner, loaded="2 1 0", tenant="ada")
-    owner.get_by_text("Share", exact=True).click()
+    open_panel(owner, "Share")
     expect(owner.locator("#links li p")).to_contain_text("opened 1 time")
     revoke(owner)
     visitor.reload()
@@ -115,7 +115,7 @@ def test_links_leave_the_caption_and_the_tools_where_they_are(browser: Browser, 
         page = context.new_page()
         page.goto(f"{guarded.url}/view/bowl")
         await_data(page, loaded="2 1 0", tenant="ada")
-        page.get_by_text("Share", exact=True).click()
+        open_panel(page, "Share")
         expect(page.locator("body")).to_have_attribute("data-links", "0")
         make_link(page)
         header, footer = (page.locator(each).bounding_box() for each in ("header", "footer"))

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
-from tests.support.pages import await_data
+from tests.support.pages import await_data, open_panel
 from tests.support.screenshots import await_frames, places_of, stage
 from tests.support.sites import Site
 from tests.support.things import GREEN, RED, box
@@ -41,7 +41,7 @@ def test_quality_warnings_advice_and_origin_are_told(page: Page, site: Site) -> 
     publish(told, site.store, key="told")
     page.goto(f"{site.url}/view/told")
     await_data(page, loaded="2 1 0")
-    page.get_by_text("About", exact=True).click()
+    open_panel(page, "About")
     await_data(page, about="1")
     about = page.locator("#about-text")
     for sentence in (
@@ -63,7 +63,7 @@ def test_the_panel_of_a_real_thing_is_all_on_the_page(page: Page, site: Site, bu
     publish(bundle, site.store, key="bowl")
     page.goto(f"{site.url}/view/bowl")
     await_data(page, loaded="2 1 0")
-    page.get_by_text("About", exact=True).click()
+    open_panel(page, "About")
     expect(page.locator("#about-text")).to_contain_text("Made from a scan (ply).")
     panel, shown = page.locator("#about").bounding_box(), page.viewport_size
     assert panel is not None

@@ -18,7 +18,7 @@ from services.edge.arrays import Floats
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from tests.support.pages import await_data
+from tests.support.pages import await_data, open_panel
 from tests.support.patience import HANG_S
 from tests.support.screenshots import await_frames, difference, drawn, stage
 from tests.support.sites import Site
@@ -59,7 +59,7 @@ def test_what_cannot_be_made_now_is_said(page: Page, site: Site, bundle: Bundle)
     publish(bundle, site.store, key="bowl")
     page.goto(f"{site.url}/view/bowl")
     await_data(page, loaded="2 1 0")
-    page.get_by_text("Download", exact=True).click()
+    open_panel(page, "Download")
     await_data(page, downloads="10")
     panel, shown = page.locator("#downloads").bounding_box(), page.viewport_size
     assert panel is not None
@@ -80,7 +80,7 @@ def test_splats_are_shown_in_place_of_the_mesh(page: Page, stack: Stack, bundle:
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(f"{stack.url}/view/bowl")
     await_data(page, loaded="2 1 0")
-    page.get_by_text("Download", exact=True).click()
+    open_panel(page, "Download")
     await_data(page, downloads="10")
     mesh = stage(page)
     button = page.get_by_role("button", name="Show them here")

@@ -10,7 +10,7 @@ from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.visibility import Visibility
-from tests.support.pages import await_data
+from tests.support.pages import await_data, open_panel
 from tests.support.sites import Site
 from tests.support.things import GREEN, box
 from tests.web.conftest import PHONE, GuardedSite, without_a_past
@@ -19,8 +19,8 @@ pytestmark = pytest.mark.browser
 HOSTILE = '<img src=x onerror="document.body.dataset.bad=1">'
 
 
-def open_panel(page: Page) -> None:
-    page.get_by_text("Name it", exact=True).click()
+def open_names(page: Page) -> None:
+    open_panel(page, "Name it")
     expect(page.get_by_label("Name", exact=True)).not_to_have_value("")
 
 
@@ -28,7 +28,7 @@ def test_a_thing_is_named_where_it_is_shown(page: Page, site: Site, bundle: Bund
     publish(bundle, site.store, key="named")
     page.goto(f"{site.url}/view/named")
     await_data(page, loaded="2 1 0")
-    open_panel(page)
+    open_names(page)
     page.get_by_label("Name", exact=True).fill(f" Bowl {HOSTILE}")
     page.get_by_label("Description").fill("Two\nlines.")
     page.get_by_label("Search words").fill("blue, Blue, kitchen")
@@ -49,7 +49,7 @@ def test_what_is_no_name_is_said_and_nothing_is_lost(page: Page, site: Site, bun
     publish(bundle, site.store, key="kept")
     page.goto(f"{site.url}/view/kept")
     await_data(page, loaded="2 1 0")
-    open_panel(page)
+    open_names(page)
     page.get_by_label("Search words").fill("a" * 60)
     page.get_by_role("button", name="Save").click()
     expect(page.locator("#names-trouble")).to_contain_text("at most 50 characters, and this one has 60")
@@ -63,7 +63,7 @@ def test_only_who_manages_it_sees_the_panel(context: BrowserContext, browser: Br
     owner = context.new_page()
     owner.goto(f"{guarded.url}/view/cup")
     await_data(owner, loaded="2 1 0", tenant="ada")
-    open_panel(owner)
+    open_names(owner)
     with without_a_past(browser, PHONE, has_touch=True) as anonymous:
         visitor = anonymous.new_page()
         visitor.goto(f"{guarded.url}/view/cup?tenant=ada")

@@ -23,7 +23,7 @@ from services.storage.catalogue.scene import PlacedAsset
 from services.storage.catalogue.scene_documents import create_scene, read_scene, replace_scene
 from services.storage.store import Store
 from tests.support.headsets import Hand, enter, wear
-from tests.support.pages import await_data
+from tests.support.pages import await_data, open_panel
 from tests.support.patience import PATIENCE_S
 from tests.support.screenshots import await_frames, places_of, stage
 from tests.support.sites import Site
@@ -137,7 +137,7 @@ def test_what_is_saved_as_a_scene_opens_elsewhere_as_it_was(
     page.goto(f"{site.url}/view?key=red&key=blue")
     await_things(page, 2)
     press(page, "Red box", "PageUp")
-    page.get_by_text("Scene", exact=True).click()
+    open_panel(page, "Scene")
     page.get_by_label("Name of the scene").fill("Living room")
     page.get_by_role("button", name="Save").click()
     page.wait_for_url("**/scene/scn_*")
@@ -278,19 +278,20 @@ def test_a_thing_is_added_and_one_taken_away_and_the_scene_is_deleted(page: Page
     scene = create_scene(site.store, "Room", (LEFT,))
     page.goto(f"{site.url}/scene/{scene.id}")
     await_things(page, 1)
-    page.get_by_text("Add a thing", exact=True).click()
+    open_panel(page, "Add a thing")
     page.get_by_label("Name or label").fill("blue")
-    await_data(page, choices="1")
-    page.locator("#add-list button").click()
+    choices = page.locator("#add-list button")
+    expect(choices.filter(has_text="Red box")).to_have_count(0)
+    choices.filter(has_text="Blue box").click()
     await_things(page, 2)
     until_saved(page, scene.id, 2)
     added = read_scene(site.store, scene.id).items[1]
     assert (added.asset, added.position_m[0]) == ("blue", pytest.approx(0.0, abs=0.01)), "10 cm beside the other"
-    page.get_by_text("Add a thing", exact=True).click()
+    open_panel(page, "Add a thing")
     page.get_by_role("button", name="Take Red box away").click()
     until_saved(page, scene.id, 3)
     assert [each.asset for each in read_scene(site.store, scene.id).items] == ["blue"]
-    page.get_by_text("Scene", exact=True).click()
+    open_panel(page, "Scene")
     page.get_by_role("button", name="Delete the scene").click()
     page.get_by_role("button", name="Tap again").click()
     page.wait_for_url("**/browse/default")
@@ -320,10 +321,10 @@ def test_a_scene_is_shared_where_it_was_just_saved(browser: Browser, guarded: Gu
         page = context.new_page()
         page.goto(f"{guarded.url}/view?key=red&key=blue")
         await_things(page, 2)
-        page.get_by_text("Scene", exact=True).click()
+        open_panel(page, "Scene")
         page.get_by_role("button", name="Save").click()
         page.wait_for_url("**/scene/scn_*")
-        page.get_by_text("Share", exact=True).click()
+        open_panel(page, "Share")
         page.get_by_role("button", name="Make a link").click()
         expect(page.locator("#links a")).to_be_visible()
 
@@ -335,7 +336,7 @@ def test_a_link_shows_the_scene_to_somebody_without_a_login(browser: Browser, gu
         guarded.log_in(own)
         mine = own.new_page()
         mine.goto(f"{guarded.url}/scene/{scene.id}")
-        mine.get_by_text("Share", exact=True).click()
+        open_panel(mine, "Share")
         mine.get_by_role("button", name="Make a link").click()
         link: Any = mine.locator("#links a").get_attribute("href")
         page = foreign.new_page()

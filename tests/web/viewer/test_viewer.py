@@ -34,6 +34,16 @@ def published(store: LocalStore, bundle: Bundle) -> None:
     publish(bundle, store, key=KEY, job="first")
 
 
+def test_each_module_of_the_page_is_asked_for_once(page: Page, site: Site) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if request.url.endswith(".js") else None)
+    page.goto(f"{site.url}/view/{KEY}")
+    await_data(page, loaded="2 1 0")
+    own = [address for address in asked if "service-worker" not in address]
+    assert f"{site.url}/web/vendor/three-0.187.0.core.js" in own
+    assert len(own) == len(set(own))
+
+
 def test_all_levels_come_and_distance_chooses_among_them(page: Page, site: Site) -> None:
     page.goto(f"{site.url}/view/{KEY}")
     await_data(page, loaded="2 1 0")
