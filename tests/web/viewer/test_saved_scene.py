@@ -14,7 +14,7 @@ import httpx
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
 from services.gateway.routes.pages import WEB
 from services.storage.catalogue.publish import publish
@@ -58,6 +58,14 @@ def context(browser: Browser) -> Iterator[BrowserContext]:
 SEE_FAR_LEFT = """() => new MutationObserver(() => {
     window.seen ||= Number.parseFloat(document.body.dataset.moved) < -1;
 }).observe(document.body, { attributes: true })"""
+
+
+COUNT_VERSIONS = """window.EventSource = class extends EventSource {
+    constructor(url) {
+        super(url);
+        this.addEventListener('scene', ({ lastEventId }) => (document.body.dataset.heard = lastEventId));
+    }
+}"""
 
 
 def places(page: Page) -> list[tuple[float, ...]]:
@@ -219,6 +227,33 @@ def test_a_thing_is_seen_on_its_way_before_it_is_saved(
             await_frames(page)
     await_data(page, moved=now)  # where it was saved, for nothing else was
     assert read_scene(site.store, scene.id).version == 2
+
+
+def test_an_event_that_overtakes_the_answer_to_a_save_takes_nothing_back(
+    context: BrowserContext, page: Page, site: Site
+) -> None:
+    scene = create_scene(site.store, "Room", (LEFT, RIGHT))
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        if route.request.method == "PUT" and not held:
+            held.append(route)
+        else:
+            route.continue_()
+
+    context.add_init_script(COUNT_VERSIONS)
+    context.route(f"**/v1/scenes/{scene.id}", hold)
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 2)
+    with page.expect_request(lambda request: request.method == "PUT"):
+        press(page, "Red box", "PageUp")
+    page.keyboard.press("PageUp")
+    answer = held[0].fetch()
+    await_data(page, heard="2")
+    held[0].fulfill(response=answer)
+    until_saved(page, scene.id, 3)
+    assert places(page)[0][1] == 0.1
+    expect(page.locator("#notice")).not_to_contain_text("somebody else")
 
 
 def test_without_a_stream_of_events_the_page_asks_now_and_then(context: BrowserContext, page: Page, site: Site) -> None:
