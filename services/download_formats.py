@@ -32,9 +32,9 @@ class DownloadFormat:
     needs: tuple[str, ...]
     uses: tuple[str, ...] = ()
 
-    def file_name(self, key: str) -> str:
-        """Return the name of an asset's file in this format."""
-        return key + self.ending
+    def file_name(self, key: str, version: int | None = None) -> str:
+        """Return the name of an asset's file in this format. version: of an earlier version, which the name tells"""
+        return f"{key}-v{version}{self.ending}" if version else key + self.ending
 
 
 FORMATS = {

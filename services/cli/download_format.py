@@ -22,11 +22,14 @@ _WITHIN_S = 900.0  # a worker's own limit for a file is five minutes, and others
 _CHUNK_BYTES = 1 << 20
 
 
-def download_format(key: str, format_name: str, out: Path | None, gateway: str, *, share: str = "") -> Path:
+def download_format(
+    key: str, format_name: str, out: Path | None, gateway: str, *, version: int | None = None, share: str = ""
+) -> Path:
     """Download an asset in a format; return the file.
 
-    out    file or existing folder to write to; None: the key and the format's ending, in the current folder
-    share  a share link, which names the gateway; one of an asset also names the key, which may then be ""
+    out      file or existing folder to write to; None: the key and the format's ending, in the current folder
+    version  number of an earlier version, for its own tenant; the file's name then tells it. None: the current one
+    share    a share link, which names the gateway; one of an asset also names the key, which may then be ""
     Raises BadInput where the asset cannot have the format, or the file is not whole; `out` is then unchanged.
     """
     gateway, token = split_link(share) if share else (gateway, "")
@@ -34,7 +37,7 @@ def download_format(key: str, format_name: str, out: Path | None, gateway: str, 
         raise BadInput(INVALID_KEY.format(key))
     try:
         with client_of(gateway, timeout=_TIMEOUT, follow_redirects=True) as client:
-            query = {"format": format_name}
+            query = {"format": format_name} | ({"version": str(version)} if version else {})
             if token:
                 shared = open_link(client, token)
                 query["tenant"] = shared.tenant
@@ -43,7 +46,7 @@ def download_format(key: str, format_name: str, out: Path | None, gateway: str, 
                 raise BadInput("the link shares a collection: name one of its assets")
             url = str(httpx.URL(f"/v1/assets/{key}/download", params=query))
             _wait_until_made(client, url, key, format_name)
-            path = _path(out, key, format_name)
+            path = _path(out, key, format_name, version)
             _save(client, url, path)
     except (httpx.RequestError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
@@ -63,9 +66,9 @@ def _wait_until_made(client: httpx.Client, url: str, key: str, format_name: str)
         raise BadInput(f"{answer.request.url} did not say where the file is: check --gateway")
 
 
-def _path(out: Path | None, key: str, format_name: str) -> Path:
+def _path(out: Path | None, key: str, format_name: str, version: int | None) -> Path:
     """Return the file to write to. Raises BadInput where its folder is missing."""
-    name = FORMATS[format_name].file_name(key) if format_name in FORMATS else f"{key}.{format_name}"
+    name = FORMATS[format_name].file_name(key, version) if format_name in FORMATS else f"{key}.{format_name}"
     path = Path(name) if out is None else out / name if out.is_dir() else out
     if not path.parent.is_dir():
         raise BadInput(f"{path.parent} is not a folder; create it, or choose another file with -o")

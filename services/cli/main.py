@@ -255,6 +255,9 @@ def download(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="File, or folder. Default: KEY and the format's ending.")
     ] = None,
+    version: Annotated[
+        int | None, typer.Option(min=1, help="Number of an earlier version; the default name then ends in -vNUMBER.")
+    ] = None,
     gateway: Gateway = DEFAULT_GATEWAY,
     share: Annotated[
         str, typer.Option(help="A share link, https://…/s/…; its password, if any, in CAPTURE2VR_SHARE_PASSWORD.")
@@ -263,7 +266,7 @@ def download(
     """Download an asset from a gateway in the format of another program. It is made there if nobody asked before."""
     from services.cli.download_format import download_format
 
-    download_format(key, format_name, out, gateway, share=share)
+    download_format(key, format_name, out, gateway, version=version, share=share)
 
 
 @app.command()

@@ -24,8 +24,12 @@ CAPTURES = {
     "sunflower": "sunflower",
     "t-shirt": "tshirt_folded",
     "living room": "rgbd_livingroom",
+    "dress": "dress",
+    "milk truck": "milktruck",
+    "car": "car",
+    "statue": "photos_statue/images",
 }
-"""Assets by name, and what each is made of: photos, a coloured mesh, one without colours, depth images."""
+"""Assets by name, and what each is made of: photos, meshes with textures and without, depth images."""
 _PROGRAMS = (
     readers.TRIMESH,
     readers.GLTF_TRANSFORM,

@@ -14,7 +14,7 @@ from services.cli.errors import BadInput
 from services.cli.up import run_stack
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
-from tests.support.downloadable import SHEET, downloadable, written
+from tests.support.downloadable import SHEET, SLATE, downloadable, written
 
 
 @pytest.mark.slow
@@ -25,12 +25,17 @@ def test_a_file_is_downloaded_whole_or_not_at_all(tmp_path: Path, monkeypatch: p
         path = download_format("sheet", "stl", tmp_path, stack.url)
         assert path == tmp_path / "sheet.stl"
         assert len(trimesh.load(path).faces) == len(SHEET.faces)
+        publish(downloadable(SLATE), LocalStore(stack.store_root), key="sheet")
+        assert download_format("sheet", "glb", tmp_path, stack.url, version=1) == tmp_path / "sheet-v1.glb"
+        assert trimesh.load(tmp_path / "sheet-v1.glb").to_mesh().faces.shape == SHEET.faces.shape
+        with pytest.raises(BadInput, match="no version 3; it has 1, 2"):
+            download_format("sheet", "glb", tmp_path, stack.url, version=3)
         for key, wanted, reason in (("sheet", "exe", "glb, glb-meshopt, obj"), ("nobody", "glb", "no asset nobody")):
             with pytest.raises(BadInput, match=reason):
                 download_format(key, wanted, tmp_path / "out", stack.url)
         with pytest.raises(BadInput, match="create it"):
             download_format("sheet", "stl", tmp_path / "none" / "a.stl", stack.url)
-        assert sorted(each.name for each in tmp_path.iterdir()) == ["data", "sheet.stl"]
+        assert sorted(each.name for each in tmp_path.iterdir()) == ["data", "sheet-v1.glb", "sheet.stl"]
 
 
 @pytest.mark.parametrize("manifest", ["manifest.json", "report.json"])

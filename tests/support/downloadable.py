@@ -19,6 +19,8 @@ TO_ASSET = np.array([[0.0, 2, 0, 0.5], [-2, 0, 0, 1], [0, 0, 2, -0.25], [0, 0, 0
 """From the capture frame to the asset frame: a quarter turn about Z, twice as large, and moved."""
 SHEET = surfaces.patch(lambda u, v: [u, 0.3 * v, 0.2 * np.sin(5 * u) * np.cos(4 * v)], 12, 8)
 """An open surface in the asset frame, of three different sides."""
+SLATE = surfaces.patch(lambda u, v: [u, 0.3 * v, 0.0 * u], 3, 2)
+"""Another one, of fewer triangles."""
 
 
 def textured(mesh: Mesh = SHEET) -> TexturedMesh:

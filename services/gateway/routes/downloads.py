@@ -15,6 +15,7 @@ from services.gateway.routes.assets import Key, read_asset
 from services.gateway.routes.files import headers_alone
 from services.gateway.routes.read_rules import READS_ASSET, reading_of, reads_tenant
 from services.gateway.routes.store_access import in_thread, object_url, store_of, store_problems
+from services.gateway.routes.versions import read_asset_version
 from services.gateway.schemas import problems
 from services.storage.catalogue.downloads import DownloadOrder, StoredDownload, find_download
 from services.storage.catalogue.entry import Entry
@@ -28,6 +29,14 @@ _AGAIN_S = 2
 
 FormatQuery = Annotated[
     str, Query(alias="format", max_length=40, description=f"One of {', '.join(FORMATS)}.", examples=["obj"])
+]
+VersionQuery = Annotated[
+    int | None,
+    Query(
+        ge=1,
+        le=1_000_000_000,
+        description="Number of an earlier version, for the asset's own tenant; without it the current one.",
+    ),
 ]
 
 
@@ -45,7 +54,7 @@ class DownloadView(BaseModel):
 
 
 class DownloadList(BaseModel):
-    """The formats in which the current version of an asset can be downloaded."""
+    """The formats in which a version of an asset can be downloaded."""
 
     key: str
     version: int
@@ -65,13 +74,13 @@ class DownloadProgress(BaseModel):
     dependencies=[READS_ASSET],
     responses=problems(404, 410, 422, 503),
 )
-async def list_downloads(key: Key, request: Request, response: Response) -> DownloadList:
+async def list_downloads(key: Key, request: Request, response: Response, version: VersionQuery = None) -> DownloadList:
     """List the formats in which an asset can be downloaded for other programs."""
-    entry = await read_asset(request, key)
-    store, reading = store_of(request), reading_of(request)
+    entry = await _read_version(request, key, version)
+    store = store_of(request)
     formats = formats_of(_bundle_files(entry))
     sizes = await in_thread(lambda: _sizes(store, entry, formats))
-    response.headers.update({"Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers})
+    response.headers.update(_headers(request, version))
     return DownloadList(
         key=key,
         version=entry.version,
@@ -80,9 +89,9 @@ async def list_downloads(key: Key, request: Request, response: Response) -> Down
                 format=each.name,
                 title=each.title,
                 about=each.about,
-                file=each.file_name(key),
+                file=each.file_name(key, version),
                 bytes=sizes.get(each.name),
-                url=_url(request, key, each),
+                url=_url(request, key, each, version),
             )
             for each in formats
         ],
@@ -96,24 +105,46 @@ async def list_downloads(key: Key, request: Request, response: Response) -> Down
     dependencies=[READS_ASSET],
     responses={202: {"model": DownloadProgress}, **problems(404, 410, 422, 500, 503)},
 )
-async def get_download(key: Key, format_name: FormatQuery, request: Request) -> Response:
+async def get_download(key: Key, format_name: FormatQuery, request: Request, version: VersionQuery = None) -> Response:
     """Redirect to the asset's file in a format for other programs, which is made now if nobody has asked for it before.
 
     A large file takes longer than a request should: then the answer is 202 with Retry-After, and it is there when asked
     for again. The file is made once for each version, and never changes.
     """
-    entry = await read_asset(request, key)
+    entry = await _read_version(request, key, version)
     order = DownloadOrder(key, str(entry.document["manifest"]["sha256"]), _format_of(entry, format_name))
     with store_problems():
         found = await request.app.state.downloads.get(reads_tenant(request), order)
-    reading = reading_of(request)
-    headers = {"Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
+    headers = _headers(request, version)
     if found is None:
-        body = DownloadProgress(format=format_name, file=order.format.file_name(key)).model_dump()
+        body = DownloadProgress(format=format_name, file=order.format.file_name(key, version)).model_dump()
         return JSONResponse(body, 202, headers | {"Retry-After": str(_AGAIN_S), "Cache-Control": "no-store"})
     if request.method == "HEAD":  # answered here: a URL that is signed for GET refuses it
         return await headers_alone(store_of(request), found.name, request)
     return RedirectResponse(object_url(request, found.name), 307, headers)
+
+
+async def _read_version(request: Request, key: str, version: int | None) -> Entry:
+    """Read the entry with a version; None: the current one. Raises Problem.
+
+    Earlier versions are for the asset's own tenant alone, as GET /v1/assets/{key}/versions/{version} is: others are not
+    told how many there were.
+    """
+    entry = await read_asset(request, key)
+    if version is None or version == entry.version:
+        return entry
+    if reading_of(request).is_own:
+        return await read_asset_version(request, key, version)
+    detail = f"asset {key} has no version {version} that you may read"
+    raise Problem(404, "VERSION_UNKNOWN", detail, hints=("leave `version` away for the current one",))
+
+
+def _headers(request: Request, version: int | None) -> dict[str, str]:
+    """Return who may keep the answer, and which sites' pages may read it: where a version is named nobody, and none."""
+    if version is not None:
+        return {"Cache-Control": "private, no-store"}
+    reading = reading_of(request)
+    return {"Cache-Control": reading.cache_control(NO_CACHE), **reading.cors_headers}
 
 
 def _format_of(entry: Entry, name: str) -> DownloadFormat:
@@ -146,7 +177,8 @@ def _sizes(store: Store, entry: Entry, formats: list[DownloadFormat]) -> dict[st
     return {name: each.size for name, each in found.items() if each}
 
 
-def _url(request: Request, key: str, wanted: DownloadFormat) -> str:
+def _url(request: Request, key: str, wanted: DownloadFormat, version: int | None) -> str:
     tenant = reads_tenant(request)
-    query = {"format": wanted.name} | ({} if tenant == DEFAULT_TENANT else {"tenant": tenant})
+    query = {"format": wanted.name} | ({"version": str(version)} if version else {})
+    query |= {} if tenant == DEFAULT_TENANT else {"tenant": tenant}
     return f"/v1/assets/{key}/download?{urlencode(query)}"

@@ -43,9 +43,7 @@ class RestoredView(BaseModel):
 )
 async def get_version(key: Key, version: Version, request: Request) -> Response:
     """Get an asset's catalogue entry as it was with an earlier version, with the URL of every file."""
-    store = store_of(request)
-    found = await _known(key, lambda: read_version(store, key, version))
-    document = add_urls(request, found.document)
+    document = add_urls(request, (await read_asset_version(request, key, version)).document)
     return JSONResponse(document, headers={"Cache-Control": "private, no-store"})
 
 
@@ -68,6 +66,15 @@ async def restore_earlier_version(key: Key, version: Version, request: Request) 
         manifest=found.manifest,
         updated=found.document["updated"],
     )
+
+
+async def read_asset_version(request: Request, key: str, version: int) -> Entry:
+    """Read the key's entry as it was with this version.
+
+    Raises Problem KEY_INVALID, ASSET_UNKNOWN, VERSION_UNKNOWN, and those of the store.
+    """
+    store = store_of(request)
+    return await _known(key, lambda: read_version(store, key, version))
 
 
 async def _known(key: str, work: Callable[[], Entry]) -> Entry:

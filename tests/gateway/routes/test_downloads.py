@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
+import trimesh
 
 from services.edge.arrays import Tick
 from services.edge.errors import EdgeError
@@ -21,7 +24,7 @@ from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
 from services.storage.store import Store
 from services.storage.tenant_store import store_of_tenant
-from tests.support.downloadable import downloadable
+from tests.support.downloadable import SHEET, SLATE, downloadable
 from tests.support.in_process_gateway import gateway, memory, until, worker
 from tests.support.scripted_work import Making
 from tests.support.tenants import two_tenants
@@ -92,6 +95,52 @@ async def test_a_file_is_made_when_it_is_asked_for_and_served_as_all_files_are(t
             each for each in (await client.get("/v1/assets/sheet/downloads")).json()["downloads"] if each["bytes"]
         ]
         assert (stl["format"], stl["bytes"]) == ("stl", len(whole.content))
+
+
+@pytest.mark.slow
+async def test_an_earlier_version_is_made_as_it_was(tmp_path: Path) -> None:
+    store, one, two = LocalStore(tmp_path / "store"), downloadable(SLATE), downloadable()
+    for number, each in enumerate((one, two), 1):
+        publish(each, store, key="sheet", job=f"job_{number}")
+    async with converting(tmp_path, store) as (client, work):
+        now = (await client.get("/v1/assets/sheet/downloads")).json()
+        earlier = (await client.get("/v1/assets/sheet/downloads?version=1")).json()
+        assert (now["version"], earlier["version"]) == (2, 1)
+        glb = earlier["downloads"][0]
+        assert (glb["file"], glb["url"]) == ("sheet-v1.glb", "/v1/assets/sheet/download?format=glb&version=1")
+        files = {}
+        for name, url in (("now", now["downloads"][0]["url"]), ("earlier", glb["url"])):
+            answer = await client.get(url, follow_redirects=True)
+            files[name] = len(trimesh.load(io.BytesIO(answer.content), file_type="glb").to_mesh().faces)
+        assert files == {"now": len(SHEET.faces), "earlier": len(SLATE.faces)}
+        assert (await client.get(glb["url"])).headers["cache-control"] == "private, no-store"
+        await client.get(f"{now['downloads'][0]['url']}&version=2")
+        assert work.made == ["default glb", "default glb"], "each version is made once, however it is asked for"
+        assert (await client.get("/v1/assets/sheet/downloads?version=1")).json()["downloads"][0]["bytes"]
+
+        known = (await client.get("/v1/assets/sheet/versions/9")).json()
+        for path in ("downloads?version=9", "download?format=glb&version=9"):
+            problem = (await client.get(f"/v1/assets/sheet/{path}")).json()
+            same = ("status", "code", "detail", "hints")
+            assert [problem[each] for each in same] == [known[each] for each in same]
+        await client.post("/v1/assets/sheet/remove")
+        assert (await client.get(glb["url"])).json()["code"] == "ASSET_REMOVED"
+
+
+async def test_earlier_versions_are_for_the_own_tenant(tmp_path: Path) -> None:
+    store = memory()
+    for number in (1, 2):
+        bundle = replace(downloadable(), manifest={**downloadable().manifest, "label": f"{number}"})
+        publish(bundle, store_of_tenant(store, "ada"), key="shown", job=f"job_{number}", visibility="public")
+    async with two_tenants(tmp_path, store) as site:
+        for path in ("downloads?tenant=ada", "download?format=glb&tenant=ada"):
+            for reader in (site.anonymous, site.bob):
+                for version in (1, 9):
+                    problem = (await reader.get(f"/v1/assets/shown/{path}&version={version}")).json()
+                    assert problem["code"] == "VERSION_UNKNOWN"
+                    assert "2" not in problem["detail"].replace(str(version), ""), "not how many there are"
+        assert (await site.bob.get("/v1/assets/shown/downloads?tenant=ada&version=2")).json()["version"] == 2
+        assert (await site.ada.get("/v1/assets/shown/downloads?version=1")).json()["version"] == 1
 
 
 @pytest.mark.slow
