@@ -1,6 +1,8 @@
-// The list of versions: edit from one, compare it with the one that is shown, restore it.
+// The list of versions: edit from one, compare it with the one that is shown, restore it, download it for another program.
 import { postJson } from '../shared/api.js';
+import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
+import { loadDownloads } from '../shared/download-list.js';
 import { stateText } from '../shared/format.js';
 import { t } from '../shared/texts.js';
 
@@ -29,7 +31,7 @@ export const restoreVersion = (key, version) => postJson(`/v1/assets/${encodeURI
  * @param {boolean} manages whether this person may restore one
  * @param {VersionCallbacks} callbacks
  */
-export function showVersions({ version: newest, versions = [] }, shown, manages, { onShow, onCompare, onRestore }) {
+export function showVersions({ key, version: newest, versions = [] }, shown, manages, { onShow, onCompare, onRestore }) {
   const rows = [...versions].reverse().map((record) => {
     const row = create('li');
     row.append(create('span', { textContent: describe(record, newest) }));
@@ -37,9 +39,29 @@ export function showVersions({ version: newest, versions = [] }, shown, manages,
     if (version === shown) row.ariaCurrent = 'true';
     else row.append(button(t('Edit from it'), version, onShow), button(t('Compare'), version, onCompare));
     if (version !== newest && manages) row.append(button(t('Restore'), version, onRestore));
+    row.append(createDownloads(key, version));
     return row;
   });
   element('versions', HTMLUListElement).replaceChildren(...rows);
+}
+
+/**
+ * Creates what opens into the formats of a version; they are asked for then.
+ * @param {string} key
+ * @param {number} version
+ */
+function createDownloads(key, version) {
+  const places = { said: element('download-said', HTMLElement), trouble: element('trouble', HTMLElement) };
+  const action = t('Download');
+  const list = create('ul', { className: 'formats', role: 'list', ariaLabel: t('Formats for other programs') });
+  const part = create('details');
+  part.append(create('summary', { className: 'button', textContent: action, ariaLabel: t('{action}: version {version}', { action, version }) }), list);
+  const fill = async () => {
+    const entries = await loadDownloads(`/v1/assets/${encodeURIComponent(key)}/downloads?version=${version}`, places);
+    list.replaceChildren(...entries.map(({ item }) => item));
+  };
+  part.addEventListener('toggle', () => part.open && !list.children.length && attempt(places.trouble, fill));
+  return part;
 }
 
 /**

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from urllib.parse import unquote
 import httpx
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
@@ -79,7 +81,7 @@ def open_tab(page: Page, name: str) -> None:
     page.get_by_role("tab", name=name).click()
 
 
-def test_a_box_is_saved_compared_and_undone(page: Page, stack: Stack, scan: Path) -> None:
+def test_a_box_is_saved_compared_downloaded_and_undone(page: Page, stack: Stack, scan: Path, tmp_path: Path) -> None:
     first = made(stack, scan, "cut")
     page.goto(f"{stack.url}/edit/cut")
     await_data(page, state="ready", kept="1.000")
@@ -105,6 +107,19 @@ def test_a_box_is_saved_compared_and_undone(page: Page, stack: Stack, scan: Path
     page.get_by_role("button", name="Compare: version 1", exact=True).click()
     await_data(page, compared="1")
     expect(page.get_by_label("Where the one version ends")).to_be_visible()
+    opened = page.get_by_label("Download: version 1", exact=True)
+    opened.press("Enter")
+    button = page.get_by_role("list", name="Formats for other programs").get_by_role("button", name="STL")
+    expect(button).to_have_accessible_description(re.compile("For 3D printing"))
+    with page.expect_download() as saving:
+        button.press("Enter")
+    assert saving.value.suggested_filename == "cut-v1.stl"
+    saving.value.save_as(tmp_path / "cut.stl")
+    assert np.ptp(trimesh.load(tmp_path / "cut.stl").vertices, axis=0).max() > 1_000 * TABLE * 0.9, (
+        "with the table, in mm"
+    )
+    expect(page.locator("#download-said")).to_have_text("cut-v1.stl is being saved.")
+
     page.get_by_role("button", name="Restore: version 1", exact=True).click()
     await_data(page, version=str(document["version"] + 1))
     restored = httpx.get(f"{stack.url}/v1/assets/cut").json()
