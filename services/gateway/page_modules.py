@@ -24,7 +24,7 @@ def name_modules(html: str, web: Path) -> str:
     def name(found: re.Match[str]) -> str:
         indent, entry, later = found.groups()
         now = static_imports(web / entry)
-        lines = [f'<link rel="modulepreload" href="{_address(each, web)}">' for each in now]
+        lines = [f'<link rel="modulepreload" fetchpriority="low" href="{_address(each, web)}">' for each in now]
         if later:
             then = [web / later, *static_imports(web / later)]
             addresses = [_address(each, web) for each in then if each not in now and each != web / entry]

@@ -11,7 +11,7 @@ import pytest
 from services.gateway.page_modules import name_modules, static_imports
 from services.gateway.routes.pages import WEB
 
-_LINK = re.compile(r'<link rel="modulepreload" href="/web/([^"]+)">')
+_LINK = re.compile(r'<link rel="modulepreload" fetchpriority="low" href="/web/([^"]+)">')
 _SOURCE = re.compile(r"""^\s*(?:import|export)\b.*\bfrom '(\.[^']+)';""", re.MULTILINE)
 _PAGES = sorted(WEB.rglob("*.html"))
 

@@ -27,7 +27,7 @@ from services.storage.tenant_store import DEFAULT_TENANT
 _LOGINS = ("/v1/session", "/v1/pairings/claim")  # recorded without a key too: who tried to get in
 _EXPORTS = ("/archive", "/export")  # ends of paths that take data out
 _READS = ("GET", "HEAD", "OPTIONS")
-_PART_OF_UPLOAD = "PATCH"  # a film is hundreds of them; the request that begins the upload is recorded
+_UPLOADS = "/v1/uploads/"  # where PATCH is a part of a film, which has hundreds; the request that begins it is recorded
 _PASSING = "/moving"  # end of paths that change nothing: where a thing is while it is dragged, ten times a second
 _PATH_CHARACTERS = 500
 
@@ -127,4 +127,5 @@ def _belongs(method: str, path: str, caller: Caller | None) -> bool:
         return path in _LOGINS and method not in _READS
     if method in _READS:
         return method == "GET" and path.endswith(_EXPORTS)
-    return method != _PART_OF_UPLOAD and not path.endswith(_PASSING)
+    is_part = method == "PATCH" and path.startswith(_UPLOADS)
+    return not is_part and not path.endswith(_PASSING)

@@ -248,6 +248,15 @@ async def test_the_audit_log_says_who_did_what_from_where(tmp_path: Path) -> Non
         assert [row["id"] for row in everybody] == sorted((row["id"] for row in everybody), reverse=True)
 
 
+async def test_a_change_is_in_the_audit_log_and_a_part_of_an_upload_is_not(tmp_path: Path) -> None:
+    async with two_tenants(tmp_path, memory()) as site:
+        await site.ada.patch("/v1/assets/nothing/notes/n1", json={"text": "A stain"})
+        await site.ada.patch("/v1/assets/nothing", json={"label": "Cup"})
+        await site.ada.patch("/v1/uploads/upl_1", content=b"part")
+        recorded = [(row["method"], row["path"]) for row in await audit(site.ada)]
+        assert recorded == [("PATCH", "/v1/assets/nothing"), ("PATCH", "/v1/assets/nothing/notes/n1")]
+
+
 async def test_a_browsers_login_is_recorded_with_its_key(tmp_path: Path) -> None:
     async with two_tenants(tmp_path, memory()) as site:
         secret = site.ada.headers["authorization"].removeprefix("Bearer ")
