@@ -6,13 +6,14 @@ import { placeOf } from '../graphics/picking.js';
 
 /** @import { LoadedItem, SceneItem } from './scene-item.js' */
 /** @typedef {{ x: number, y: number }} Point on the canvas, in pixels */
-/** @typedef {{ item: LoadedItem, plane: THREE.Plane, turning: boolean }} Drag a drag that goes on, on a plane */
+/** @typedef {{ item: LoadedItem, plane: THREE.Plane, turning: boolean, moved: boolean }} Drag a drag that goes on, on a plane */
 
 /**
  * @typedef {object} DragCallbacks
  * @property {() => LoadedItem[]} items what can be moved
  * @property {(item: LoadedItem) => void} onDrag is called while an item is being dragged
- * @property {(item: LoadedItem) => void} onMove is called when an item was moved and let go
+ * @property {(item: LoadedItem) => void} onDrop is called when an item that was dragged is let go
+ * @property {(item: LoadedItem) => void} onMove is called when an item was moved by a key or by scrolling
  * @property {(item: SceneItem) => void} onSelect is called with the item that the keys move from now on
  */
 
@@ -102,7 +103,7 @@ export class DragControls {
     this.#pointers.set(event.pointerId, pointOf(event));
     if (this.#drag || !hit) return;
     const turning = event.button === 2 || event.ctrlKey;
-    this.#drag = { item: hit.item, plane: this.#dragPlane(hit.point, event.shiftKey), turning };
+    this.#drag = { item: hit.item, plane: this.#dragPlane(hit.point, event.shiftKey), turning, moved: false };
     this.select(hit.item);
   }
 
@@ -117,6 +118,7 @@ export class DragControls {
     else if (this.#drag.turning) turn(this.#drag.item, (now.x - before.x) * TURN_PX);
     else this.#slide(this.#drag, before, now);
     this.#pointers.set(event.pointerId, now);
+    this.#drag.moved = true;
     this.#callbacks.onDrag(this.#drag.item);
   }
 
@@ -125,8 +127,9 @@ export class DragControls {
     if (!this.#pointers.delete(event.pointerId) || !this.#drag) return;
     consume(event);
     if (this.#pointers.size > 0) return;
-    this.#callbacks.onMove(this.#drag.item);
+    const { item, moved } = this.#drag;
     this.#drag = null;
+    if (moved) this.#callbacks.onDrop(item);
   }
 
   /** @param {WheelEvent} event */

@@ -1,4 +1,4 @@
-// Snapping: what is let go of in a headset just above a floor or beside a wall comes to stand on the floor and against the wall.
+// Snapping: what is let go of just above a floor or beside a wall comes to stand on the floor and against the wall.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 
 /** @import { LoadedItem } from './scene-item.js' */

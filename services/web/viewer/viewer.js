@@ -75,7 +75,7 @@ let comparison = null; // once somebody wants one
 let wall = null; // once somebody who may add things is in a headset
 let showFacts = () => {}; // of a thing that is alone, after each change of it
 
-const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onDrag: showDrag, onMove: savePlace, onSelect: select });
+const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onDrag: showDrag, onDrop: letGo, onMove: savePlace, onSelect: select });
 const grabber = new Grabber(letGo);
 const live = new LiveMoves({ isHeld, onChange: reportPlaces });
 const planes = new RoomPlanes(renderer);
@@ -355,7 +355,7 @@ function remove(item) {
 // ---- moving -----------------------------------------------------------------------------------------------------------
 
 /**
- * Snaps an item to the floor and the wall that are near, after a hand has let go of it, and saves where it stands.
+ * Snaps an item to the floor and the wall that are near, after a hand or the mouse has let go of it, and saves where it stands.
  * @param {SceneItem} item
  */
 function letGo(item) {

@@ -160,9 +160,13 @@ def test_on_the_page_the_mouse_moves_lifts_scales_and_turns(page: Page, viewer: 
     page.get_by_role("button", name="Reset").click()
     assert moved(page) == near(0, 0, 0, 1)
     page.keyboard.down("Shift")
-    drag(page, (240, 150), (240, 110))
+    drag(page, (240, 150), (240, 70))
+    lifted = moved(page)[1]
+    assert lifted > 0.1, "lifted"
+    page.get_by_role("button", name="Reset").click()
+    drag(page, (240, 150), (240, 150 - round(80 * 0.03 / lifted)))
     page.keyboard.up("Shift")
-    assert moved(page)[1] > 0.03, "lifted"
+    assert moved(page) == near(0, 0, 0, 1), "3 cm above the floor it is meant to stand on it"
     page.get_by_role("button", name="Reset").click()
     page.mouse.move(240, 150)
     page.mouse.wheel(0, -400)
