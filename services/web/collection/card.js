@@ -1,4 +1,4 @@
-// A card of the collection page: an asset's picture, name, labels and state, and a box to choose it.
+// A card of the collection page: an asset's picture, name, labels and state, a box to choose it, and the way to its downloads.
 import { create } from '../shared/dom.js';
 import { formatBytes, stateText } from '../shared/format.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
@@ -54,7 +54,7 @@ export class Card {
     const link = create('a', { href: ofShownTenant(`/view/${encodeURIComponent(row.key)}`) });
     link.append(this.#picture, create('span', { className: 'name', dir: 'auto', textContent: row.label }));
     this.element.dataset.key = row.key;
-    this.element.append(link, this.#facts, ...createLabels(row, onLabel), createCheckbox(row, chosen, onChoose));
+    this.element.append(link, this.#facts, ...createLabels(row, onLabel), createFoot(row, chosen, onChoose));
     for (const kind of ['pointerenter', 'focusin']) this.element.addEventListener(kind, () => this.#startAnimation());
     for (const kind of ['pointerleave', 'focusout']) this.element.addEventListener(kind, () => this.#stopAnimation());
   }
@@ -128,11 +128,26 @@ export class Card {
 const factsOf = ({ state, bytes }) => [stateText(state), ...(bytes ? [formatBytes(bytes)] : [])].join(', ');
 
 /**
+ * Creates the last line: the box to choose the asset, and a link to its page with the formats for other programs open; a removed asset has none.
  * @param {CollectionRow} row
  * @param {boolean} chosen
  * @param {(yes: boolean) => boolean} onChoose
  */
-function createCheckbox({ label }, chosen, onChoose) {
+function createFoot({ key, label, state }, chosen, onChoose) {
+  const foot = create('div', { className: 'foot' });
+  foot.append(createCheckbox(label, chosen, onChoose));
+  if (state === 'removed') return foot;
+  const href = `${ofShownTenant(`/view/${encodeURIComponent(key)}`)}#downloads`;
+  foot.append(create('a', { href, textContent: t('Download'), ariaLabel: t('Download {label}', { label }) }));
+  return foot;
+}
+
+/**
+ * @param {string} label
+ * @param {boolean} chosen
+ * @param {(yes: boolean) => boolean} onChoose
+ */
+function createCheckbox(label, chosen, onChoose) {
   const box = create('input', { type: 'checkbox', checked: chosen, ariaLabel: t('Choose {label}', { label }) });
   box.addEventListener('change', () => (box.checked = onChoose(box.checked)));
   const check = create('label', { className: 'check' });

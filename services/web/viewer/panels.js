@@ -1,6 +1,6 @@
 // The panels of the viewer's page for the one thing or the scene that it shows, and who gets them. A panel's module is loaded when the panel is opened.
 import { isLoaded } from './scene-item.js';
-import { element } from '../shared/dom.js';
+import { child, element } from '../shared/dom.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
@@ -35,7 +35,17 @@ function offer(panel, fill) {
 }
 
 /**
- * Offers the thing for other programs, and its splats on this page.
+ * Opens a panel that the page's address names, as a card of the collection's page does.
+ * @param {HTMLDetailsElement} panel
+ */
+function openIfNamed(panel) {
+  if (location.hash !== `#${panel.id}`) return;
+  panel.open = true;
+  child(panel, 'summary', HTMLElement).focus(); // where who uses keys or a screen reader goes on
+}
+
+/**
+ * Offers the thing for other programs, and its splats on this page. `#downloads` in the page's address opens them at once.
  * @param {SceneItem} item
  * @param {Stage} stage
  * @param {() => void} redraw
@@ -46,6 +56,7 @@ export function offerDownloads(item, stage, redraw) {
     if (isLoaded(item)) await showSplats(item, bytes, stage, redraw);
   };
   offer(page.downloads, () => import('./downloads.js').then(({ showDownloads }) => showDownloads(item, show)));
+  openIfNamed(page.downloads);
 }
 
 /**

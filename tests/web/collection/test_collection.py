@@ -110,8 +110,24 @@ def test_things_are_found_chosen_and_opened_together(page: Page, shelf: Site) ->
     assert page.url == f"{shelf.url}/view?key=boot&key=shoe"
     page.get_by_role("link", name="All things").click()
     expect(page.locator("#said")).to_have_text("4 things")
-    page.get_by_role("link", name="Walking Boot").click()
+    page.get_by_role("link", name="Walking Boot", exact=True).click()
     expect(page.locator("#label")).to_have_text("Walking Boot")
+
+
+def test_a_card_leads_to_the_formats_for_other_programs(page: Page, shelf: Site) -> None:
+    visit(page, shelf)
+    link = page.get_by_role("link", name="Download Walking Boot")
+    expect(link).to_have_text("Download")
+    page.get_by_role("checkbox", name="Choose Walking Boot").focus()
+    page.keyboard.press("Tab")
+    expect(link).to_be_focused()
+    page.keyboard.press("Enter")
+    page.wait_for_url(f"{shelf.url}/view/boot#downloads")
+    opened = page.get_by_role("list", name="Formats for other programs")
+    expect(opened.get_by_role("button", name="GLB", exact=True)).to_be_visible()
+    expect(page.locator("#downloads summary")).to_be_focused()
+    page.keyboard.press("Tab")
+    expect(opened.get_by_role("button").first).to_be_focused()
 
 
 def test_a_thing_turns_while_it_is_pointed_at_unless_motion_is_unwelcome(page: Page, shelf: Site) -> None:
@@ -119,7 +135,7 @@ def test_a_thing_turns_while_it_is_pointed_at_unless_motion_is_unwelcome(page: P
     expect(page.locator("[data-key=boot]")).to_have_attribute("data-picture", "thumbnail.webp")
     picture = page.locator("[data-key=boot] img")
     still = picture.get_attribute("src")
-    page.locator("[data-key=boot] a").focus()
+    page.get_by_role("link", name="Walking Boot", exact=True).focus()
     expect(picture).not_to_have_attribute("src", str(still))
     page.locator("#search").focus()
     expect(picture).to_have_attribute("src", str(still))
@@ -328,6 +344,7 @@ def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page
         assert shown(page) == ["c"]
         page.get_by_label("Show").select_option("removed")
         expect(page.locator("#said")).to_have_text("2 things, removed")
+        expect(page.get_by_role("link", name="Download")).to_have_count(0)
         expect(page.get_by_role("button", name="Remove")).to_be_hidden()
         do("Restore", "A")
         expect(page.locator("#said")).to_have_text("1 restored. 1 thing, removed")

@@ -127,7 +127,9 @@ def test_a_visitor_browses_an_open_collection(browser: Browser, guarded: Guarded
         expect(page.locator("#said")).to_have_text("2 things")
         page.get_by_role("searchbox").fill("jug")
         expect(page.locator("#said")).to_have_text("1 thing for “jug”")
-        page.get_by_role("link", name="Jug").click()
+        downloads = page.get_by_role("link", name="Download Jug")
+        expect(downloads).to_have_attribute("href", "/view/jug?tenant=ada#downloads")
+        page.get_by_role("link", name="Jug", exact=True).click()
         await_data(page, loaded="2 1 0")
         assert page.url == f"{guarded.url}/view/jug?tenant=ada"
         page.get_by_role("link", name="All things").click()
