@@ -106,7 +106,7 @@ function showRecipe(edits) {
   lassos = edits.lassos ?? [];
   photos?.show(lassos);
   upright.show(edits, shown.frame);
-  size.show(edits.length ?? null, shown.frame, diagonal);
+  size.show(edits.length ?? null, shown.frame);
   const said = new Map(Object.entries(edits));
   for (const choice of choices) choice.value = String(said.get(choice.id) ?? '');
   showSides(box);

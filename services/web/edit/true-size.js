@@ -1,5 +1,7 @@
 // The true size: two points on the thing, and the distance between them that somebody has measured.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { createDot, createLine } from '../graphics/marks.js';
+import { dispose } from '../graphics/scene.js';
 import { element } from '../shared/dom.js';
 import { formatRounded } from '../shared/format.js';
 import { t } from '../shared/texts.js';
@@ -8,7 +10,6 @@ import { t } from '../shared/texts.js';
 /** @import { Picked } from '../graphics/picking.js' */
 /** @import { MeasuredLength } from '../shared/types.d.ts' */
 
-const DOT = 0.008; // radius of a point, of the thing's size
 const [LEAST_M, MOST_M] = [0.001, 1000];
 
 /** Two points, and the length between them. */
@@ -16,7 +17,6 @@ export class TrueSize {
   object = new THREE.Group();
   /** @type {THREE.Vector3[]} */
   #ends = []; // in the asset frame
-  #size = 1;
   #onChange;
   #said = element('length-now', HTMLElement);
   #input = element('length', HTMLInputElement);
@@ -61,10 +61,8 @@ export class TrueSize {
   /**
    * @param {MeasuredLength | null} length of a recipe
    * @param {CaptureFrame} frame
-   * @param {number} size of the thing in metres
    */
-  show(length, frame, size) {
-    this.#size = size;
+  show(length, frame) {
     this.#ends = length ? [frame.placeToAsset(length.start), frame.placeToAsset(length.end)] : [];
     this.#input.value = length ? String(Number((100 * length.metres).toPrecision(6))) : '';
     this.#draw();
@@ -99,21 +97,11 @@ export class TrueSize {
   }
 
   #draw() {
+    dispose(this.object);
     this.object.clear();
-    const material = new THREE.MeshBasicMaterial({ color: 0xe8890c, depthTest: false, transparent: true });
-    for (const end of this.#ends) {
-      const dot = new THREE.Mesh(new THREE.SphereGeometry(DOT * this.#size, 16, 12), material);
-      dot.position.copy(end);
-      dot.renderOrder = 3;
-      this.object.add(dot);
-    }
-    if (this.#ends.length < 2) return;
-    const line = new THREE.Line(
-      new THREE.BufferGeometry().setFromPoints(this.#ends),
-      new THREE.LineBasicMaterial({ color: 0xe8890c, depthTest: false, transparent: true }),
-    );
-    line.renderOrder = 3;
-    this.object.add(line);
+    for (const end of this.#ends) this.object.add(createDot(end));
+    const [start, end] = this.#ends;
+    if (end) this.object.add(createLine(start, end));
   }
 }
 
