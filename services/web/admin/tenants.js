@@ -3,6 +3,7 @@ import { addRows, fillTable, formatBytes, formatTime } from './table.js';
 import { getJson, postJson, putJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
 import { formatCount } from '../shared/format.js';
+import { onSecondPress } from '../shared/second-press.js';
 
 /** @import { AccessKey, AuditRecord, Limits, Tenant, Usage } from '../shared/types.d.ts' */
 /** @import { Cell } from './table.js' */
@@ -112,13 +113,7 @@ async function loadKeys(after) {
  */
 function createRevoke(key, onProblem) {
   const button = create('button', { type: 'button', className: 'link', textContent: 'Revoke' });
-  button.addEventListener('click', () => {
-    if (button.textContent === 'Revoke') {
-      button.textContent = `Revoke for good?`;
-      return;
-    }
-    postJson(`/v1/api-keys/${key.id}/revoke`, {}).then(() => showKeys(onProblem)).catch(onProblem);
-  });
+  onSecondPress(button, 'Revoke for good?', () => postJson(`/v1/api-keys/${key.id}/revoke`, {}).then(() => showKeys(onProblem)).catch(onProblem));
   return button;
 }
 

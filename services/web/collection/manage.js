@@ -2,11 +2,10 @@
 import { deleteAt, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { sentences } from '../shared/problems.js';
+import { onSecondPress } from '../shared/second-press.js';
 import { t } from '../shared/texts.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
-
-const DELETE_ASKED_MS = 5_000; // for which the second tap deletes
 
 const buttons = {
   remove: element('remove', HTMLButtonElement),
@@ -31,17 +30,10 @@ const SAID = { remove: t('removed; “Show: removed ones” has them'), restore:
 export function offerManaging(session, { chosen, onDone }) {
   if (!session?.scopes.includes('manage')) return;
   removedOption.hidden = removedOption.disabled = false;
-  let asked = 0;
-  for (const name of /** @type {const} */ (['remove', 'restore', 'delete'])) {
-    buttons[name].addEventListener('click', async () => {
-      if (name === 'delete' && Date.now() - asked > DELETE_ASKED_MS) {
-        asked = Date.now();
-        buttons.delete.textContent = t('Tap again: it cannot be undone');
-        return;
-      }
-      onDone(await doAll(chosen(), name));
-    });
-  }
+  const act = async (/** @type {keyof typeof ACTIONS} */ name) => onDone(await doAll(chosen(), name));
+  buttons.remove.addEventListener('click', () => act('remove'));
+  buttons.restore.addEventListener('click', () => act('restore'));
+  onSecondPress(buttons.delete, t('Tap again: it cannot be undone'), () => act('delete'));
   document.body.dataset.manages = 'yes';
 }
 
@@ -53,7 +45,6 @@ export function showManaging(removed) {
   const manages = document.body.dataset.manages === 'yes';
   buttons.remove.hidden = !manages || removed;
   buttons.restore.hidden = buttons.delete.hidden = !manages || !removed;
-  buttons.delete.textContent = t('Delete for good');
 }
 
 /**

@@ -1,9 +1,8 @@
 // The panel of the viewer's page that saves, names and deletes the scene.
 import { attempt } from '../shared/attempt.js';
 import { element } from '../shared/dom.js';
+import { onSecondPress } from '../shared/second-press.js';
 import { t } from '../shared/texts.js';
-
-const DELETE_ASKED_MS = 5_000; // for which the second tap deletes
 
 /**
  * What the panel is about.
@@ -38,11 +37,5 @@ export function showScenePanel({ id, name, onSave, onDelete }) {
       panel.said.textContent = t('Saved.');
     });
   });
-  let asked = 0;
-  panel.delete.addEventListener('click', () => {
-    if (Date.now() - asked > DELETE_ASKED_MS) {
-      asked = Date.now();
-      panel.delete.textContent = t('Tap again: it cannot be undone');
-    } else attempt(panel.trouble, onDelete);
-  });
+  onSecondPress(panel.delete, t('Tap again: it cannot be undone'), () => attempt(panel.trouble, onDelete));
 }
