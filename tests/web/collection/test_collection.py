@@ -25,6 +25,8 @@ from tests.web.conftest import with_a_past
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
 HOSTILE = "<img src=x onerror=alert(1)>"
+LONGER_MS = 6_000
+"""Longer than a second press counts."""
 
 
 @pytest.fixture(scope="module")
@@ -332,6 +334,7 @@ def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page
     with site_at(tmp_path) as site:
         for key in ("a", "b", "c"):
             publish(box(key.upper(), RED), site.store, key=key)
+        page.clock.install()
         visit(page, site)
 
         def do(name: str, *keys: str) -> None:
@@ -350,6 +353,9 @@ def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page
         expect(page.locator("#said")).to_have_text("1 restored. 1 thing, removed")
         do("Delete for good", "B")
         assert read_entry(site.store, "b").removed, "once is not enough"
+        page.clock.fast_forward(LONGER_MS)
+        page.get_by_role("button", name="Delete for good").click()
+        assert read_entry(site.store, "b").removed, "the first time was long ago"
         page.get_by_role("button", name="Tap again").click()
         expect(page.locator("#said")).to_have_text("1 deleted for good. There are no removed things.")
         with pytest.raises(FileNotFoundError):
