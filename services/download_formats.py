@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 WRITERS = 1
 """Version of all that writes these formats. Raised when a file comes out different: files that were made before are
@@ -13,6 +14,8 @@ then made again."""
 
 MESH, FINEST, POINTS, CAMERAS = "mesh.ply", "lod0.glb", "points.laz", "cameras.json"
 """Files of a bundle: the full mesh, the finest level of detail, points of the capture, the cameras of its photos."""
+TILESET = "tileset.json"
+"""File of a bundle that is a scene in tiles: it names them. All other files are then made of the coarse whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +25,7 @@ class DownloadFormat:
     name    in the API and on the command line; title, about: in words for people
     ending  of a file's name, behind the asset's key
     needs   files of the bundle that it is made from: without one of them the asset cannot have the format
-    uses    files of the bundle that help where they are there
+    uses    files of the bundle that help where they are there; a * stands for any letters
     """
 
     name: str
@@ -31,6 +34,10 @@ class DownloadFormat:
     ending: str
     needs: tuple[str, ...]
     uses: tuple[str, ...] = ()
+
+    def takes(self, file: str) -> bool:
+        """Return whether a file of a bundle is one that the format is made from."""
+        return any(fnmatchcase(file, pattern) for pattern in (*self.needs, *self.uses))
 
     def file_name(self, key: str, version: int | None = None) -> str:
         """Return the name of an asset's file in this format. version: of an earlier version, which the name tells"""
@@ -120,6 +127,15 @@ FORMATS = {
             "The same for nerfstudio: put your photos into images/. Metres, Z up.",
             "-transforms.zip",
             (CAMERAS, POINTS),
+        ),
+        DownloadFormat(
+            "3d-tiles",
+            "3D Tiles",
+            "The whole scene, all tiles in full detail, for Cesium: a zip of tileset.json and GLB. "
+            "The other formats have the scene's coarse whole. Metres, Z up.",
+            "-3d-tiles.zip",
+            (TILESET,),
+            ("tile-*.glb",),
         ),
     )
 }

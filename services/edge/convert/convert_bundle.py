@@ -19,6 +19,7 @@ from services.edge.arrays import Floats
 from services.edge.convert.camera_files import colmap_zip, transforms_zip
 from services.edge.convert.capture_points import CapturePoints
 from services.edge.convert.read_glb import StoredLevel, read_glb
+from services.edge.convert.tileset_zip import tileset_zip
 from services.edge.export.glb import to_glb
 from services.edge.export.obj import to_obj_zip
 from services.edge.export.ply import ply_bytes
@@ -120,6 +121,10 @@ def _transforms(bundle: BundleFolder, key: str) -> bytes:
     return transforms_zip(bundle.read(CAMERAS), bundle.read(POINTS))
 
 
+def _3d_tiles(bundle: BundleFolder, key: str) -> bytes:
+    return tileset_zip(bundle.read)
+
+
 _WRITERS: Mapping[str, Callable[[BundleFolder, str], bytes]] = {
     "glb": _glb,
     "glb-meshopt": _glb_meshopt,
@@ -133,6 +138,7 @@ _WRITERS: Mapping[str, Callable[[BundleFolder, str], bytes]] = {
     "points-laz": _points_laz,
     "colmap": _colmap,
     "transforms": _transforms,
+    "3d-tiles": _3d_tiles,
 }
 
 

@@ -55,7 +55,7 @@ def _inputs(order: DownloadOrder, files: Sequence[AssetFile], manifest: dict[str
     A level of detail with a KTX2 texture, which only graphics cards read, gets its colours from the full mesh.
     """
     by_file = {file.file: file for file in files}
-    wanted = {*order.format.needs, *order.format.uses}
+    wanted = {file for file in by_file if order.format.takes(file)}
     if str(manifest.get("target", "")).endswith("-ktx2"):
         wanted.add(MESH)
     if missing := [file for file in order.format.needs if file not in by_file]:

@@ -18,6 +18,7 @@ from services.edge.mesh.nouns import Mesh, TexturedMesh
 from tests.referees.glb_reader import Glb
 from tests.support.downloadable import SHEET, coloured, downloadable, textured, written
 from tests.support.painted import quarters
+from tests.support.tilesets import hill_bundle
 
 GRID_M = 1e-4  # of compressed positions
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -50,6 +51,23 @@ def test_a_level_is_read_back_as_it_was_written(subject: Mesh | TexturedMesh, pa
     np.testing.assert_allclose(bounds(mesh.vertices), bounds(SHEET.vertices), atol=GRID_M)
     if isinstance(subject, Mesh) and subject.rgb is not None:
         assert {tuple(each) for each in mesh.rgb} == {tuple(each) for each in subject.rgb}
+
+
+def test_a_scene_in_tiles_is_zipped_with_all_of_them(tmp_path: Path) -> None:
+    bundle, root = hill_bundle(levels=3)
+    folder = written(bundle, tmp_path)
+    (tmp_path / "tile-9-9-9.glb").write_bytes(b"of another run")
+    with zipfile.ZipFile(io.BytesIO(convert(folder, "3d-tiles", "hills"))) as package:
+        assert sorted(package.namelist()) == sorted(["tileset.json", *(each.name for each in root)])
+        for name in package.namelist():
+            assert package.read(name) == bundle.files[name]
+    (tmp_path / root.name).unlink()
+    with pytest.raises(FileNotFoundError):
+        convert(folder, "3d-tiles", "hills")
+    for document in (b"", b"[]", b"{}", b'{"root": 3}', b'{"root": {"content": {"uri": "../../x.glb"}}}'):
+        (tmp_path / "tileset.json").write_bytes(document)
+        with pytest.raises(ValueError, match=r"tileset\.json"):
+            convert(folder, "3d-tiles", "hills")
 
 
 def test_what_is_no_level_of_ours_is_told() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import io
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -18,6 +20,7 @@ from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from services.storage.memory import MemoryStore
 from tests.support.downloadable import downloadable
+from tests.support.tilesets import hill_bundle
 
 
 def no_tick(_: float) -> None:
@@ -68,6 +71,15 @@ def test_a_file_of_the_bundle_is_not_stored_twice(tmp_path: Path) -> None:
     made = make_download(store, wanted, scratch(tmp_path), no_tick)
     assert made.name == read_entry(store, "sheet").document["lods"][0]["name"]
     assert {head.name for head in store.list("")} - before == {wanted.record_name}
+
+
+@pytest.mark.slow
+def test_a_scene_in_tiles_is_made_of_all_its_tiles(tmp_path: Path) -> None:
+    bundle, root = hill_bundle(levels=2)
+    store = published(bundle)
+    made = make_download(store, order(store, "3d-tiles"), scratch(tmp_path), no_tick)
+    with zipfile.ZipFile(io.BytesIO(store.get(made.name))) as package:
+        assert sorted(package.namelist()) == sorted(["tileset.json", *(each.name for each in root)])
 
 
 def code_of(store: MemoryStore, wanted: DownloadOrder, folder: Path) -> str:

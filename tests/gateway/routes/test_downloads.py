@@ -28,6 +28,7 @@ from tests.support.downloadable import SHEET, SLATE, downloadable
 from tests.support.in_process_gateway import gateway, memory, until, worker
 from tests.support.scripted_work import Making
 from tests.support.tenants import two_tenants
+from tests.support.tilesets import hill_bundle
 
 
 class Converting(Making):
@@ -68,6 +69,9 @@ async def test_the_formats_are_listed(tmp_path: Path) -> None:
         assert (listed[2]["file"], listed[2]["bytes"]) == ("sheet-obj.zip", None)
         assert listed[2]["url"] == "/v1/assets/sheet/download?format=obj"
         assert answer.headers["cache-control"] == "no-cache"
+        publish(hill_bundle(levels=1)[0], store, key="hills")
+        hills = (await client.get("/v1/assets/hills/downloads")).json()["downloads"]
+        assert [each["file"] for each in hills if each["format"] == "3d-tiles"] == ["hills-3d-tiles.zip"]
         assert (await client.get("/v1/assets/nobody/downloads")).json()["code"] == "ASSET_UNKNOWN"
 
 
