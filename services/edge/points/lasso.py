@@ -72,6 +72,8 @@ class DrawnView:
         at, z = _project(self.camera, self.to_camera, xyz)
         out = np.zeros(len(xyz), bool)
         index = np.flatnonzero((z > 0) & (at >= 0).all(axis=1) & (at < 1).all(axis=1))
+        if not len(index):  # the photo shows nothing of them
+            return out
         verdict = left_out(self.shown.to_upright(at[index]), self.lassos)
         seen = z[index] <= self.reach[_pixels(at[index], self.reach.shape)]
         out[index] = (verdict == _GOES) | ((verdict == _GOES_IF_SEEN) & seen)

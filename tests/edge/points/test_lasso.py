@@ -25,7 +25,7 @@ from services.edge.photos.nouns import PhotoView
 from services.edge.photos.structure_from_motion import project
 from services.edge.photos.upright_photo import UprightPhoto
 from services.edge.points.edit import cut_away, kept_parts
-from services.edge.points.lasso import drawn_views, inside, left_out, require_photos
+from services.edge.points.lasso import DrawnView, drawn_views, inside, left_out, require_photos
 from services.edge.points.nouns import Points
 from services.edits import Edits
 from services.photo_lasso import PhotoLasso
@@ -109,6 +109,17 @@ def test_a_place_in_the_upright_photo_is_found_through_turn_lens_and_crop(turns:
         return at
 
     assert np.allclose(UprightPhoto(view)(upright(np.stack([x, y], axis=1))), upright(in_file), atol=1e-6)
+
+
+def test_a_photo_that_shows_none_of_the_points_takes_none_of_them() -> None:
+    photo = Photo("a.jpg", (64, 48), "c", lambda longest=None: np.zeros((48, 64, 3), np.uint8))
+    camera = Intrinsics(50.0, 50.0, 31.5, 23.5, 64, 48)
+    upright = UprightPhoto(PhotoView(photo, camera, (0.0,) * 5, np.eye(4)))
+    everywhere = PhotoLasso("a.jpg", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), through=True)
+    reach = np.full((48, 64), np.inf)
+    view = DrawnView(camera, np.eye(4), reach, ShownPicture("a.jpg", upright), (everywhere,))
+    assert view.leaves_out(np.array([(0.0, 0.0, -1.0), (9.0, 0.0, 1.0), (0.0, 0.0, 1.0)])).tolist() == [0, 0, 1]
+    assert view.leaves_out(np.array([(0.0, 0.0, -1.0), (9.0, 0.0, 1.0)])).tolist() == [0, 0]
 
 
 def test_turned_places_are_those_that_opencv_turns() -> None:
