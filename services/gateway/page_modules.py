@@ -21,6 +21,8 @@ def name_modules(html: str, web: Path) -> str:
     web: the folder whose files have the addresses /web/…
     """
 
+    web = web.resolve()  # imports are resolved: a release is often reached by a link
+
     def name(found: re.Match[str]) -> str:
         indent, entry, later = found.groups()
         now = static_imports(web / entry)

@@ -59,6 +59,14 @@ def test_what_comes_later_is_listed_without_what_is_there(tmp_path: Path) -> Non
     assert '<script type="module" src="/web/entry.js"></script>' in page
 
 
+def test_pages_are_found_through_a_link_to_their_release(tmp_path: Path) -> None:
+    (tmp_path / "release").mkdir()
+    write(tmp_path / "release", entry="import './one.js';\n", one="", then="import './one.js';\n")
+    (tmp_path / "current").symlink_to("release")
+    html = '<script type="module" src="/web/entry.js" data-later="/web/then.js"></script>'
+    assert name_modules(html, tmp_path / "current") == name_modules(html, tmp_path / "release")
+
+
 @pytest.mark.parametrize("page", _PAGES, ids=[page.stem for page in _PAGES])
 def test_each_page_names_the_modules_of_its_script(page: Path) -> None:
     html = page.read_text()
