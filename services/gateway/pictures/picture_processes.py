@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,7 +13,7 @@ from services.fork_client import ForkServer
 from services.gateway.errors import Problem
 from services.gateway.forked_talk import talk
 
-_AT_ONCE = 2  # photos, each with up to 768 MB
+_AT_ONCE = 2  # photos, each with up to 768 MB; and with its bytes here, up to 128 MB
 
 
 class PictureProcesses:
@@ -26,14 +27,15 @@ class PictureProcesses:
         """End the server of the processes. Photos that are being shrunk are given up."""
         self._server.close()
 
-    async def shrink(self, name: str, photo: bytes) -> bytes:
-        """Return a small upright JPEG of a photo. Raises Problem PICTURE_UNREADABLE.
+    async def shrink(self, read: Callable[[], Awaitable[tuple[str, bytes]]]) -> bytes:
+        """Return a small upright JPEG of a photo. Raises Problem PICTURE_UNREADABLE, and what `read` raises.
 
-        name  of its file, for the message
+        read  returns the name of its file, for the message, and its bytes; called once there is a place for them
         """
         if self._at_once is None:  # belongs to the event loop that serves the requests
             self._at_once = CapacityLimiter(_AT_ONCE)
         async with self._at_once:
+            name, photo = await read()
             with TemporaryDirectory(prefix="picture-") as folder:
                 source, target = Path(folder, "photo"), Path(folder, "small.jpg")
                 await asyncio.to_thread(source.write_bytes, photo)

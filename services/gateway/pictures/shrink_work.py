@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from services.fork_server import Send
 from services.gateway.uploads.image_checks import MAX_PIXELS, load_pillow
@@ -41,14 +41,18 @@ def work(order: dict[str, Any], send: Send) -> None:
     limit_process(_SECONDS, _MOST_DATA_BYTES)
     try:
         shrink(Path(order["source"])).save(order["target"], "JPEG", quality=_QUALITY)
-    except (OSError, ValueError, SyntaxError, EOFError) as error:
-        send({"unreadable": str(error)})
-        return
-    send({"jpeg": True})
+    except UnidentifiedImageError:  # its text names our file
+        send({"unreadable": "this is not an image that can be read"})
+    except MemoryError:
+        send({"unreadable": "decoding it takes too much memory"})
+    except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged files
+        send({"unreadable": f"the image is damaged: {error}"})
+    else:
+        send({"jpeg": True})
 
 
 def shrink(path: Path) -> Image.Image:
-    """Return the upright photo, at most `LONGEST_PX` long. Raises OSError, ValueError, SyntaxError, EOFError."""
+    """Return the upright photo, at most `LONGEST_PX` long. Raises what Pillow does: anything, for a damaged one."""
     with load_pillow().open(path, formats=(*_TURNED_BY_TAG, "TIFF", "HEIF")) as image:
         if image.width * image.height > MAX_PIXELS:
             raise ValueError(f"it has more than {MAX_PIXELS // 1_000_000} megapixels")

@@ -72,8 +72,7 @@ async def get_picture(
     def read() -> tuple[str, bytes]:
         return read_picture(store, capture, read_receipt(store, _kind_of, capture), picture)
 
-    name, photo = await in_thread(read)
-    jpeg = await request.app.state.picture_processes.shrink(name, photo)
+    jpeg = await request.app.state.picture_processes.shrink(lambda: in_thread(read))
     return Response(jpeg, media_type="image/jpeg", headers=_PRIVATE)
 
 

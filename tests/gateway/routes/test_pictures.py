@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -80,19 +81,25 @@ async def test_only_what_a_lasso_may_be_in_is_listed(tmp_path: Path, kind: str, 
 
 async def test_what_there_is_not_is_told(tmp_path: Path) -> None:
     store = memory()
-    capture = stored(store, "photos", {"a.jpg": b"no picture at all", "b.jpg": photo((9, 9, 9))[:3_000]})
+    endless = bytearray(photo((9, 9, 9), kind="HEIF"))
+    at = endless.index(b"ispe") + 12
+    endless[at : at + 4] = struct.pack(">I", 50_331_712)  # its height: libheif refuses it with a RuntimeError
+    files = {"a.jpg": b"no picture at all", "b.jpg": photo((9, 9, 9))[:3_000], "c.heic": bytes(endless)}
+    capture = stored(store, "photos", files)
     async with gateway(tmp_path, store) as client:
         for path, problem in {
             "cap_2/pictures": (404, "CAPTURE_UNKNOWN"),
             "cap_2/pictures/0": (404, "CAPTURE_UNKNOWN"),
-            f"{capture}/pictures/2": (404, "PICTURE_UNKNOWN"),
+            f"{capture}/pictures/3": (404, "PICTURE_UNKNOWN"),
             f"{capture}/pictures/-1": (422, "REQUEST_INVALID"),
             f"{capture}/pictures/x": (422, "REQUEST_INVALID"),
             f"{capture}/pictures/0": (422, "PICTURE_UNREADABLE"),
             f"{capture}/pictures/1": (422, "PICTURE_UNREADABLE"),
+            f"{capture}/pictures/2": (422, "PICTURE_UNREADABLE"),
         }.items():
             assert problem_of(await client.get(f"/v1/captures/{path}")) == problem, path
         answer: Any = (await client.get(f"/v1/captures/{capture}/pictures/0")).json()
         assert answer["file"] == "a.jpg"
+        assert "/" not in answer["detail"], "no path of the server's"
         store.put(capture_name("cap_1"), b"no zip", content_type="application/zip")
         assert problem_of(await client.get(f"/v1/captures/{capture}/pictures")) == (503, "CAPTURE_DAMAGED")
