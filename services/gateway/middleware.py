@@ -25,7 +25,7 @@ from services.gateway.access.sharing import mask_shares
 from services.gateway.connections import MAX_HEAD_BYTES, head_too_large
 from services.gateway.errors import Problem, internal_error
 from services.gateway.metrics import Metrics
-from services.gateway.records.audit_log import AuditLog
+from services.gateway.records.audit_log import PASSING, AuditLog
 from services.gateway.same_site import SiteRules
 from services.gateway.settings import GatewaySettings
 from services.logs import request_id
@@ -168,7 +168,8 @@ class RequestMiddleware:
             "status": exchange.status,
             "ms": round(seconds * 1000, 1),
         }
-        _log.info("%s %s %d", scope["method"], path, exchange.status, extra=extra)
+        level = logging.DEBUG if PASSING.fullmatch(path) else logging.INFO  # ten lines a second would bury all others
+        _log.log(level, "%s %s %d", scope["method"], path, exchange.status, extra=extra)
 
 
 def _check_head(scope: Scope) -> None:

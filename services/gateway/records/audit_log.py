@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -28,7 +29,8 @@ _LOGINS = ("/v1/session", "/v1/pairings/claim")  # recorded without a key too: w
 _EXPORTS = ("/archive", "/export")  # ends of paths that take data out
 _READS = ("GET", "HEAD", "OPTIONS")
 _UPLOADS = "/v1/uploads/"  # where PATCH is a part of a film, which has hundreds; the request that begins it is recorded
-_PASSING = "/moving"  # end of paths that change nothing: where a thing is while it is dragged, ten times a second
+PASSING = re.compile(r"/v1/scenes/[^/]+/moving")
+"""Paths of what changes nothing: where a thing is while it is dragged, ten times a second."""
 _PATH_CHARACTERS = 500
 
 _log = logging.getLogger(__name__)
@@ -128,4 +130,4 @@ def _belongs(method: str, path: str, caller: Caller | None) -> bool:
     if method in _READS:
         return method == "GET" and path.endswith(_EXPORTS)
     is_part = method == "PATCH" and path.startswith(_UPLOADS)
-    return not is_part and not path.endswith(_PASSING)
+    return not is_part and not PASSING.fullmatch(path)

@@ -99,7 +99,10 @@ async def post_moving(scene: SceneId, body: Moves, request: Request) -> None:
 async def _event_stream(request: Request, thing: Thing, client: str, last: int) -> AsyncIterator[ServerSentEvent]:
     """Yield what happens in a scene that is known in version `last`, until it is deleted or may not be read."""
     look_at = 0.0
-    with _news_of(request).listen(thing, client) as listener:
+    news = _news_of(request)
+    with news.listen(thing, client) as listener:
+        if news.streams_of(client) > _MOST_STREAMS:  # many were asked for before the first of them had begun
+            return
         while True:
             listener.news.clear()
             if listener.take_change() or time.monotonic() >= look_at:

@@ -81,17 +81,19 @@ class SceneNews:
 
     def hear(self, text: str) -> None:
         """Tell the listeners here what another gateway has sent."""
-        origin, tenant, name, what = text.split(" ", 3)
-        scene = Thing(tenant, "scene", name)
-        if origin == self._origin:
-            return
-        if not what:
-            self._change(scene)
+        if text.startswith(f"{self._origin} "):
             return
         try:
-            self._move(scene, moves_from_json(what))
+            _, tenant, name, what = text.split(" ", 3)
+            moves = moves_from_json(what) if what else None
         except ValueError as error:
-            _log.warning("another gateway says of %s what this one does not understand: %s", name, error)
+            _log.warning("another gateway says what this one does not understand: %s", error)
+            return
+        scene = Thing(tenant, "scene", name)
+        if moves is None:
+            self._change(scene)
+        else:
+            self._move(scene, moves)
 
     def look_again(self) -> None:
         """Have all listeners look at their scenes: what happened while nobody listened was not told."""
@@ -123,7 +125,8 @@ class SceneNews:
         try:
             self._outbox.put_nowait(f"{self._origin} {scene.tenant} {scene.name} {what}")
         except asyncio.QueueFull:
-            _log.warning("the database takes so long that other gateways hear late of %s", scene.name)
+            if not what:  # of what moves the next report, a tenth of a second later, has the newest place
+                _log.warning("the database takes so long that other gateways hear late of %s", scene.name)
 
     def _notify(self, text: str) -> None:
         with self._engine.connect() as db:

@@ -253,8 +253,13 @@ async def test_a_change_is_in_the_audit_log_and_a_part_of_an_upload_is_not(tmp_p
         await site.ada.patch("/v1/assets/nothing/notes/n1", json={"text": "A stain"})
         await site.ada.patch("/v1/assets/nothing", json={"label": "Cup"})
         await site.ada.patch("/v1/uploads/upl_1", content=b"part")
+        await site.ada.delete("/v1/assets/moving")  # a key like the end of an address of what is not recorded
         recorded = [(row["method"], row["path"]) for row in await audit(site.ada)]
-        assert recorded == [("PATCH", "/v1/assets/nothing"), ("PATCH", "/v1/assets/nothing/notes/n1")]
+        assert recorded == [
+            ("DELETE", "/v1/assets/moving"),
+            ("PATCH", "/v1/assets/nothing"),
+            ("PATCH", "/v1/assets/nothing/notes/n1"),
+        ]
 
 
 async def test_a_browsers_login_is_recorded_with_its_key(tmp_path: Path) -> None:

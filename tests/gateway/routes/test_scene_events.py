@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -13,8 +14,9 @@ from typing import Any
 
 import httpx
 import pytest
+from limits import RateLimitItemPerHour
 
-from services.gateway.access import sharing
+from services.gateway.access import limits, sharing
 from services.gateway.access.caller import Scope
 from services.gateway.routes import scene_events
 from services.gateway.scenes import reads
@@ -122,7 +124,10 @@ async def test_who_has_lost_some_versions_gets_the_newest_alone(site: TwoTenants
         assert (await following_event(told))[0] == "moving", "version 4 is known"
 
 
-async def test_what_is_moved_is_told_and_not_stored(site: TwoTenants, scene: str, store: Store) -> None:
+async def test_what_is_moved_is_told_and_not_stored(
+    site: TwoTenants, scene: str, store: Store, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.DEBUG, "services.gateway.requests")
     before = (await site.ada.get(scene)).json()
     async with following(site.ada, scene, params={"after": 1}) as one, following(site.ada, scene) as other:
         await following_event(other)
@@ -137,6 +142,8 @@ async def test_what_is_moved_is_told_and_not_stored(site: TwoTenants, scene: str
     audit = (await site.ada.get("/v1/audit")).text
     assert scene in audit
     assert "/moving" not in audit, "ten rows a second would bury all others"
+    levels = {record.levelno for record in caplog.records if f"POST {scene}" in record.getMessage()}
+    assert levels == {logging.DEBUG}, "and so would ten lines in the request log"
 
 
 async def test_only_who_saves_may_move_and_only_what_makes_sense(
@@ -147,9 +154,11 @@ async def test_only_who_saves_may_move_and_only_what_makes_sense(
     assert await code_of(await move(site.anonymous, scene)) == (401, "KEY_MISSING")
     assert await code_of(await move(site.bob, scene)) == (404, "SCENE_UNKNOWN")
     assert (await move(site.ada, scene, {**THERE, "asset": "chair"})).status_code == 422
-    answers = await asyncio.gather(*(move(site.ada, scene) for _ in range(70)))
-    refused = [answer for answer in answers if answer.status_code != 204]
-    assert {await code_of(answer) for answer in refused} <= {(429, "MOVES_LIMITED")}
+    monkeypatch.setattr(limits, "_MOVES", RateLimitItemPerHour(3))
+    answers = [await move(site.ada, scene) for _ in range(4)]
+    assert [answer.status_code for answer in answers] == [204, 204, 204, 429]
+    assert await code_of(answers[-1]) == (429, "MOVES_LIMITED")
+    assert (await move(site.ada, await saved(site.ada))).status_code == 204, "each scene has its own"
     async with following(site.anonymous, scene, headers=reader) as told:
         assert (await following_event(told))[2]["may_save"] is False
 
@@ -215,9 +224,35 @@ async def test_one_client_has_so_many_streams(
         assert int(refused.headers["retry-after"]) > 0
         async with following(site.anonymous, scene, headers=reader) as other:
             await following_event(other)
-        assert "capture2vr_event_listeners 2.0" in (await site.operator.get("/metrics")).text
+        await until_listeners(site, 2)
+    await until_listeners(site, 0)
+
+
+async def test_streams_that_one_client_asks_for_at_the_same_time_are_counted(
+    site: TwoTenants, scene: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene_events, "_MOST_STREAMS", 2)
+    lasting = asyncio.Queue[bool]()
+
+    async def follow() -> None:
+        async with site.ada.stream("GET", f"{scene}/events") as answer:
+            lasting.put_nowait(
+                answer.status_code == 200 and "event: scene" in [line async for line in answer.aiter_lines()]
+            )
+
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(follow()) for _ in range(12)]
+        for _ in range(10):
+            assert not await asyncio.wait_for(lasting.get(), PATIENCE_S), "those beyond the second end"
+        await until_listeners(site, 2)
+        for task in tasks:
+            task.cancel()
+
+
+async def until_listeners(site: TwoTenants, count: int) -> None:
+    """Wait until the gateway counts so many: it hears a little later that a client has left."""
     async with asyncio.timeout(PATIENCE_S):
-        while "capture2vr_event_listeners 0.0" not in (await site.operator.get("/metrics")).text:
+        while f"capture2vr_event_listeners {count}.0" not in (await site.operator.get("/metrics")).text:
             await asyncio.sleep(0.05)
 
 
