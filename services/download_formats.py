@@ -48,6 +48,15 @@ FORMATS = {
     each.name: each
     for each in (
         DownloadFormat(
+            "3d-tiles",
+            "3D Tiles",
+            "The whole scene, all tiles in full detail, for Cesium: a zip of tileset.json and GLB. "
+            "The other formats have the scene's coarse whole. Metres, Z up.",
+            "-3d-tiles.zip",
+            (TILESET,),
+            ("tile-*.glb",),
+        ),
+        DownloadFormat(
             "glb", "GLB", "For nearly every 3D program: mesh and texture in one file. Metres, Y up.", ".glb", (FINEST,)
         ),
         DownloadFormat(
@@ -127,15 +136,6 @@ FORMATS = {
             "The same for nerfstudio: put your photos into images/. Metres, Z up.",
             "-transforms.zip",
             (CAMERAS, POINTS),
-        ),
-        DownloadFormat(
-            "3d-tiles",
-            "3D Tiles",
-            "The whole scene, all tiles in full detail, for Cesium: a zip of tileset.json and GLB. "
-            "The other formats have the scene's coarse whole. Metres, Z up.",
-            "-3d-tiles.zip",
-            (TILESET,),
-            ("tile-*.glb",),
         ),
     )
 }
