@@ -173,7 +173,7 @@ async function showPhotos(on) {
   document.body.dataset.photos = on ? 'yes' : 'no';
   photos?.close();
   if (!on || !job) return;
-  if (!session?.scopes.includes('manage')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Photos are shown to access keys that may manage.') });
+  if (!session?.scopes.includes('manage')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Photos are shown only with an access key that may manage.') });
   const { PhotoLassos: Tool } = await import('./photo-lassos.js');
   photos ??= new Tool((drawn) => {
     lassos = drawn;
