@@ -31,9 +31,9 @@ export function followEvents({ address, events, onOpen, onBreak, onLost }) {
   }
   function lose() {
     stop();
-    onLost();
     reconnect = setTimeout(connect, pause);
     pause = Math.min(2 * pause, LONGEST_RECONNECT_MS);
+    onLost(); // last: it may stop all of it
   }
   function stop() {
     clearTimeout(reconnect);

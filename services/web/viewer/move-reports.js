@@ -8,7 +8,11 @@ import { randomId } from './scene-item.js';
 
 const REPORT_MS = 100; // between two reports
 const STILL_MS = 1000; // between two reports of a thing that is held still
+const REFUSED_MS = 2000; // after a report that was refused or did not arrive: the server counts requests, and has to take the save
 const MOST_MOVED = 8; // of one report, as the server takes them
+
+/** @param {number} milliseconds */
+const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
 /** Whose reports these are: this page's. */
 export const sender = randomId();
@@ -45,9 +49,9 @@ export class MoveReports {
     this.#isRunning = true;
     while (this.#sent.size > 0) {
       const items = this.#collect();
-      const pause = new Promise((resolve) => setTimeout(resolve, REPORT_MS));
+      const pause = wait(REPORT_MS);
       // One that is lost costs nothing: the next one has the newest place.
-      if (items.length > 0) await this.#callbacks.send({ sender, items }).catch(() => {});
+      if (items.length > 0) await this.#callbacks.send({ sender, items }).catch(() => wait(REFUSED_MS));
       await pause;
     }
     this.#isRunning = false;

@@ -256,6 +256,24 @@ def test_an_event_that_overtakes_the_answer_to_a_save_takes_nothing_back(
     expect(page.locator("#notice")).not_to_contain_text("somebody else")
 
 
+def test_a_server_that_refuses_reports_gets_fewer_of_them(context: BrowserContext, page: Page, site: Site) -> None:
+    scene = create_scene(site.store, "Room", (LEFT, RIGHT))
+    quicker(context, "move-reports.js", "REFUSED_MS", 1000)
+    told: list[float] = []
+
+    def refuse(route: Route) -> None:
+        told.append(time.monotonic())
+        route.fulfill(status=429, json={"code": "REQUESTS_LIMITED", "detail": "more than 1 request a minute"})
+
+    context.route("**/moving", refuse)
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 2)
+    while len(told) < 2:
+        press(page, "Red box", "PageUp")
+        await_frames(page)
+    assert told[1] - told[0] >= 0.99
+
+
 def test_without_a_stream_of_events_the_page_asks_now_and_then(context: BrowserContext, page: Page, site: Site) -> None:
     scene = create_scene(site.store, "Room", (LEFT,))
     quicker(context, "saved-scene.js", "POLL_MS", 400)
