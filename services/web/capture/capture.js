@@ -69,6 +69,13 @@ async function send() {
   page.cancel.hidden = true;
   startUploadProgress();
   try {
+    await (continuing = continuing.catch(startContinuing)); // who is quick would make a new thing instead of adding to that one
+    showState('sending'); // it was trouble where the first question for that thing was lost
+  } catch (error) {
+    showTrouble(error);
+    return;
+  }
+  try {
     const sent = await sendOnce(sendNow);
     const job = typeof sent === 'string' ? await getJson(`/v1/jobs/${sent}`) : sent;
     location.hash = `job=${job.id}`;
@@ -187,7 +194,8 @@ startFileChoice();
 offerPresets();
 offerToGoOn();
 resumeJob();
-startContinuing();
+let continuing = startContinuing(); // the thing that photos are added to is known
+continuing.catch(showTrouble);
 startKeptList(async (draft) => {
   await goOn(draft);
   await showKept();

@@ -1,6 +1,5 @@
 // More photos of a thing: the page then adds them to those that are stored, and the job makes the next version of the same asset.
 import { expectMore } from './file-choice.js';
-import { showState, showTrouble } from './page-state.js';
 import { getJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { t } from '../shared/texts.js';
@@ -36,17 +35,17 @@ export function offerMorePhotos(job, capture) {
   page.add.hidden = job.state !== 'SUCCEEDED' || !OF_PHOTOS.includes(capture?.format ?? '');
 }
 
-/** Goes on with the thing that the page's address names, if it names one. */
+/**
+ * Goes on with the thing that the page's address names, if it names one. Resolves once `continuedJob` is known.
+ * @throws {Problem} as `getJson`
+ */
 export async function startContinuing() {
   const id = new URLSearchParams(location.hash.slice(1)).get('add');
   if (!id) return;
-  try {
-    earlier = await getJson(`/v1/jobs/${encodeURIComponent(id)}`);
-  } catch (error) {
-    showTrouble(error);
-    return;
-  }
-  if (earlier) await showContinued(earlier);
+  /** @type {Job} */
+  const job = await getJson(`/v1/jobs/${encodeURIComponent(id)}`);
+  earlier = job;
+  showContinued(job);
 }
 
 /** @param {Job} job */
@@ -57,7 +56,6 @@ async function showContinued({ asset_key: key, label, edits = {} }) {
   page.heading.textContent = t('More photos of {name}', { name });
   page.lost.hidden = !(edits.crop || edits.planes?.length || edits.lassos?.length || edits.up || edits.front || edits.length);
   expectMore(name);
-  showState('choosing');
   document.body.dataset.continues = key;
   const advice = await unseenSides(key);
   fillList(page.unseen, advice);

@@ -85,6 +85,21 @@ def test_a_thing_that_is_gone_and_what_is_no_photo_are_said(page: Page, site: Si
     expect(page.get_by_role("alert")).to_contain_text("only captures of photos alone can be continued")
 
 
+def test_who_sends_before_the_page_knows_the_thing_adds_to_it_all_the_same(
+    page: Page, site: Site, tmp_path: Path
+) -> None:
+    job = made(site, "mug", photos(tmp_path / "first", "1.jpg"))
+    lost: list[Route] = []
+    page.route(f"**/v1/jobs/{job['id']}", lambda route: route.continue_() if lost else lost.append(route))
+    page.goto(f"{site.url}/#add={job['id']}")
+    page.locator("#files").set_input_files(photos(tmp_path / "more", "2.jpg"))
+    page.get_by_role("button", name="Send").click()
+    await_data(page, state="sending")
+    lost[0].abort()
+    page.wait_for_url("**/#job=*")
+    assert stored(site, newest(site, "mug")) == ["1.jpg", "2.jpg"]
+
+
 def test_without_a_server_they_are_kept_and_added_later(browser: Browser, site: Site, tmp_path: Path) -> None:
     line = line_to(site.url)
     job = made(site, "pot", photos(tmp_path / "first", "1.jpg"))
