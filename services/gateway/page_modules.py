@@ -41,13 +41,13 @@ def static_imports(module: Path) -> list[Path]:
 
     module: JavaScript, with relative addresses in its imports. Raises FileNotFoundError for an import of no file.
     """
-    found: list[Path] = []
+    found = {module: None}  # a dict for its order
     nearest = [module]
     while nearest:
-        imports = [each for importer in nearest for each in _imports_of(importer)]
-        nearest = [each for each in dict.fromkeys(imports) if each not in found and each != module]
-        found += nearest
-    return found
+        imports = dict.fromkeys(each for importer in nearest for each in _imports_of(importer))
+        nearest = [each for each in imports if each not in found]
+        found |= dict.fromkeys(nearest)
+    return [each for each in found if each != module]
 
 
 def _imports_of(module: Path) -> tuple[Path, ...]:

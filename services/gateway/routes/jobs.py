@@ -29,7 +29,14 @@ from services.gateway.jobs.store import JOB_ID, JobStore
 from services.gateway.metrics import Metrics
 from services.gateway.photo_boxes import require_box
 from services.gateway.routes.access_rules import ANYONE, caller_of, limits_of, needs
-from services.gateway.routes.event_streams import HEARTBEAT_S, RECONNECT_MS, stream_events, wait_for
+from services.gateway.routes.event_streams import (
+    HEARTBEAT_S,
+    RECONNECT_MS,
+    LastEventId,
+    known_event,
+    stream_events,
+    wait_for,
+)
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import JobAgain, JobPage, JobRequest, JobView, Presets, PresetView, problems
 from services.gateway.worker_types import WorkerPreset
@@ -162,15 +169,13 @@ async def follow_job(
     job: str,
     request: Request,
     after: Annotated[int | None, Query(ge=0, description="Only events with a higher number (`id`).")] = None,
-    last_event_id: Annotated[
-        str, Header(pattern=r"^[0-9]{0,15}$", description="Same as `after`; browsers send it when they reconnect.")
-    ] = "",
+    last_event_id: LastEventId = "",
 ) -> EventSourceResponse:
     """Follow a job as server-sent events: first all events so far, then new ones, until the job has ended."""
     job_store: AsyncJobStore = request.app.state.job_store
     tenant = caller_of(request).tenant
     await job_store.read(JobStore.get, tenant, job)  # an unknown job is a 404, not an empty stream
-    start = int(last_event_id) if last_event_id else after or 0
+    start = known_event(after, last_event_id)
     return stream_events(_event_stream(job_store, request.app.state.metrics, tenant, job, start))
 
 

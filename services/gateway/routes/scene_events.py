@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 from dataclasses import asdict
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Query, Request
 from sqlalchemy.exc import SQLAlchemyError
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
@@ -21,7 +21,14 @@ from services.gateway.access.limits import limited
 from services.gateway.access.readers import Thing
 from services.gateway.errors import RETRY_S, Problem
 from services.gateway.routes.access_rules import caller_of, needs
-from services.gateway.routes.event_streams import HEARTBEAT_S, RECONNECT_MS, stream_events, wait_for
+from services.gateway.routes.event_streams import (
+    HEARTBEAT_S,
+    RECONNECT_MS,
+    LastEventId,
+    known_event,
+    stream_events,
+    wait_for,
+)
 from services.gateway.routes.read_rules import READS_SCENE, reading_of, still_reads_scene, unknown_scene
 from services.gateway.routes.scenes import SceneId, view_of
 from services.gateway.routes.store_access import store_problems
@@ -64,9 +71,7 @@ async def follow_scene(
     scene: SceneId,
     request: Request,
     after: Annotated[int | None, Query(ge=0, description="The version that is known: only newer ones.")] = None,
-    last_event_id: Annotated[
-        str, Header(pattern=r"^[0-9]{0,15}$", description="Same as `after`; browsers send it when they reconnect.")
-    ] = "",
+    last_event_id: LastEventId = "",
 ) -> EventSourceResponse:
     """Follow a scene as server-sent events: its newest version if that is not known, each later one, and what is moved.
 
@@ -78,7 +83,7 @@ async def follow_scene(
     if news.streams_of(client) >= _MOST_STREAMS:
         detail = f"{_MOST_STREAMS} event streams of scenes are open already, as many as are allowed at once"
         raise limited("STREAMS_LIMITED", detail, RETRY_S, hint="ask GET /v1/scenes/{scene} now and then instead")
-    start = int(last_event_id) if last_event_id else after or 0
+    start = known_event(after, last_event_id)
     return stream_events(_event_stream(request, reading.thing, client, start), reading.cors_headers)
 
 

@@ -61,13 +61,14 @@ export class MoveReports {
   #collect() {
     const now = performance.now();
     const items = [];
-    for (const [item, { text, at }] of [...this.#sent].slice(0, MOST_MOVED)) {
+    for (const [item, before] of [...this.#sent].slice(0, MOST_MOVED)) {
       const pose = item.pose;
-      const isNew = JSON.stringify(pose) !== text;
+      const text = JSON.stringify(pose);
+      const isNew = text !== before.text;
       if (!item.placed || (!isNew && !this.#callbacks.isHeld(item))) this.#sent.delete(item);
-      else if (isNew || now - at >= STILL_MS) {
+      else if (isNew || now - before.at >= STILL_MS) {
         items.push({ id: item.placed.id, ...pose });
-        this.#sent.set(item, { text: JSON.stringify(pose), at: now });
+        this.#sent.set(item, { text, at: now });
       }
     }
     return items;

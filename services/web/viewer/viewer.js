@@ -480,16 +480,11 @@ async function offerPanels(asking) {
     showTexts();
   });
   const loadNotes = await offerNotes(item, stage, { controls, redraw, onStart: () => allowMoving(false) }, session);
-  const fillAll = () => {
+  const mayCompare = session?.scopes.includes('read') && ofShownTenant('') === '';
+  showFacts = () => {
     fill();
     loadNotes();
-  };
-  showFacts = fillAll;
-  loadNotes();
-  if (!session?.scopes.includes('read') || ofShownTenant('') !== '') return;
-  showFacts = () => {
-    fillAll();
-    offerComparison(item);
+    if (mayCompare) offerComparison(item);
   };
   showFacts();
 }
