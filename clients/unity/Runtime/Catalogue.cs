@@ -18,6 +18,8 @@ namespace Capture2vr
     {
         private const string BaseUrlProperty = "Capture2vr.Catalogue.BaseUrl";
 
+        private static readonly IReadOnlyDictionary<string, string> NoHeaders = new Dictionary<string, string>();
+
         private static readonly object Gate = new object();
         private static readonly List<AccessHeaders> Servers = new List<AccessHeaders>();
         private static readonly List<OpenCollection> Collections = new List<OpenCollection>();
@@ -32,10 +34,18 @@ namespace Capture2vr
         public static string BaseUrl => "http://capture2vr.invalid";
 
         /// <summary>Bytes that assets may take on the device; set it before the first collection is opened.</summary>
-        public static long CacheBytes { get; set; } = 512L << 20;
+        public static long CacheBytes { get; set; } = (Background.HasThreads ? 512L : 64L) << 20; // in a browser all of it is in memory
 
-        /// <summary>How files are fetched instead of by .NET's HTTP client, without AccessTo's headers; null for that.</summary>
-        public static Fetch Fetch { get; set; }
+        /// <summary>
+        /// How files are fetched: by .NET's HTTP client, Http.Fetch, and in a browser by UnityWebRequest, UnityHttp.Fetch, which
+        /// may be set elsewhere too. One of the app's own is given AccessTo's headers.
+        /// </summary>
+        public static Transport Transport { get; set; } =
+#if UNITY_WEBGL && !UNITY_EDITOR
+            UnityHttp.Fetch;
+#else
+            Http.Fetch;
+#endif
 
         /// <summary>The collections that are open, the first one first.</summary>
         public static IReadOnlyList<OpenCollection> Opened => Collections;
@@ -73,7 +83,7 @@ namespace Capture2vr
             lock (Gate)
             {
                 var known = Servers.FirstOrDefault(each => each.BaseUrl == address);
-                if (known == null) Servers.Add(known = new AccessHeaders(address));
+                if (known == null) Servers.Add(known = new AccessHeaders(address, Send));
                 return known;
             }
         }
@@ -121,8 +131,11 @@ namespace Capture2vr
 
         internal static Task FetchAsync(string url, Stream into)
         {
-            return Fetch != null ? Fetch(url, into) : Access(url)?.Fetch(url, into) ?? Http.Fetch(url, into);
+            return Access(url)?.Fetch(url, into) ?? Send(url, into, NoHeaders);
         }
+
+        /// <summary>By the transport of the moment: who has asked for a server's headers may set another one afterwards.</summary>
+        private static Task Send(string url, Stream into, IReadOnlyDictionary<string, string> headers) => Transport(url, into, headers);
 
         /// <summary>Addressables fetches the catalogues itself.</summary>
         private static void SetHeaders(UnityWebRequest request)

@@ -8,7 +8,7 @@ namespace Capture2vr
 {
     /// <summary>
     /// Brings the .glb of a location onto the device and checks it; the result is a GlbFileResource. Network, hashing and storage
-    /// are the business of other threads. The catalogue names this class.
+    /// are the business of other threads where there are any. The catalogue names this class.
     /// </summary>
     [Preserve]
     public sealed class GlbFileProvider : ResourceProviderBase
@@ -58,7 +58,7 @@ namespace Capture2vr
         /// </summary>
         public static bool Refuse()
         {
-            throw new NotSupportedException("captures load in the background: await the handle's Task, or use Completed");
+            throw new NotSupportedException("captures load in the background: use the handle's Completed, or await its Task where there is one");
         }
     }
 }

@@ -56,7 +56,7 @@ namespace Capture2vr
         public Task<IReadOnlyList<AssetRow>> RowsAsync()
         {
             var reader = _reader;
-            return Task.Run(() => reader.Rows());
+            return Background.Run(() => reader.Rows());
         }
 
         /// <summary>
@@ -66,7 +66,7 @@ namespace Capture2vr
         public Task<byte[]> PreviewAsync(AssetRow row)
         {
             var reader = _reader;
-            return Task.Run(() => reader.Preview(row));
+            return Background.Run(() => reader.Preview(row));
         }
 
         /// <summary>Take the newer catalogue if there is one. Without a network, what there is stays.</summary>
@@ -89,7 +89,7 @@ namespace Capture2vr
             var all = Task.WhenAll(downloads.Select(each => each.Task));
             try
             {
-                while (await Task.WhenAny(all, Task.Delay(ProgressMs)) != all) progress?.Report(Share(downloads));
+                while (await Task.WhenAny(all, Background.Delay(ProgressMs)) != all) progress?.Report(Share(downloads));
                 await all;
                 progress?.Report(1);
             }
@@ -164,7 +164,7 @@ namespace Capture2vr
         {
             var hashes = files.Select(each => each.Sha256).ToList();
             var reader = _reader;
-            return Task.Run(() => reader.Check(key, hashes));
+            return Background.Run(() => reader.Check(key, hashes));
         }
 
         private async Task Load()
@@ -172,7 +172,7 @@ namespace Capture2vr
             // From 4.0 on, Addressables has no reader of catalogues before it is initialised. Whether the app has catalogues
             // of its own to find then is not our affair.
             var starting = Addressables.InitializeAsync(false);
-            await starting.Task;
+            await Completion.Of(starting);
             Addressables.Release(starting);
             string hash = null;
             CaptureFault unreachable = null;
@@ -185,12 +185,13 @@ namespace Capture2vr
                 unreachable = fault; // the device may have the catalogue
             }
             var loading = Addressables.LoadContentCatalogAsync(Address(Catalogue.FileName), false);
-            await loading.Task;
+            await Completion.Of(loading);
             var cause = loading.OperationException;
             if (loading.Status == AsyncOperationStatus.Succeeded) _locator = loading.Result;
             Addressables.Release(loading);
             if (_locator == null) throw unreachable ?? Unreadable(cause);
             _hash = hash;
+            Storage.Flush(); // Addressables keeps catalogues, too
         }
 
         /// <summary>Only this collection: the app's own catalogues are its own affair.</summary>
@@ -207,7 +208,7 @@ namespace Capture2vr
             }
             if (hash == _hash) return;
             var updating = Addressables.UpdateCatalogs(new[] { _locator.LocatorId }, false);
-            await updating.Task;
+            await Completion.Of(updating);
             var found = updating.Status == AsyncOperationStatus.Succeeded
                 ? updating.Result.FirstOrDefault(each => each.LocatorId == _locator.LocatorId) : null;
             Addressables.Release(updating);
@@ -215,6 +216,7 @@ namespace Capture2vr
             _before = _locator;
             _locator = found;
             _hash = hash;
+            Storage.Flush();
         }
 
         /// <summary>

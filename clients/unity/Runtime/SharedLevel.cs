@@ -67,7 +67,7 @@ namespace Capture2vr
 
         internal static void Forget() => Shared.Clear();
 
-        /// <summary>The file is read on another thread; glTFast spreads its work over frames.</summary>
+        /// <summary>The file is read on another thread where there is one; glTFast spreads its work over frames.</summary>
         private static async Task<GltfImport> Decode(GlbFile file)
         {
             var path = await Catalogue.Cache.Load(file.Url, file.Sha256, file.Size).Task;
@@ -75,7 +75,7 @@ namespace Capture2vr
             var import = new GltfImport(null, null, null, log);
             try
             {
-                var data = await Task.Run(() => File.ReadAllBytes(path));
+                var data = await Background.Run(() => Task.FromResult(File.ReadAllBytes(path)));
                 // Mips: without them the textures of distant assets glitter.
                 var settings = new ImportSettings { GenerateMipMaps = true, AnisotropicFilterLevel = Anisotropy };
                 if (await import.Load(data, null, settings)) return import;

@@ -14,11 +14,38 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 _EMPTY = "  externalObjects: {}\n"
 _SCRIPT = "  serializedVersion: 2\n  defaultReferences: []\n  executionOrder: 0\n  icon: {instanceID: 0}\n"
+_WEBGL_ONLY = """  serializedVersion: 2
+  iconMap: {}
+  executionOrder: {}
+  defineConstraints: []
+  isPreloaded: 0
+  isOverridable: 0
+  isExplicitlyReferenced: 0
+  validateReferences: 1
+  platformData:
+  - first:
+      Any:
+    second:
+      enabled: 0
+      settings: {}
+  - first:
+      Editor: Editor
+    second:
+      enabled: 0
+      settings:
+        DefaultValueInitialized: true
+  - first:
+      WebGL: WebGL
+    second:
+      enabled: 1
+      settings: {}
+"""
 _IMPORTERS = {
     ".cs": f"MonoImporter:\n{_EMPTY}{_SCRIPT}",
     ".asmdef": f"AssemblyDefinitionImporter:\n{_EMPTY}",
     ".md": f"TextScriptImporter:\n{_EMPTY}",
     ".xml": f"TextScriptImporter:\n{_EMPTY}",
+    ".jslib": f"PluginImporter:\n{_EMPTY}{_WEBGL_ONLY}",
     ".json": f"PackageManifestImporter:\n{_EMPTY}",
 }
 _FOLDER = f"folderAsset: yes\nDefaultImporter:\n{_EMPTY}"

@@ -15,12 +15,14 @@ namespace Capture2vr
 
         private readonly object _gate = new object();
         private IReadOnlyDictionary<string, string> _current = None;
+        private readonly Transport _transport;
         private Task<bool> _renewing;
 
         /// <param name="baseUrl">what lies below it gets the headers</param>
-        public AccessHeaders(string baseUrl)
+        public AccessHeaders(string baseUrl, Transport transport)
         {
             BaseUrl = baseUrl.TrimEnd('/');
+            _transport = transport;
         }
 
         public string BaseUrl { get; }
@@ -40,7 +42,7 @@ namespace Capture2vr
 
         /// <summary>
         /// Returns new headers when the server has refused the present ones, so that a key may expire while the app runs. Called
-        /// away from the main thread. Null where there is no way to get any.
+        /// away from the main thread where there are others. Null where there is no way to get any.
         /// </summary>
         public Func<Task<IReadOnlyDictionary<string, string>>> Renewal { get; set; }
 
@@ -76,20 +78,20 @@ namespace Capture2vr
             var headers = For(url);
             try
             {
-                await Http.Fetch(url, into, headers).ConfigureAwait(false);
+                await _transport(url, into, headers).ConfigureAwait(Background.ComesBack);
                 return;
             }
             catch (CaptureFault fault) when (fault.Code == CaptureFault.AccessRefused && Covers(url))
             {
-                if (!await RenewAsync(headers).ConfigureAwait(false)) throw;
+                if (!await RenewAsync(headers).ConfigureAwait(Background.ComesBack)) throw;
             }
-            await Http.Fetch(url, into, For(url)).ConfigureAwait(false);
+            await _transport(url, into, For(url)).ConfigureAwait(Background.ComesBack);
         }
 
         private async Task<bool> Renew()
         {
             await Task.Yield(); // the app's code must not run inside the lock
-            Current = await Renewal().ConfigureAwait(false);
+            Current = await Renewal().ConfigureAwait(Background.ComesBack);
             return true;
         }
     }

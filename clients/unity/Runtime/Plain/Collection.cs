@@ -2,6 +2,7 @@ using System;
 using System.Collections.Generic;
 using System.Linq;
 using System.Text;
+using System.Threading.Tasks;
 
 namespace Capture2vr
 {
@@ -19,16 +20,17 @@ namespace Capture2vr
         /// SIGNATURE_*, KEY_UNKNOWN and CATALOGUE_*.
         /// </summary>
         /// <param name="keys">whose signature to believe, 32 bytes each; with none no signature is asked for</param>
-        public static CollectionIndex Read(byte[] data, string collection, IReadOnlyList<byte[]> keys)
+        public static async Task<CollectionIndex> ReadAsync(byte[] data, string collection, IReadOnlyList<byte[]> keys)
         {
             var name = ObjectName(collection);
-            var index = Reading.Of(name, () =>
+            var envelope = Reading.Of(name, () => Json.Parse(Encoding.UTF8.GetString(data)));
+            var text = Reading.Of(name, () => envelope.In("signed").Text());
+            if (keys.Count > 0)
             {
-                var envelope = Json.Parse(Encoding.UTF8.GetString(data));
-                var text = envelope.In("signed").Text();
-                if (keys.Count > 0) Signatures.Check(name, Encoding.UTF8.GetBytes(text), envelope.In("signatures").List(), keys);
-                return From(Json.Parse(text));
-            });
+                var signatures = Reading.Of(name, () => Signature.Believed(name, envelope.In("signatures").List(), keys));
+                await Signature.Check(name, Encoding.UTF8.GetBytes(text), signatures).ConfigureAwait(Background.ComesBack);
+            }
+            var index = Reading.Of(name, () => From(Json.Parse(text)));
             if (index.Collection == collection) return index;
             throw new CaptureFault(CaptureFault.CatalogueOther, $"{name} is the catalogue of collection {index.Collection}");
         }
@@ -172,30 +174,40 @@ namespace Capture2vr
         }
     }
 
-    internal static class Signatures
+    /// <summary>A signature by a key that this app believes.</summary>
+    internal sealed class Signature
     {
         private const int IdDigits = 16; // of the SHA-256 of a public key
 
-        /// <summary>That one of the keys has signed the text. One suffices: while keys are exchanged there are two.</summary>
-        public static void Check(string name, byte[] text, List<object> told, IReadOnlyList<byte[]> keys)
+        private byte[] Key { get; set; }
+        private byte[] Bytes { get; set; }
+
+        /// <summary>Those of an index that are by one of the keys. Throws CaptureFault SIGNATURE_MISSING and KEY_UNKNOWN.</summary>
+        public static List<Signature> Believed(string name, List<object> told, IReadOnlyList<byte[]> keys)
         {
             if (told.Count == 0) throw new CaptureFault(CaptureFault.SignatureMissing, $"{name}: nobody has signed it");
             var known = new Dictionary<string, byte[]>();
             foreach (var key in keys) known[Sha256.Of(key).Substring(0, IdDigits)] = key;
             var mine = told.Where(each => known.ContainsKey(each.In("key").Text())).ToList();
-            if (mine.Count == 0)
+            if (mine.Count > 0) return mine.Select(each => From(each, known)).ToList();
+            var ids = string.Join(", ", told.Select(each => each.In("key").Text()));
+            throw new CaptureFault(CaptureFault.KeyUnknown, $"{name} is signed by {ids}, which this app does not believe");
+        }
+
+        /// <summary>That one of them is of the text. One suffices: while keys are exchanged there are two.</summary>
+        public static async Task Check(string name, byte[] text, List<Signature> signatures)
+        {
+            foreach (var each in signatures)
             {
-                var ids = string.Join(", ", told.Select(each => each.In("key").Text()));
-                throw new CaptureFault(CaptureFault.KeyUnknown, $"{name} is signed by {ids}, which this app does not believe");
+                if (await Ed25519.VerifyAsync(each.Key, text, each.Bytes).ConfigureAwait(Background.ComesBack)) return;
             }
-            if (mine.Any(each => Holds(text, each.In("ed25519").Text(), known[each.In("key").Text()]))) return;
             throw new CaptureFault(CaptureFault.SignatureWrong, $"{name}: the signature is not that of this text",
                 "The catalogue was damaged or tampered with, and nothing of it is shown");
         }
 
-        private static bool Holds(byte[] text, string signature, byte[] key)
+        private static Signature From(object told, Dictionary<string, byte[]> known)
         {
-            return Ed25519.Verify(key, text, Convert.FromBase64String(signature));
+            return new Signature { Key = known[told.In("key").Text()], Bytes = Convert.FromBase64String(told.In("ed25519").Text()) };
         }
     }
 

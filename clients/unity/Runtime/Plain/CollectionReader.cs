@@ -45,7 +45,7 @@ namespace Capture2vr
         public async Task Check(string key, IEnumerable<string> files)
         {
             if (_keys.Count == 0) return;
-            var manifest = await ManifestOf(key).ConfigureAwait(false);
+            var manifest = await ManifestOf(key).ConfigureAwait(Background.ComesBack);
             var signed = new HashSet<string>(manifest.Lods.Select(lod => lod.Sha256));
             if (files.All(signed.Contains)) return;
             throw new CaptureFault(CaptureFault.FileNotSigned,
@@ -63,7 +63,7 @@ namespace Capture2vr
         public async Task<byte[]> Preview(AssetRow row)
         {
             if (row.PreviewSha256 == "") return null;
-            return await Content(row.PreviewName, row.PreviewSha256, -1).ConfigureAwait(false);
+            return await Content(row.PreviewName, row.PreviewSha256, -1).ConfigureAwait(Background.ComesBack);
         }
 
         /// <summary>A shard goes when enough newer ones have come; the index of this moment knows another.</summary>
@@ -71,35 +71,39 @@ namespace Capture2vr
         {
             try
             {
-                return await read().ConfigureAwait(false);
+                return await read().ConfigureAwait(Background.ComesBack);
             }
             catch (CaptureFault fault) when (fault.Code == CaptureFault.FileMissing)
             {
-                return await read().ConfigureAwait(false);
+                return await read().ConfigureAwait(Background.ComesBack);
             }
         }
 
         private async Task<IReadOnlyList<AssetRow>> RowsOnce()
         {
             var rows = new List<AssetRow>();
-            var index = await Index().ConfigureAwait(false);
-            foreach (var shard in index.Shards) rows.AddRange(await RowsOf(shard).ConfigureAwait(false));
+            var index = await Index().ConfigureAwait(Background.ComesBack);
+            foreach (var shard in index.Shards)
+            {
+                rows.AddRange(await RowsOf(shard).ConfigureAwait(Background.ComesBack));
+                await Background.Pause().ConfigureAwait(Background.ComesBack);
+            }
             return rows.Where(row => !row.Removed).ToList();
         }
 
         private async Task<IReadOnlyList<AssetRow>> RowsOf(ShardName shard)
         {
-            return AssetRow.Read(await Content(shard.ObjectName, shard.Sha256, shard.Bytes).ConfigureAwait(false), shard);
+            return AssetRow.Read(await Content(shard.ObjectName, shard.Sha256, shard.Bytes).ConfigureAwait(Background.ComesBack), shard);
         }
 
         private async Task<Manifest> ManifestOnce(string key)
         {
-            var index = await Index().ConfigureAwait(false);
+            var index = await Index().ConfigureAwait(Background.ComesBack);
             var shard = index.ShardOf(key) ?? throw Unknown(key);
-            var rows = await RowsOf(shard).ConfigureAwait(false);
+            var rows = await RowsOf(shard).ConfigureAwait(Background.ComesBack);
             var row = rows.FirstOrDefault(each => each.Key == key) ?? throw Unknown(key);
             if (row.Removed) throw new CaptureFault(CaptureFault.AssetRemoved, $"asset {key} was removed");
-            var manifest = await Content(row.ManifestName, row.ManifestSha256, -1).ConfigureAwait(false);
+            var manifest = await Content(row.ManifestName, row.ManifestSha256, -1).ConfigureAwait(Background.ComesBack);
             return Manifest.Read(manifest, row.ManifestName);
         }
 
@@ -109,20 +113,20 @@ namespace Capture2vr
             byte[] data;
             try
             {
-                data = await Fetched(CollectionIndex.ObjectName(_collection)).ConfigureAwait(false);
+                data = await Fetched(CollectionIndex.ObjectName(_collection)).ConfigureAwait(Background.ComesBack);
             }
             catch (CaptureFault fault) when (fault.Code == CaptureFault.Unreachable && File.Exists(_kept))
             {
-                return Accepted(File.ReadAllBytes(_kept));
+                return await Accepted(File.ReadAllBytes(_kept)).ConfigureAwait(Background.ComesBack);
             }
-            var index = Accepted(data);
+            var index = await Accepted(data).ConfigureAwait(Background.ComesBack);
             Keep(data);
             return index;
         }
 
-        private CollectionIndex Accepted(byte[] data)
+        private async Task<CollectionIndex> Accepted(byte[] data)
         {
-            var index = CollectionIndex.Read(data, _collection, _keys);
+            var index = await CollectionIndex.ReadAsync(data, _collection, _keys).ConfigureAwait(Background.ComesBack);
             // Only now: a version that nobody has signed must not lock out those that come.
             _versions.Check("collection " + _collection, index.Version);
             return index;
@@ -133,7 +137,7 @@ namespace Capture2vr
             using (var memory = new MemoryStream())
             using (var bounded = new HashingStream(memory, IndexBytes, told => { }))
             {
-                await _fetch($"{_baseUrl}/{name}", bounded).ConfigureAwait(false);
+                await _fetch($"{_baseUrl}/{name}", bounded).ConfigureAwait(Background.ComesBack);
                 return memory.ToArray();
             }
         }
@@ -144,8 +148,7 @@ namespace Capture2vr
             try
             {
                 File.WriteAllBytes(part, data);
-                File.Delete(_kept);
-                File.Move(part, _kept);
+                Storage.Replace(part, _kept);
             }
             catch (IOException)
             {
@@ -155,7 +158,7 @@ namespace Capture2vr
 
         private async Task<byte[]> Content(string name, string sha256, long size)
         {
-            var path = await _cache.Load($"{_baseUrl}/{name}", sha256, size).Task.ConfigureAwait(false);
+            var path = await _cache.Load($"{_baseUrl}/{name}", sha256, size).Task.ConfigureAwait(Background.ComesBack);
             try
             {
                 return File.ReadAllBytes(path);

@@ -2,13 +2,14 @@ using System;
 using System.Linq;
 using System.Numerics;
 using System.Security.Cryptography;
+using System.Threading.Tasks;
 
 namespace Capture2vr
 {
     /// <summary>
     /// Checks Ed25519 signatures (RFC 8032, 5.1.7), which .NET has no class for. Curve: -x² + y² = 1 + d·x²·y² over the
-    /// numbers modulo p = 2^255 - 19; B is its base point, of prime order l. It takes some ten milliseconds and hides
-    /// nothing from somebody who measures: verifying knows no secrets.
+    /// numbers modulo p = 2^255 - 19; B is its base point, of prime order l. It takes some ten milliseconds, several times as
+    /// many in a browser, where frames pass meanwhile. It hides nothing from somebody who measures: verifying knows no secrets.
     /// </summary>
     public static class Ed25519
     {
@@ -23,14 +24,17 @@ namespace Capture2vr
         private static readonly Point Base = BasePoint();
 
         /// <summary>Whether [S]B = R + [k]A for the key A, the signature R, S and k = SHA-512(R, A, message).</summary>
-        public static bool Verify(byte[] key, byte[] message, byte[] signature)
+        public static async Task<bool> VerifyAsync(byte[] key, byte[] message, byte[] signature)
         {
             if (key.Length != KeyBytes || signature.Length != SignatureBytes) return false;
             var s = Number(signature.Skip(32));
             if (s >= L) return false;
-            if (!Decode(key, out var a) || !Decode(signature.Take(32).ToArray(), out var r)) return false;
+            Point a, r; // declared here: Mono's compiler fails on those of a private type that are declared as out
+            if (!Decode(key, out a) || !Decode(signature.Take(32).ToArray(), out r)) return false;
             var k = Number(Sha512(signature.Take(32).Concat(key).Concat(message).ToArray())) % L;
-            return Times(s, Base).Same(Add(r, Times(k, a)));
+            var left = await Times(s, Base).ConfigureAwait(Background.ComesBack);
+            var right = await Times(k, a).ConfigureAwait(Background.ComesBack);
+            return left.Same(Add(r, right));
         }
 
         /// <summary>A point in homogeneous coordinates: x = X/Z, y = Y/Z, T = X·Y/Z.</summary>
@@ -64,13 +68,14 @@ namespace Capture2vr
             return new Point(Mod(e * f), Mod(g * h), Mod(f * g), Mod(e * h));
         }
 
-        private static Point Times(BigInteger factor, Point point)
+        private static async Task<Point> Times(BigInteger factor, Point point)
         {
             var sum = Zero;
             for (; !factor.IsZero; factor >>= 1)
             {
                 if (!factor.IsEven) sum = Add(sum, point);
                 point = Add(point, point);
+                await Background.Pause().ConfigureAwait(Background.ComesBack);
             }
             return sum;
         }

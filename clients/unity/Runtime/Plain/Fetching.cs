@@ -9,16 +9,17 @@ using System.Threading.Tasks;
 namespace Capture2vr
 {
     /// <summary>
-    /// Writes what is at an address into a stream. Throws CaptureFault UNREACHABLE or FILE_MISSING. Called away from the
-    /// main thread, several at once.
+    /// Writes what is at an address into a stream. Throws CaptureFault UNREACHABLE, FILE_MISSING or ACCESS_REFUSED. Called
+    /// away from the main thread where there are others, several at once.
     /// </summary>
     public delegate Task Fetch(string url, Stream into);
 
-    /// <summary>The usual way to fetch: .NET's own HTTP client, which never touches the engine's main thread.</summary>
+    /// <summary>A way to fetch that sends these headers: Http.Fetch, UnityHttp.Fetch, or one of the app's own.</summary>
+    public delegate Task Transport(string url, Stream into, IReadOnlyDictionary<string, string> headers);
+
+    /// <summary>Fetches by .NET's own HTTP client, which never touches the engine's main thread. Not in a browser.</summary>
     public static class Http
     {
-        // A server that sends nothing for so long has gone. The whole of a download may take any time.
-        private static readonly TimeSpan Silence = TimeSpan.FromSeconds(15);
         private const int PieceBytes = 1 << 16;
 
         private static readonly IReadOnlyDictionary<string, string> NoHeaders = new Dictionary<string, string>();
@@ -27,10 +28,10 @@ namespace Capture2vr
 
         public static Task Fetch(string url, Stream into) => Fetch(url, into, NoHeaders);
 
-        /// <summary>Fetch with these headers. Throws CaptureFault ACCESS_REFUSED, too.</summary>
+        /// <summary>Fetch with these headers.</summary>
         public static async Task Fetch(string url, Stream into, IReadOnlyDictionary<string, string> headers)
         {
-            using (var patience = new CancellationTokenSource(Silence))
+            using (var patience = new CancellationTokenSource(HttpFaults.Patience))
             {
                 try
                 {
@@ -38,15 +39,15 @@ namespace Capture2vr
                 }
                 catch (OperationCanceledException fault)
                 {
-                    throw Unreachable(url, $"it sent nothing for {Silence.TotalSeconds} s", fault);
+                    throw HttpFaults.Silent(url, fault);
                 }
                 catch (HttpRequestException fault)
                 {
-                    throw Unreachable(url, (fault.InnerException ?? fault).Message, fault);
+                    throw HttpFaults.Unreachable(url, (fault.InnerException ?? fault).Message, fault);
                 }
                 catch (WebException fault)
                 {
-                    throw Unreachable(url, fault.Message, fault);
+                    throw HttpFaults.Unreachable(url, fault.Message, fault);
                 }
             }
         }
@@ -59,7 +60,7 @@ namespace Capture2vr
             using (request)
             using (var response = await Client.SendAsync(request, whole, patience.Token).ConfigureAwait(false))
             {
-                Check(url, response.StatusCode);
+                HttpFaults.Check(url, (long)response.StatusCode);
                 using (var body = await response.Content.ReadAsStreamAsync().ConfigureAwait(false))
                 {
                     await Drain(url, body, into, patience).ConfigureAwait(false);
@@ -72,7 +73,7 @@ namespace Capture2vr
             var piece = new byte[PieceBytes];
             while (true)
             {
-                patience.CancelAfter(Silence);
+                patience.CancelAfter(HttpFaults.Patience);
                 var count = await Read(url, body, piece, patience.Token).ConfigureAwait(false);
                 if (count == 0) return;
                 into.Write(piece, 0, count);
@@ -88,26 +89,8 @@ namespace Capture2vr
             }
             catch (IOException fault)
             {
-                throw Unreachable(url, fault.Message, fault);
+                throw HttpFaults.Unreachable(url, fault.Message, fault);
             }
-        }
-
-        private static void Check(string url, HttpStatusCode status)
-        {
-            if (status == HttpStatusCode.Unauthorized || status == HttpStatusCode.Forbidden)
-            {
-                throw new CaptureFault(CaptureFault.AccessRefused, $"{url}: it answers {(int)status}", "It is private: log in");
-            }
-            if (status == HttpStatusCode.NotFound || status == HttpStatusCode.Gone)
-            {
-                throw new CaptureFault(CaptureFault.FileMissing, $"{url} is not there", "A newer version may have come");
-            }
-            if ((int)status < 200 || (int)status > 299) throw Unreachable(url, $"it answers {(int)status}", null);
-        }
-
-        private static CaptureFault Unreachable(string url, string reason, Exception cause)
-        {
-            return new CaptureFault(CaptureFault.Unreachable, $"{url}: {reason}", "Check the connection", cause);
         }
     }
 }

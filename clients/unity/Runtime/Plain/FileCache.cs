@@ -61,6 +61,7 @@ namespace Capture2vr
             {
                 if (_users.Held(sha256) || !File.Exists(PathOf(sha256))) return false;
                 File.Delete(PathOf(sha256));
+                Storage.Flush();
                 return true;
             }
         }
@@ -79,7 +80,7 @@ namespace Capture2vr
                 if (!_underWay.TryGetValue(sha256, out var download))
                 {
                     download = _underWay[sha256] = new Download(size);
-                    download.Task = Task.Run(() => Obtain(url, sha256, size, download));
+                    download.Task = Background.Run(() => Obtain(url, sha256, size, download));
                 }
                 download.Sharers += 1;
                 return download;
@@ -101,8 +102,9 @@ namespace Capture2vr
             try
             {
                 var path = PathOf(sha256);
-                if (!IsWhole(path, sha256)) await Fetch(url, sha256, size, download).ConfigureAwait(false);
-                Touch(path);
+                var whole = await IsWhole(path, sha256).ConfigureAwait(Background.ComesBack);
+                if (!whole) await Fetch(url, sha256, size, download).ConfigureAwait(Background.ComesBack);
+                Storage.Touch(path);
                 obtained = true;
                 return path;
             }
@@ -123,13 +125,13 @@ namespace Capture2vr
             }
         }
 
-        private static bool IsWhole(string path, string sha256)
+        private static async Task<bool> IsWhole(string path, string sha256)
         {
             try
             {
                 using (var file = File.OpenRead(path))
                 {
-                    if (Sha256.Of(file) == sha256) return true;
+                    if (await Sha256.OfAsync(file).ConfigureAwait(Background.ComesBack) == sha256) return true;
                 }
                 File.Delete(path);
             }
@@ -150,7 +152,7 @@ namespace Capture2vr
             try
             {
                 Directory.CreateDirectory(_folder); // systems clear the caches of apps while these run
-                await FetchTo(part, url, sha256, size, download).ConfigureAwait(false);
+                await FetchTo(part, url, sha256, size, download).ConfigureAwait(Background.ComesBack);
                 // A name appears only with all its bytes on the disk: a crash before this leaves a part, which is swept.
                 File.Move(part, PathOf(sha256));
             }
@@ -164,16 +166,17 @@ namespace Capture2vr
                 Discard(part);
             }
             Evict();
+            Storage.Flush();
         }
 
         private async Task FetchTo(string part, string url, string sha256, long size, Download download)
         {
-            using (var file = new FileStream(part, FileMode.CreateNew, FileAccess.Write))
+            using (var file = new FileStream(part, FileMode.CreateNew))
             using (var hashing = new HashingStream(file, size < 0 ? UntoldSize : size, told => download.Received = told))
             {
-                await _fetch(url, hashing).ConfigureAwait(false);
+                await _fetch(url, hashing).ConfigureAwait(Background.ComesBack);
                 file.Flush(true);
-                if (hashing.Finish() == sha256) return;
+                if (await hashing.FinishAsync().ConfigureAwait(Background.ComesBack) == sha256) return;
                 throw new CaptureFault(CaptureFault.FileChanged,
                     $"{url}: its {hashing.Written:N0} bytes do not have the hash of the catalogue",
                     "It was damaged on the way or tampered with, and is not shown");
@@ -189,18 +192,6 @@ namespace Capture2vr
             catch (IOException)
             {
                 // The next start sweeps it; what went wrong before this matters more.
-            }
-        }
-
-        private static void Touch(string path)
-        {
-            try
-            {
-                File.SetLastWriteTimeUtc(path, DateTime.UtcNow);
-            }
-            catch (IOException)
-            {
-                // Only the order of eviction after the next start suffers.
             }
         }
 

@@ -2,6 +2,7 @@ using System;
 using System.IO;
 using System.Security.Cryptography;
 using System.Text;
+using System.Threading.Tasks;
 
 namespace Capture2vr
 {
@@ -9,16 +10,28 @@ namespace Capture2vr
     public static class Sha256
     {
         public const int Digits = 64;
+        private const int PieceBytes = 1 << 16;
 
         public static string Of(byte[] data)
         {
             using (var sha = SHA256.Create()) return Hex(sha.ComputeHash(data));
         }
 
-        /// <summary>Of what is left of a stream, in pieces: a file need not fit into memory.</summary>
-        public static string Of(Stream stream)
+        /// <summary>Of what is left of a stream, in pieces: a file need not fit into memory, nor its hashing into a frame.</summary>
+        public static async Task<string> OfAsync(Stream stream)
         {
-            using (var sha = SHA256.Create()) return Hex(sha.ComputeHash(stream));
+            var piece = new byte[PieceBytes];
+            using (var sha = SHA256.Create())
+            {
+                int count;
+                while ((count = stream.Read(piece, 0, piece.Length)) > 0)
+                {
+                    sha.TransformBlock(piece, 0, count, null, 0);
+                    await Background.Pause().ConfigureAwait(Background.ComesBack);
+                }
+                sha.TransformFinalBlock(piece, 0, 0);
+                return Hex(sha.Hash);
+            }
         }
 
         public static string Hex(byte[] bytes)

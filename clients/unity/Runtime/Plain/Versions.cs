@@ -45,8 +45,7 @@ namespace Capture2vr
         {
             var part = _path + ".part";
             File.WriteAllLines(part, _highest.Select(each => $"{each.Value} {each.Key}"));
-            if (File.Exists(_path)) File.Replace(part, _path, null);
-            else File.Move(part, _path);
+            Storage.Replace(part, _path);
         }
 
         /// <summary>Lines that make no sense are left out: better to forget one version than to show nothing at all.</summary>
