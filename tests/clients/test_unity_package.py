@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+import shutil
+import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +17,7 @@ import pytest
 from services.storage.unity.listing import FILE_PROVIDER, PREFAB_PROVIDER
 from services.storage.unity.nouns import BASE_URL
 from services.storage.unity.publication import catalogue_names
+from tests.conftest import missing
 from tests.support.repository import ROOT
 
 PACKAGE = ROOT / "clients" / "unity"
@@ -81,6 +84,36 @@ def test_assemblies_are_named_after_their_files_and_refer_to_each_other() -> Non
 def test_the_plain_parts_name_nothing_of_the_engine() -> None:
     for name, text in _sources("Runtime/Plain").items():
         assert "UnityEngine" not in text, name
+
+
+def test_threads_and_timers_are_behind_one_door() -> None:
+    """The WebGL player has none: what needs any goes through the scheduler, and .NET's HTTP client is not for it."""
+    door = re.compile(
+        r"Task\.Run|Task\.Delay|ThreadPool|\bTimer\b|new Thread\b|ConfigureAwait\(false\)|\.Wait\(\)|CancellationToken"
+    )
+    found = {path.name for path in (PACKAGE / "Runtime").rglob("*.cs") if door.search(path.read_text())}
+    assert found == {"Background.cs", "Fetching.cs"}
+    users = {path.name for path in PACKAGE.rglob("*.cs") if "System.Net" in path.read_text()}
+    assert users == {"Fetching.cs"}
+    assert not any(door.search(path.read_text()) for path in (PACKAGE / "Samples~").rglob("*.cs"))
+
+
+def test_the_browsers_storage_is_found_by_its_name_and_only_in_a_browser(metas: ModuleType) -> None:
+    path = PACKAGE / "Runtime" / "Plugins" / "WebGL" / "Capture2vr.jslib"
+    name = re.search(r"static extern void (\w+)\(\);", _sources("Runtime/Plain")["Storage.cs"])
+    assert name is not None
+    assert re.search(rf"^  {name[1]}: function \(\)", path.read_text(), re.MULTILINE)
+    platforms = re.findall(r"- first:\n      (\w+):.*\n    second:\n      enabled: (\d)", metas.meta(path))
+    assert dict(platforms) == {"Any": "0", "Editor": "0", "WebGL": "1"}
+
+
+def test_the_browsers_storage_copies_once_at_a_time_and_misses_nothing() -> None:
+    library = PACKAGE / "Runtime" / "Plugins" / "WebGL" / "Capture2vr.jslib"
+    if shutil.which("node") is None:
+        missing("node, to run the plugin of the WebGL player")
+    command = ["node", Path(__file__).parent / "unity" / "storage.mjs", library]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == [1, 1, 1, 2, 2, 3]
 
 
 @pytest.mark.parametrize("provider", [FILE_PROVIDER, PREFAB_PROVIDER])

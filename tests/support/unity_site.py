@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from tests.support.patience import HANG_S
+
 _DELAY_S = 0.25  # of a slow answer: enough for other loads to begin meanwhile
 
 
@@ -20,11 +22,14 @@ class Site:
     slow     after a while
     flip     with one bit changed
     cut      only half, with the length of the whole
+    stall    only half, and then nothing until the client leaves
     endless  twice, without a length
     busy     not at all: 503
     live     as it is, below the folder that `turn/<folder>` named last; `turn/off` is 503
     keyed    as `live`, to whom shows the key "Bearer good"; others get 401
     count    how often the rest was asked for, with the way in front
+
+    What is refused is answered with a page that is longer than the files.
     """
 
     def __init__(self, root: Path) -> None:
@@ -47,12 +52,17 @@ class Site:
             return _whole(b"")
         self.counts[f"{way}/{rest}"] += 1
         if way == "keyed" and key != "Bearer good":
-            return 401, b"", 0
+            return _page(401)
         is_live = way in ("live", "keyed")
         data = self.content(f"{self.live}/{rest}" if is_live else rest)
         if way == "busy" or (is_live and self.live == "off"):
-            return 503, b"", 0
-        return (404, b"", 0) if data is None else _spoilt(way, data)
+            return _page(503)
+        return _page(404) if data is None else _spoilt(way, data)
+
+
+def _page(status: int) -> tuple[int, bytes, int | None]:
+    page = b"<p>No</p>" * 20_000
+    return status, page, len(page)
 
 
 def _whole(data: bytes) -> tuple[int, bytes, int | None]:
@@ -65,7 +75,7 @@ def _spoilt(way: str, data: bytes) -> tuple[int, bytes, int | None]:
     if way == "flip":
         middle = len(data) // 2
         data = data[:middle] + bytes([data[middle] ^ 4]) + data[middle + 1 :]
-    if way == "cut":
+    if way in ("cut", "stall"):
         return 200, data[: len(data) // 2], len(data)
     return (200, data * 2, None) if way == "endless" else _whole(data)
 
@@ -84,6 +94,9 @@ def serving(root: Path) -> Iterator[str]:
                 self.send_header("Content-Length", str(length))
             self.end_headers()
             self.wfile.write(body)
+            if way == "stall":
+                self.connection.settimeout(HANG_S)
+                self.rfile.read(1)
 
         def log_message(self, *_: object) -> None:
             """Silent: the tests tell what matters."""

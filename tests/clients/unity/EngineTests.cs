@@ -24,24 +24,24 @@ public static class EngineTests
     private static string Key => Facts.All.In("key").Text();
 
     /// <summary>A first start on a new device, before each test.</summary>
-    private static Task Prepare()
+    private static void Prepare()
     {
         Application.persistentDataPath = Facts.NewFolder();
-        Object.MainThread = Thread.CurrentThread;
+        Engine.Start();
         Time.unscaledTime = 0;
         Camera.main = null;
         GltfImport.Fault = null;
         Debug.Errors.Clear();
         GltfImport.Alive.Clear();
         Object.Alive.Clear();
-        return Restart("v2");
+        Restart("v2");
     }
 
-    private static async Task Restart(string live)
+    private static void Restart(string live)
     {
         Invoke(typeof(Catalogue), null, "Forget");
         Addressables.Restart();
-        await Facts.Ask("turn/" + live);
+        Facts.Ask("turn/" + live);
     }
 
     private static Task<OpenCollection> Open(string way = "live", params string[] keys) => Catalogue.OpenAsync($"{Facts.Server}/{way}/", "default", keys);
@@ -54,7 +54,7 @@ public static class EngineTests
     private static async Task<AsyncOperationHandle<GameObject>> Load(string key = Bowl)
     {
         var handle = Addressables.LoadAssetAsync<GameObject>(key);
-        await handle.Task;
+        await handle.Ended();
         return handle;
     }
 
@@ -80,7 +80,12 @@ public static class EngineTests
     private static List<string> Codes(CapturedAsset asset)
     {
         var codes = new List<string>();
-        asset.Failed += fault => codes.Add((fault as CaptureFault)?.Code ?? fault.ToString());
+        asset.Shown += shown => Object.OnMainThread();
+        asset.Failed += fault =>
+        {
+            Object.OnMainThread();
+            codes.Add((fault as CaptureFault)?.Code ?? fault.ToString());
+        };
         return codes;
     }
 
@@ -149,7 +154,7 @@ public static class EngineTests
         var handle = Addressables.LoadAssetAsync<GameObject>(Bowl);
         Expect.True(handle.Operation.Dependencies.All(each => each.Status == AsyncOperationStatus.None), "the call does not wait");
         var frames = 0;
-        for (; !handle.IsDone; frames++) await Task.Delay(5);
+        for (; !handle.IsDone; frames++) await Task.Yield();
         Expect.Equal(AsyncOperationStatus.Succeeded, handle.Status);
         Expect.True(frames > 3, $"{frames} frames went by");
     }
@@ -158,7 +163,7 @@ public static class EngineTests
     {
         await Open();
         var handle = Addressables.LoadAssetAsync<GameObject>(Bowl);
-        await handle.Task;
+        await handle.Ended();
         Expect.Throws<NotSupportedException>(() => handle.Operation.Waiting());
         Expect.Throws<NotSupportedException>(() => handle.Operation.Dependencies[0].Waiting());
     }
@@ -187,8 +192,8 @@ public static class EngineTests
     {
         await Open();
         var downloading = Addressables.DownloadDependenciesAsync(Bowl);
-        Expect.Equal(3, (await downloading.Task).Count);
-        await Facts.Ask("turn/off");
+        Expect.Equal(3, (await downloading.Ended()).Count);
+        Facts.Ask("turn/off");
         var handle = await Load();
         Expect.Equal(3, handle.Result.GetComponent<LODGroup>().GetLODs().Length);
         Addressables.Release(handle);
@@ -200,7 +205,7 @@ public static class EngineTests
     {
         await Open("www/spoilt");
         var file = Addressables.LoadAssetAsync<IAssetBundleResource>(Bowl + "/lod0");
-        await file.Task;
+        await file.Ended();
         Expect.Equal(CaptureFault.FileChanged, Catalogue.FaultOf(file.OperationException).Code);
         var handle = await Load();
         Expect.Equal(CaptureFault.FileMissing, Catalogue.FaultOf(handle.OperationException).Code);
@@ -227,7 +232,7 @@ public static class EngineTests
     {
         await Open();
         var file = Addressables.LoadAssetAsync<IAssetBundleResource>(Bowl + "/lod0");
-        var path = ((GlbFileResource)await file.Task).Path;
+        var path = ((GlbFileResource)await file.Ended()).Path;
         Addressables.Release(file);
         File.WriteAllText(path, "no mesh at all, but longer than a header");
         Expect.Equal(AsyncOperationStatus.Succeeded, (await Load()).Status);
@@ -252,14 +257,14 @@ public static class EngineTests
     {
         var location = new ResourceLocationBase(Bowl + "/lod0", id, "Capture2vr.GlbFileProvider", typeof(IAssetBundleResource)) { Data = data };
         var handle = Addressables.LoadAssetAsync<IAssetBundleResource>(location);
-        await handle.Task;
+        await handle.Ended();
         Expect.Equal(CaptureFault.LocationInvalid, Catalogue.FaultOf(handle.OperationException).Code);
         Addressables.Release(handle);
     }
 
     private static async Task<IResourceLocation> Location(string key)
     {
-        return (await Addressables.LoadResourceLocationsAsync(key).Task).Single();
+        return (await Addressables.LoadResourceLocationsAsync(key).Ended()).Single();
     }
 
     // The signed catalogue beside the unsigned one.
@@ -277,7 +282,7 @@ public static class EngineTests
         Expect.Equal(CaptureFault.FileNotSigned, Catalogue.FaultOf(handle.OperationException).Code);
         Addressables.Release(handle);
         NothingIsLeft();
-        await Restart("v2"); // the forged version 3 does not count as seen
+        Restart("v2"); // the forged version 3 does not count as seen
         await Open("live", Key);
         Expect.Equal(2, (await Load()).Result.GetComponent<CapturedInfo>().Version);
     }
@@ -316,7 +321,7 @@ public static class EngineTests
 
     public static async Task ANewVersionComesWhereTheOldOneStands()
     {
-        await Restart("v1");
+        Restart("v1");
         await Open();
         CapturedAsset one = Asset(), two = Asset();
         await Task.WhenAll(ShowAll(one), ShowAll(two));
@@ -324,7 +329,7 @@ public static class EngineTests
         Expect.Equal(1, one.Info.Version);
         await one.FollowAsync();
         Expect.Equal(1, one.Info.Version);
-        await Facts.Ask("turn/v2");
+        Facts.Ask("turn/v2");
         Time.unscaledTime = 60;
         Invoke(typeof(CapturedAsset), one, "Update");
         await Expect.Comes(() => one.Info.Version == 2);
@@ -340,11 +345,11 @@ public static class EngineTests
 
     public static async Task TheKeyGivesTheNewVersionWhileTheOldOneIsHeld()
     {
-        await Restart("v1");
+        Restart("v1");
         await Open();
         var old = await Load();
         var before = await Location(Bowl);
-        await Facts.Ask("turn/v2");
+        Facts.Ask("turn/v2");
         await Catalogue.UpdateAsync();
         var fresh = await Load();
         Expect.Equal(1, old.Result.GetComponent<CapturedInfo>().Version);
@@ -362,7 +367,7 @@ public static class EngineTests
         var asset = Asset();
         var codes = Codes(asset);
         await asset.ShowAsync();
-        await Facts.Ask("turn/spoilt");
+        Facts.Ask("turn/spoilt");
         await asset.FollowAsync();
         Expect.Equal(2, asset.Info.Version);
         Expect.Lines(new[] { CaptureFault.FileMissing }, codes);
@@ -376,7 +381,7 @@ public static class EngineTests
         var asset = Asset();
         var codes = Codes(asset);
         await asset.ShowAsync();
-        await Facts.Ask("turn/spoilt");
+        Facts.Ask("turn/spoilt");
         for (var second = 0; second <= 80; second += 5)
         {
             Time.unscaledTime = second;
@@ -399,12 +404,12 @@ public static class EngineTests
         var asset = Asset();
         var codes = Codes(asset);
         await asset.ShowAsync();
-        await Facts.Ask("turn/v1");
+        Facts.Ask("turn/v1");
         await asset.FollowAsync();
         Expect.Equal(2, asset.Info.Version);
         Expect.Lines(new[] { CaptureFault.CatalogueOlder }, codes);
         asset.Release();
-        await Restart("v1");
+        Restart("v1");
         await Open();
         await asset.ShowAsync();
         Expect.Lines(new[] { CaptureFault.CatalogueOlder, CaptureFault.CatalogueOlder }, codes);
@@ -418,12 +423,12 @@ public static class EngineTests
         var asset = Asset();
         var codes = Codes(asset);
         await asset.ShowAsync();
-        await Facts.Ask("turn/removed");
+        Facts.Ask("turn/removed");
         await asset.FollowAsync();
         Expect.True(asset.Info == null, "it is out of sight");
         Expect.Lines(new[] { CaptureFault.AssetUnknown }, codes);
         NothingIsLeft();
-        await Facts.Ask("turn/v2");
+        Facts.Ask("turn/v2");
         await asset.FollowAsync();
         Expect.Equal(2, asset.Info.Version);
         asset.Release();
@@ -432,12 +437,12 @@ public static class EngineTests
     public static async Task WhatCouldNotBeHadComesLater()
     {
         await Open();
-        await Facts.Ask("turn/off");
+        Facts.Ask("turn/off");
         var asset = Asset();
         var codes = Codes(asset);
         await asset.ShowAsync();
         Expect.Lines(new[] { CaptureFault.Unreachable }, codes);
-        await Facts.Ask("turn/v2");
+        Facts.Ask("turn/v2");
         Time.unscaledTime = 60;
         Invoke(typeof(CapturedAsset), asset, "Update");
         await Expect.Comes(() => asset.Info != null);
@@ -455,7 +460,7 @@ public static class EngineTests
         var asset = Asset();
         await asset.ShowAsync();
         asset.Release();
-        await Facts.Ask("turn/off");
+        Facts.Ask("turn/off");
         await asset.ShowAsync();
         Expect.Equal(2, asset.Info.Version);
         await asset.FollowAsync();
@@ -486,7 +491,7 @@ public static class EngineTests
         var codes = Codes(asset);
         await asset.ShowAsync();
         Expect.Lines(new[] { CaptureFault.AssetUnknown }, codes);
-        await Restart("off");
+        Restart("off");
         var fault = await Expect.Fault(CaptureFault.Unreachable, () => Open());
         Expect.True(fault.Message.Contains("default"), fault.Message);
     }
@@ -503,7 +508,7 @@ public static class EngineTests
         await Open("slow/v2");
         var asset = Asset();
         var showing = asset.ShowAsync();
-        await Task.Delay(50);
+        await Expect.Comes(() => GltfImport.Alive.Count > 0);
         asset.Release();
         await showing;
         await Expect.Comes(() => GltfImport.Alive.Count == 0);
@@ -628,14 +633,14 @@ public static class EngineTests
 
     public static async Task OpeningAgainIsALookForNewerVersionsAndDropsNoKey()
     {
-        await Restart("forged");
+        Restart("forged");
         var first = await Open("live", Key);
-        await Facts.Ask("turn/v2");
+        Facts.Ask("turn/v2");
         var again = await Open("live");
         Expect.True(first == again && Catalogue.Opened.Count == 1, "one collection");
         Expect.Equal(1, Addressables.Updated.Count);
         Expect.Equal(2, (await Load()).Result.GetComponent<CapturedInfo>().Version);
-        await Facts.Ask("turn/forged");
+        Facts.Ask("turn/forged");
         await Open("live");
         var handle = await Load();
         Expect.Equal(CaptureFault.FileNotSigned, Catalogue.FaultOf(handle.OperationException).Code);
@@ -643,12 +648,12 @@ public static class EngineTests
 
     public static async Task OnlyItsOwnCatalogueIsUpdatedAndOnlyWhenItHasChanged()
     {
-        await Restart("v1");
+        Restart("v1");
         var live = await Open();
         var other = await Open("www/v1");
         await Catalogue.UpdateAsync();
         Expect.Equal(0, Addressables.Updated.Count);
-        await Facts.Ask("turn/v2");
+        Facts.Ask("turn/v2");
         await Catalogue.UpdateAsync();
         Expect.Lines(new[] { $"{live.BaseUrl}/collections/default/unity/{Catalogue.FileName}" }, Addressables.Updated);
         Expect.True(other.BaseUrl != live.BaseUrl, "the other one stays as it is");
@@ -665,7 +670,7 @@ public static class EngineTests
         await collection.DownloadAsync("bowl", told);
         Expect.Equal(1f, told.Shares.Last());
         Expect.True(collection.IsCached("bowl") && !collection.IsCached("cup"), "one of two is here");
-        await Facts.Ask("turn/off");
+        Facts.Ask("turn/off");
         var asset = Asset();
         await ShowAll(asset);
         Expect.Equal(3, asset.Levels.Count);
@@ -738,8 +743,8 @@ public static class EngineTests
     public static async Task AWallWhosePicturesCannotBeHadHasTheNames()
     {
         var wall = await Wall();
-        Catalogue.Cache.Remove(Catalogue.Opened[0].RowsAsync().Result[0].PreviewSha256);
-        await Facts.Ask("turn/off");
+        Catalogue.Cache.Remove((await Catalogue.Opened[0].RowsAsync())[0].PreviewSha256);
+        Facts.Ask("turn/off");
         await wall.ShowAsync("", 0);
         Expect.Lines(new[] { "All", "kitchen", "round", "Bowl", "Bowl" }, Names());
         Expect.Equal(1, Debug.Errors.Count);
@@ -749,7 +754,11 @@ public static class EngineTests
     {
         public readonly List<float> Shares = new List<float>();
 
-        public void Report(float value) => Shares.Add(value);
+        public void Report(float value)
+        {
+            Object.OnMainThread();
+            Shares.Add(value);
+        }
     }
 
     public static async Task WhatIsShownStaysOnTheDeviceWhenItIsCleared()

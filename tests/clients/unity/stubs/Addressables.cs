@@ -2,10 +2,8 @@
 // classes and properties are found by the names in it, as Unity finds them.
 using System;
 using System.Collections.Generic;
-using System.IO;
 using System.Linq;
 using System.Reflection;
-using System.Text;
 using System.Text.RegularExpressions;
 using System.Threading.Tasks;
 using Capture2vr;
@@ -186,12 +184,14 @@ namespace UnityEngine.AddressableAssets
 
         private static async Task<string> Text(string address)
         {
-            var request = new UnityWebRequest { url = address };
-            WebRequestOverride?.Invoke(request);
-            using (var memory = new MemoryStream())
+            var text = new DownloadHandlerBuffer();
+            using (var request = new UnityWebRequest(address, UnityWebRequest.kHttpVerbGET, text, null))
             {
-                await Http.Fetch(address, memory, request.Headers);
-                return Encoding.UTF8.GetString(memory.ToArray());
+                WebRequestOverride?.Invoke(request);
+                request.SendWebRequest();
+                while (!request.isDone) await Task.Yield();
+                if (request.result != UnityWebRequest.Result.Success) throw new Exception(request.error);
+                return text.text;
             }
         }
 
@@ -236,17 +236,5 @@ namespace UnityEngine.AddressableAssets
             if (ResourceManager.ResourceProviders.Any(each => each.GetType() == type)) return;
             ResourceManager.ResourceProviders.Add((IResourceProvider)Activator.CreateInstance(type));
         }
-    }
-}
-
-namespace UnityEngine.Networking
-{
-    public sealed class UnityWebRequest
-    {
-        public readonly Dictionary<string, string> Headers = new Dictionary<string, string>();
-
-        public string url { get; set; }
-
-        public void SetRequestHeader(string name, string value) => Headers[name] = value;
     }
 }

@@ -55,6 +55,7 @@ namespace UnityEngine.ResourceManagement.AsyncOperations
         }
     }
 
+    /// <summary>Without Unity's Task, which its manual says is not there on WebGL: the client must do without.</summary>
     public struct AsyncOperationHandle<TObject>
     {
         private readonly Operation _operation;
@@ -65,14 +66,28 @@ namespace UnityEngine.ResourceManagement.AsyncOperations
         }
 
         public Operation Operation => _operation;
-        public Task<TObject> Task => Result_();
         public TObject Result => (TObject)_operation.Done.Task.Result;
         public AsyncOperationStatus Status => _operation.Status;
         public Exception OperationException => _operation.Fault;
         public bool IsDone => _operation.Status != AsyncOperationStatus.None;
         public bool IsValid() => _operation != null && _operation.Users > 0;
 
-        private async Task<TObject> Result_() => (TObject)await _operation.Done.Task;
+        /// <summary>Comes in a frame after the end, also where it has ended already.</summary>
+        public event Action<AsyncOperationHandle<TObject>> Completed
+        {
+            add => Tell(value);
+            remove => throw new NotSupportedException();
+        }
+
+        public async Task<TObject> Ended() => (TObject)await _operation.Done.Task;
+
+        private async void Tell(Action<AsyncOperationHandle<TObject>> told)
+        {
+            var handle = this;
+            await _operation.Done.Task;
+            await Task.Yield();
+            told(handle);
+        }
     }
 }
 

@@ -437,6 +437,7 @@ namespace UnityEngine
 
     public enum RuntimeInitializeLoadType
     {
+        BeforeSceneLoad = 1,
         SubsystemRegistration = 4
     }
 
