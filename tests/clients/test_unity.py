@@ -60,7 +60,7 @@ class Compiler:
 def package(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Compiler:
     """The whole package, compiled for players with threads and for the WebGL player, which has none.
 
-    When its plain parts are compiled nothing of the engine is there; the samples are as in a project that imported them.
+    When its plain parts are compiled nothing of the engine is there; the samples are those of a project.
     """
     if shutil.which("mcs") is None or shutil.which("mono") is None:
         missing("mono with its compiler (mono-mcs, mono-runtime)")
@@ -132,13 +132,13 @@ def _tests(file: str) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", _tests("PlainTests.cs"))
 def test_plain(plain_results: dict[str, str], name: str) -> None:
-    assert plain_results[name] == "ok"
+    assert plain_results.get(name, "not run: one before it hangs") == "ok"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", _tests("EngineTests.cs"))
 def test_engine(engine_results: dict[str, str], name: str) -> None:
-    assert engine_results[name] == "ok"
+    assert engine_results.get(name, "not run: one before it hangs") == "ok"
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ class Site:
     slow     after a while
     flip     with one bit changed
     cut      only half, with the length of the whole
+    drip     in pieces, with a while between them
     stall    only half, and then nothing until the client leaves
     endless  twice, without a length
     busy     not at all: 503
@@ -80,6 +81,13 @@ def _spoilt(way: str, data: bytes) -> tuple[int, bytes, int | None]:
     return (200, data * 2, None) if way == "endless" else _whole(data)
 
 
+def _pieces(body: bytes) -> Iterator[bytes]:
+    step = len(body) // 6
+    for start in range(0, len(body), step):
+        yield body[start : start + step]
+        time.sleep(_DELAY_S)
+
+
 @contextmanager
 def serving(root: Path) -> Iterator[str]:
     """The address of a running site."""
@@ -93,7 +101,8 @@ def serving(root: Path) -> Iterator[str]:
             if length is not None:
                 self.send_header("Content-Length", str(length))
             self.end_headers()
-            self.wfile.write(body)
+            for piece in _pieces(body) if way == "drip" else [body]:
+                self.wfile.write(piece)
             if way == "stall":
                 self.connection.settimeout(HANG_S)
                 self.rfile.read(1)

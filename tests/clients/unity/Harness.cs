@@ -66,7 +66,7 @@ public static class Expect
     {
         for (var waited = Stopwatch.StartNew(); !holds(); await Task.Yield())
         {
-            if (waited.Elapsed > Pump.Patience) throw new Exception("it does not come");
+            if (waited.Elapsed > Pump.Patience) throw new TimeoutException("it does not come");
         }
     }
 
@@ -131,7 +131,7 @@ public sealed class Pump : SynchronizationContext
         var task = work();
         for (var waited = Stopwatch.StartNew(); !task.IsCompleted; pump.Frame())
         {
-            if (waited.Elapsed > 2 * Patience) throw new Exception("it hangs");
+            if (waited.Elapsed > Patience) throw new TimeoutException("it hangs");
         }
         SetSynchronizationContext(null);
         task.GetAwaiter().GetResult();
@@ -204,6 +204,7 @@ public static class Program
         {
             var cause = (fault as TargetInvocationException)?.InnerException ?? fault;
             Console.WriteLine($"FAIL {method.Name}: {cause.ToString().Replace("\n", " | ")}");
+            if (cause is TimeoutException) Environment.Exit(1); // others would wait for the same
             return false;
         }
     }

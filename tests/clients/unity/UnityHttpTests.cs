@@ -109,6 +109,11 @@ public static class UnityHttpTests
         });
     }
 
+    public static async Task ASlowServerMayTakeAnyTime()
+    {
+        await WithPatience(1, async () => Expect.Equal(Lod.In("bytes").Whole(), (await Fetched(Url("drip/v2"))).Length));
+    }
+
     private static async Task WithPatience(double seconds, Func<Task> act)
     {
         var faults = typeof(Http).Assembly.GetType("Capture2vr.HttpFaults").GetField("Patience");
