@@ -17,7 +17,7 @@ namespace Capture2vr
         [DllImport("__Internal")]
         private static extern void Capture2vrFlush();
 
-        private static Action _flush = Capture2vrFlush;
+        private static Action _flush = () => Capture2vrFlush();
 
         /// <summary>Copy what has changed into the browser's storage. Comes back at once; the browser goes on with it.</summary>
         public static void Flush() => _flush();
