@@ -58,8 +58,7 @@ namespace Capture2vr
             {
                 body.Request = request;
                 foreach (var header in headers) request.SetRequestHeader(header.Key, header.Value);
-                request.SendWebRequest();
-                await Finish(request, body);
+                await Finish(request, request.SendWebRequest(), body);
                 body.Fault?.Throw();
                 if (request.responseCode > 0) HttpFaults.Check(url, request.responseCode);
                 if (request.result != UnityWebRequest.Result.Success) throw HttpFaults.Unreachable(url, request.error);
@@ -67,10 +66,10 @@ namespace Capture2vr
         }
 
         /// <summary>UnityWebRequest's own timeout is for the whole of a download, which may take any time.</summary>
-        private static async Task Finish(UnityWebRequest request, Body body)
+        private static async Task Finish(UnityWebRequest request, UnityWebRequestAsyncOperation sending, Body body)
         {
             var frame = Stopwatch.StartNew();
-            while (!request.isDone)
+            while (!sending.isDone)
             {
                 await Task.Yield();
                 body.Wait(frame.Elapsed);

@@ -188,8 +188,8 @@ namespace UnityEngine.AddressableAssets
             using (var request = new UnityWebRequest(address, UnityWebRequest.kHttpVerbGET, text, null))
             {
                 WebRequestOverride?.Invoke(request);
-                request.SendWebRequest();
-                while (!request.isDone) await Task.Yield();
+                var sending = request.SendWebRequest();
+                while (!sending.isDone) await Task.Yield();
                 if (request.result != UnityWebRequest.Result.Success) throw new Exception(request.error);
                 return text.text;
             }

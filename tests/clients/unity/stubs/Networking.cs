@@ -75,6 +75,8 @@ namespace UnityEngine.Networking
 
     public sealed class UnityWebRequestAsyncOperation
     {
+        /// <summary>In the frame after the request has ended, when all of its body was handed out.</summary>
+        public bool isDone { get; internal set; }
     }
 
     public sealed class UnityWebRequest : IDisposable
@@ -96,6 +98,7 @@ namespace UnityEngine.Networking
         private readonly Dictionary<string, string> _headers = new Dictionary<string, string>();
         private readonly DownloadHandler _handler;
         private readonly string _url;
+        private readonly UnityWebRequestAsyncOperation _sending = new UnityWebRequestAsyncOperation();
         private SynchronizationContext _main;
         private TcpClient _socket;
         private Result _result = Result.InProgress;
@@ -112,7 +115,6 @@ namespace UnityEngine.Networking
         }
 
         public string url => Own(_url);
-        public bool isDone => Own(_result) != Result.InProgress;
         public Result result => Own(_result);
         public string error => Own(_error);
 
@@ -132,7 +134,7 @@ namespace UnityEngine.Networking
             _main = SynchronizationContext.Current;
             _socket = new TcpClient();
             new Thread(Browse) { IsBackground = true }.Start();
-            return new UnityWebRequestAsyncOperation();
+            return _sending;
         }
 
         public void Abort()
@@ -165,6 +167,7 @@ namespace UnityEngine.Networking
             _result = result;
             _error = error;
             _socket?.Close();
+            _main?.Post(_ => _sending.isDone = true, null);
         }
 
         // On the network's thread.
