@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Prepare this checkout to run on Debian with Python 3.11 or newer.
 #   setup.sh product   .venv with the product (enough for `make demo`)
-#   setup.sh tests     also what the tests drive: Chromium, Node, an S3 server, mono, the Docker command line
+#   setup.sh tests     also what the tests drive: Chromium, Node, an S3 server, mono, the Docker command line, what unpacks Godot
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
@@ -45,6 +45,7 @@ tests() {
   compgen -G '/usr/lib/postgresql/*/bin/postgres' >/dev/null || packages+=(postgresql)
   have nginx || packages+=(nginx-core)
   have git || packages+=(git)
+  have mmdebstrap || packages+=(mmdebstrap)  # unpacks Godot, which this Debian does not have
   have mcs || packages+=(mono-mcs mono-runtime libmono-system-core4.0-cil libmono-system-net-http4.0-cil
     libmono-system-numerics4.0-cil)
   [[ ${#packages[@]} == 0 ]] || apt_install "the test suite" "${packages[@]}" ||

@@ -35,7 +35,7 @@ def installed(
         for command in (_NPM, *also):
             _run(command, what, cwd=scratch, timeout=180)
 
-    return _kept(name, b"".join((pins / file).read_bytes() for file in needed), fill)
+    return kept(name, b"".join((pins / file).read_bytes() for file in needed), fill)
 
 
 def wheels(name: str, requirements: Path, *, what: str) -> Path:
@@ -49,7 +49,7 @@ def wheels(name: str, requirements: Path, *, what: str) -> Path:
         pinned = ["--only-binary", ":all:", "--require-hashes", "--target", str(scratch), "-r", str(requirements)]
         _run([*pip, *pinned], what, timeout=600)
 
-    return _kept(name, requirements.read_bytes() + sys.version.encode(), fill)
+    return kept(name, requirements.read_bytes() + sys.version.encode(), fill)
 
 
 def _run(command: Sequence[str], what: str, *, timeout: float, cwd: Path | None = None) -> None:
@@ -58,7 +58,7 @@ def _run(command: Sequence[str], what: str, *, timeout: float, cwd: Path | None 
         missing(f"a package for {what} ({done.stderr.strip().splitlines()[-1:]})")
 
 
-def _kept(name: str, pins: bytes, fill: Callable[[Path], None]) -> Path:
+def kept(name: str, pins: bytes, fill: Callable[[Path], None]) -> Path:
     """A folder of the user's cache, for those pins, which `fill` makes where it is not there yet."""
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folder = cache / "capture2vr" / f"{name}-{hashlib.sha256(pins).hexdigest()[:16]}"

@@ -21,13 +21,14 @@ from urllib.request import urlopen
 
 from tests.referees.docker.engine import Engine, available_memory
 from tests.referees.docker.pip_sources import CA_BUNDLE, served_sources
+from tests.support.debian import debian_mirror
 from tests.support.repository import ROOT
 
 STORE, POSTGRES, NGINX = "stand-in-store", "stand-in-postgres", "stand-in-nginx"
 VARIABLES = {"MINIO_IMAGE": STORE, "MINIO_PULL": "never", "POSTGRES_IMAGE": POSTGRES, "NGINX_IMAGE": NGINX}
 """Variables of docker-compose.yml with which it takes the stand-ins."""
 
-_SUITE, _MIRROR = "bookworm", "http://deb.debian.org/debian"
+_SUITE = "bookworm"
 _PYTHON = ["python3", "python3-venv", "ca-certificates"]
 _SERVERS = ["ceph-common", "ceph-mon", "ceph-osd", "curl", "nginx-core", "postgresql", "radosgw", "wget"]
 _NO_TEXTS = ["path-exclude=/usr/share/man/*", "path-exclude=/usr/share/locale/*", "path-exclude=/usr/share/doc/*"]
@@ -74,7 +75,17 @@ def _import(engine: Engine, name: str, packages: list[str]) -> None:
             texts = [f"--dpkgopt={line}" for line in [*_NO_TEXTS, "path-include=/usr/share/doc/*/copyright"]]
             hooks = "--hook-dir=/usr/share/mmdebstrap/hooks/merged-usr"
             include = f"--include={','.join(['usr-is-merged', *packages])}"
-            command = ["mmdebstrap", "--quiet", "--variant=minbase", include, hooks, *texts, _SUITE, made, _mirror()]
+            command = [
+                "mmdebstrap",
+                "--quiet",
+                "--variant=minbase",
+                include,
+                hooks,
+                *texts,
+                _SUITE,
+                made,
+                debian_mirror(),
+            ]
             subprocess.run(command, check=True, env={**engine.variables, "TMPDIR": str(scratch)})
             shutil.move(made, archive)
     if not engine.docker("images", "-q", f"stand-in-{name}").strip():
@@ -87,14 +98,6 @@ def _scratch() -> Iterator[Path]:
     within = memory if memory.is_dir() and available_memory() > _MEMORY_BYTES else None
     with tempfile.TemporaryDirectory(prefix="debian-", dir=within) as folder:
         yield Path(folder)
-
-
-def _mirror() -> str:
-    """Debian's mirror that this machine uses."""
-    lists = [Path("/etc/apt/sources.list"), *Path("/etc/apt/sources.list.d").glob("*")]
-    texts = " ".join(path.read_text() for path in lists if path.is_file())
-    found = re.search(r"(?<![#\w])https?://\S+/debian/?(?=\s)", texts)
-    return found[0] if found else _MIRROR
 
 
 def _build_servers(engine: Engine, folder: Path) -> None:

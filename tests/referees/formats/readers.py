@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,13 +19,14 @@ import trimesh
 from trimesh.visual import TextureVisuals
 
 from services.edge.arrays import Floats
+from tests.referees.godot.engine import project
 from tests.referees.usd.reader import UsdCore
 from tests.support.npm_packages import installed, wheels
 from tests.support.patience import HANG_S
+from tests.support.repository import ROOT
 
 _HERE = Path(__file__).parent
-_GODOT = ("godot3", "--audio-driver", "Dummy", "--video-driver", "GLES2")
-_NOWHERE = subprocess.DEVNULL
+_ADDON = ROOT / "clients" / "godot" / "addons" / "capture2vr"
 _TURNED = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from Z up to Y up
 
 
@@ -144,67 +144,22 @@ def with_blender(files: Sequence[Path], renders: Mapping[Path, Path] | None = No
     return _told([sys.executable, str(_HERE / "blender.py"), *arguments], env=environment)
 
 
-def has_godot() -> bool:
-    """Whether Godot 3 and a display in memory are installed: Debian's `godot3` and `xvfb`."""
-    return bool(shutil.which("godot3") and shutil.which("Xvfb"))
-
-
 def with_godot(files: Sequence[Path]) -> list[Reading]:
-    """Godot's editor imports a project with the files, then a script counts. It tells no bounds."""
-    project = files[0].parent / "godot"
-    shutil.rmtree(project, ignore_errors=True)
-    project.mkdir()
-    (project / "project.godot").write_text('config_version=4\n[application]\nconfig/name="formats"\n')
-    shutil.copy(_HERE / "godot.gd", project / "read.gd")
+    """Godot's editor imports the files, those of `EXT_meshopt_compression` by our addon; a script counts."""
+    folder = files[0].parent / "godot"
+    shutil.rmtree(folder, ignore_errors=True)
+    made = project(folder, _ADDON)
+    made.add([_HERE.parent / "godot" / "count.gd"])
     names = [f"file{number}{file.suffix}" for number, file in enumerate(files)]
     for file, name in zip(files, names, strict=True):
-        shutil.copy(file, project / name)
-        for beside in [*file.parent.glob("*.mtl"), *file.parent.glob("*.jpg")] if file.suffix == ".obj" else []:
-            shutil.copy(beside, project)
-    display = subprocess.Popen(
-        ["Xvfb", "-displayfd", "1", "-screen", "0", "640x480x24"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    try:
-        assert display.stdout is not None
-        number = display.stdout.readline().strip()  # told once it can be drawn on
-        environment = os.environ | {
-            "DISPLAY": f":{number}",
-            "LIBGL_ALWAYS_SOFTWARE": "1",
-            "HOME": str(project.parent / "home"),
-        }
-        _import(project, environment, names)
-        said = _godot(project, environment, "-s", "read.gd", *(f"res://{name}" for name in names))
-    finally:
-        display.terminate()
-        display.communicate()
-    told = {line.split()[1]: line.split()[2:] for line in said.splitlines() if line.startswith("READ")}
-    return [_counted(told.get(f"res://{name}", [])) for name in names]
-
-
-def _import(project: Path, environment: Mapping[str, str], names: Sequence[str]) -> None:
-    """Have Godot's editor import all files, and end it: left to itself 3.2 may crash or hang."""
-    deadline = time.monotonic() + HANG_S
-    editor = subprocess.Popen([*_GODOT, "-e"], cwd=project, env=environment, stdout=_NOWHERE, stderr=_NOWHERE)
-    while not all(any(project.glob(f".import/{name}-*.md5")) for name in names) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    editor.kill()
-    editor.wait()
-
-
-def _godot(project: Path, environment: Mapping[str, str], *arguments: str) -> str:
-    """Run Godot in a project; return what it prints."""
-    command = [*_GODOT, *arguments]
-    done = subprocess.run(command, cwd=project, env=environment, capture_output=True, text=True, timeout=HANG_S)
-    return done.stdout
-
-
-def _counted(words: Sequence[str]) -> Reading:
-    if len(words) != 2 or not words[0].isdigit():
-        return Reading(fault="not imported")
-    return Reading(int(words[0]), words[1])
+        shutil.copy(file, made.folder / name)
+        if file.suffix == ".obj":
+            made.add([*file.parent.glob("*.mtl"), *file.parent.glob("*.jpg")])
+    made.import_files()
+    said = made.run("-s", "res://count.gd", "--", *(f"res://{name}" for name in names))
+    told = [json.loads(line.removeprefix("READ ")) for line in said.splitlines() if line.startswith("READ ")]
+    assert len(told) == len(files), said
+    return [Reading.of(each) for each in told]
 
 
 def _told(command: Sequence[str], **options: Any) -> list[Reading]:
@@ -218,10 +173,10 @@ USD_CORE = Reader("usd-core", (".usdz",), with_usd_core)
 GLTF_TRANSFORM = Reader("glTF-Transform", (".glb",), _in_node("gltf_transform.mjs"))
 BABYLON = Reader("Babylon.js", (".glb", ".obj", ".stl", ".ply"), _in_node("babylon.mjs"), turns=(".stl",))
 BLENDER = Reader("Blender 4.2", (".glb", ".obj", ".ply", ".stl", ".usdz"), with_blender, z_up=True)
-GODOT = Reader("Godot 3.2", (".glb", ".obj"), with_godot)
+GODOT = Reader("Godot 4.6", (".glb", ".obj"), with_godot)
 
-UNPACKS_MESHOPT = (GLTF_TRANSFORM, BABYLON)
-"""Those that know EXT_meshopt_compression; the others say that they do not."""
+UNPACKS_MESHOPT = (GLTF_TRANSFORM, BABYLON, GODOT)
+"""Those that know EXT_meshopt_compression, Godot by our addon; the others say that they do not."""
 
 
 def turned(reading: Reading, reader: Reader, file_z_up: bool) -> tuple[Floats, Floats]:

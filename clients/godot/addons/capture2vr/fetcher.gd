@@ -1,0 +1,120 @@
+extends Node
+## Downloads files a few at a time, and runs work beside the main thread.
+
+const TOGETHER := 4
+## A server that sends nothing for so long has gone. The whole of a download may take any time.
+const SILENCE_S := 15.0
+
+## Sent with every request, as "Name: value".
+var headers := PackedStringArray()
+
+var _free := TOGETHER
+signal _freed
+
+
+## The bytes of an object, at most so many, or a CaptureFault.
+func to_bytes(url: String, most: int) -> Variant:
+	var answer := await _ask(url, "", most, Callable())
+	var fault := _fault(url, answer, most)
+	return answer.body if fault == null else fault
+
+
+## Write an object into a file; null, or why not. told: called with the bytes that have come, or invalid.
+func to_file(url: String, path: String, most: int, told := Callable()) -> CaptureFault:
+	return _fault(url, await _ask(url, path, most, told), most)
+
+
+## What a function returns, which runs on another thread; it is waited for, and the app goes on meanwhile.
+func in_background(work: Callable) -> Variant:
+	var results := []
+	var task := WorkerThreadPool.add_task(func() -> void: results.append(work.call()))
+	while not WorkerThreadPool.is_task_completed(task):
+		await get_tree().process_frame
+	WorkerThreadPool.wait_for_task_completion(task)
+	return results[0]
+
+
+func _ask(url: String, path: String, most: int, told: Callable) -> Answer:
+	while _free == 0:
+		await _freed
+	_free -= 1
+	var request := HTTPRequest.new()
+	request.download_file = path
+	request.body_size_limit = most
+	request.use_threads = OS.has_feature("threads")
+	if not headers.is_empty():
+		request.max_redirects = 0  # they are for this server alone
+	add_child(request)
+	var answer := Answer.new()
+	request.request_completed.connect(answer.take)
+	answer.error = request.request(url, headers)
+	if answer.error == OK:
+		await _ended(request, answer, told)
+	request.queue_free()
+	_free += 1
+	_freed.emit()
+	return answer
+
+
+func _ended(request: HTTPRequest, answer: Answer, told: Callable) -> void:
+	var come := 0
+	var heard := Time.get_ticks_msec()
+	while not answer.ended:
+		await get_tree().process_frame
+		var now := request.get_downloaded_bytes()
+		if now != come:
+			come = now
+			heard = Time.get_ticks_msec()
+			if told.is_valid():
+				told.call(come)
+		elif Time.get_ticks_msec() - heard > 1000 * SILENCE_S:
+			request.cancel_request()
+			answer.result = HTTPRequest.RESULT_TIMEOUT
+			return
+
+
+func _fault(url: String, answer: Answer, most: int) -> CaptureFault:
+	if answer.error != OK:
+		return CaptureFault.new(CaptureFault.UNREACHABLE, "%s is no address to ask" % url)
+	match answer.result:
+		HTTPRequest.RESULT_SUCCESS:
+			return _refusal(url, answer.status)
+		HTTPRequest.RESULT_BODY_SIZE_LIMIT_EXCEEDED:
+			var what := "%s: the server sends more than the %d bytes it should" % [url, most]
+			return CaptureFault.new(CaptureFault.FILE_CHANGED, what)
+		HTTPRequest.RESULT_DOWNLOAD_FILE_CANT_OPEN, HTTPRequest.RESULT_DOWNLOAD_FILE_WRITE_ERROR:
+			var what := "%s cannot be kept on this device" % url
+			return CaptureFault.new(CaptureFault.STORAGE_FAILED, what, "Free some storage")
+		HTTPRequest.RESULT_TIMEOUT:
+			return _unreachable(url, "it sent nothing for %d s" % SILENCE_S)
+	return _unreachable(url, "the connection failed (result %d)" % answer.result)
+
+
+func _refusal(url: String, status: int) -> CaptureFault:
+	match status:
+		401, 403:
+			var what := "%s: it answers %d" % [url, status]
+			return CaptureFault.new(CaptureFault.ACCESS_REFUSED, what, "It is private: set the headers")
+		404, 410:
+			var what := "%s is not there" % url
+			return CaptureFault.new(CaptureFault.FILE_MISSING, what, "A newer version may have come")
+	return null if status >= 200 and status < 300 else _unreachable(url, "it answers %d" % status)
+
+
+func _unreachable(url: String, reason: String) -> CaptureFault:
+	return CaptureFault.new(CaptureFault.UNREACHABLE, "%s: %s" % [url, reason], "Check the connection")
+
+
+## What came back.
+class Answer:
+	var error := OK
+	var ended := false
+	var result := 0
+	var status := 0
+	var body := PackedByteArray()
+
+	func take(new_result: int, code: int, _headers: PackedStringArray, content: PackedByteArray) -> void:
+		ended = true
+		result = new_result
+		status = code
+		body = content

@@ -1,0 +1,171 @@
+# Collections: what is trusted, what is kept, what goes wrong.
+extends "res://tests/suite.gd"
+
+const Ed25519 := preload("res://addons/capture2vr/ed25519.gd")
+
+
+func test_signatures_hold_or_do_not() -> void:
+	for each: Dictionary in facts["signatures"]:
+		var parts: Array = [each["key"], each["message"], each["signature"]].map(Marshalls.base64_to_raw)
+		expect_equal(each["holds"], Ed25519.verify(parts[0], parts[1], parts[2]))
+
+
+func test_a_collection_tells_its_assets() -> void:
+	var found := await opened()
+	expect_equal(PackedStringArray(["bowl", "cup"]), found.keys())
+	expect_equal(PackedStringArray(["bowl", "cup"]), found.keys("kitchen"))
+	expect_equal(PackedStringArray(), found.keys("garden"))
+	var bowl := found.rows()[0]
+	expect_equal(["Bowl", 2, PackedStringArray(["kitchen", "round"])], [bowl.label, bowl.version, bowl.labels])
+
+
+func test_levels_come_finest_first_and_are_those_of_the_manifest() -> void:
+	var found := await opened()
+	var levels: Variant = await found.levels("bowl")
+	expect_ok(levels)
+	expect_equal(facts["lods"].map(func(lod: Dictionary) -> String: return lod["sha256"]), levels.map(func(level: Variant) -> String: return level.sha256))
+
+
+func test_what_was_downloaded_is_there_without_a_network() -> void:
+	var found := await opened()
+	var shares := []
+	var whole: int = await found.remaining_bytes("bowl")
+	expect(whole > 0, "something is to come")
+	expect_ok(await found.download("bowl", shares.append))
+	expect(shares.back() == 1.0 and shares.min() > 0.0, "progress ends at 1: %s" % [shares])
+	expect_equal(0, await found.remaining_bytes("bowl"))
+	await turn_to("off")
+	var later := await opened()
+	expect_ok(await later.download("bowl"))
+	expect_fault(CaptureFault.UNREACHABLE, await later.download("cup"))
+	expect_equal(whole, await later.clear("bowl"))
+	expect_equal(whole, await later.remaining_bytes("bowl"))
+
+
+func test_files_are_loaded_once() -> void:
+	var found := await opened("www/once")
+	await found.download("bowl")
+	await found.download("bowl")
+	var level: Variant = (await found.levels("bowl"))[0]
+	expect_equal(1, await count("www/once/" + level.object_name))
+
+
+func test_without_a_network_a_first_start_fails() -> void:
+	await turn_to("off")
+	expect_fault(CaptureFault.UNREACHABLE, await collection().open())
+
+
+func test_a_server_that_is_not_there_is_unreachable() -> void:
+	var found := collection()
+	found.base_url = "http://127.0.0.1:9"
+	expect_fault(CaptureFault.UNREACHABLE, await found.open())
+
+
+func test_a_collection_that_is_not_there() -> void:
+	expect_fault(CaptureFault.FILE_MISSING, await collection("live", true, "other").open())
+
+
+func test_a_signature_of_somebody_else_is_refused() -> void:
+	var found := collection()
+	found.public_keys = [Marshalls.raw_to_base64("01234567890123456789012345678901".to_utf8_buffer())]
+	expect_fault(CaptureFault.KEY_UNKNOWN, await found.open())
+	expect_fault(CaptureFault.COLLECTION_CLOSED, found.row_of("bowl"))
+
+
+func test_one_key_of_several_suffices() -> void:
+	var found := collection()
+	found.public_keys.append(Marshalls.raw_to_base64("01234567890123456789012345678901".to_utf8_buffer()))
+	expect_ok(await found.open())
+
+
+func test_an_index_that_was_changed_is_refused() -> void:
+	await turn_to("altered")
+	expect_fault(CaptureFault.SIGNATURE_WRONG, await collection().open())
+	expect_ok(await collection("live", false).open())
+
+
+func test_an_index_that_nobody_signed_is_refused() -> void:
+	await turn_to("unsigned")
+	expect_fault(CaptureFault.SIGNATURE_MISSING, await collection().open())
+
+
+func test_an_index_of_another_collection_is_refused() -> void:
+	await turn_to("swapped")
+	expect_fault(CaptureFault.CATALOGUE_OTHER, await collection("live", true, "other").open())
+
+
+func test_an_index_that_is_none_is_refused() -> void:
+	for each: String in facts["broken"]:
+		await turn_to(each)
+		expect_fault(CaptureFault.CATALOGUE_TRUNCATED, await collection("live", false).open())
+
+
+func test_an_older_index_is_refused_after_a_restart_too() -> void:
+	await opened()
+	await turn_to("v1")
+	expect_fault(CaptureFault.CATALOGUE_OLDER, await collection().open())
+
+
+func test_an_asset_that_was_removed() -> void:
+	await turn_to("removed")
+	var found := await opened()
+	expect_equal(PackedStringArray(["cup"]), found.keys())
+	expect_fault(CaptureFault.ASSET_REMOVED, found.row_of("bowl"))
+	expect_fault(CaptureFault.ASSET_UNKNOWN, await found.download("spoon"))
+
+
+func test_private_assets_need_the_headers() -> void:
+	expect_fault(CaptureFault.ACCESS_REFUSED, await collection("keyed").open())
+	var found := collection("keyed")
+	found.headers = ["Authorization: Bearer good"]
+	expect_ok(await found.open())
+	expect_ok(await found.download("bowl"))
+
+
+func test_files_that_are_not_what_was_signed_are_not_kept() -> void:
+	for way: String in ["flip", "endless", "cut"]:
+		var found := await opened()
+		found.base_url = "%s/%s/v2" % [facts["server"], way]
+		var fault: Variant = await found.level_bytes((await _levels_known_to(found))[0])
+		var wanted := CaptureFault.UNREACHABLE if way == "cut" else CaptureFault.FILE_CHANGED
+		expect_fault(wanted, fault)
+		expect_equal([], Array(DirAccess.get_files_at("user://capture2vr/files")).filter(_is_partial))
+		await prepare()
+
+
+func test_a_damaged_file_on_the_device_is_healed() -> void:
+	var found := await opened()
+	await found.download("bowl")
+	var level: Variant = (await found.levels("bowl"))[0]
+	var path: String = "user://capture2vr/files/" + level.sha256
+	var file := FileAccess.open(path, FileAccess.READ_WRITE)
+	file.store_8(1)
+	file.close()
+	expect_ok(await found.level_bytes(level))
+	expect_equal(level.sha256, FileAccess.get_sha256(path))
+
+
+func test_the_limit_of_the_device_is_kept() -> void:
+	var found := collection()
+	found.cache_bytes = 1
+	expect_ok(await found.open())
+	expect_ok(await found.download("bowl"))
+	expect_equal(1, DirAccess.get_files_at("user://capture2vr/files").size())
+
+
+func test_a_preview_is_a_picture_or_a_fault() -> void:
+	var found := await opened()
+	expect_fault(CaptureFault.MESH_INVALID, await found.preview(found.rows()[0]))
+	expect_equal(null, await found.preview(found.rows()[1]))
+
+
+func _levels_known_to(found: CaptureCollection) -> Array:
+	var base := found.base_url
+	found.base_url = "%s/live" % facts["server"]
+	var levels: Variant = await found.levels("bowl")
+	found.base_url = base
+	return levels
+
+
+static func _is_partial(file: String) -> bool:
+	return file.ends_with(".part")
