@@ -10,9 +10,9 @@ from textwrap import indent
 import pytest
 
 from tests.referees.godot.engine import Project, project
+from tests.support.client_site import serving
 from tests.support.godot_facts import facts
 from tests.support.repository import ROOT
-from tests.support.unity_site import serving
 
 _HERE = Path(__file__).parent / "godot"
 _CLIENT = ROOT / "clients" / "godot"

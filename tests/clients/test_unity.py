@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import missing
+from tests.support.client_site import serving
+from tests.support.client_world import build
 from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
-from tests.support.unity_site import serving
-from tests.support.unity_world import build
 
 _HERE = Path(__file__).parent / "unity"
 _PACKAGE = ROOT / "clients" / "unity"

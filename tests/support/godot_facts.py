@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from services.edge.convert.read_glb import read_glb
 from services.edge.export.glb import to_glb
 from services.edge.mesh.nouns import Mesh, TexturedMesh
+from tests.support.client_world import build
 from tests.support.downloadable import SHEET, coloured, textured
-from tests.support.unity_world import build
 
 _INDEX = "collections/default/index.json"
 _BROKEN = {"cut_off": -9, "empty": 0}  # bytes that are left of the index
