@@ -1,4 +1,4 @@
-"""What the tests of Unity's and Godot's clients load: assets that the product has published, signed and listed, as folders.
+"""What the tests of both clients load: assets that the product has published, signed and listed, as folders.
 
 v1/, v2/, removed/   the store before and after a new version of "bowl", and after its removal; "cup" stays beside it
 forged/              v2 whose unsigned Unity catalogue gives the bowl, as version 3, the files of the cup
