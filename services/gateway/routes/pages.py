@@ -43,6 +43,7 @@ _SHELL_PAGES = {
     "/browse/default": "collection/collection.html",
     "/view/any": "viewer/view.html",
     f"/scene/scn_{'0' * 24}": "viewer/view.html",
+    "/wardrobe/default": "viewer/view.html",
 }
 # Pages that need the server in any case.
 _ONLINE = {WEB / name for name in ("admin", "edit", "login", "pair", "share")}
@@ -119,6 +120,13 @@ async def view_scene(scene: str, request: Request) -> Response:
     return _page("viewer/view.html", request)
 
 
+@router.get("/wardrobe/{name}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
+async def view_wardrobe(name: str, request: Request) -> Response:
+    """The viewer page of a collection's garments: those of a season, one after the other on a dress dummy."""
+    _check_collection(name)
+    return _page("viewer/view.html", request)
+
+
 @router.get("/edit/{key}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
 async def edit_asset(key: str, request: Request) -> Response:
     """The edit page of an asset: crop box, planes, up and true size of a stored capture; its versions, compared."""
@@ -129,9 +137,7 @@ async def edit_asset(key: str, request: Request) -> Response:
 @router.get("/browse/{name}", response_class=Response, dependencies=[ANYONE], responses={**_HTML, **problems(404)})
 async def browse_collection(name: str, request: Request) -> Response:
     """The page of a collection: pictures of all its assets, with a search."""
-    if not valid_key(name):
-        detail = "this is not a valid collection name"
-        raise Problem(404, "COLLECTION_INVALID", detail, hints=("check the name in the URL",))
+    _check_collection(name)
     return _page("collection/collection.html", request)
 
 
@@ -162,6 +168,12 @@ def list_shell(response: Response) -> Shell:
 def _file_digest(path: Path, modified_ns: int, size: int) -> bytes:
     """Hash a file, again only when it has changed: every visit asks for the shell, and its files are 3 MB."""
     return hashlib.sha256(path.read_bytes()).digest()
+
+
+def _check_collection(name: str) -> None:
+    if not valid_key(name):
+        detail = "this is not a valid collection name"
+        raise Problem(404, "COLLECTION_INVALID", detail, hints=("check the name in the URL",))
 
 
 def _check_keys(keys: list[str]) -> None:

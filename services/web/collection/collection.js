@@ -7,6 +7,7 @@ import { PER_PAGE, search } from './search.js';
 import { summarize } from './summary.js';
 import { showAccount } from '../shared/account.js';
 import { element } from '../shared/dom.js';
+import { hangingOf } from '../shared/garments.js';
 import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { withNewest } from '../shared/signed-catalogue.js';
@@ -36,6 +37,7 @@ const page = {
   choiceCount: element('count', HTMLElement),
   open: element('open', HTMLAnchorElement),
   clear: element('none', HTMLButtonElement),
+  wardrobe: element('wardrobe', HTMLAnchorElement),
 };
 
 const name = decodeURIComponent(location.pathname.split('/').pop() ?? '');
@@ -87,6 +89,7 @@ function showResult({ rows, count, exact, collection }) {
     cards.set(card.element, card);
   }
   page.grid.append(...cards.keys());
+  if (rows.some(hangingOf)) page.wardrobe.hidden = false;
   for (const item of cards.keys()) visibility.observe(item);
   const size = collection.shards.reduce((sum, shard) => sum + shard.count, 0);
   page.summary.textContent = [notice, summarize(count, exact, size, { words: query, state: readFilters().state, limited: isLimited() })].filter(Boolean).join(' ');
@@ -237,6 +240,7 @@ async function reloadIfChanged() {
   }
 }
 
+page.wardrobe.href = ofShownTenant(`/wardrobe/${encodeURIComponent(name)}`);
 fillFilters(parameters);
 listenToSearch();
 page.retry.addEventListener('click', show);

@@ -1,4 +1,5 @@
 // Search in a collection: the assets of a state, date and size whose name, key or labels contain all words, in an order, a page at a time.
+import { simplify } from '../shared/search-words.js';
 import { loadRows } from '../shared/signed-catalogue.js';
 
 /** @import { Collection, CollectionRow, Shard } from '../shared/types.d.ts' */
@@ -133,9 +134,3 @@ function limitsFor({ since, until, least, most }) {
   const sized = least || most;
   return ({ updated, bytes }) => updated >= first && updated <= last && (!sized || (bytes > 0 && bytes >= low && bytes <= high));
 }
-
-/**
- * Removes accents and capital letters.
- * @param {string} text
- */
-const simplify = (text) => text.normalize('NFKD').replace(/\p{M}/gu, '').toLowerCase();

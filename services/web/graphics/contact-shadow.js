@@ -60,9 +60,9 @@ export class ContactShadow {
 /**
  * Corners of triangles, nine numbers each, in the frame of the floor.
  * @param {THREE.Object3D} thing
- * @param {THREE.Matrix4} toFloor
+ * @param {THREE.Matrix4} toFloor from the world
  */
-function trianglesOf(thing, toFloor) {
+export function trianglesOf(thing, toFloor) {
   /** @type {THREE.Mesh[]} */
   const meshes = [];
   thing.updateWorldMatrix(true, true);

@@ -13,8 +13,8 @@ const worker = /** @type {ServiceWorkerGlobalScope} */ (/** @type {unknown} */ (
 const PREFIX = 'shell-'; // of a cache's name; behind it comes the shell's version
 const LIST = '/web/shell.json'; // a ShellList; written last, so a cache that has it is complete
 const VERSIONED = /-\d+\.\d+\.\d+\./; // a file whose name has its version never changes
-// Every asset has the same page, and so have every collection and every scene: who has seen one can open another one's without the server.
-const PAGE = /^\/(view|browse|scene)(\/[^/]+)?$/;
+// Every asset has the same page, and so have every collection, every scene and every wardrobe: who has seen one can open another one's without the server.
+const PAGE = /^\/(view|browse|scene|wardrobe)(\/[^/]+)?$/;
 const CAPTURE_PAGE = '/';
 const ONLINE = /^\/web\/((admin|login|pair|share)\/|vendor\/tus-js-client-)/; // files of pages that need the server in any case
 const AT_ONCE = 4; // downloads, beside those of the page that is being shown

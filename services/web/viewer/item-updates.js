@@ -5,7 +5,8 @@
 const PREVIEW_POLL_MS = 3000; // while a refined version may come
 const REFINED_POLL_MS = 15_000; // once everything is refined
 const LEAST_POLL_MS = 1000; // between two requests, however many things there are
-const GONE = ['ASSET_UNKNOWN', 'ASSET_REMOVED'];
+/** Codes of problems with an asset that was deleted or taken back. */
+export const GONE = ['ASSET_UNKNOWN', 'ASSET_REMOVED'];
 const NOT_YET = ['ASSET_UNKNOWN', 'CATALOGUE_BEHIND']; // not published yet: it is on its way
 
 /**

@@ -156,6 +156,20 @@ export function showNotice(text, { stays = false } = {}) {
 }
 
 /**
+ * Shows that there is nothing to see, and why.
+ * @param {string} name of what would be there
+ * @param {string} reason
+ */
+export function showNothing(name, reason) {
+  document.title = `${name} · capture2vr`;
+  page.label.textContent = name;
+  page.summary.textContent = reason;
+  page.canvas.ariaLabel = [name, reason].join(': ');
+  page.description.hidden = page.retry.hidden = true;
+  document.body.dataset.state = 'empty';
+}
+
+/**
  * Shows an error.
  * @param {unknown} error
  * @param {{ canRetry?: boolean }} [options] canRetry: with the button to try again

@@ -1,13 +1,12 @@
 // The wall in the headset from which things are added to the scene: twelve pictures at a time, labels to choose from, and a few buttons.
-import * as THREE from '../vendor/three-0.187.0.module.js';
 import { findThings } from './find-things.js';
 import { INK, paintButton, paintGround, paintTile } from './panel-paint.js';
-import { PressPanel } from './press-panel.js';
-import { headingOf, middleOf } from './xr-session.js';
+import { PressPanel, reportPlaces, standBefore } from './press-panel.js';
 import { fetchBytes } from '../shared/network.js';
 import { sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
+/** @import { ArrayCamera, Scene } from '../vendor/three-0.187.0.module.js' */
 /** @import { Rectangle } from './press-panel.js' */
 /** @import { FoundAsset } from '../shared/types.d.ts' */
 
@@ -50,7 +49,7 @@ export class PickerWall {
   #request = 0; // an older one that is still loading shows nothing any more
 
   /**
-   * @param {THREE.Scene} scene
+   * @param {Scene} scene
    * @param {PickerCallbacks} callbacks
    */
   constructor(scene, callbacks) {
@@ -61,7 +60,7 @@ export class PickerWall {
 
   /**
    * Shows the small panel beside a wearer, who then need not know which button opens the wall.
-   * @param {THREE.ArrayCamera} camera
+   * @param {ArrayCamera} camera
    */
   offer(camera) {
     this.#button.paint((context) => {
@@ -69,18 +68,18 @@ export class PickerWall {
       return [paintButton(context, [12, 12, BUTTON_PX[0] - 24, BUTTON_PX[1] - 24], { name: 'open', text: t('Add a thing'), press: () => this.toggle(camera) })];
     });
     standBefore(this.#button, camera, { away: BUTTON_AWAY_M, below: BUTTON_BELOW_M, turn: BUTTON_TURN });
-    this.#report();
+    reportPlaces(this.panels);
   }
 
   /** Hides all of it. */
   hide() {
     for (const panel of this.panels) panel.mesh.visible = false;
-    this.#report();
+    reportPlaces(this.panels);
   }
 
   /**
    * Opens the wall before a wearer, or closes it.
-   * @param {THREE.ArrayCamera} camera
+   * @param {ArrayCamera} camera
    */
   toggle(camera) {
     if (this.#wall.isShown) {
@@ -94,7 +93,7 @@ export class PickerWall {
   #close() {
     this.#wall.mesh.visible = false;
     this.#wall.light(undefined);
-    this.#report();
+    reportPlaces(this.panels);
   }
 
   /**
@@ -137,7 +136,7 @@ export class PickerWall {
       context.fillText(this.#said || t('Choose a thing'), EDGE, EDGE + TITLE / 2, WALL_PX[0] - 2 * EDGE);
       return [...this.#paintLabels(context), ...this.#paintThings(context), ...this.#paintButtons(context)];
     });
-    this.#report();
+    reportPlaces(this.panels);
   }
 
   /** @param {CanvasRenderingContext2D} context */
@@ -194,27 +193,6 @@ export class PickerWall {
     this.#said = await saving().then(() => t('The scene is saved.'), (error) => sentences(error));
     this.#paint();
   }
-
-  /** Writes what can be pressed, and where, into the page's data attributes, for tests and for scripts. */
-  #report() {
-    const shown = this.panels.filter(({ isShown }) => isShown);
-    document.body.dataset.wall = JSON.stringify(Object.assign({}, ...shown.map(({ places }) => places)));
-  }
-}
-
-/**
- * Stands a panel before a wearer, upright and facing them.
- * @param {PressPanel} panel
- * @param {THREE.ArrayCamera} camera
- * @param {{ away: number, below: number, turn: number }} where metres from the eyes, metres under them, and radians to the left
- */
-function standBefore({ mesh }, camera, { away, below, turn }) {
-  const eye = middleOf(camera.cameras);
-  const ahead = (headingOf(camera) ?? new THREE.Vector3(0, 0, -1)).applyAxisAngle(new THREE.Vector3(0, 1, 0), turn);
-  mesh.position.copy(eye).addScaledVector(ahead, away);
-  mesh.position.y -= below;
-  mesh.rotation.y = Math.atan2(-ahead.x, -ahead.z);
-  mesh.visible = true;
 }
 
 /**

@@ -1,5 +1,6 @@
 // A panel in the room with parts that a ray can press: a picture that is painted on a canvas, and the rectangles in it that do something.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { headingOf, middleOf } from './xr-session.js';
 
 /** @typedef {[x: number, y: number, width: number, height: number]} Rectangle on the canvas, in pixels */
 /** @typedef {{ name: string, at: Rectangle, press: () => void }} Zone a part that can be pressed; name: for tests and for scripts */
@@ -85,4 +86,28 @@ export class PressPanel {
   #centreOf({ at: [left, top, width, height] }) {
     return new THREE.Vector3(left + width / 2 - this.#canvas.width / 2, this.#canvas.height / 2 - top - height / 2, 0).multiplyScalar(this.#metresPerPixel);
   }
+}
+
+/**
+ * Stands a panel before a wearer, upright and facing them.
+ * @param {PressPanel} panel
+ * @param {THREE.ArrayCamera} camera
+ * @param {{ away: number, below: number, turn: number }} where metres from the eyes, metres under them, and radians to the left
+ */
+export function standBefore({ mesh }, camera, { away, below, turn }) {
+  const eye = middleOf(camera.cameras);
+  const ahead = (headingOf(camera) ?? new THREE.Vector3(0, 0, -1)).applyAxisAngle(new THREE.Vector3(0, 1, 0), turn);
+  mesh.position.copy(eye).addScaledVector(ahead, away);
+  mesh.position.y -= below;
+  mesh.rotation.y = Math.atan2(-ahead.x, -ahead.z);
+  mesh.visible = true;
+}
+
+/**
+ * Writes what can be pressed, and where, into the page's data attributes, for tests and for scripts.
+ * @param {PressPanel[]} panels
+ */
+export function reportPlaces(panels) {
+  const shown = panels.filter(({ isShown }) => isShown);
+  document.body.dataset.wall = JSON.stringify(Object.assign({}, ...shown.map(({ places }) => places)));
 }

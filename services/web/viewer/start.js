@@ -13,8 +13,10 @@ const POSTER_MS = 1000; // longest that the library waits for the poster
 
 /** The id of the saved scene in the page's address; '' without one. */
 export const sceneId = /^\/scene\/([^/]+)$/.exec(location.pathname)?.[1] ?? '';
+/** The collection whose wardrobe the page's address names; '' without one. */
+export const wardrobeOf = decodeURIComponent(/^\/wardrobe\/([^/]+)$/.exec(location.pathname)?.[1] ?? '');
 /** The assets' keys in the page's address. */
-export const keys = sceneId ? [] : keysFrom(location);
+export const keys = sceneId || wardrobeOf ? [] : keysFrom(location);
 let asked = keys.length === 1 ? askForEntry(keys[0]).then(checkEntry) : null;
 /** The stage's WebGL context, created while the catalogue's answer is on its way. */
 export const context = createContext(element('stage', HTMLCanvasElement));

@@ -1,4 +1,4 @@
-// The viewer page (/view/{key}, /view?key=a&key=b, /scene/{id}): things on a screen or in a headset, side by side where there are several. Begun by start.js.
+// The viewer page (/view/{key}, /view?key=a&key=b, /scene/{id}, /wardrobe/{collection}): things on a screen or in a headset, side by side where there are several. Begun by start.js.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { OrbitControls } from '../vendor/three-0.187.0.orbit-controls.js';
 import { startBackdrop } from './backdrop.js';
@@ -20,7 +20,7 @@ import { SceneItem, isLoaded } from './scene-item.js';
 import { Shadows } from './shadows.js';
 import { snapItem } from './snap.js';
 import { findStandingPlace } from './standing-place.js';
-import { context, keys, nextEntry, sceneId } from './start.js';
+import { context, keys, nextEntry, sceneId, wardrobeOf } from './start.js';
 import { startTurntable } from './turntable.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
@@ -38,6 +38,7 @@ import { ofShownTenant } from '../shared/whose.js';
 /** @import { PickerWall } from './picker-wall.js' */
 /** @import { LoadedItem } from './scene-item.js' */
 /** @import { VersionComparison } from './version-comparison.js' */
+/** @import { Wardrobe } from './wardrobe.js' */
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
 
 const GROUND_M = 100; // of the floor on which one goes from place to place where there is no large scene
@@ -73,6 +74,8 @@ let selected = null;
 let comparison = null; // once somebody wants one
 /** @type {PickerWall | null} */
 let wall = null; // once somebody who may add things is in a headset
+/** @type {Wardrobe | null} */
+let wardrobe = null; // where the page's address names one
 let showFacts = () => {}; // of a thing that is alone, after each change of it
 
 const drag = new DragControls(camera, renderer.domElement, { items: movableItems, onDrag: showDrag, onDrop: letGo, onMove: savePlace, onSelect: select });
@@ -90,13 +93,15 @@ const input = new XrInput(renderer, scene, {
   isMovable,
   grabber,
   walker,
-  panels: () => wall?.panels ?? [],
-  onMenu: () => wall?.toggle(renderer.xr.getCamera()),
+  panels: () => board()?.panels ?? [],
+  onMenu: () => board()?.toggle(renderer.xr.getCamera()),
+  onTap: () => wardrobe?.step(1),
+  onSteer: (x) => (wardrobe ?? walker).steer(x),
   onReset: resetAll,
   showHands: () => document.body.dataset.mode === 'vr',
 });
 const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page.ar }, {
-  height: () => Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
+  height: () => wardrobe?.box.max.y ?? Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
   standingPlace,
   onMode: showMode,
   onPlaced: (metres) => {
@@ -114,7 +119,7 @@ const { redraw } = startRenderLoop(stage, {
 });
 const updates = new ItemUpdates({
   items: () => items,
-  isVisible: () => !document.hidden || renderer.xr.isPresenting,
+  isVisible,
   update,
   onError: showItemError,
 });
@@ -124,10 +129,15 @@ const room = new Room({
   createItem: (key, placed) => new SceneItem(key, placed),
   isHeld,
   live,
-  isVisible: () => !document.hidden || renderer.xr.isPresenting,
+  isVisible,
   isWorn: () => renderer.xr.isPresenting,
   onChange: showTexts,
 });
+
+/** Whether anybody looks at the page. */
+function isVisible() {
+  return !document.hidden || renderer.xr.isPresenting;
+}
 
 /** Creates the stage, or says that this browser has no WebGL. */
 function startStage() {
@@ -151,7 +161,7 @@ function movableItems() {
 
 /** @param {LoadedItem} item */
 function isMovable({ entry }) {
-  return entry.may_place !== false;
+  return !wardrobe && entry.may_place !== false;
 }
 
 /**
@@ -169,7 +179,13 @@ function isHeld(item) {
 function moveInHeadset(seconds) {
   live.update(seconds);
   input.update(seconds);
+  wardrobe?.update(seconds);
   for (const item of grabber.items) room.report(item);
+}
+
+/** The panel that A and X open in a headset. */
+function board() {
+  return wardrobe?.board ?? wall;
 }
 
 /** What one can stand on: the surfaces of a large scene, which may go down under the room's floor, else that floor too. */
@@ -218,7 +234,8 @@ async function update(item) {
     return;
   }
   if (before) showNotice(updateText(before, entry, item.name));
-  else placeFirst(item);
+  else if (!wardrobe) placeFirst(item);
+  wardrobe?.wear(item);
   showTexts();
 }
 
@@ -296,9 +313,9 @@ function standingPlace() {
 
 /** Moves the camera of the page so that all items are in view. */
 function frameAll() {
-  if (renderer.xr.isPresenting || loadedItems().length === 0) return;
-  const box = new THREE.Box3();
+  const box = wardrobe?.box ?? new THREE.Box3();
   for (const item of loadedItems()) box.union(item.box.applyMatrix4(item.group.matrixWorld));
+  if (renderer.xr.isPresenting || box.isEmpty()) return;
   const [size, middle] = [box.getSize(new THREE.Vector3()), box.getCenter(new THREE.Vector3())];
   controls.target.copy(frame(camera, size.toArray(), middle));
 }
@@ -308,7 +325,7 @@ function showTexts() {
   redraw();
   const loaded = loadedItems();
   showCaption(loaded, { title: room.name, wanted: items.length, failed: items.filter(hasFailed).length, gone: items.filter(isGone).map(({ key }) => key) });
-  showList(items, { selected, onSelect: (item) => allowMoving(true, item), onRemove: remove });
+  showList(wardrobe ? [] : items, { selected, onSelect: (item) => allowMoving(true, item), onRemove: remove });
   showQuickLook(items.length === 1 ? loaded.at(0)?.entry : null);
   const [first] = loaded;
   if (!first) return;
@@ -434,6 +451,7 @@ function allowMoving(allowed, item) {
 
 /** Offers a wearer to add things to the scene, where they may. */
 async function offerWall() {
+  wardrobe?.board.offer(renderer.xr.getCamera());
   if (!room.mayAdd) return;
   const { PickerWall: Wall } = await import('./picker-wall.js');
   wall ??= new Wall(scene, {
@@ -451,6 +469,7 @@ function showMode(mode) {
   document.body.dataset.mode = mode;
   input.releaseAll();
   if (!mode) wall?.hide();
+  wardrobe?.showMode(mode);
   endComparison();
   frameAll(); // the camera was left where the headset was
   redraw();
@@ -521,6 +540,10 @@ function sayView(text) {
  * @param {unknown} error
  */
 function showItemError(item, error) {
+  if (wardrobe) {
+    wardrobe.fail(item, error);
+    return;
+  }
   const { code, message } = toProblem(error);
   const isNew = message !== item.problem;
   item.problem = message;
@@ -550,6 +573,23 @@ function retry() {
   showTexts();
 }
 
+/** Opens the wardrobe that the page's address names. */
+async function openWardrobe() {
+  const { Wardrobe: Shown } = await import('./wardrobe.js');
+  page.collection.href = ofShownTenant(`/browse/${encodeURIComponent(wardrobeOf)}`);
+  page.move.hidden = true; // true size, on the dummy
+  wardrobe = new Shown(wardrobeOf, {
+    scene,
+    root,
+    setItems,
+    onChange: redraw,
+    frameAll,
+    isVisible,
+    onResetView: () => headset.placeAgain(),
+  });
+  await wardrobe.open();
+}
+
 /**
  * Loads what the page's address names, and offers what can be done with it.
  * @param {Promise<Session | null>} asking who is logged in
@@ -557,11 +597,13 @@ function retry() {
 async function start(asking) {
   try {
     if (sceneId) await room.open(sceneId);
+    if (wardrobeOf) await openWardrobe();
     updates.poll();
   } catch (error) {
     showError(error, { canRetry: true });
     return;
   }
+  if (wardrobe) return; // it shows what the collection has, one after the other
   await offerPanels(asking);
   room.offer(await asking);
 }

@@ -2,12 +2,11 @@
 // It is the scene that moves: the wearer stays in the middle of their own room.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { aimRay } from './hit-test.js';
+import { StickPush } from './stick-push.js';
 import { headingOf, middleOf } from './xr-session.js';
 
 const WALK_M_PER_S = 1.4; // a walk; faster makes people sick
 const TURN = Math.PI / 6; // at once: turning smoothly makes people sick too
-const TURN_FROM = 0.7; // of the stick's way to its end
-const TURN_BACK = 0.4; // of the same, from which on it may turn again
 const REACH_M = 12; // of the ray
 const LEAST_UP = 0.7; // of a surface's normal: one can stand on what is less steep than 45 degrees
 const MARK_M = 0.25;
@@ -21,7 +20,7 @@ export class Walker {
   #callbacks;
   #mark = createMark();
   #raycaster = new THREE.Raycaster();
-  #turned = false;
+  #push = new StickPush();
   #lookedAt = 0;
 
   /**
@@ -57,12 +56,11 @@ export class Walker {
    * Turns by 30 degrees, once for each push of the stick.
    * @param {number} x of the thumbstick: -1 left, 1 right
    */
-  turn(x) {
-    if (Math.abs(x) < TURN_BACK) this.#turned = false;
-    if (this.#turned || Math.abs(x) < TURN_FROM) return;
-    this.#turned = true;
+  steer(x) {
+    const push = this.#push.read(x);
+    if (push === 0) return;
     const eye = this.#eye();
-    const angle = Math.sign(x) * TURN; // the wearer to the right is the scene to the left
+    const angle = push * TURN; // the wearer to the right is the scene to the left
     this.#root.position.sub(eye).applyAxisAngle(new THREE.Vector3(0, 1, 0), angle).add(eye);
     this.#root.rotation.y += angle;
     this.#moved();

@@ -29,6 +29,8 @@ import { aimRay, distanceToFirstBox, findTouchedItem, pickItem } from './hit-tes
  * @property {Walker} walker
  * @property {() => PressPanel[]} panels that a ray can press, in front of all items
  * @property {() => void} onMenu is called for A and X
+ * @property {() => void} onTap is called for a trigger or pinch on an item that nobody may move
+ * @property {(x: number) => void} onSteer is called in each frame with the right stick's way to the side
  * @property {() => void} onReset is called for B, Y, or a long pinch on nothing
  * @property {() => boolean} showHands whether the wearer's hands must be drawn, because passthrough does not show them
  */
@@ -127,6 +129,7 @@ export class XrInput {
     presses.set(press, Infinity); // never long enough for a reset
     if (press === 'select' && item.isWalkable) input.aiming = 'press';
     else if (this.#callbacks.isMovable(item)) this.#callbacks.grabber.grab(pointer, item);
+    else if (press === 'select') this.#callbacks.onTap();
   }
 
   /**
@@ -199,7 +202,7 @@ export class XrInput {
   }
 
   /**
-   * The right stick: turns to the side, and forward shows a place to go to, where it goes once the stick is let go.
+   * The right stick: to the side what `onSteer` does, and forward shows a place to go to, where it goes once the stick is let go.
    * @param {Input} input
    * @param {number} x
    * @param {number} y
@@ -207,7 +210,7 @@ export class XrInput {
   #steer(input, x, y) {
     if (y < -AIM_FROM && !input.aiming) input.aiming = 'stick';
     if (y === 0 && input.aiming === 'stick') this.#go(input);
-    if (!input.aiming) this.#callbacks.walker.turn(x);
+    if (!input.aiming) this.#callbacks.onSteer(x);
   }
 }
 

@@ -1,0 +1,311 @@
+// The wardrobe (/wardrobe/{collection}): the garments of a season, one after the other, on a dress dummy.
+import * as THREE from '../vendor/three-0.187.0.module.js';
+import { dress } from './dressing.js';
+import { GONE } from './item-updates.js';
+import { showError, showNotice, showNothing } from './messages.js';
+import { SceneItem, isLoaded, randomId } from './scene-item.js';
+import { nextEntry } from './start.js';
+import { StickPush } from './stick-push.js';
+import { WardrobeBoard } from './wardrobe-board.js';
+import { WardrobePanel, seasonName } from './wardrobe-panel.js';
+import { BARE, DressDummy } from '../graphics/dress-dummy.js';
+import { element } from '../shared/dom.js';
+import { SEASONS, chooseGarments, hangingOf, otherLabels, seasonOf } from '../shared/garments.js';
+import { isConnectionProblem, toProblem } from '../shared/problems.js';
+import { loadRows, withNewest } from '../shared/signed-catalogue.js';
+import { t } from '../shared/texts.js';
+import { loadFile } from '../shared/verified-cache.js';
+import { ofShownTenant } from '../shared/whose.js';
+
+/** @import { LoadedItem } from './scene-item.js' */
+/** @import { Choice } from '../shared/garments.js' */
+/** @import { CollectionRow } from '../shared/types.d.ts' */
+
+/**
+ * What the wardrobe asks and tells the viewer.
+ * @typedef {object} WardrobeCallbacks
+ * @property {THREE.Scene} scene
+ * @property {THREE.Group} root the garment's and the dummy's place, which turns in a headset
+ * @property {(items: SceneItem[]) => void} setItems shows these; those that are new are loaded, those that are missing are removed
+ * @property {() => void} onChange is called when there is something new to draw and to say
+ * @property {() => void} frameAll
+ * @property {() => boolean} isVisible whether anybody looks at the page
+ * @property {() => void} onResetView places the scene before a wearer again
+ */
+
+/**
+ * What the page and the board in the headset show.
+ * @typedef {object} WardrobeState
+ * @property {Choice} choice
+ * @property {string[]} labels of the collection that name no season
+ * @property {number} place from 0, of the garment that is shown or on its way
+ * @property {number} count
+ * @property {string} said name of the garment, or why there is none
+ * @property {number} everySeconds from one garment to the next; 0: they change by hand
+ * @property {boolean} turns whether it turns in a headset
+ */
+
+const TURN_S = 15; // for a whole turn, as the turntable of the page
+const OTHER_SIZE = 1.25; // from which factor of a side on the camera looks at the whole anew
+
+/** The garments of a collection, and which of them the dummy wears. */
+export class Wardrobe {
+  #collection;
+  #callbacks;
+  #dummy = new DressDummy();
+  #panel;
+  #board;
+  #push = new StickPush();
+  /** @type {CollectionRow[]} */
+  #garments = [];
+  /** @type {SceneItem | null} */
+  #worn = null;
+  /** @type {SceneItem | null} */
+  #coming = null; // what is worn stays until it is there
+  #framed = new THREE.Vector3();
+  #timer = 0;
+  #request = 0; // an older one that is still loading shows nothing any more
+  /** @type {WardrobeState} */
+  #state;
+
+  /**
+   * @param {string} collection
+   * @param {WardrobeCallbacks} callbacks
+   */
+  constructor(collection, callbacks) {
+    this.#collection = collection;
+    this.#callbacks = callbacks;
+    const turns = !matchMedia('(prefers-reduced-motion: reduce)').matches;
+    this.#state = { choice: choiceIn(location.search), labels: [], place: 0, count: 0, said: t('Loading …'), everySeconds: 0, turns };
+    const actions = {
+      onChoose: (/** @type {Choice} */ choice) => this.choose(choice),
+      onStep: (/** @type {number} */ by) => this.step(by),
+      onEvery: (/** @type {number} */ seconds) => this.#change(seconds),
+      onTurn: () => this.#show({ turns: !this.#state.turns }),
+      onResetView: callbacks.onResetView,
+    };
+    this.#panel = new WardrobePanel(actions);
+    this.#board = new WardrobeBoard(callbacks.scene, actions);
+    callbacks.root.add(this.#dummy.object);
+    if (turns) element('turn', HTMLButtonElement).click();
+  }
+
+  /** The board in the headset. */
+  get board() {
+    return this.#board;
+  }
+
+  /** The box of the dummy or plinth with what it shows, in the frame of the root. */
+  get box() {
+    const box = this.#dummy.box;
+    const item = this.#worn;
+    return item && isLoaded(item) ? box.union(item.box.applyMatrix4(item.group.matrix)) : box;
+  }
+
+  /** Shows the garments that the page's address asks for, without one those of this season. */
+  async open() {
+    await this.choose(this.#state.choice);
+    this.#callbacks.frameAll();
+  }
+
+  /**
+   * Shows the garments of a choice, from the one on that is shown already.
+   * @param {Choice} choice
+   */
+  async choose(choice) {
+    const request = ++this.#request;
+    this.#show({ choice, said: t('Loading …') });
+    try {
+      const rows = await withNewest(this.#collection, async (index) => (await Promise.all(index.shards.map((shard) => loadRows(index, shard)))).flat());
+      if (request !== this.#request) return;
+      history.replaceState(null, '', addressOf(this.#collection, choice));
+      this.#show({ labels: otherLabels(rows) });
+      this.#list(chooseGarments(rows, choice), emptyText(choice));
+    } catch (error) {
+      if (request !== this.#request) return;
+      this.#show({ said: toProblem(error).message });
+      if (this.#worn) showNotice(this.#state.said, { stays: true });
+      else showError(error, { canRetry: true });
+    }
+  }
+
+  /**
+   * Shows the next garment, or one before.
+   * @param {number} by 1: the next one, -1: the one before
+   */
+  step(by) {
+    const { count, place } = this.#state;
+    if (count > 0) this.#bring((place + by + count) % count);
+  }
+
+  /**
+   * Dresses the dummy in an item that has come, or in its new version.
+   * @param {SceneItem} item
+   */
+  wear(item) {
+    const row = this.#garments.find(({ key }) => key === item.key);
+    if (!isLoaded(item) || (item !== this.#coming && item !== this.#worn)) return;
+    if (item === this.#coming) [this.#worn, this.#coming] = [item, null];
+    dress(item, row ? hangingOf(row) : null, this.#dummy);
+    this.#callbacks.setItems([item]);
+    this.#show({ said: item.name });
+    this.#frameIfOther();
+    this.#change(this.#state.everySeconds);
+    this.#preload();
+  }
+
+  /**
+   * Says why a garment does not come, and goes on to the next one. Without a connection nothing else would come either: what is worn stays.
+   * @param {SceneItem} item
+   * @param {unknown} error
+   */
+  fail(item, error) {
+    const { code, message } = toProblem(error);
+    if (item !== this.#coming && !GONE.includes(code)) return; // a newer version that did not come
+    const name = this.#garments.find(({ key }) => key === item.key)?.label ?? item.name;
+    showNotice(`${name}: ${message}`, { stays: true });
+    if (!isConnectionProblem(error)) this.#list(this.#garments.filter(({ key }) => key !== item.key), message);
+    else this.#stay(message);
+  }
+
+  /**
+   * Turns the dummy before a wearer. To be called before each frame in a headset.
+   * @param {number} seconds since the last frame
+   */
+  update(seconds) {
+    const { root } = this.#callbacks;
+    if (this.#state.turns) root.rotation.y += (2 * Math.PI * seconds) / TURN_S;
+    root.updateMatrixWorld(true);
+  }
+
+  /**
+   * Shows the next garment, or the one before, where the stick is pushed to the side.
+   * @param {number} x of the thumbstick
+   */
+  steer(x) {
+    const push = this.#push.read(x);
+    if (push) this.step(push);
+  }
+
+  /** @param {string} mode of the headset: "vr", "ar", or "" */
+  showMode(mode) {
+    this.#dummy.showShadow(mode !== 'ar'); // in passthrough the room's own floor is where nobody knows
+    if (!mode) this.#board.hide();
+  }
+
+  /**
+   * Goes through other garments, from the one on that is shown already.
+   * @param {CollectionRow[]} garments
+   * @param {string} emptyReason why there are none
+   */
+  #list(garments, emptyReason) {
+    const before = this.#state.place;
+    const worn = garments.findIndex(({ key }) => key === this.#worn?.key);
+    this.#garments = garments;
+    this.#show({ count: garments.length });
+    if (garments.length > 0) this.#bring(worn >= 0 && !this.#coming ? worn : before % garments.length);
+    else this.#bare(emptyReason);
+  }
+
+  /** @param {string} reason why the dummy wears nothing */
+  #bare(reason) {
+    this.#worn = this.#coming = null;
+    this.#dummy.wear(BARE);
+    this.#callbacks.setItems([]);
+    showNothing(t('Wardrobe'), reason);
+    this.#show({ place: 0, said: reason });
+    this.#frameIfOther();
+  }
+
+  /** @param {string} reason why nothing else comes */
+  #stay(reason) {
+    const worn = this.#worn;
+    this.#coming = null;
+    this.#callbacks.setItems(worn ? [worn] : []);
+    if (!worn) showNothing(t('Wardrobe'), reason);
+    this.#show({ said: worn?.name ?? reason });
+    this.#change(this.#state.everySeconds); // then it is tried again
+  }
+
+  /** @param {number} place of a garment, which is loaded */
+  #bring(place) {
+    const { key, label } = this.#garments[place];
+    this.#show({ place, said: label });
+    if (this.#worn?.key === key && this.#worn.entry) {
+      this.#coming = null;
+      this.#callbacks.setItems([this.#worn]);
+      return;
+    }
+    this.#coming = new SceneItem(key, { id: randomId(), asset: key, position_m: [0, 0, 0], rotation: [0, 0, 0, 1], scale: 1 });
+    this.#callbacks.setItems(this.#worn ? [this.#worn, this.#coming] : [this.#coming]);
+  }
+
+  /** Loads the coarsest level of the next garment onto this device, so that it is there at once. */
+  async #preload() {
+    const { place, count } = this.#state;
+    if (count < 2) return;
+    const entry = await nextEntry(this.#garments[(place + 1) % count].key).catch(() => null); // what does not come is said when it is its turn
+    const coarsest = entry?.lods.toSorted((one, other) => other.level - one.level)[0];
+    if (coarsest) await loadFile(coarsest).catch(() => null);
+    document.body.dataset.preloaded = entry?.key ?? '';
+  }
+
+  /** @param {number} everySeconds after which the next garment comes by itself; 0: never */
+  #change(everySeconds) {
+    clearTimeout(this.#timer);
+    this.#show({ everySeconds });
+    if (everySeconds === 0) return;
+    this.#timer = setTimeout(() => {
+      if (this.#callbacks.isVisible() && this.#state.count > 1) this.step(1);
+      else this.#change(everySeconds);
+    }, 1000 * everySeconds);
+  }
+
+  /** Shows all of it where it is much larger or smaller than what was shown; otherwise the camera stays where the person has it. */
+  #frameIfOther() {
+    const size = this.box.getSize(new THREE.Vector3());
+    const factors = size.toArray().map((side, axis) => side / this.#framed.getComponent(axis));
+    if (factors.every((factor) => factor < OTHER_SIZE && factor > 1 / OTHER_SIZE)) return;
+    this.#framed.copy(size);
+    this.#callbacks.frameAll();
+  }
+
+  /** @param {Partial<WardrobeState>} changed */
+  #show(changed) {
+    Object.assign(this.#state, changed);
+    this.#panel.show(this.#state, this.#garments[this.#state.place]?.key ?? '');
+    this.#board.show(this.#state);
+    document.body.dataset.worn = this.#worn?.key ?? ''; // for tests and for scripts
+    this.#callbacks.onChange();
+  }
+}
+
+/**
+ * The choice in a page's address; without one this season.
+ * @param {string} search
+ * @returns {Choice}
+ */
+function choiceIn(search) {
+  const parameters = new URLSearchParams(search);
+  const [season, label] = [parameters.get('season'), parameters.get('label')];
+  if (label) return `label:${label}`;
+  const named = season === 'all' ? season : SEASONS.find((each) => each === season);
+  return named ?? seasonOf(new Date(), Intl.DateTimeFormat().resolvedOptions().timeZone);
+}
+
+/**
+ * @param {string} collection
+ * @param {Choice} choice
+ */
+function addressOf(collection, choice) {
+  const query = choice.startsWith('label:') ? ['label', choice.slice('label:'.length)] : ['season', choice];
+  return ofShownTenant(`/wardrobe/${encodeURIComponent(collection)}?${new URLSearchParams([query])}`);
+}
+
+/** @param {Choice} choice */
+function emptyText(choice) {
+  if (choice === 'all') return t('No garment is here yet. Give a thing a label such as “summer” or “dress”.');
+  const season = SEASONS.find((each) => each === choice);
+  if (season) return t('No garment has a label of this season: {season}. Choose another one, or all garments.', { season: seasonName(season) });
+  return t('Nothing has this label any more.');
+}
