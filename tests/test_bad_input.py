@@ -526,6 +526,7 @@ GETS: dict[str, tuple[str, str]] = {
     "events after no version": ("/v1/scenes/scn_000000000000000000000000/events?after=-1", "REQUEST_INVALID"),
     "scenes behind nothing": ("/v1/scenes?after=x", "REQUEST_INVALID"),
     "a viewer of no scene": ("/scene/room", "SCENE_INVALID"),
+    "a wardrobe that leads out": ("/wardrobe/%2e%2e", "COLLECTION_INVALID"),
     "a share of letters": ("/v1/shares/dress/qr.svg", "REQUEST_INVALID"),
     "a level of letters": ("/v1/assets/dress/lod/x", "REQUEST_INVALID"),
     "an unknown asset's QR code": ("/v1/assets/unknown/qr.svg", "ASSET_UNKNOWN"),

@@ -61,6 +61,7 @@ export class DressDummy {
   #dummy = new THREE.Group();
   #torso = new THREE.Group();
   #pole;
+  #foot;
   #plinth;
   #shadow = new ContactShadow();
 
@@ -71,8 +72,8 @@ export class DressDummy {
     this.#pole = mesh(new THREE.CylinderGeometry(POLE_M, POLE_M, 1, 16).translate(0, 0.5, 0), wood, 0);
     this.#plinth = mesh(new THREE.CylinderGeometry(1, 1, 1, 64).translate(0, 0.5, 0), material(CLOTH, 0.8), 0);
     this.#torso.add(mesh(torsoGeometry(), cloth, 0), cap);
-    const foot = mesh(new THREE.CylinderGeometry(0.9 * FOOT.radius, FOOT.radius, FOOT.height, 48), wood, FOOT.height / 2);
-    this.#dummy.add(this.#torso, this.#pole, foot);
+    this.#foot = mesh(new THREE.CylinderGeometry(0.9 * FOOT.radius, FOOT.radius, FOOT.height, 48).translate(0, FOOT.height / 2, 0), wood, 0);
+    this.#dummy.add(this.#torso, this.#pole, this.#foot);
     this.object.add(this.#dummy, this.#plinth, this.#shadow.object);
     this.wear(BARE);
   }
@@ -85,6 +86,7 @@ export class DressDummy {
     this.#torso.scale.set(scale.x, scale.y, scale.z);
     this.#torso.position.y = lift;
     this.#pole.scale.y = scale.y * (TORSO[TORSO.length - 1].y + POLE_M) + lift; // it ends inside the torso
+    this.#foot.scale.setScalar(scale.y);
     this.#show(this.#dummy);
   }
 

@@ -8,7 +8,8 @@ import { createContext, pixelRatio } from './webgl-context.js';
 /** @typedef {{ renderer: THREE.WebGLRenderer, scene: THREE.Scene, camera: THREE.PerspectiveCamera }} Stage */
 
 const VIEW = new THREE.Vector3(0.35, 0.3, 0.9).normalize(); // from the middle of a thing to the camera
-const FILLED = [0.88, 0.76]; // of the view's width and height by a thing: above and below it are words and buttons
+/** How much of the view's width and height `frame` fills with a thing: above and below it are words and buttons. */
+export const FILLED = [0.88, 0.76];
 const POINT_SHARE = 1 / 40; // size of a point of the hints, of the thing's diameter
 
 /**

@@ -5,24 +5,27 @@ import { BUST_M, HIP_M, SHOULDERS, TORSO, WAIST_M, torsoAt } from '../graphics/d
 /** @import { Hanging } from '../shared/garments.js' */
 /** @import { SizeM } from '../shared/types.d.ts' */
 /** @import { DummyShape } from '../graphics/dress-dummy.js' */
-/** @typedef {[from: number, to: number]} Span in metres */
-/** @typedef {Record<'x' | 'y' | 'z', Span>} Spans */
+/** @typedef {'x' | 'z'} Axis */
+/** @typedef {Record<Axis, number>} Point seen from above, in metres */
+/** @typedef {[Point, Point]} Line */
 /** @typedef {{ y: number, width: number, x: number, z: number }} Room of a garment at a height: half its width with all that hangs beside it, and how far it is from its middle to the cloth at the sides, and before and behind; Infinity where it is open there */
-/** @typedef {{ axis: { x: number, z: number }, rooms: Room[] }} Measures the middle of its upper part, and its room at each height, from the top down */
+/** @typedef {{ middle: Point, rooms: Room[] }} Measures the middle of its upper part, and its room at each height, from the top down */
 /** @typedef {{ position_m: [x: number, y: number, z: number], shape: DummyShape }} Fit where the garment's origin is, over the middle of the dummy's foot */
 
-const BANDS = 32; // a garment's collar is one or two of them
+const SLICES = 48; // from top to hem: a collar is two or three of them
+const EDGES = [[0, 3], [3, 6], [6, 0]]; // of a triangle, by the places of its corners
 const LEAST_HEIGHT_M = 0.25; // what is lower lies folded, and is worn by nobody
 const MOST_M = { height: 2.2, across: 1.8 };
 const LEAST_SHARE = 0.35; // of the height, of the longer side of its base: what is flatter lies
 const UPPER = 1 / 3; // of a garment, which tells where its middle is: a hem swings
-const SHOULDER_SHARE = 0.55; // of the widest place of the upper part: a collar is narrower, and stands above the shoulders
 const MOST_COLLAR_M = 0.12;
 const EASE = 0.95; // of the garment's room, which the dummy takes
 const FREE_M = 0.03; // between the hem and the floor
 /** @type {Record<'x' | 'y' | 'z', [least: number, most: number]>} */
 const RANGES = { x: [0.4, 1.2], y: [0.4, 1.1], z: [0.35, 1.3] }; // of the dummy's sizes, from a small child's on
 const WAIST_WITHIN = [0.15, 0.7]; // of the height, from the top down
+/** The dummy's part, of size 1, that must fit into a garment. Above the bust are armholes, and cloth that runs up to the shoulders; below the hips may be legs. @type {Record<Hanging, [high: number, low: number]>} */
+const GIRTHS = { shoulders: [BUST_M, TORSO[TORSO.length - 1].y], waist: [WAIST_M, HIP_M] };
 const LEG_SHARE = 0.3; // of the whole width, to the cloth beside the middle: where it is less, the middle is between two legs
 const ROUNDS = 3; // where it hangs depends on the dummy's girth, and that on where it hangs
 
@@ -41,58 +44,77 @@ export function canHang([width, height, depth]) {
  * @returns {Measures}
  */
 export function measureGarment(corners) {
-  const triangles = Array.from({ length: corners.length / 9 }, (_, place) => spansOf(corners, 9 * place));
-  const { y: [low, high] } = unite(triangles);
-  const step = (high - low) / BANDS;
-  const bandAt = (/** @type {number} */ y) => Math.min(BANDS - 1, Math.max(0, Math.floor((high - y) / step)));
-  /** @type {Spans[][]} */
-  const bands = Array.from({ length: BANDS }, () => []);
-  for (const triangle of triangles) for (let band = bandAt(triangle.y[1]); band <= bandAt(triangle.y[0]); band++) bands[band].push(triangle);
-  const upper = unite(bands.slice(0, Math.ceil(UPPER * BANDS)).flat());
-  const axis = { x: mean(upper.x), z: mean(upper.z) };
-  const rooms = bands.map((band, place) => ({ y: high - (place + 0.5) * step, width: halfOf(unite(band).x), x: roomOf(band, axis, 'x', 'z'), z: roomOf(band, axis, 'z', 'x') }));
-  return { axis, rooms };
+  let [low, high] = [Infinity, -Infinity];
+  for (let place = 1; place < corners.length; place += 3) [low, high] = [Math.min(low, corners[place]), Math.max(high, corners[place])];
+  const heights = Array.from({ length: SLICES }, (_, place) => high - ((place + 0.5) * (high - low)) / SLICES);
+  const slices = heights.map((y) => sliceAt(corners, y));
+  const upper = slices.slice(0, Math.ceil(UPPER * SLICES)).filter(({ length }) => length > 0);
+  const middleOf = (/** @type {Axis} */ axis) => upper.reduce((sum, slice) => sum + mean(spanOf(slice, axis)), 0) / upper.length;
+  const middle = { x: middleOf('x'), z: middleOf('z') };
+  const rooms = slices.map((slice, place) => {
+    const [left, right] = spanOf(slice, 'x');
+    return { y: heights[place], width: Math.max(0, right - left) / 2, x: roomOf(slice, middle, 'x', 'z'), z: roomOf(slice, middle, 'z', 'x') };
+  });
+  return { middle, rooms };
 }
 
 /**
- * How far it is from a garment's middle to its cloth, to the nearer of two sides: a sleeve that hangs beside the body is behind the body's cloth.
- * @param {Spans[]} triangles of a band
- * @param {{ x: number, z: number }} axis
- * @param {'x' | 'z'} side
- * @param {'x' | 'z'} across
+ * The lines in which a plane at a height cuts the cloth.
+ * @param {ArrayLike<number>} corners
+ * @param {number} y
+ * @returns {Line[]}
  */
-function roomOf(triangles, axis, side, across) {
-  const met = triangles.filter((triangle) => triangle[across][0] <= axis[across] && triangle[across][1] >= axis[across]);
-  return met.reduce((least, triangle) => Math.min(least, Math.abs(mean(triangle[side]) - axis[side])), Infinity);
+function sliceAt(corners, y) {
+  /** @type {Line[]} */
+  const lines = [];
+  for (let first = 0; first < corners.length; first += 9) {
+    const ends = EDGES.flatMap(([from, to]) => cutAt(corners, first + from, first + to, y) ?? []);
+    if (ends.length === 2) lines.push([ends[0], ends[1]]);
+  }
+  return lines;
 }
 
 /**
  * @param {ArrayLike<number>} corners
- * @param {number} first of nine numbers
- * @returns {Spans}
+ * @param {number} from place of a corner's x, as `to`
+ * @param {number} to
+ * @param {number} y
+ * @returns {Point | null} where an edge passes through a height
  */
-function spansOf(corners, first) {
-  const span = (/** @type {number} */ axis) => /** @type {Span} */ ([Math.min, Math.max].map((most) => most(corners[first + axis], corners[first + axis + 3], corners[first + axis + 6])));
-  return { x: span(0), y: span(1), z: span(2) };
+function cutAt(corners, from, to, y) {
+  const [one, other] = [corners[from + 1] - y, corners[to + 1] - y];
+  if (one < 0 === other < 0) return null;
+  const share = one / (one - other);
+  return { x: corners[from] + share * (corners[to] - corners[from]), z: corners[from + 2] + share * (corners[to + 2] - corners[from + 2]) };
 }
 
 /**
- * What several parts span together.
- * @param {Spans[]} parts
- * @returns {Spans}
+ * How far it is from a garment's middle to its cloth, to the nearer of two sides: a sleeve that hangs beside the body is behind the body's cloth.
+ * @param {Line[]} slice
+ * @param {Point} middle
+ * @param {Axis} side
+ * @param {Axis} across
  */
-function unite(parts) {
-  const span = (/** @type {'x' | 'y' | 'z'} */ axis) => /** @type {Span} */ ([
-    parts.reduce((least, part) => Math.min(least, part[axis][0]), Infinity),
-    parts.reduce((most, part) => Math.max(most, part[axis][1]), -Infinity),
-  ]);
-  return { x: span('x'), y: span('y'), z: span('z') };
+function roomOf(slice, middle, side, across) {
+  let room = Infinity;
+  for (const [one, other] of slice) {
+    const [from, to] = [one[across] - middle[across], other[across] - middle[across]];
+    if (from < 0 !== to < 0) room = Math.min(room, Math.abs(one[side] + ((other[side] - one[side]) * from) / (from - to) - middle[side]));
+  }
+  return room;
 }
 
-/** @param {Span} span */
-const halfOf = ([from, to]) => (to - from) / 2;
+/**
+ * @param {Line[]} slice
+ * @param {Axis} axis
+ * @returns {[from: number, to: number]}
+ */
+function spanOf(slice, axis) {
+  const ends = slice.flat().map((point) => point[axis]);
+  return [ends.reduce((least, end) => Math.min(least, end), Infinity), ends.reduce((most, end) => Math.max(most, end), -Infinity)];
+}
 
-/** @param {Span} span */
+/** @param {[from: number, to: number]} span */
 const mean = ([from, to]) => (from + to) / 2;
 
 /**
@@ -101,20 +123,20 @@ const mean = ([from, to]) => (from + to) / 2;
  * @param {Hanging} hanging
  * @returns {Fit}
  */
-export function fitGarment({ axis, rooms }, hanging) {
+export function fitGarment({ middle, rooms }, hanging) {
   const around = rooms.filter(({ width, x }) => x >= LEG_SHARE * width);
   const y = clamp((EASE * waistOf(around, hanging)) / torsoAt(WAIST_M).x, RANGES.y);
+  const [high, low] = GIRTHS[hanging];
   let scale = { x: y, y, z: y };
   let drop = 0; // from the garment's frame to the dummy's
   for (let round = 0; round < ROUNDS; round++) {
-    const { y: line, height, girth: [high, low] } = hanging === 'waist' ? waistLine(rooms) : shoulderLine(rooms, scale);
-    drop = y * height - line;
+    drop = hanging === 'waist' ? y * WAIST_M - rooms[0].y : shoulderDrop(rooms, scale);
     const girth = around.map((room) => ({ ...room, y: (room.y + drop) / y })).filter((room) => room.y <= high && room.y >= low);
     scale = { x: shareOf(girth, 'x'), y, z: shareOf(girth, 'z') };
   }
   const hem = rooms[rooms.length - 1].y + drop;
   const lift = Math.max(0, FREE_M - hem);
-  return { position_m: [-axis.x, drop + lift, -axis.z], shape: { scale, lift } };
+  return { position_m: [-middle.x, drop + lift, -middle.z], shape: { scale, lift } };
 }
 
 /**
@@ -128,32 +150,16 @@ function waistOf(rooms, hanging) {
 }
 
 /**
- * @typedef {object} Line where a garment meets the dummy
- * @property {number} y of the garment
- * @property {number} height of the dummy of size 1
- * @property {[high: number, low: number]} girth the dummy's part that must fit into the garment, of size 1
- */
-
-/**
- * The waist, which a garment's upper edge is at. Below the hips there may be legs.
- * @param {Room[]} rooms
- * @returns {Line}
- */
-const waistLine = ([{ y }]) => ({ y, height: WAIST_M, girth: [WAIST_M, HIP_M] });
-
-/**
- * The shoulders, on which a garment lies with its first band from the top that is no collar. Straps lie nearer to the neck than sleeves begin. Above the
- * bust are armholes, and cloth that runs up to the shoulders.
+ * How much higher a garment hangs than its own frame has it: as low as the shoulders let it, whether straps lie on them, seams, or what is below a collar.
  * @param {Room[]} rooms
  * @param {{ x: number, y: number }} scale of the dummy
- * @returns {Line}
  */
-function shoulderLine(rooms, scale) {
-  const upper = rooms.filter(({ y }) => rooms[0].y - y <= MOST_COLLAR_M * scale.y);
-  const widest = Math.max(...upper.map(({ width }) => width));
-  const { y, width } = upper.find((room) => room.width >= SHOULDER_SHARE * widest) ?? rooms[0];
-  const height = shoulderHeight(width / scale.x);
-  return { y, height, girth: [BUST_M, TORSO[TORSO.length - 1].y] };
+function shoulderDrop(rooms, scale) {
+  const end = SHOULDERS[SHOULDERS.length - 1];
+  const drops = rooms
+    .filter(({ y, width }) => rooms[0].y - y <= MOST_COLLAR_M * scale.y && width > 0 && width <= end.x * scale.x)
+    .map(({ y, width }) => scale.y * shoulderHeight(width / scale.x) - y);
+  return drops.length > 0 ? Math.max(...drops) : scale.y * end.y - rooms[0].y; // what is wider at its top lies off the shoulders
 }
 
 /**

@@ -24,7 +24,7 @@ import { context, keys, nextEntry, sceneId, wardrobeOf } from './start.js';
 import { startTurntable } from './turntable.js';
 import { Walker } from './walk.js';
 import { XrInput } from './xr-input.js';
-import { XrSession } from './xr-session.js';
+import { HELP, XrSession } from './xr-session.js';
 import { pause, prepare } from '../graphics/gpu-warmup.js';
 import { createStage, frame, hintsOf } from '../graphics/scene.js';
 import { showAccount } from '../shared/account.js';
@@ -103,6 +103,7 @@ const input = new XrInput(renderer, scene, {
 const headset = new XrSession({ renderer, scene, root }, { vr: page.vr, ar: page.ar }, {
   height: () => wardrobe?.box.max.y ?? Math.max(0, ...loadedItems().map((item) => item.entry.size_m[1])),
   standingPlace,
+  help: () => wardrobe?.help ?? HELP,
   onMode: showMode,
   onPlaced: (metres) => {
     reportPlace(metres);
@@ -313,9 +314,10 @@ function standingPlace() {
 
 /** Moves the camera of the page so that all items are in view. */
 function frameAll() {
-  const box = wardrobe?.box ?? new THREE.Box3();
+  if (renderer.xr.isPresenting) return;
+  const box = wardrobe?.view ?? new THREE.Box3();
   for (const item of loadedItems()) box.union(item.box.applyMatrix4(item.group.matrixWorld));
-  if (renderer.xr.isPresenting || box.isEmpty()) return;
+  if (box.isEmpty()) return;
   const [size, middle] = [box.getSize(new THREE.Vector3()), box.getCenter(new THREE.Vector3())];
   controls.target.copy(frame(camera, size.toArray(), middle));
 }

@@ -1,7 +1,7 @@
 // The board of the wardrobe in the headset: what the dummy wears, seasons, the garment before and the next one.
 import { INK, paintButton, paintGround } from './panel-paint.js';
 import { PressPanel, reportPlaces, standBefore } from './press-panel.js';
-import { ROTATE_S, countText, seasonName } from './wardrobe-panel.js';
+import { countText, seasonName } from './wardrobe-panel.js';
 import { SEASONS } from '../shared/garments.js';
 import { t } from '../shared/texts.js';
 
@@ -82,15 +82,15 @@ export class WardrobeBoard {
    * @param {WardrobeState} state
    * @returns {Button[][]}
    */
-  #rows({ choice, everySeconds, turns }) {
-    const { onChoose, onStep, onEvery, onTurn, onResetView } = this.#actions;
+  #rows({ choice, rotates, turns }) {
+    const { onChoose, onStep, onRotate, onTurn, onResetView } = this.#actions;
     const choose = (/** @type {Choice} */ each, /** @type {string} */ text) => ({ name: each, text, isChosen: each === choice, press: () => onChoose(each) });
     return [
-      [...SEASONS.map((season) => choose(season, seasonName(season))), choose('all', t('All garments'))],
+      [...SEASONS.map((season) => choose(season, seasonName(season))), choose('all', t('All'))],
       [
         { name: 'previous', text: t('Previous'), press: () => onStep(-1) },
         { name: 'next', text: t('Next'), press: () => onStep(1) },
-        { name: 'rotate', text: t('Change by itself'), isChosen: everySeconds > 0, press: () => onEvery(everySeconds > 0 ? 0 : ROTATE_S) },
+        { name: 'rotate', text: t('Change by itself'), isChosen: rotates, press: onRotate },
       ],
       [
         { name: 'turn', text: t('Turn'), isChosen: turns, press: onTurn },

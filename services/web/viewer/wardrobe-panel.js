@@ -1,4 +1,4 @@
-// The controls of the wardrobe on the page: which garments, the one before and the next one by buttons and arrow keys, and how often they change.
+// The controls of the wardrobe on the page: which garments, the one before and the next one by buttons and arrow keys, and whether they change by themselves.
 import { create, element } from '../shared/dom.js';
 import { SEASONS } from '../shared/garments.js';
 import { t } from '../shared/texts.js';
@@ -12,13 +12,10 @@ import { ofShownTenant } from '../shared/whose.js';
  * @typedef {object} WardrobeActions
  * @property {(choice: Choice) => void} onChoose
  * @property {(by: number) => void} onStep 1: the next garment, -1: the one before
- * @property {(seconds: number) => void} onEvery from one garment to the next; 0: they change by hand
+ * @property {() => void} onRotate lets the garments change by themselves, or no longer
  * @property {() => void} onTurn lets the dummy turn in a headset, or no longer
  * @property {() => void} onResetView
  */
-
-/** From one garment to the next in seconds, for who just wants them to change: a whole turn, and a moment. */
-export const ROTATE_S = 20;
 
 /** @type {Record<Season, string>} */
 const SEASON_NAMES = { spring: t('Spring'), summer: t('Summer'), autumn: t('Autumn'), winter: t('Winter') };
@@ -31,7 +28,7 @@ const panel = {
   previous: element('wardrobe-previous', HTMLButtonElement),
   next: element('wardrobe-next', HTMLButtonElement),
   count: element('wardrobe-count', HTMLElement),
-  every: element('wardrobe-every', HTMLSelectElement),
+  rotate: element('wardrobe-rotate', HTMLButtonElement),
   alone: element('wardrobe-alone', HTMLAnchorElement),
 };
 
@@ -53,7 +50,7 @@ export class WardrobePanel {
     panel.choice.addEventListener('change', () => actions.onChoose(/** @type {Choice} */ (panel.choice.value)));
     panel.previous.addEventListener('click', () => actions.onStep(-1));
     panel.next.addEventListener('click', () => actions.onStep(1));
-    panel.every.addEventListener('change', () => actions.onEvery(Number(panel.every.value)));
+    panel.rotate.addEventListener('click', actions.onRotate);
     document.addEventListener('keydown', (event) => this.#step(event), true); // before the camera's keys
     element('keys', HTMLElement).textContent = t('Left and right arrow keys show the garment before and the next one; with Shift they turn it. Drag to turn, pinch or scroll to come closer, plus and minus too. Home shows all of it, T turns it by itself, F fills the screen.');
   }
@@ -63,12 +60,12 @@ export class WardrobePanel {
    * @param {string} key of the garment that is shown or on its way; '' without one
    */
   show(state, key) {
-    const { choice, labels, count, everySeconds } = state;
+    const { choice, labels, count, rotates } = state;
     this.#fillChoices(choice.startsWith('label:') ? [...labels, choice.slice('label:'.length)] : labels);
     panel.choice.value = choice;
     panel.previous.disabled = panel.next.disabled = count < 2;
     panel.count.textContent = countText(state);
-    panel.every.value = String(everySeconds);
+    panel.rotate.setAttribute('aria-pressed', String(rotates));
     panel.alone.hidden = !key;
     panel.alone.href = ofShownTenant(`/view/${encodeURIComponent(key)}`);
   }

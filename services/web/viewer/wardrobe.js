@@ -7,15 +7,16 @@ import { SceneItem, isLoaded, randomId } from './scene-item.js';
 import { nextEntry } from './start.js';
 import { StickPush } from './stick-push.js';
 import { WardrobeBoard } from './wardrobe-board.js';
-import { WardrobePanel, seasonName } from './wardrobe-panel.js';
+import { addressOf, choiceIn, emptyText, secondsIn } from './wardrobe-choice.js';
+import { WardrobePanel } from './wardrobe-panel.js';
 import { BARE, DressDummy } from '../graphics/dress-dummy.js';
-import { element } from '../shared/dom.js';
-import { SEASONS, chooseGarments, hangingOf, otherLabels, seasonOf } from '../shared/garments.js';
+import { FILLED } from '../graphics/scene.js';
+import { child, element } from '../shared/dom.js';
+import { chooseGarments, hangingOf, otherLabels } from '../shared/garments.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
 import { loadRows, withNewest } from '../shared/signed-catalogue.js';
 import { t } from '../shared/texts.js';
 import { loadFile } from '../shared/verified-cache.js';
-import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { LoadedItem } from './scene-item.js' */
 /** @import { Choice } from '../shared/garments.js' */
@@ -41,12 +42,13 @@ import { ofShownTenant } from '../shared/whose.js';
  * @property {number} place from 0, of the garment that is shown or on its way
  * @property {number} count
  * @property {string} said name of the garment, or why there is none
- * @property {number} everySeconds from one garment to the next; 0: they change by hand
+ * @property {boolean} rotates whether the garments change by themselves
  * @property {boolean} turns whether it turns in a headset
  */
 
+const EVERY_S = 20; // from one garment to the next: a whole turn, and a moment
 const TURN_S = 15; // for a whole turn, as the turntable of the page
-const OTHER_SIZE = 1.25; // from which factor of a side on the camera looks at the whole anew
+const OTHER_SIZE = [0.5, 1.1]; // of what the camera looks at: when the whole is less, or more, it looks anew
 
 /** The garments of a collection, and which of them the dummy wears. */
 export class Wardrobe {
@@ -64,6 +66,7 @@ export class Wardrobe {
   #coming = null; // what is worn stays until it is there
   #framed = new THREE.Vector3();
   #timer = 0;
+  #everySeconds = secondsIn(location.search);
   #request = 0; // an older one that is still loading shows nothing any more
   /** @type {WardrobeState} */
   #state;
@@ -76,11 +79,12 @@ export class Wardrobe {
     this.#collection = collection;
     this.#callbacks = callbacks;
     const turns = !matchMedia('(prefers-reduced-motion: reduce)').matches;
-    this.#state = { choice: choiceIn(location.search), labels: [], place: 0, count: 0, said: t('Loading …'), everySeconds: 0, turns };
+    this.#state = { choice: choiceIn(location.search), labels: [], place: 0, count: 0, said: t('Loading …'), rotates: this.#everySeconds > 0, turns };
+    this.#everySeconds ||= EVERY_S;
     const actions = {
       onChoose: (/** @type {Choice} */ choice) => this.choose(choice),
       onStep: (/** @type {number} */ by) => this.step(by),
-      onEvery: (/** @type {number} */ seconds) => this.#change(seconds),
+      onRotate: () => this.#rotate(!this.#state.rotates),
       onTurn: () => this.#show({ turns: !this.#state.turns }),
       onResetView: callbacks.onResetView,
     };
@@ -95,11 +99,25 @@ export class Wardrobe {
     return this.#board;
   }
 
+  /** What a wearer is told who does not know it yet. */
+  get help() {
+    return [t('The right stick to the side, or a pinch on the garment: another one.'), t('A or X shows the board and hides it.')];
+  }
+
   /** The box of the dummy or plinth with what it shows, in the frame of the root. */
   get box() {
     const box = this.#dummy.box;
     const item = this.#worn;
     return item && isLoaded(item) ? box.union(item.box.applyMatrix4(item.group.matrix)) : box;
+  }
+
+  /** The same with what the controls cover under it: the camera looks at so much. */
+  get view() {
+    const { box } = this;
+    const covered = Math.min(0.5, child(document.body, 'footer', HTMLElement).offsetHeight / innerHeight);
+    const [filled, free] = [FILLED[1], (1 + FILLED[1]) / 2 - covered];
+    if (filled > free) box.min.y -= (box.max.y - box.min.y) * (filled / free - 1);
+    return box;
   }
 
   /** Shows the garments that the page's address asks for, without one those of this season. */
@@ -118,7 +136,7 @@ export class Wardrobe {
     try {
       const rows = await withNewest(this.#collection, async (index) => (await Promise.all(index.shards.map((shard) => loadRows(index, shard)))).flat());
       if (request !== this.#request) return;
-      history.replaceState(null, '', addressOf(this.#collection, choice));
+      history.replaceState(null, '', addressOf(choice));
       this.#show({ labels: otherLabels(rows) });
       this.#list(chooseGarments(rows, choice), emptyText(choice));
     } catch (error) {
@@ -150,7 +168,7 @@ export class Wardrobe {
     this.#callbacks.setItems([item]);
     this.#show({ said: item.name });
     this.#frameIfOther();
-    this.#change(this.#state.everySeconds);
+    this.#rotate(this.#state.rotates);
     this.#preload();
   }
 
@@ -224,7 +242,7 @@ export class Wardrobe {
     this.#callbacks.setItems(worn ? [worn] : []);
     if (!worn) showNothing(t('Wardrobe'), reason);
     this.#show({ said: worn?.name ?? reason });
-    this.#change(this.#state.everySeconds); // then it is tried again
+    this.#rotate(this.#state.rotates); // then it is tried again
   }
 
   /** @param {number} place of a garment, which is loaded */
@@ -250,22 +268,22 @@ export class Wardrobe {
     document.body.dataset.preloaded = entry?.key ?? '';
   }
 
-  /** @param {number} everySeconds after which the next garment comes by itself; 0: never */
-  #change(everySeconds) {
+  /** @param {boolean} rotates whether the next garment comes by itself, after a while from now on */
+  #rotate(rotates) {
     clearTimeout(this.#timer);
-    this.#show({ everySeconds });
-    if (everySeconds === 0) return;
+    this.#show({ rotates });
+    if (!rotates) return;
     this.#timer = setTimeout(() => {
       if (this.#callbacks.isVisible() && this.#state.count > 1) this.step(1);
-      else this.#change(everySeconds);
-    }, 1000 * everySeconds);
+      else this.#rotate(true);
+    }, 1000 * this.#everySeconds);
   }
 
-  /** Shows all of it where it is much larger or smaller than what was shown; otherwise the camera stays where the person has it. */
+  /** Shows all of it where it does not fit in the view, or is lost in it; otherwise the camera stays where the person has it. */
   #frameIfOther() {
     const size = this.box.getSize(new THREE.Vector3());
-    const factors = size.toArray().map((side, axis) => side / this.#framed.getComponent(axis));
-    if (factors.every((factor) => factor < OTHER_SIZE && factor > 1 / OTHER_SIZE)) return;
+    const factor = Math.max(...size.toArray().map((side, axis) => side / this.#framed.getComponent(axis)));
+    if (factor >= OTHER_SIZE[0] && factor <= OTHER_SIZE[1]) return;
     this.#framed.copy(size);
     this.#callbacks.frameAll();
   }
@@ -278,34 +296,4 @@ export class Wardrobe {
     document.body.dataset.worn = this.#worn?.key ?? ''; // for tests and for scripts
     this.#callbacks.onChange();
   }
-}
-
-/**
- * The choice in a page's address; without one this season.
- * @param {string} search
- * @returns {Choice}
- */
-function choiceIn(search) {
-  const parameters = new URLSearchParams(search);
-  const [season, label] = [parameters.get('season'), parameters.get('label')];
-  if (label) return `label:${label}`;
-  const named = season === 'all' ? season : SEASONS.find((each) => each === season);
-  return named ?? seasonOf(new Date(), Intl.DateTimeFormat().resolvedOptions().timeZone);
-}
-
-/**
- * @param {string} collection
- * @param {Choice} choice
- */
-function addressOf(collection, choice) {
-  const query = choice.startsWith('label:') ? ['label', choice.slice('label:'.length)] : ['season', choice];
-  return ofShownTenant(`/wardrobe/${encodeURIComponent(collection)}?${new URLSearchParams([query])}`);
-}
-
-/** @param {Choice} choice */
-function emptyText(choice) {
-  if (choice === 'all') return t('No garment is here yet. Give a thing a label such as “summer” or “dress”.');
-  const season = SEASONS.find((each) => each === choice);
-  if (season) return t('No garment has a label of this season: {season}. Choose another one, or all garments.', { season: seasonName(season) });
-  return t('Nothing has this label any more.');
 }

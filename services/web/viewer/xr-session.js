@@ -12,6 +12,7 @@ import { t } from '../shared/texts.js';
  * @typedef {object} XrSessionCallbacks
  * @property {() => number} height of the tallest thing, in metres
  * @property {() => THREE.Vector3 | null} standingPlace where in the scene's frame the wearer begins, when it is large; null: in front of it
+ * @property {() => string[]} help what a wearer is told at the beginning, a line each
  * @property {(mode: Mode | '') => void} onMode is called when a session begins, and with '' when it ends
  * @property {(metres: number[]) => void} onPlaced is called with the place of the scene
  * @property {(error: Error) => void} onRefused is called when the headset does not start
@@ -26,7 +27,8 @@ const FEATURES = { requiredFeatures: ['local-floor'], optionalFeatures: ['hand-t
 const NAMES = { vr: 'VR', ar: 'AR' };
 /** @type {Mode[]} */
 const MODES = ['vr', 'ar'];
-const HELP = [t('Squeeze or pinch to take hold; two hands scale and turn.'), t('B, Y, or a long pinch beside it puts it back.')];
+/** What a wearer does with things. */
+export const HELP = [t('Squeeze or pinch to take hold; two hands scale and turn.'), t('B, Y, or a long pinch beside it puts it back.')];
 const WALKING_HELP = [t('The left stick walks, the right one turns.'), t('Point at the floor and pull the trigger, or pinch, to go there.')];
 
 /** The session in a headset, and its two buttons. */
@@ -172,7 +174,7 @@ export class XrSession {
       root.position.y = height < SMALL_M ? Math.max(0, eye.y * EYE_SHARE - height / 2) : 0;
     }
     root.updateMatrixWorld(true);
-    this.#showHelp(eye, ahead, inside ? [...WALKING_HELP, ...HELP] : HELP);
+    this.#showHelp(eye, ahead, [...(inside ? WALKING_HELP : []), ...this.#callbacks.help()]);
     this.#callbacks.onPlaced(root.position.toArray());
   }
 
