@@ -47,6 +47,7 @@ _PARAMETERS = {
     "/view": {"key": "asset"},
     "/edit": {"key": "asset"},
     "/browse": {"name": "collection"},
+    "/wardrobe": {"name": "collection"},
 }
 """Which of a tenant's ids a path parameter takes, by the beginning of the path."""
 _BODIES: Mapping[str, Any] = {

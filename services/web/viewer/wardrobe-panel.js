@@ -30,6 +30,7 @@ const panel = {
   count: element('wardrobe-count', HTMLElement),
   rotate: element('wardrobe-rotate', HTMLButtonElement),
   alone: element('wardrobe-alone', HTMLAnchorElement),
+  spoken: element('view', HTMLElement),
 };
 
 /** @param {Season} season */
@@ -65,6 +66,8 @@ export class WardrobePanel {
     panel.choice.value = choice;
     panel.previous.disabled = panel.next.disabled = count < 2;
     panel.count.textContent = countText(state);
+    const spoken = [state.said, countText(state)].filter(Boolean).join(', ');
+    if (panel.spoken.textContent !== spoken) panel.spoken.textContent = spoken; // a screen reader would say it again
     panel.rotate.setAttribute('aria-pressed', String(rotates));
     panel.alone.hidden = !key;
     panel.alone.href = ofShownTenant(`/view/${encodeURIComponent(key)}`);

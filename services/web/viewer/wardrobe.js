@@ -1,10 +1,10 @@
 // The wardrobe (/wardrobe/{collection}): the garments of a season, one after the other, on a dress dummy.
 import * as THREE from '../vendor/three-0.187.0.module.js';
 import { dress } from './dressing.js';
+import { loadAllRows, preload } from './garment-source.js';
 import { GONE } from './item-updates.js';
 import { showError, showNotice, showNothing } from './messages.js';
 import { SceneItem, isLoaded, randomId } from './scene-item.js';
-import { nextEntry } from './start.js';
 import { StickPush } from './stick-push.js';
 import { WardrobeBoard } from './wardrobe-board.js';
 import { addressOf, choiceIn, emptyText, secondsIn } from './wardrobe-choice.js';
@@ -14,9 +14,7 @@ import { FILLED } from '../graphics/scene.js';
 import { child, element } from '../shared/dom.js';
 import { chooseGarments, hangingOf, otherLabels } from '../shared/garments.js';
 import { isConnectionProblem, toProblem } from '../shared/problems.js';
-import { loadRows, withNewest } from '../shared/signed-catalogue.js';
 import { t } from '../shared/texts.js';
-import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { LoadedItem } from './scene-item.js' */
 /** @import { Choice } from '../shared/garments.js' */
@@ -134,10 +132,10 @@ export class Wardrobe {
     const request = ++this.#request;
     this.#show({ choice, said: t('Loading …') });
     try {
-      const rows = await withNewest(this.#collection, async (index) => (await Promise.all(index.shards.map((shard) => loadRows(index, shard)))).flat());
+      const rows = await loadAllRows(this.#collection);
       if (request !== this.#request) return;
       history.replaceState(null, '', addressOf(choice));
-      this.#show({ labels: otherLabels(rows) });
+      this.#show({ labels: otherLabels(rows), place: 0 });
       this.#list(chooseGarments(rows, choice), emptyText(choice));
     } catch (error) {
       if (request !== this.#request) return;
@@ -169,7 +167,8 @@ export class Wardrobe {
     this.#show({ said: item.name });
     this.#frameIfOther();
     this.#rotate(this.#state.rotates);
-    this.#preload();
+    const { place, count } = this.#state;
+    if (count > 1) preload(this.#garments[(place + 1) % count].key);
   }
 
   /**
@@ -192,7 +191,8 @@ export class Wardrobe {
    */
   update(seconds) {
     const { root } = this.#callbacks;
-    if (this.#state.turns) root.rotation.y += (2 * Math.PI * seconds) / TURN_S;
+    if (!this.#state.turns) return;
+    root.rotation.y += (2 * Math.PI * seconds) / TURN_S;
     root.updateMatrixWorld(true);
   }
 
@@ -212,7 +212,7 @@ export class Wardrobe {
   }
 
   /**
-   * Goes through other garments, from the one on that is shown already.
+   * Goes through other garments, from the one on that is worn, else from the place on that is shown.
    * @param {CollectionRow[]} garments
    * @param {string} emptyReason why there are none
    */
@@ -256,16 +256,6 @@ export class Wardrobe {
     }
     this.#coming = new SceneItem(key, { id: randomId(), asset: key, position_m: [0, 0, 0], rotation: [0, 0, 0, 1], scale: 1 });
     this.#callbacks.setItems(this.#worn ? [this.#worn, this.#coming] : [this.#coming]);
-  }
-
-  /** Loads the coarsest level of the next garment onto this device, so that it is there at once. */
-  async #preload() {
-    const { place, count } = this.#state;
-    if (count < 2) return;
-    const entry = await nextEntry(this.#garments[(place + 1) % count].key).catch(() => null); // what does not come is said when it is its turn
-    const coarsest = entry?.lods.toSorted((one, other) => other.level - one.level)[0];
-    if (coarsest) await loadFile(coarsest).catch(() => null);
-    document.body.dataset.preloaded = entry?.key ?? '';
   }
 
   /** @param {boolean} rotates whether the next garment comes by itself, after a while from now on */

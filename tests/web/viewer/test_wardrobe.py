@@ -73,6 +73,7 @@ def test_garments_of_a_season_come_one_after_the_other_by_buttons_and_keys(page:
     await_data(page, worn="blue")
     expect(page.locator("#label")).to_have_text("Blue dress")
     expect(page.locator("#wardrobe-count")).to_have_text("1 of 3")
+    expect(page.locator("#view")).to_have_text("Blue dress, 1 of 3")  # what a screen reader says
     assert share_of(page, 2) > 0.01
     await_data(page, preloaded="green")
     page.get_by_role("button", name="Next garment").tap()
@@ -167,6 +168,21 @@ def test_a_file_that_is_broken_is_said_and_the_next_one_comes(page: Page, losing
     page.goto(f"{losing.url}/wardrobe/default?season=summer")
     await_data(page, worn="green")
     expect(page.locator("#notice")).to_contain_text("Blue dress: ")
+
+
+def test_without_a_connection_what_was_loaded_ahead_comes_and_then_stays(page: Page, shop: Site) -> None:
+    page.goto(f"{shop.url}/wardrobe/default?season=summer")
+    await_data(page, worn="blue", preloaded="green")
+    page.context.set_offline(True)
+    page.keyboard.press("ArrowRight")
+    await_data(page, worn="green")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#notice")).to_contain_text("Red dress: ")
+    expect(page.locator("#label")).to_have_text("Green skirt")
+    expect(page.locator("#wardrobe-count")).to_have_text("2 of 3")
+    page.context.set_offline(False)
+    page.keyboard.press("ArrowRight")
+    await_data(page, worn="red")
 
 
 def test_the_page_of_the_collection_leads_to_it(page: Page, shop: Site) -> None:
