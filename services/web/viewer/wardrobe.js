@@ -241,7 +241,7 @@ export class Wardrobe {
     this.#coming = null;
     this.#callbacks.setItems(worn ? [worn] : []);
     if (!worn) showNothing(t('Wardrobe'), reason);
-    this.#show({ said: worn?.name ?? reason });
+    this.#show({ said: worn?.name ?? reason, place: Math.max(0, this.#garments.findIndex(({ key }) => key === worn?.key)) });
     this.#rotate(this.#state.rotates); // then it is tried again
   }
 
