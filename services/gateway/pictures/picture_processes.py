@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,7 +11,7 @@ from tempfile import TemporaryDirectory
 from anyio import CapacityLimiter
 
 from services.fork_client import ForkServer
-from services.gateway.errors import Problem
+from services.gateway.errors import Problem, storage_full
 from services.gateway.forked_talk import talk
 
 _AT_ONCE = 2  # photos, each with up to 768 MB; and with its bytes here, up to 128 MB
@@ -28,7 +29,8 @@ class PictureProcesses:
         self._server.close()
 
     async def shrink(self, read: Callable[[], Awaitable[tuple[str, bytes]]]) -> bytes:
-        """Return a small upright JPEG of a photo. Raises Problem PICTURE_UNREADABLE, and what `read` raises.
+        """Return a small upright JPEG of a photo. Raises Problem PICTURE_UNREADABLE, STORAGE_FULL, and what
+        `read` raises.
 
         read  returns the name of its file, for the message, and its bytes; called once there is a place for them
         """
@@ -36,14 +38,24 @@ class PictureProcesses:
             self._at_once = CapacityLimiter(_AT_ONCE)
         async with self._at_once:
             name, photo = await read()
-            with TemporaryDirectory(prefix="picture-") as folder:
-                source, target = Path(folder, "photo"), Path(folder, "small.jpg")
-                await asyncio.to_thread(source.write_bytes, photo)
-                said = await talk(self._server.fork(), {"source": str(source), "target": str(target)})
-                if "failed" in said:
-                    raise RuntimeError(f"a photo could not be shrunk: {said['failed']}")
-                if "jpeg" not in said or said.get("ended") != 0:
-                    reason = said.get("unreadable", "its decoder crashed, or took too long")
-                    detail = f"it cannot be shown: {reason}"
-                    raise Problem(422, "PICTURE_UNREADABLE", detail, file=name, hints=("choose another photo",))
-                return await asyncio.to_thread(target.read_bytes)
+            try:
+                with TemporaryDirectory(prefix="picture-") as folder:
+                    return await self._shrink(Path(folder), name, photo)
+            except OSError as error:
+                if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                    raise
+                raise storage_full() from None
+
+    async def _shrink(self, folder: Path, name: str, photo: bytes) -> bytes:
+        source, target = folder / "photo", folder / "small.jpg"
+        await asyncio.to_thread(source.write_bytes, photo)
+        said = await talk(self._server.fork(), {"source": str(source), "target": str(target)})
+        if "failed" in said:
+            raise RuntimeError(f"a photo could not be shrunk: {said['failed']}")
+        if "full" in said:
+            raise storage_full()
+        if "jpeg" not in said or said.get("ended") != 0:
+            reason = said.get("unreadable", "its decoder crashed, or took too long")
+            detail = f"it cannot be shown: {reason}"
+            raise Problem(422, "PICTURE_UNREADABLE", detail, file=name, hints=("choose another photo",))
+        return await asyncio.to_thread(target.read_bytes)

@@ -1,10 +1,12 @@
 """Decode a photo of a capture, turn it upright and shrink it, in a process with limits: what fork_server.py runs.
 
-Messages: `{"jpeg": true}` once the small picture is written, or `{"unreadable": REASON}`.
+Messages: `{"jpeg": true}` once the small picture is written, `{"unreadable": REASON}`, or `{"full": true}` for a disk
+without space.
 """
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +42,24 @@ def work(order: dict[str, Any], send: Send) -> None:
     """Write the small, upright JPEG of the photo at `source` to `target`."""
     limit_process(_SECONDS, _MOST_DATA_BYTES)
     try:
-        shrink(Path(order["source"])).save(order["target"], "JPEG", quality=_QUALITY)
+        picture = shrink(Path(order["source"]))
     except UnidentifiedImageError:  # its text names our file
         send({"unreadable": "this is not an image that can be read"})
     except MemoryError:
         send({"unreadable": "decoding it takes too much memory"})
     except Exception as error:  # noqa: BLE001 - Pillow's plugins raise anything on damaged files
         send({"unreadable": f"the image is damaged: {error}"})
+    else:
+        _write(picture, order["target"], send)
+
+
+def _write(picture: Image.Image, target: str, send: Send) -> None:
+    try:
+        picture.save(target, "JPEG", quality=_QUALITY)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        send({"full": True})
     else:
         send({"jpeg": True})
 

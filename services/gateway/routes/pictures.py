@@ -59,7 +59,7 @@ async def get_pictures(capture: CaptureId, request: Request) -> CapturePictures:
     "/captures/{capture}/pictures/{picture}",
     response_class=Response,
     dependencies=[needs(Scope.MANAGE)],
-    responses={200: {"content": {"image/jpeg": {}}}, **problems(404, 422, 503)},
+    responses={200: {"content": {"image/jpeg": {}}}, **problems(404, 422, 503, 507)},
 )
 async def get_picture(
     capture: CaptureId,

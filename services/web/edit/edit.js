@@ -7,7 +7,7 @@ import { CutPreview, planesOf } from './cut-preview.js';
 import { pick, watchTaps } from '../graphics/picking.js';
 import { PlaneList } from './plane-list.js';
 import { runEdited } from './saving.js';
-import { findJob, loadVersion } from './shown-version.js';
+import { findJob, loadVersion, notStored } from './shown-version.js';
 import { startTabs } from './tabs.js';
 import { TrueSize } from './true-size.js';
 import { Upright } from './upright.js';
@@ -172,7 +172,8 @@ function switchBox(on) {
 async function showPhotos(on) {
   document.body.dataset.photos = on ? 'yes' : 'no';
   photos?.close();
-  if (!on || !job) return;
+  if (!on || !shown) return;
+  if (!job) throw notStored();
   if (!session?.scopes.includes('manage')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Photos are shown only with an access key that may manage.') });
   const { PhotoLassos: Tool } = await import('./photo-lassos.js');
   photos ??= new Tool((drawn) => {

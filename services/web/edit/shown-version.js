@@ -67,4 +67,4 @@ export async function findJob({ versions = [] }, version) {
 }
 
 /** Nothing is stored that the thing could be made from again. */
-const notStored = () => new Problem({ code: 'NO_JOB', detail: t('No capture of this thing is stored here, so it cannot be made again.') });
+export const notStored = () => new Problem({ code: 'NO_JOB', detail: t('No capture of this thing is stored here, so it cannot be made again.') });

@@ -241,6 +241,8 @@ def test_what_was_made_elsewhere_cannot_be_edited(page: Page, site: Site, bundle
     expect(page.locator("#trouble")).to_contain_text("No capture of this thing is stored here")
     page.get_by_label("Keep only what is inside a box").check()
     expect(page.get_by_role("button", name="Save as a new version")).to_be_disabled()
+    open_tab(page, "Photos")
+    expect(page.locator("#trouble")).to_contain_text("No capture of this thing is stored here")
     page.goto(f"{site.url}/edit/nothing-here")
     await_data(page, state="error")
     expect(page.locator("#trouble")).to_contain_text("nothing-here")
