@@ -1,6 +1,7 @@
-"""Files of a bundle that show what it was made from, for downloads alone: points of the capture, cameras of its photos.
+"""Files of a bundle that show what it was made from: points of the capture, cameras of its photos.
 
-No headset reads them. They are in metres with Z up, as programs for point clouds and trainers of other methods want it.
+They are for downloads; the edit page reads the cameras, too. No headset reads them. They are in metres with Z up, as
+programs for point clouds and trainers of other methods want it.
 """
 
 from __future__ import annotations
@@ -42,4 +43,6 @@ def _camera(camera: PictureCamera, to_asset: Floats) -> dict[str, object]:
         "camera": camera.camera,
         "distortion": camera.distortion,
         "camera_to_world": np.column_stack([turned, place]).round(9).tolist(),
+        "turns": camera.turns,
+        "part": camera.part,
     }

@@ -75,6 +75,8 @@ class PictureCamera:
     camera           fx, fy, cx, cy in pixels; pixel centres are at integers
     distortion       OpenCV's (k1, k2, p1, p2, k3)
     camera_to_world  first three rows of the pose: OpenCV axes, capture frame
+    turns            clockwise quarter turns from the picture to the upright one
+    part             left, top, right, bottom of what it shows of its file's picture, as shares of that one's sides
     """
 
     name: str
@@ -82,6 +84,8 @@ class PictureCamera:
     camera: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], float, float]
     distortion: tuple[float, float, float, float, float]
     camera_to_world: tuple[_Row, _Row, _Row]
+    turns: Annotated[int, Field(ge=0, le=3)] = 0
+    part: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
 
     __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
 

@@ -33,6 +33,8 @@ def picture_camera(view: PhotoView) -> PictureCamera:
         (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
         view.distortion,
         (first, second, third),
+        view.photo.turns,
+        view.photo.part,
     )
 
 

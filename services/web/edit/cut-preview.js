@@ -32,6 +32,12 @@ export class CutPreview {
   #counted = []; // vertices in the frame of the thing
   /** @type {THREE.Object3D[]} */
   #ghosts = [];
+  /** @type {Map<THREE.BufferGeometry, { places: Float32Array, corners: Uint32Array, whole: THREE.BufferAttribute | null }>} */
+  #surfaces = new Map(); // of the meshes, as they are whole; places in the frame of the thing
+  /** @type {((places: Float32Array) => Uint8Array) | null} */
+  #judge = null; // marks places that are left out for another reason than planes
+  /** @type {Uint8Array | null} */
+  #out = null; // of the counted vertices
 
   /** @param {THREE.WebGLRenderer} renderer */
   constructor(renderer) {
@@ -43,9 +49,31 @@ export class CutPreview {
    * @param {THREE.Object3D} thing
    */
   take(thing) {
-    for (const level of thing.children) if (!level.userData.ghost && !this.#ghosts.some(({ parent }) => parent === level)) this.#haunt(level);
+    for (const level of thing.children) {
+      if (level.userData.ghost || this.#ghosts.some(({ parent }) => parent === level)) continue;
+      this.#haunt(level);
+      this.#keep(level, thing);
+    }
     const coarsest = thing.children.at(0);
-    if (coarsest && this.#counted.length === 0) this.#counted = verticesOf(coarsest, thing);
+    if (coarsest && this.#counted.length === 0) {
+      this.#counted = verticesOf(coarsest, thing);
+      this.#count();
+    }
+  }
+
+  /**
+   * Leaves out triangles by their corners, whatever the planes say; null for none.
+   * @param {((places: Float32Array) => Uint8Array) | null} judge marks with 1 the places (x, y, z one after the other, frame of the thing) that go
+   */
+  leaveOut(judge) {
+    this.#judge = judge;
+    this.#count();
+    for (const geometry of this.#surfaces.keys()) this.#reduce(geometry);
+  }
+
+  /** The surface of the coarsest level, in the frame of the thing; null before it is there. */
+  get surface() {
+    return [...this.#surfaces.values()].at(0) ?? null;
   }
 
   /**
@@ -59,16 +87,66 @@ export class CutPreview {
     thing.traverse((node) => {
       for (const material of materialsOf(node)) if (material !== GHOST) material.clippingPlanes = this.world;
     });
-    for (const ghost of this.#ghosts) ghost.visible = planes.length > 0;
-    const kept = this.#counted.filter((place) => planes.every((plane) => plane.distanceToPoint(place) >= 0));
+    for (const ghost of this.#ghosts) ghost.visible = planes.length > 0 || this.#judge !== null;
+    const kept = this.#counted.filter((place, number) => !this.#out?.[number] && planes.every((plane) => plane.distanceToPoint(place) >= 0));
     this.share = this.#counted.length ? kept.length / this.#counted.length : 1;
     return kept;
   }
 
   /** Forgets a thing that is no longer shown. */
   clear() {
+    for (const ghost of this.#ghosts) for (const copy of ghost.children) if (copy instanceof THREE.Mesh) copy.geometry.dispose();
     this.#counted = [];
     this.#ghosts = [];
+    this.#surfaces.clear();
+    this.#judge = null;
+    this.#out = null;
+  }
+
+  #count() {
+    this.#out = this.#judge?.(new Float32Array(this.#counted.flatMap((place) => place.toArray()))) ?? null;
+  }
+
+  /**
+   * Remembers the meshes of a level as they are whole.
+   * @param {THREE.Object3D} level
+   * @param {THREE.Object3D} thing
+   */
+  #keep(level, thing) {
+    const inverse = thing.matrixWorld.clone().invert();
+    level.traverse((node) => {
+      if (!(node instanceof THREE.Mesh) || node.material === GHOST) return;
+      const matrix = inverse.clone().multiply(node.matrixWorld);
+      const { count } = node.geometry.getAttribute('position');
+      const places = new Float32Array(3 * count);
+      const place = new THREE.Vector3();
+      for (let number = 0; number < count; number += 1) node.getVertexPosition(number, place).applyMatrix4(matrix).toArray(places, 3 * number);
+      const whole = node.geometry.getIndex();
+      const corners = Uint32Array.from(whole ? whole.array : Array.from({ length: count }, (_, number) => number));
+      this.#surfaces.set(node.geometry, { places, corners, whole });
+      if (this.#judge) this.#reduce(node.geometry);
+    });
+  }
+
+  /**
+   * Draws of a mesh the triangles of which at most one corner is left out.
+   * @param {THREE.BufferGeometry} geometry
+   */
+  #reduce(geometry) {
+    const surface = this.#surfaces.get(geometry);
+    if (!surface) return;
+    const { places, corners, whole } = surface;
+    const out = this.#judge?.(places);
+    if (!out) {
+      geometry.setIndex(whole);
+      return;
+    }
+    const kept = [];
+    for (let corner = 0; corner < corners.length; corner += 3) {
+      const three = corners.subarray(corner, corner + 3);
+      if (out[three[0]] + out[three[1]] + out[three[2]] < 2) kept.push(...three);
+    }
+    geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from(kept), 1));
   }
 
   /**
@@ -84,7 +162,7 @@ export class CutPreview {
     const ghost = new THREE.Group();
     level.updateWorldMatrix(true, true);
     for (const mesh of meshes) {
-      const copy = new THREE.Mesh(mesh.geometry, GHOST);
+      const copy = new THREE.Mesh(wholeOf(mesh.geometry), GHOST);
       copy.applyMatrix4(level.matrixWorld.clone().invert().multiply(mesh.matrixWorld));
       copy.raycast = () => {}; // nobody picks a place on it
       ghost.add(copy);
@@ -93,6 +171,17 @@ export class CutPreview {
     level.add(ghost);
     this.#ghosts.push(ghost);
   }
+}
+
+/**
+ * A geometry of the same vertices that stays whole where triangles are taken from the other.
+ * @param {THREE.BufferGeometry} geometry
+ */
+function wholeOf(geometry) {
+  const whole = new THREE.BufferGeometry();
+  whole.setIndex(geometry.getIndex());
+  for (const [name, attribute] of Object.entries(geometry.attributes)) whole.setAttribute(name, attribute);
+  return whole;
 }
 
 /**

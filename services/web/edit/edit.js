@@ -23,10 +23,12 @@ import { Problem, sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
 /** @import { ShownVersion } from './shown-version.js' */
+/** @import { LassoCut } from './lasso-cut.js' */
 /** @import { PhotoLassos } from './photo-lassos.js' */
 /** @import { AssetEntry, Edits, Job, PhotoLasso, Presets, Session } from '../shared/types.d.ts' */
 
 const REDRAW_MS = 300; // after the last change
+const GLIMPSE_PX = 130; // longer side of the small picture of the thing beside the photo's choices
 const MARGIN = 0.04; // of a new box around the thing, of its size: a coarse mesh is smaller than the thing
 const REDRAW_EVENTS = ['pointermove', 'wheel', 'keydown', 'webglcontextrestored'];
 
@@ -34,6 +36,7 @@ document.body.dataset.started = 'yes';
 const key = decodeURIComponent(location.pathname.split('/')[2] ?? '');
 const page = {
   canvas: element('stage', HTMLCanvasElement),
+  glimpse: element('glimpse', HTMLCanvasElement),
   cross: element('cross', HTMLElement),
   label: element('label', HTMLElement),
   said: element('said', HTMLElement),
@@ -71,6 +74,8 @@ let session = null;
 let lassos = [];
 /** @type {PhotoLassos | null} */
 let photos = null; // once their tab is opened
+/** @type {Promise<LassoCut | null> | null} */
+let lassoCut = null; // of the version that is shown, once a line is drawn
 let picking = ''; // what the next tap chooses: plane, ground, length
 let isChanged = false;
 let drawUntil = 0;
@@ -105,6 +110,7 @@ function showRecipe(edits) {
   planes.show(edits.planes ?? [], shown.frame, diagonal);
   lassos = edits.lassos ?? [];
   photos?.show(lassos);
+  attempt(page.trouble, previewLassos);
   upright.show(edits, shown.frame);
   size.show(edits.length ?? null, shown.frame);
   const said = new Map(Object.entries(edits));
@@ -179,8 +185,33 @@ async function showPhotos(on) {
   photos ??= new Tool((drawn) => {
     lassos = drawn;
     change();
+    attempt(page.trouble, previewLassos);
   });
   await photos.open(job.capture, lassos, () => document.body.dataset.photos === 'yes');
+  redraw();
+}
+
+/** Shows what the lines leave out that the version on the page has not left out already. */
+async function previewLassos() {
+  if (lassos.length === 0 && !lassoCut) return;
+  const { drawnSince, LassoCut: Cut } = await import('./lasso-cut.js');
+  const { surface } = preview;
+  if (!lassoCut && surface && drawnSince(shown.edits.lassos ?? [], lassos).length) lassoCut = Cut.load(shown.cameras, surface);
+  const [asked, cut] = [lassoCut, await lassoCut];
+  if (asked !== lassoCut) return; // another version is shown
+  const drawn = drawnSince(shown.edits.lassos ?? [], lassos);
+  preview.leaveOut(cut && drawn.length ? (places) => cut.leavesOut(places, drawn) : null);
+  photos?.tellPreview(drawn.length === 0 || (cut?.knows(drawn) ?? false));
+  showPreview();
+}
+
+/** Shows the thing small beside the photo's choices: the photo covers it, and a line changes what is kept of it. */
+function drawGlimpse() {
+  const { glimpse, canvas } = page;
+  const scale = GLIMPSE_PX / Math.max(canvas.clientWidth, canvas.clientHeight);
+  glimpse.width = Math.round(scale * canvas.clientWidth);
+  glimpse.height = Math.round(scale * canvas.clientHeight);
+  glimpse.getContext('2d')?.drawImage(canvas, 0, 0, glimpse.width, glimpse.height); // in the frame in which it was drawn
 }
 
 // ---- versions ---------------------------------------------------------------------------------------------------------
@@ -192,6 +223,7 @@ async function open(version) {
   endComparison();
   shown?.model.dispose();
   preview.clear();
+  lassoCut = null;
   shown = loaded;
   root.add(shown.model.object);
   job = await findJob(newest, shown.entry.version).catch((error) => {
@@ -286,6 +318,7 @@ function startDrawing() {
     if (now > drawUntil || !shown) return;
     box.scaleHandles(camera);
     comparison.render(stage, shown.model.object);
+    if (document.body.dataset.photos === 'yes') drawGlimpse();
   });
 }
 

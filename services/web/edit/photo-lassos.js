@@ -82,6 +82,11 @@ export class PhotoLassos {
     this.#page.photo.hidden = true;
   }
 
+  /** @param {boolean} isShown whether the thing on the page shows what the lines leave out */
+  tellPreview(isShown) {
+    this.#say(isShown ? '' : t('What these lines leave out is seen once it is saved.'));
+  }
+
   /** @param {PhotoLasso[]} lassos of a recipe */
   show(lassos) {
     this.#lassos = lassos;

@@ -11,7 +11,9 @@ import { t } from '../shared/texts.js';
 import { loadFile } from '../shared/verified-cache.js';
 
 /** @import { Stage } from '../graphics/scene.js' */
-/** @import { AssetEntry, Edits, Job, Manifest } from '../shared/types.d.ts' */
+/** @import { AssetEntry, AssetFile, Edits, Job, Manifest } from '../shared/types.d.ts' */
+
+const CAMERAS = 'cameras.json'; // of a bundle of photos
 
 /**
  * @typedef {object} ShownVersion
@@ -20,6 +22,7 @@ import { loadFile } from '../shared/verified-cache.js';
  * @property {CaptureFrame} frame
  * @property {Model} model
  * @property {THREE.Box3} bounds of the mesh, asset frame
+ * @property {AssetFile | undefined} cameras the file with the cameras of the capture's photos
  */
 
 /**
@@ -44,7 +47,8 @@ export async function loadVersion(newest, version, stage, onLevel) {
   model.want(0);
   const coarsest = model.coarsest ?? model.object;
   const bounds = new THREE.Box3().setFromPoints(verticesOf(coarsest, model.object));
-  return { entry, edits: manifest.edits ?? {}, frame: new CaptureFrame(entry.capture_to_asset), model, bounds };
+  const cameras = entry.files?.find(({ file }) => file === CAMERAS);
+  return { entry, edits: manifest.edits ?? {}, frame: new CaptureFrame(entry.capture_to_asset), model, bounds, cameras };
 }
 
 /**
