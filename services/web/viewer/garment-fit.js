@@ -19,6 +19,8 @@ const MOST_M = { height: 2.2, across: 1.8 };
 const LEAST_SHARE = 0.35; // of the height, of the longer side of its base: what is flatter lies
 const UPPER = 1 / 3; // of a garment, which tells where its middle is: a hem swings
 const MOST_COLLAR_M = 0.12;
+const LEAST_SLOPE = 0.5; // of cloth on shoulders, metres outwards for each down: what is steeper is a collar, or a body's side
+const STRAPLESS_M = 1.33; // height of the dummy, of size 1, up to which a garment without straps reaches
 const EASE = 0.95; // of the garment's room, which the dummy takes
 const FREE_M = 0.03; // between the hem and the floor
 /** @type {Record<'x' | 'y' | 'z', [least: number, most: number]>} */
@@ -150,16 +152,29 @@ function waistOf(rooms, hanging) {
 }
 
 /**
- * How much higher a garment hangs than its own frame has it: as low as the shoulders let it, whether straps lie on them, seams, or what is below a collar.
+ * How much higher a garment hangs than its own frame has it: what slopes in its upper part lies on the shoulders, straps, seams, or what is below a
+ * collar, by the median. What has nothing that slopes hangs off them where it is wider, and else from the bust.
  * @param {Room[]} rooms
  * @param {{ x: number, y: number }} scale of the dummy
  */
 function shoulderDrop(rooms, scale) {
-  const end = SHOULDERS[SHOULDERS.length - 1];
+  const [end, collar] = [SHOULDERS[SHOULDERS.length - 1], MOST_COLLAR_M * scale.y];
+  const top = rooms.find(({ x }) => x <= end.x * scale.x); // not of sleeves alone, which may be higher
+  if (!top || rooms[0].y - top.y > collar) return scale.y * end.y - rooms[0].y;
   const drops = rooms
-    .filter(({ y, width }) => rooms[0].y - y <= MOST_COLLAR_M * scale.y && width > 0 && width <= end.x * scale.x)
-    .map(({ y, width }) => scale.y * shoulderHeight(width / scale.x) - y);
-  return drops.length > 0 ? Math.max(...drops) : scale.y * end.y - rooms[0].y; // what is wider at its top lies off the shoulders
+    .filter(({ y, x }, place) => x <= end.x * scale.x && top.y - y <= collar && slopeAt(rooms, place) >= LEAST_SLOPE)
+    .map(({ y, x }) => scale.y * shoulderHeight(x / scale.x) - y);
+  return drops.length > 0 ? drops.toSorted((one, other) => one - other)[drops.length >> 1] : scale.y * STRAPLESS_M - top.y;
+}
+
+/**
+ * How far cloth goes outwards from a slice to the next one, for each metre down.
+ * @param {Room[]} rooms
+ * @param {number} place
+ */
+function slopeAt(rooms, place) {
+  const [above, below] = [rooms[place], rooms[Math.min(place + 1, rooms.length - 1)]];
+  return (below.x - above.x) / (above.y - below.y);
 }
 
 /**
