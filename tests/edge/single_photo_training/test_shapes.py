@@ -157,7 +157,7 @@ def test_nearest_is_what_a_tree_finds(seed: int, p: int, t: int) -> None:
 
 
 @few
-@given(st.floats(0.001, 0.3))
+@given(st.floats(0.001, 0.3).filter(lambda shift: abs(shift - 0.1) > 1e-4))  # at 0.1 itself rounding decides
 def test_chamfer_and_f_of_a_shifted_grid_are_known(shift: float) -> None:
     axis = torch.arange(8.0)
     grid = torch.cartesian_prod(axis, axis, axis)[None]

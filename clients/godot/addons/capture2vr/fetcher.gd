@@ -80,6 +80,9 @@ func _fault(url: String, answer: Answer, most: int) -> CaptureFault:
 		HTTPRequest.RESULT_SUCCESS:
 			return _refusal(url, answer.status)
 		HTTPRequest.RESULT_BODY_SIZE_LIMIT_EXCEEDED:
+			var refusal := _refusal(url, answer.status)  # the page that tells of it may be longer than the file
+			if refusal != null:
+				return refusal
 			var what := "%s: the server sends more than the %d bytes it should" % [url, most]
 			return CaptureFault.new(CaptureFault.FILE_CHANGED, what)
 		HTTPRequest.RESULT_DOWNLOAD_FILE_CANT_OPEN, HTTPRequest.RESULT_DOWNLOAD_FILE_WRITE_ERROR:
