@@ -1,6 +1,7 @@
 // The soft shadow of a thing on the floor under it: how high its underside is over each spot, darkest where it touches, blurred. It is worked
 // out on the CPU from the coarsest level of detail, once, in milliseconds: no shader, no render target, and a headset draws one quad.
 import * as THREE from '../vendor/three-0.187.0.module.js';
+import { pause } from './gpu-warmup.js';
 import { dispose } from './scene.js';
 
 const CELLS = 64; // along each side of the shadow
@@ -32,14 +33,36 @@ export class ContactShadow {
    * @param {THREE.Matrix4} toFloor from the world to the frame of the floor, where the height is 0
    */
   cast(thing, toFloor) {
+    const parts = this.#parts(thing, toFloor);
+    while (!parts.next().done) continue;
+  }
+
+  /**
+   * The same in parts, between which the page goes on: the first time the browser has not compiled this code yet, and all of it takes several frames.
+   * @param {THREE.Object3D} thing
+   * @param {THREE.Matrix4} toFloor
+   */
+  async castInParts(thing, toFloor) {
+    const parts = this.#parts(thing, toFloor);
+    while (!parts.next().done) await pause();
+  }
+
+  /**
+   * @param {THREE.Object3D} thing
+   * @param {THREE.Matrix4} toFloor
+   */
+  * #parts(thing, toFloor) {
     const triangles = trianglesOf(thing, toFloor);
+    yield;
     const box = new THREE.Box3().setFromArray(triangles);
     const size = box.getSize(new THREE.Vector3());
     const reach = REACH * Math.max(size.x, size.y, size.z);
     const side = (Math.max(size.x, size.z) * CELLS) / (CELLS - 2 * MARGIN);
     const middle = box.getCenter(new THREE.Vector3());
     const heights = heightsUnder(triangles, { x: middle.x - side / 2, z: middle.z - side / 2, cell: side / CELLS });
+    yield;
     const soft = blur(heights.map((height) => Math.max(0, 1 - height / reach) ** 2), SOFT_CELLS);
+    yield;
     const sharp = blur(heights.map((height) => Math.max(0, 1 - height / (reach * TOUCHING / REACH))), SHARP_CELLS);
     for (let place = 0; place < soft.length; place++) {
       const flipped = place + (CELLS - 1 - 2 * Math.floor(place / CELLS)) * CELLS; // a texture's rows begin at the near edge

@@ -73,12 +73,22 @@ export class Shadows {
    * @param {Cast} cast
    */
   #workOut(item, cast) {
-    const { position } = item.group;
-    const pose = item.group.matrix.compose(position, item.group.quaternion, item.group.scale).clone().setPosition(0, position.y, 0);
-    const level = item.model.coarsest;
-    if (!level || (level === cast.level && pose.equals(cast.pose))) return;
-    cast.shadow.cast(level, this.#root.matrixWorld.clone().invert());
-    Object.assign(cast, { level, pose, offset: cast.shadow.object.position.clone().sub(position).setY(0) });
+    const found = changeOf(item, cast);
+    if (!found) return;
+    cast.shadow.cast(found.level, this.#root.matrixWorld.clone().invert());
+    keep(cast, found);
+  }
+
+  /**
+   * Works out the first shadow of a thing, between frames.
+   * @param {LoadedItem} item
+   * @param {Cast} cast
+   */
+  async #workOutFirst(item, cast) {
+    const found = isLoaded(item) ? changeOf(item, cast) : null;
+    if (!found) return;
+    await cast.shadow.castInParts(found.level, this.#root.matrixWorld.clone().invert());
+    keep(cast, found);
   }
 
   /** @param {LoadedItem} item */
@@ -90,10 +100,30 @@ export class Shadows {
     this.#casts.set(item, cast);
     cast.shadow.object.visible = false;
     this.#root.add(cast.shadow.object);
-    this.#prepare(cast.shadow.object).then(() => {
-      if (isLoaded(item)) this.#workOut(item, cast); // between two frames: the browser has not compiled this code yet, and it takes as long as a frame
+    this.#prepare(cast.shadow.object).then(async () => {
+      await this.#workOutFirst(item, cast);
       cast.isReady = true;
     });
     return cast;
   }
+}
+
+/**
+ * A thing as its shadow was not worked out yet: its coarsest level, how it is held, and where it is; null where nothing has changed.
+ * @param {LoadedItem} item
+ * @param {Cast} cast
+ */
+function changeOf({ group, model }, cast) {
+  const pose = group.matrix.compose(group.position, group.quaternion, group.scale).clone().setPosition(0, group.position.y, 0);
+  const level = model.coarsest;
+  return level && (level !== cast.level || !pose.equals(cast.pose)) ? { level, pose, position: group.position.clone() } : null;
+}
+
+/**
+ * Remembers of what a shadow is.
+ * @param {Cast} cast
+ * @param {NonNullable<ReturnType<typeof changeOf>>} found
+ */
+function keep(cast, { level, pose, position }) {
+  Object.assign(cast, { level, pose, offset: cast.shadow.object.position.clone().sub(position).setY(0) });
 }
