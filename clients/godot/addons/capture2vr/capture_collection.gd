@@ -137,29 +137,30 @@ func download(key: String, progress := Callable()) -> CaptureFault:
 
 ## Bytes of an asset that are not on the device, or a CaptureFault; 0: it can be shown without a network.
 func remaining_bytes(key: String) -> Variant:
-	var found: Variant = await levels(key)
-	if found is CaptureFault:
-		return found
-	var sum := 0
-	for level: CollectionIndex.Level in found:
-		sum += 0 if _cache.has(level.sha256, level.bytes) else level.bytes
-	return sum
+	return await _sum_of_bytes(
+		key, func(level: CollectionIndex.Level) -> bool: return not _cache.has(level.sha256, level.bytes)
+	)
 
 
 ## Remove an asset's files from the device; how many bytes that freed, or a CaptureFault. What is shown stays.
 func clear(key: String) -> Variant:
-	var found: Variant = await levels(key)
-	if found is CaptureFault:
-		return found
-	var freed := 0
-	for level: CollectionIndex.Level in found:
-		freed += level.bytes if _cache.remove(level.sha256) else 0
-	return freed
+	return await _sum_of_bytes(key, func(level: CollectionIndex.Level) -> bool: return _cache.remove(level.sha256))
 
 
 ## What a function returns, which runs on another thread.
 func in_background(work: Callable) -> Variant:
 	return await _fetch.in_background(work)
+
+
+## Bytes of the levels of an asset of which a function is true, or a CaptureFault.
+func _sum_of_bytes(key: String, is_counted: Callable) -> Variant:
+	var found: Variant = await levels(key)
+	if found is CaptureFault:
+		return found
+	var sum := 0
+	for level: CollectionIndex.Level in found:
+		sum += level.bytes if is_counted.call(level) else 0
+	return sum
 
 
 func _prepare() -> void:
