@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -38,6 +37,7 @@ from services.gateway.database_copy import (
     export_database,
     import_database,
 )
+from services.gateway.full_disk import is_disk_full
 from services.gateway.instance_lock import FolderInUse, lock_instance
 from services.gateway.settings import GatewaySettings
 from services.gateway.snapshots import sqlite_file
@@ -147,7 +147,7 @@ def _named_if_full(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if not is_disk_full(error):
             raise
         raise BadInput(f"{folder}: {error.strerror}; no backup was made, and the older ones are whole") from None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import json
 import logging
 import secrets
@@ -13,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 from services.gateway.errors import Problem
+from services.gateway.full_disk import is_disk_full
 from services.storage.store import Store
 
 _log = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ def put_private(store: Store, name: str, data: bytes | Path, content_type: str) 
     try:
         store.put(name, data, content_type=content_type, cache_control="private, no-store", link=True)
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if is_disk_full(error):
             raise
         detail = "the capture could not be written to the store"
         raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +12,7 @@ from anyio import CapacityLimiter
 from services.fork_client import ForkServer
 from services.gateway.errors import Problem, storage_full
 from services.gateway.forked_talk import talk
+from services.gateway.full_disk import is_disk_full
 
 _AT_ONCE = 2  # photos, each with up to 768 MB; and with its bytes here, up to 128 MB
 
@@ -42,7 +42,7 @@ class PictureProcesses:
                 with TemporaryDirectory(prefix="picture-") as folder:
                     return await self._shrink(Path(folder), name, photo)
             except OSError as error:
-                if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                if not is_disk_full(error):
                     raise
                 raise storage_full() from None
 

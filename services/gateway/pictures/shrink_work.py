@@ -6,13 +6,13 @@ without space.
 
 from __future__ import annotations
 
-import errno
 from pathlib import Path
 from typing import Any
 
 from PIL import Image, UnidentifiedImageError
 
 from services.fork_server import Send
+from services.gateway.full_disk import is_disk_full
 from services.gateway.uploads.image_checks import MAX_PIXELS, load_pillow
 from services.gateway.uploads.process_limits import limit_process
 
@@ -57,7 +57,7 @@ def _write(picture: Image.Image, target: str, send: Send) -> None:
     try:
         picture.save(target, "JPEG", quality=_QUALITY)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if not is_disk_full(error):
             raise
         send({"full": True})
     else:

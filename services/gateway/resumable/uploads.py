@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import logging
 import secrets
 import time
@@ -19,6 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.requests import ClientDisconnect
 
 from services.gateway.errors import Problem, storage_full
+from services.gateway.full_disk import is_disk_full
 from services.gateway.jobs.capture_objects import delete_unfinished, new_capture, put_private
 from services.gateway.resumable.chunk_objects import CHUNK_BYTES, chunk_name, delete_chunks, read_chunks
 from services.gateway.resumable.protocol import MEDIA_TYPE, Checksum
@@ -98,7 +98,7 @@ class ResumableUploads:
         try:
             await receiver.receive()
         except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            if is_disk_full(error):
                 raise storage_full() from None
             raise
         finally:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import json
 import shutil
 import tempfile
@@ -21,6 +20,7 @@ from anyio import CapacityLimiter
 from starlette.requests import ClientDisconnect, Request
 
 from services.gateway.errors import Problem, storage_full
+from services.gateway.full_disk import is_disk_full
 from services.gateway.jobs.capture_objects import capture_name, put_private, receipt_name, unknown_capture
 from services.gateway.jobs.collection_choice import require_collection
 from services.gateway.settings import GatewaySettings
@@ -69,7 +69,7 @@ class _Earlier:
         except (FileNotFoundError, ValueError):
             raise unknown_capture(self.capture) from None
         except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            if is_disk_full(error):
                 raise
             detail = "the earlier capture could not be read from the store"
             raise Problem(503, "STORE_UNAVAILABLE", detail, retryable=True) from error
@@ -153,7 +153,7 @@ class Uploads:
         except Refused as refused:
             raise Problem(refused.status, refused.code, refused.detail, hints=refused.hints) from None
         except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            if is_disk_full(error):
                 raise storage_full() from None
             raise
         finally:

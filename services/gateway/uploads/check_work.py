@@ -6,12 +6,12 @@ Messages: `{"file": NAME}` for each file that is begun, then at most one of `{"p
 
 from __future__ import annotations
 
-import errno
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from services.fork_server import Send
+from services.gateway.full_disk import is_disk_full
 from services.gateway.uploads.check_and_pack import CheckOrder, check_and_pack, earlier_archive_of
 from services.gateway.uploads.image_checks import load_pillow
 from services.gateway.uploads.process_limits import limit_process
@@ -39,7 +39,7 @@ def work(fields: dict[str, Any], send: Send) -> None:
     except MemoryError:
         send({"costly": True})
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if not is_disk_full(error):
             raise
         send({"full": True})
 
