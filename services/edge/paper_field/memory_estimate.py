@@ -8,7 +8,7 @@ from services.edge.paper_field.network_config import WARM_QUERIES, NetworkConfig
 FLOAT, INDEX = 4, 8  # bytes
 WEIGHT_COPIES = 6  # weights, gradients, two moments of Adam, the best weights, those of the checkpoint
 MLP_CHANNELS = 8 * 256  # of all its hidden layers
-# Floats per query, layer and channel that autograd keeps for the backward pass: the slope and a(z); with the gradient
+# Floats per query, layer and channel that are kept for the backward pass: the slope and a(z); with the gradient
 # also δ before and after the slope. A ReLU's slope has no gradient of its own, so its factors need not be kept.
 KEPT_BY_VALUE = 2
 KEPT_BY_GRADIENT = {"separable": 4, "mlp": 3}

@@ -1,24 +1,10 @@
-"""The networks: they map a query to its unsigned distance, and by a second pass to the distance's gradient.
-
-q (M,3)   queries;  h_l (M,C_l) activations, h_0 = q;  W_l, b_l the effective weights of layer l
-z_l = h_{l−1} W_l + q V_l + b_l        V_l only where the input is concatenated: [h, q] [W; V] = h W + q V
-h_l = a(z_l),  y = z_L,  f = |y|
-
-The gradient is computed backwards through the layers, with ordinary operations:
-
-δ_L = sign(y),  δ_{l−1} = a'(z_{l-1}) ⊙ (δ_l W_lᵀ),  g = Σ_l δ_l V_lᵀ (+ δ_1 W_1ᵀ)
-
-so one `backward` of a loss on f and g is all that a step needs. Against `autograd.grad(create_graph=True)` this takes
-7–25 % less time on a CPU, and the capture of a CUDA graph meets only matrix products.
-"""
+"""The networks: they map a query (M,3) to its unsigned distance, and by a second pass to the distance's gradient."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -27,71 +13,16 @@ from services.edge.field.compute import Nearest, several_nearest_in
 from services.edge.paper_field.losses import MOST_CERTAIN
 from services.edge.paper_field.losses import certainty as certainty_of
 from services.edge.paper_field.network_config import INPUT_AT, NetworkConfig
+from services.edge.paper_field.network_passes import BEND, ROUNDING, Layer, field_value, field_value_and_gradient
 
 OUTPUT_BIAS = -0.5  # geometric initialisation (SAL, Atzmon & Lipman 2020): the field of a sphere of this radius
-ROUNDING = 0.02  # r: half-width of the rounded ReLU's bend; like the softplus with β = 100 which SDF networks use
-
-
-@dataclass(frozen=True, slots=True)
-class Layer:
-    """Effective weights of one layer: weight (C_in,C_out), bias (C_out,), and the rows (3,C_out) of the query, or None.
-
-    has_activation: whether the activation follows.
-    """
-
-    weight: Tensor
-    bias: Tensor
-    of_query: Tensor | None
-    has_activation: bool
-
-
-class Activation(Protocol):
-    """z (M,C) -> a(z), a'(z), both differentiable."""
-
-    def __call__(self, z: Tensor) -> tuple[Tensor, Tensor]: ...
-
-
-def relu(z: Tensor) -> tuple[Tensor, Tensor]:
-    """ReLU and its slope, a step: no gradient flows through it, but losses on g still reach the weights."""
-    return torch.relu(z), (z > 0).to(z.dtype)
-
-
-def rounded_relu(z: Tensor) -> tuple[Tensor, Tensor]:
-    """Rounded ReLU: 0 below −r, z above r, a parabola between. g is continuous, so its direction can be trained.
-
-    Not a softplus, which costs an exponential and a logarithm for each of the M·C values.
-    """
-    out: tuple[Tensor, Tensor] = _RoundedReLU.apply(z)  # type: ignore[no-untyped-call]
-    return out
-
-
-class _RoundedReLU(torch.autograd.Function):
-    """The rounded ReLU with its backward by hand: autograd's takes twice the passes over memory, a fifth of a step."""
-
-    @staticmethod
-    def forward(ctx: Any, z: Tensor) -> tuple[Tensor, Tensor]:
-        slope = z.mul(0.5 / ROUNDING).add_(0.5).clamp_(0, 1)
-        ctx.save_for_backward(slope)
-        ctx.set_materialize_grads(False)
-        # r·s² on the parabola; above it s = 1 and z − r is left.
-        return torch.addcmul(torch.relu_(z - ROUNDING), slope, slope, value=ROUNDING), slope
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor | None) -> Tensor | None:
-        (slope,) = ctx.saved_tensors
-        to_value, to_slope = grads
-        if to_slope is None:
-            return None if to_value is None else to_value * slope
-        # The slope rises only where it is neither 0 nor 1: the rule of a clamp, which torch calls hardtanh.
-        rising = torch.ops.aten.hardtanh_backward(to_slope, slope, 0.0, 1.0)
-        through: Tensor = rising.mul_(0.5 / ROUNDING)
-        return through if to_value is None else through.addcmul_(to_value, slope)
 
 
 class FieldNetwork(nn.Module):
-    """Base class of the networks: the two passes at the head of this file."""
+    """Base class of the networks: the passes of network_passes.py over the layers of the current parameters."""
 
-    activation: Activation = staticmethod(relu)
+    rounded = False
+    """Whether the activation is the rounded ReLU."""
 
     def layers(self) -> Sequence[Layer]:
         """Compute the effective weights of all layers from the current parameters."""
@@ -103,36 +34,12 @@ class FieldNetwork(nn.Module):
 
     def forward(self, q: Tensor, certainty: Tensor | None = None) -> Tensor:
         """q (M,3) in the unit frame -> f (M,) ≥ 0; certainty (M,): log(1/ω) for a network that reads it."""
-        h = x = self.read(q, certainty)
-        for layer in self.layers():
-            z = _affine(h, x, layer)
-            h = self.activation(z)[0] if layer.has_activation else z
-        return h[:, 0].abs()
+        return field_value(self.read(q, certainty), self.layers(), rounded=self.rounded)
 
     def value_and_gradient(self, q: Tensor, certainty: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """As `forward` -> f (M,) and g = ∇f (M,3), both differentiable in the parameters and in q."""
-        layers, slopes = self.layers(), []
-        h = x = self.read(q, certainty)
-        for layer in layers:
-            h = _affine(h, x, layer)
-            slope = None
-            if layer.has_activation:
-                h, slope = self.activation(h)
-            slopes.append(slope)
-        y = h
-        back, g = y.sign(), torch.zeros_like(x)
-        for layer, slope in zip(reversed(layers), reversed(slopes), strict=True):
-            if slope is not None:
-                back = back * slope
-            if layer.of_query is not None:
-                g = g + back @ layer.of_query.T
-            back = back @ layer.weight.T
-        return y[:, 0].abs(), (g + back)[:, :3]
-
-
-def _affine(h: Tensor, x: Tensor, layer: Layer) -> Tensor:
-    z = torch.addmm(layer.bias, h, layer.weight)
-    return z if layer.of_query is None else torch.addmm(z, x, layer.of_query)
+        f, g = field_value_and_gradient(self.read(q, certainty), self.layers(), rounded=self.rounded)
+        return f, g[:, :3]
 
 
 class SeparableNetwork(FieldNetwork):
@@ -148,9 +55,10 @@ class SeparableNetwork(FieldNetwork):
     Where log(1/ω) is an input and none is given, that of the network's own distance is read, found by a pass with 0.
     """
 
+    rounded = True
+
     def __init__(self, config: NetworkConfig, generator: torch.Generator) -> None:
         super().__init__()
-        self.activation = rounded_relu
         self.inputs = config.inputs
         self.blocks = _separable_layers(config, 1, generator)
         with torch.no_grad():
@@ -183,7 +91,7 @@ class SeparableNetwork(FieldNetwork):
     def layers(self) -> Sequence[Layer]:
         return [
             *(block.folded() for block in self._blocks()),
-            Layer(self.out_weight, self.out_bias, None, has_activation=False),
+            Layer(self.out_weight, self.out_bias, None),
         ]
 
 
@@ -218,7 +126,7 @@ class _Separable(nn.Module):
         """The effective weights of a kernel of size 1."""
         weight = self.taps[0][:, None] * self.weight
         of_query = weight[self.channels :] if self.read else None
-        return Layer(weight[: self.channels], self.bias + self.shift @ self.weight, of_query, has_activation=True)
+        return Layer(weight[: self.channels], self.bias + self.shift @ self.weight, of_query)
 
     def along(self, h: Tensor, count: int) -> Tensor:
         """Apply a kernel of size 3 to sequences (M,L,C_in), with 0 beyond both ends -> the first `count` places
@@ -261,7 +169,7 @@ class NeighbourNetwork(FieldNetwork):
             if block.read:
                 h = torch.cat([h, read[:, : h.shape[1]]], dim=2)
             count = min(len(self.blocks) - number + 1, read.shape[1])
-            h = _rounded_relu_by_parts(block.along(h, count))
+            h = _rounded_relu(block.along(h, count))
         return torch.addmm(self.out_bias, h[:, 0], self.out_weight)[:, 0].abs()
 
     def value_and_gradient(self, q: Tensor, certainty: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -273,9 +181,9 @@ class NeighbourNetwork(FieldNetwork):
         return (f, g) if wanted else (f.detach(), g)
 
 
-def _rounded_relu_by_parts(z: Tensor) -> Tensor:
-    """The rounded ReLU out of operations that autograd differentiates twice."""
-    slope = (z * (0.5 / ROUNDING) + 0.5).clamp(0, 1)
+def _rounded_relu(z: Tensor) -> Tensor:
+    """The rounded ReLU of network_passes.py out of operations that autograd differentiates twice."""
+    slope = (z * BEND + 0.5).clamp(0, 1)
     return torch.relu(z - ROUNDING) + ROUNDING * slope.square()
 
 
@@ -311,7 +219,7 @@ class NeuralPullNetwork(FieldNetwork):
             if number == self.CONCATENATED:
                 weight = weight / math.sqrt(2)
                 weight, of_query = weight[:-3], weight[-3:]
-            made.append(Layer(weight, bias, of_query, has_activation=number < self.HIDDEN))
+            made.append(Layer(weight, bias, of_query))
         return made
 
 

@@ -9,7 +9,8 @@ import torch
 
 from services.edge.paper_field.losses import certainty
 from services.edge.paper_field.network_config import NetworkConfig, parameter_count
-from services.edge.paper_field.networks import FieldNetwork, NeighbourNetwork, network_of, rounded_relu
+from services.edge.paper_field.network_passes import BEND, ROUNDING
+from services.edge.paper_field.networks import FieldNetwork, NeighbourNetwork, network_of
 
 CONFIGS = {
     "128 and 256": NetworkConfig(),
@@ -64,22 +65,62 @@ def test_the_second_sweep_is_the_gradient(config: NetworkConfig) -> None:
 
 
 @NETWORKS
-def test_a_loss_on_the_gradient_reaches_the_weights_as_by_double_backward(config: NetworkConfig) -> None:
-    network, q = in_double(config), queries().double()
-    f, g = network.value_and_gradient(q)
+def test_a_loss_on_the_gradient_reaches_every_weight(config: NetworkConfig) -> None:
+    network = in_double(config)
+    f, g = network.value_and_gradient(queries().double())
     (f + g.square().sum(dim=1)).mean().backward()
-    swept = [parameter.grad.clone() for parameter in network.parameters() if parameter.grad is not None]
-    network.zero_grad()
-    free = q.clone().requires_grad_()
-    f = network(free)
-    if config.model == "mlp":  # autograd knows the derivative of a ReLU's slope: none
-        (g,) = torch.autograd.grad(f.sum(), free, create_graph=True)
-        (f + g.square().sum(dim=1)).mean().backward()
-        expected = [parameter.grad for parameter in network.parameters() if parameter.grad is not None]
-        for a, b in zip(swept, expected, strict=True):
-            torch.testing.assert_close(a, b)
-    assert len(swept) == len(list(network.parameters()))
-    assert all(grad.isfinite().all() for grad in swept)
+    grads = [parameter.grad for parameter in network.parameters()]
+    assert all(grad is not None and grad.isfinite().all() for grad in grads)
+
+
+def by_autograd(
+    network: FieldNetwork, q: torch.Tensor, known: torch.Tensor | None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The same layers out of operations that autograd differentiates twice."""
+    h = x = network.read(q, known)
+    *hidden, out = network.layers()
+    for layer in hidden:
+        z = h @ layer.weight + layer.bias + (0 if layer.of_query is None else x @ layer.of_query)
+        slope = (z * BEND + 0.5).clamp(0, 1)
+        h = torch.relu(z - ROUNDING) + ROUNDING * slope.square() if network.rounded else z.relu()
+    f = (h @ out.weight + out.bias)[:, 0].abs()
+    (g,) = torch.autograd.grad(f.sum(), q, create_graph=True)
+    return f, g
+
+
+@pytest.mark.parametrize("read", ["both", "value", "gradient"])
+@pytest.mark.parametrize("name", ["128 and 256", "certainty", "mlp"])
+def test_the_backward_pass_by_hand_is_that_of_autograd(name: str, read: str) -> None:
+    config = CONFIGS[name]
+    network, chance = in_double(config), torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.05 * torch.randn(parameter.shape, generator=chance, dtype=parameter.dtype)
+    q = queries().double().requires_grad_()
+    known = torch.rand(len(q), generator=chance).double() if config.inputs == 4 else None
+    turn, push = torch.randn(len(q), 3, generator=chance).double(), torch.randn(len(q), generator=chance).double()
+
+    def derivatives(f: torch.Tensor, g: torch.Tensor) -> list[torch.Tensor]:
+        loss = (push * f.square()).sum() if read != "gradient" else f.new_zeros(())
+        if read != "value":
+            loss = loss + (turn * g + g.square()).sum()
+        wanted = [q, *network.parameters()]
+        found = torch.autograd.grad(loss, wanted, allow_unused=True, materialize_grads=True)
+        return [f.detach(), g.detach(), *found]
+
+    for ours, expected in zip(
+        derivatives(*network.value_and_gradient(q, known)), derivatives(*by_autograd(network, q, known)), strict=True
+    ):
+        torch.testing.assert_close(ours, expected)
+
+
+def test_a_second_backward_pass_is_refused_because_the_first_wrote_over_what_it_needs() -> None:
+    network = in_double(CONFIGS["128"])
+    f, g = network.value_and_gradient(queries().double())
+    loss = (f + g[:, 0]).sum()
+    loss.backward(retain_graph=True)
+    with pytest.raises(RuntimeError, match="a second time"):
+        loss.backward()
 
 
 @NETWORKS
@@ -154,12 +195,3 @@ def test_a_seed_gives_one_network(config: NetworkConfig) -> None:
     first = built(config)(queries())
     torch.manual_seed(6)
     torch.testing.assert_close(built(config)(queries()), first, rtol=0, atol=0)
-
-
-def test_the_rounded_relu_is_a_relu_but_for_its_bend_and_has_its_own_slope() -> None:
-    z = torch.linspace(-0.1, 0.1, 201, dtype=torch.float64).requires_grad_()
-    value, slope = rounded_relu(z)
-    assert (value - z.relu()).abs().max() <= 0.0051  # a quarter of the half-width
-    torch.testing.assert_close(torch.autograd.grad(value.sum(), z, retain_graph=True)[0], slope)
-    inside = (z.detach() - 0.0004).requires_grad_()  # off the corners of the slope
-    assert torch.autograd.gradcheck(rounded_relu, (inside,))
