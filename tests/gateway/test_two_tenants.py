@@ -29,7 +29,7 @@ from tests.support.tenants import TwoTenants, publish_for, two_tenants
 
 KEYS = st.text(string.ascii_letters + string.digits + "._-", min_size=4, max_size=30).map(lambda text: f"a{text}")
 _PARAMETERS = {
-    "/v1/captures": {"capture": "capture", "picture": "level"},
+    "/v1/captures": {"capture": "capture", "picture": "level", "film": "level"},
     "/v1/uploads": {"upload": "upload"},
     "/v1/jobs": {"job": "job"},
     "/v1/assets": {"key": "asset", "level": "level", "version": "version", "note": "note"},

@@ -16,7 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.gateway.dispatch.batching import batch_reports
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
-from services.gateway.jobs.capture_objects import capture_bytes, capture_chunks
+from services.gateway.jobs.capture_objects import capture_bytes, capture_name, object_chunks
 from services.gateway.jobs.job import Job
 from services.gateway.jobs.reports import DRAINING, Report, RunFailed, RunFinished, RunHeartbeat
 from services.gateway.jobs.state_machine import (
@@ -139,7 +139,7 @@ class RunSupervisor:
         capture, dependencies = self.job.order.capture, self._dependencies
         store = store_of_tenant(dependencies.store, self.job.tenant)
         size = await capture_bytes(store, capture)
-        data = capture_chunks(store, capture, size, CHUNK_BYTES)
+        data = object_chunks(store, capture_name(capture), 0, size, CHUNK_BYTES)
         try:
             await self._follow(dependencies.workers.reconstruct(self.worker, self.job, data, size))
         except WorkerBusy as busy:

@@ -150,10 +150,9 @@ async def capture_bytes(store: Store, capture: str) -> int:
     return (await asyncio.to_thread(store.head, capture_name(capture))).size
 
 
-async def capture_chunks(store: Store, capture: str, size: int, chunk_bytes: int) -> AsyncGenerator[bytes, None]:
-    """Yield the archive in chunks of at most `chunk_bytes`. Raises OSError."""
-    name = capture_name(capture)
-    for start in range(0, size, _READ_BYTES):
-        block = await asyncio.to_thread(store.get, name, start=start, length=_READ_BYTES)
+async def object_chunks(store: Store, name: str, start: int, end: int, chunk_bytes: int) -> AsyncGenerator[bytes, None]:
+    """Yield an object's bytes from `start` up to `end` in chunks of at most `chunk_bytes`. Raises OSError."""
+    for at in range(start, end, _READ_BYTES):
+        block = await asyncio.to_thread(store.get, name, start=at, length=min(_READ_BYTES, end - at))
         for offset in range(0, len(block), chunk_bytes):
             yield block[offset : offset + chunk_bytes]

@@ -30,7 +30,7 @@ def list_pictures(store: Store, capture: str, kind: str) -> list[str]:
 
     Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED; OSError.
     """
-    return _with_archive(store, capture, lambda archive: _photos(archive, kind))
+    return with_archive(store, capture, lambda archive: _photos(archive, kind))
 
 
 def read_picture(store: Store, capture: str, kind: str, number: int) -> tuple[str, bytes]:
@@ -46,7 +46,7 @@ def read_picture(store: Store, capture: str, kind: str, number: int) -> tuple[st
             raise Problem(404, "PICTURE_UNKNOWN", detail, hints=("number them from 0",))
         return names[number], archive.read(names[number])
 
-    return _with_archive(store, capture, read)
+    return with_archive(store, capture, read)
 
 
 def _photos(archive: zipfile.ZipFile, kind: str) -> list[str]:
@@ -58,8 +58,11 @@ def _photos(archive: zipfile.ZipFile, kind: str) -> list[str]:
     ]
 
 
-def _with_archive(store: Store, capture: str, read: Callable[[zipfile.ZipFile], T]) -> T:
-    """Call `read` with a capture's archive. Raises what it raises, Problem and OSError."""
+def with_archive(store: Store, capture: str, read: Callable[[zipfile.ZipFile], T]) -> T:
+    """Call `read` with a capture's archive, of which only what it reads is fetched.
+
+    Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED; OSError, and what `read` raises.
+    """
     name = capture_name(capture)
     try:
         size = store.head(name).size

@@ -16,10 +16,11 @@ from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.capture_objects import (
     capture_bytes,
-    capture_chunks,
+    capture_name,
     delete_capture,
     list_captures,
     new_capture,
+    object_chunks,
     read_receipt,
     unknown_capture,
 )
@@ -260,7 +261,7 @@ async def download_capture(capture: CaptureId, request: Request) -> StreamingRes
     except OSError as error:
         raise Problem(503, "STORE_UNAVAILABLE", "the store cannot be reached", retryable=True) from error
     headers = {"Content-Length": str(size), "Content-Disposition": f'attachment; filename="{capture}.zip"', **_PRIVATE}
-    chunks = capture_chunks(store, capture, size, _CHUNK_BYTES)
+    chunks = object_chunks(store, capture_name(capture), 0, size, _CHUNK_BYTES)
     return StreamingResponse(chunks, headers=headers, media_type="application/zip")
 
 

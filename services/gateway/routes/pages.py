@@ -234,6 +234,7 @@ def _content_security_policy(html: str, assets: str) -> str:
             "worker-src 'self' blob:",
             "style-src 'self' 'unsafe-inline'",
             f"img-src 'self' data: blob: {assets}",
+            "media-src 'self'",  # films of a capture, on the edit page
             f"connect-src 'self' data: blob: {assets}",
             "manifest-src 'self'",
             "base-uri 'none'",

@@ -1,23 +1,29 @@
-"""/v1/captures/{capture}/pictures: the photos of a stored capture, small and upright, for drawing lassos in them."""
+"""/v1/captures/{capture}/pictures and /films: the photos of a stored capture, small and upright, and its films, for
+drawing lassos in them."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request, Response
+from fastapi.responses import StreamingResponse
 from pydantic import BaseModel
 
 from services.gateway.access.caller import Scope
-from services.gateway.jobs.capture_objects import read_receipt
+from services.gateway.errors import Problem
+from services.gateway.jobs.capture_objects import object_chunks, read_receipt
+from services.gateway.pictures.capture_films import find_film, list_films
 from services.gateway.pictures.capture_pictures import list_pictures, read_picture
 from services.gateway.routes.access_rules import needs
 from services.gateway.routes.captures import CaptureId
+from services.gateway.routes.http_ranges import UnsatisfiableError, parse_range
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import problems
 
 router = APIRouter(prefix="/v1", tags=["captures"])
 
 _PRIVATE = {"Cache-Control": "private, no-store"}
+_CHUNK_BYTES = 256 << 10
 
 
 class CapturePicture(BaseModel):
@@ -27,10 +33,19 @@ class CapturePicture(BaseModel):
     url: str
 
 
+class CaptureFilm(BaseModel):
+    """A film of a stored capture: its file in it, and the URL of that file. A key frame of it is a lasso's `photo` as
+    `NAME at SECONDS s`, with two decimals."""
+
+    name: str
+    url: str
+
+
 class CapturePictures(BaseModel):
-    """The photos of a stored capture."""
+    """The photos and films of a stored capture."""
 
     pictures: list[CapturePicture]
+    films: list[CaptureFilm]
 
 
 @router.get(
@@ -40,18 +55,18 @@ class CapturePictures(BaseModel):
     responses=problems(404, 422, 503),
 )
 async def get_pictures(capture: CaptureId, request: Request) -> CapturePictures:
-    """List a capture's photos, as `photo` of a recipe's lassos names them. Key frames of films are not among them."""
+    """List a capture's photos, as `photo` of a recipe's lassos names them, and the films whose key frames it names."""
     store = store_of(request)
 
-    def names() -> list[str]:
-        return list_pictures(store, capture, read_receipt(store, _kind_of, capture))
+    def names() -> tuple[list[str], list[str]]:
+        kind = read_receipt(store, _kind_of, capture)
+        return list_pictures(store, capture, kind), list_films(store, capture, kind)
 
-    found = await in_thread(names)
+    pictures, films = await in_thread(names)
+    url = f"/v1/captures/{capture}"
     return CapturePictures(
-        pictures=[
-            CapturePicture(name=name, url=f"/v1/captures/{capture}/pictures/{number}")
-            for number, name in enumerate(found)
-        ]
+        pictures=[CapturePicture(name=name, url=f"{url}/pictures/{number}") for number, name in enumerate(pictures)],
+        films=[CaptureFilm(name=name, url=f"{url}/films/{number}") for number, name in enumerate(films)],
     )
 
 
@@ -74,6 +89,35 @@ async def get_picture(
 
     jpeg = await request.app.state.picture_processes.shrink(lambda: in_thread(read))
     return Response(jpeg, media_type="image/jpeg", headers=_PRIVATE)
+
+
+@router.get(
+    "/captures/{capture}/films/{film}",
+    response_class=Response,
+    dependencies=[needs(Scope.MANAGE)],
+    responses={200: {"content": {"video/mp4": {}, "video/webm": {}}}, **problems(404, 416, 422, 503)},
+)
+async def get_film(
+    capture: CaptureId,
+    film: Annotated[int, Path(ge=0, le=100_000, description="Place in the list of the capture's films, from 0.")],
+    request: Request,
+) -> Response:
+    """Get a film of a capture as it was stored, or a part of it with a Range header: a browser seeks in it by parts."""
+    store = store_of(request)
+    found = await in_thread(lambda: find_film(store, capture, read_receipt(store, _kind_of, capture), film))
+    headers = {"Accept-Ranges": "bytes", **_PRIVATE}
+    try:
+        part = parse_range(request.headers.get("range"), None, "", found.size)
+    except UnsatisfiableError as error:
+        told = {"Content-Range": f"bytes */{found.size}"}
+        hints = (f"ask for a range that begins below byte {found.size}",)
+        raise Problem(416, "RANGE_UNSATISFIABLE", str(error), hints=hints, headers=told) from None
+    start, end = part or (0, found.size)
+    headers["Content-Length"] = str(end - start)
+    if part:
+        headers["Content-Range"] = f"bytes {start}-{end - 1}/{found.size}"
+    body = object_chunks(store, found.archive, found.start + start, found.start + end, _CHUNK_BYTES)
+    return StreamingResponse(body, 206 if part else 200, headers, found.media_type)
 
 
 def _kind_of(receipt: dict[str, Any]) -> str:

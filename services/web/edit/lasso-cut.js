@@ -1,6 +1,5 @@
 // What the lines in photos leave out of a thing, for the preview: docs/edits.md, as the worker decides it for points.
-import { PhotoCamera } from './photo-camera.js';
-import { loadFile } from '../shared/verified-cache.js';
+import { loadCameras, PhotoCamera } from './photo-camera.js';
 
 /** @import { AssetFile, PhotoLasso } from '../shared/types.d.ts' */
 /** @import { StoredCamera } from './photo-camera.js' */
@@ -31,8 +30,7 @@ export class LassoCut {
    */
   static async load(file, surface) {
     if (!file) return null;
-    /** @type {{ cameras: StoredCamera[] }} */
-    const { cameras } = JSON.parse(new TextDecoder().decode(await loadFile(file)));
+    const cameras = await loadCameras(file);
     return cameras.every(({ turns, part }) => turns !== undefined && part !== undefined) ? new LassoCut(cameras, surface) : null;
   }
 

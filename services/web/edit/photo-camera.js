@@ -1,4 +1,7 @@
 // The camera of a photo: where in the upright photo a place of the thing is, and whether the photo shows it.
+import { loadFile } from '../shared/verified-cache.js';
+
+/** @import { AssetFile } from '../shared/types.d.ts' */
 
 /**
  * A camera as cameras.json of a bundle has it. `size`, `camera` (fx, fy, cx, cy) and `distortion` (OpenCV's k1, k2, p1, p2, k3) are of the
@@ -6,6 +9,17 @@
  * quarter turns to the upright picture; `part`: left, top, right, bottom of what it shows of its file.
  * @typedef {{ name: string, size: number[], camera: number[], distortion: number[], camera_to_world: number[][], turns: number, part: number[] }} StoredCamera
  */
+
+/**
+ * Loads the cameras of a version's photos; none where the version has no such file.
+ * @param {AssetFile | undefined} file
+ */
+export async function loadCameras(file) {
+  if (!file) return [];
+  /** @type {{ cameras: StoredCamera[] }} */
+  const { cameras } = JSON.parse(new TextDecoder().decode(await loadFile(file)));
+  return cameras;
+}
 
 const CELLS = 256; // along the longer side, in which surfaces hide each other
 const BEHIND = 1.03; // of the depth that a photo shows up to which a place is that surface: as the worker has it

@@ -1,10 +1,12 @@
 // Lassos: lines in the capture's photos around what is left out, or kept. The tab loads this once it is opened.
+import { FilmFrames, keyFramesOf } from './film-frames.js';
 import { LassoLine, pathOf } from './lasso-line.js';
 import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
 import { Problem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
+/** @import { Picture } from './film-frames.js' */
 /** @import { PhotoLasso } from '../shared/types.d.ts' */
 
 const MOST = 30; // lassos of a recipe
@@ -13,9 +15,12 @@ const MOST = 30; // lassos of a recipe
 export class PhotoLassos {
   /** @type {PhotoLasso[]} */
   #lassos = [];
-  /** @type {{ name: string, url: string }[]} */
+  /** @type {Picture[]} */
   #pictures = [];
   #capture = '';
+  #cameras = '';
+  #films = new FilmFrames();
+  #frame = ''; // URL of the film's frame that is shown
   #onChange;
   #page = {
     photo: element('photo', HTMLElement),
@@ -56,18 +61,20 @@ export class PhotoLassos {
   }
 
   /**
-   * Shows the photos of a capture.
+   * Shows the photos of a capture, and the key frames of its films.
    * @param {string} capture
+   * @param {string[]} cameras names of the photos, or key frames, that the version on the page was made from
    * @param {PhotoLasso[]} lassos that are drawn already
    * @param {() => boolean} isWanted whether the photos are still to be shown, once the server has answered
    * @throws {Problem} NO_PHOTOS, and what the server says
    */
-  async open(capture, lassos, isWanted) {
-    if (capture !== this.#capture) {
-      /** @type {{ pictures: { name: string, url: string }[] }} */
-      const { pictures } = await getJson(`/v1/captures/${encodeURIComponent(capture)}/pictures`);
-      [this.#capture, this.#pictures] = [capture, pictures];
-      this.#page.choice.replaceChildren(...pictures.map(({ name }) => create('option', { value: name, textContent: name })));
+  async open(capture, cameras, lassos, isWanted) {
+    const asked = JSON.stringify(cameras);
+    if (capture !== this.#capture || asked !== this.#cameras) {
+      /** @type {{ pictures: Picture[], films: { name: string, url: string }[] }} */
+      const { pictures, films } = await getJson(`/v1/captures/${encodeURIComponent(capture)}/pictures`);
+      [this.#capture, this.#cameras, this.#pictures] = [capture, asked, [...pictures, ...keyFramesOf(cameras, films)]];
+      this.#page.choice.replaceChildren(...this.#pictures.map(({ name }) => create('option', { value: name, textContent: name })));
     }
     if (!isWanted()) return;
     this.show(lassos);
@@ -130,8 +137,30 @@ export class PhotoLassos {
     this.#say('');
     document.body.dataset.photo = '';
     image.alt = picture.name;
-    image.src = picture.url;
+    if (picture.seconds === undefined) image.src = picture.url;
+    else void this.#showFrame(picture.name, picture.url, picture.seconds);
     this.#draw();
+  }
+
+  /**
+   * @param {string} name
+   * @param {string} url of the film
+   * @param {number} seconds
+   */
+  async #showFrame(name, url, seconds) {
+    const { image, choice } = this.#page;
+    const isWanted = () => choice.value === name;
+    image.removeAttribute('src');
+    try {
+      const frame = await this.#films.at(url, seconds, isWanted);
+      if (!frame || !isWanted()) return;
+      URL.revokeObjectURL(this.#frame);
+      this.#frame = URL.createObjectURL(frame);
+      image.src = this.#frame;
+    } catch (error) {
+      if (!(error instanceof Problem)) throw error;
+      if (isWanted()) this.#say(error.message);
+    }
   }
 
   /** Gives the drawing the photo's shape, once that is known. */

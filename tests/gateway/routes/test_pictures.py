@@ -103,3 +103,46 @@ async def test_what_there_is_not_is_told(tmp_path: Path) -> None:
         assert "/" not in answer["detail"], "no path of the server's"
         store.put(capture_name("cap_1"), b"no zip", content_type="application/zip")
         assert problem_of(await client.get(f"/v1/captures/{capture}/pictures")) == (503, "CAPTURE_DAMAGED")
+
+
+async def test_films_are_read_by_parts(tmp_path: Path) -> None:
+    store, film = memory(), bytes(range(256)) * 40
+    capture = stored(store, "photos", {"a.jpg": b"x", "walk/b.MOV": film, "c.webm": b"webm", "d.txt": b"x"})
+    async with gateway(tmp_path, store) as client:
+        films = (await client.get(f"/v1/captures/{capture}/pictures")).json()["films"]
+        assert [each["name"] for each in films] == ["walk/b.MOV", "c.webm"]
+        whole = await client.get(films[0]["url"])
+        assert (whole.status_code, whole.content) == (200, film)
+        assert whole.headers["content-type"] == "video/mp4"
+        assert whole.headers["accept-ranges"] == "bytes"
+        assert whole.headers["cache-control"] == "private, no-store"
+        assert (await client.get(films[1]["url"])).headers["content-type"] == "video/webm"
+        for asked, told, part in [
+            ("bytes=0-", f"bytes 0-{len(film) - 1}/{len(film)}", film),
+            ("bytes=100-299", f"bytes 100-299/{len(film)}", film[100:300]),
+            ("bytes=-7", f"bytes {len(film) - 7}-{len(film) - 1}/{len(film)}", film[-7:]),
+        ]:
+            answer = await client.get(films[0]["url"], headers={"Range": asked})
+            assert (answer.status_code, answer.headers["content-range"], answer.content) == (206, told, part)
+        beyond = await client.get(films[0]["url"], headers={"Range": f"bytes={len(film)}-"})
+        assert problem_of(beyond) == (416, "RANGE_UNSATISFIABLE")
+        assert beyond.headers["content-range"] == f"bytes */{len(film)}"
+
+
+@pytest.mark.parametrize("kind", ["rgbd", "points", "image"])
+async def test_films_whose_key_frames_have_no_cameras_are_not_listed(tmp_path: Path, kind: str) -> None:
+    store = memory()
+    capture = stored(store, kind, {"rgb.mp4": b"x"})
+    async with gateway(tmp_path, store) as client:
+        assert (await client.get(f"/v1/captures/{capture}/pictures")).json()["films"] == []
+        assert problem_of(await client.get(f"/v1/captures/{capture}/films/0")) == (404, "FILM_UNKNOWN")
+
+
+async def test_a_damaged_archive_of_a_film_is_told(tmp_path: Path) -> None:
+    store = memory()
+    capture = stored(store, "photos", {"a.mp4": b"x"})
+    data = store.get(capture_name(capture))
+    store.put(capture_name(capture), b"PX" + data[2:], content_type="application/zip")
+    async with gateway(tmp_path, store) as client:
+        assert problem_of(await client.get(f"/v1/captures/{capture}/films/0")) == (503, "CAPTURE_DAMAGED")
+        assert problem_of(await client.get("/v1/captures/cap_2/films/0")) == (404, "CAPTURE_UNKNOWN")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -95,19 +96,19 @@ def test_the_preview_decides_as_the_worker(page: Page, stack: Stack, turns: int)
 def balls(stack: Stack, tmp_path_factory: pytest.TempPathFactory) -> str:
     """A capture of two balls, whose newest version has the cameras of its pictures, as one of photos would."""
     capture = make_balls(stack, tmp_path_factory.mktemp("balls"), KEY)
-    publish(_bundle(), LocalStore(stack.store_root), key=KEY)
+    names = [picture_name(number) for number in range(len(POSES))]
+    publish(balls_bundle(names), LocalStore(stack.store_root), key=KEY)
     return capture
 
 
-def _bundle() -> Bundle:
+def balls_bundle(names: Sequence[str]) -> Bundle:
+    """The two balls, with cameras of these names at the first of their poses."""
     scene = two_balls()
     mesh = Mesh(scene.vertices @ TO_ASSET[:3, :3].T, scene.faces)
     size, camera = (PHONE.width, PHONE.height), (PHONE.fx, PHONE.fy, PHONE.cx, PHONE.cy)
     cameras = [
-        PictureCamera(
-            picture_name(number), size, camera, (0.0, 0.0, 0.0, 0.0, 0.0), tuple(map(tuple, pose[:3].tolist()))
-        )  # type: ignore[arg-type]
-        for number, pose in enumerate(POSES)
+        PictureCamera(name, size, camera, (0.0, 0.0, 0.0, 0.0, 0.0), tuple(map(tuple, pose[:3].tolist())))  # type: ignore[arg-type]
+        for name, pose in zip(names, POSES, strict=False)
     ]
     lods = [{"file": "lod0.glb", "level": 0, "triangles": len(mesh.faces), "vertices": len(mesh.vertices)}]
     manifest = {"lods": lods, "label": "Balls", "size_m": [1.2, 0.2, 1.2], "scale_confidence": "metric", "edits": {}}

@@ -161,7 +161,7 @@ def test_a_lasso_is_saved_and_is_there_again(page: Page, stack: Stack, balls: st
 def test_photos_that_there_are_not_are_told(page: Page, stack: Stack, balls: str) -> None:
     def answer(pictures: list[Any]) -> None:
         page.unroute_all()
-        page.route("**/pictures", lambda route: route.fulfill(json={"pictures": pictures}))
+        page.route("**/pictures", lambda route: route.fulfill(json={"pictures": pictures, "films": []}))
 
     answer([])
     page.goto(f"{stack.url}/edit/{KEY}")
