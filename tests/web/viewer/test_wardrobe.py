@@ -29,7 +29,7 @@ def stock(site: Site, state: State = "refined") -> Site:
     for key, bundle in {
         "blue": garment("Blue dress", BLUE, DRESS, state=state, labels=["Sommer", "evening"]),
         "green": garment("Green skirt", GREEN, SKIRT, state=state, labels=["summer", "Herbst"]),
-        "red": garment("Red dress", RED, DRESS, state=state, labels=["summer"]),
+        "red": garment("Red dress", RED, DRESS, state=state, labels=["summer", "linen", "long", "new", "party"]),
     }.items():
         publish(bundle, site.store, key=key)
     publish(box("Picnic box", RED, labels=["picnic"]), site.store, key="picnic")
@@ -228,6 +228,21 @@ def test_a_wearer_chooses_the_season_and_the_garment(worn: Page) -> None:
     hand.press("a-button")
     hand.release("a-button")
     worn.wait_for_function("() => document.body.dataset.wall === '{}'")
+
+
+def test_a_wearer_chooses_a_label_of_many(worn: Page) -> None:
+    enter(worn)
+    hand = Hand(worn, "right")
+    press(worn, hand, "label:long")
+    await_data(worn, worn="red")
+    worn.wait_for_function("() => location.search === '?label=long'")
+    press(worn, hand, "other labels")
+    frames(worn)
+    press(worn, hand, "label:picnic")
+    await_data(worn, worn="picnic")
+    press(worn, hand, "other labels")
+    press(worn, hand, "label:evening")  # the first ones again
+    await_data(worn, worn="blue")
 
 
 def test_bare_hands_press_the_board_and_pinch_the_garment(worn: Page) -> None:
