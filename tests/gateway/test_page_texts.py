@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.download_formats import FORMATS
 from services.gateway.page_texts import LANGUAGES, german_texts, one_line, preferred_language, translate_page
 from services.gateway.routes.pages import WEB
 from tests.support.in_process_gateway import gateway, memory
@@ -83,6 +84,7 @@ def test_every_text_of_a_page_is_german_in_the_german_page(page: Path) -> None:
 
 def test_every_sentence_of_the_scripts_has_a_translation_and_no_translation_is_without_use() -> None:
     said = {text.replace("\\'", "'") for path in SCRIPTS for text in _CALL.findall(path.read_text(encoding="utf-8"))}
+    said |= {text for each in FORMATS.values() for text in (each.title, each.about)}  # pages translate what the API tells
     table = german_texts()
     assert said - set(table) == set()
     pages = " ".join(one_line(path.read_text(encoding="utf-8")) for path in PAGES)

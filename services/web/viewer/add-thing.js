@@ -1,5 +1,5 @@
 // The panel of the viewer's page that adds a thing of a collection to the scene: pictures to choose from, a search, pages of twelve.
-import { findThings } from './find-things.js';
+import { ThingSearch } from './find-things.js';
 import { attempt } from '../shared/attempt.js';
 import { create, element } from '../shared/dom.js';
 import { t } from '../shared/texts.js';
@@ -25,26 +25,20 @@ const panel = {
  * @param {string} collection
  */
 export function showAdding(onChoose, collection) {
-  /** @type {string[]} */
-  let before = []; // the beginnings of the pages up to this one
-  let following = /** @type {string | null} */ (null);
+  const search = new ThingSearch();
   let timer = 0;
-  let asked = 0;
-  const show = (/** @type {string[]} */ pages) => attempt(panel.trouble, async () => {
-    const mine = ++asked;
-    const found = await findThings(panel.collection.value.trim() || 'default', panel.search.value.trim(), pages.at(-1) ?? '');
-    if (mine !== asked) return; // somebody has typed on meanwhile, and this answer came later than the newer one
-    before = pages;
-    following = found.next;
-    panel.list.replaceChildren(...found.assets.map((asset) => createChoice(asset, onChoose)));
-    panel.said.textContent = found.assets.length === 0 ? t('Nothing has that name or label.') : '';
-    panel.previous.disabled = before.length === 0;
-    panel.next.disabled = following === null;
-    document.body.dataset.choices = String(found.assets.length);
+  const show = (/** @type {string[] | null} */ pages) => attempt(panel.trouble, async () => {
+    const found = await search.find(panel.collection.value.trim() || 'default', panel.search.value.trim(), pages ?? undefined);
+    if (!found) return; // somebody has typed on meanwhile
+    panel.list.replaceChildren(...found.map((asset) => createChoice(asset, onChoose)));
+    panel.said.textContent = found.length === 0 ? t('Nothing has that name or label.') : '';
+    panel.previous.disabled = search.previous === null;
+    panel.next.disabled = search.next === null;
+    document.body.dataset.choices = String(found.length);
   });
   const searchSoon = () => {
     clearTimeout(timer);
-    timer = setTimeout(() => show([]), TYPING_MS);
+    timer = setTimeout(() => show(null), TYPING_MS);
   };
   panel.collection.value = collection;
   panel.form.addEventListener('input', searchSoon);
@@ -52,9 +46,9 @@ export function showAdding(onChoose, collection) {
     event.preventDefault();
     searchSoon();
   });
-  panel.previous.addEventListener('click', () => show(before.slice(0, -1)));
-  panel.next.addEventListener('click', () => following !== null && show([...before, following]));
-  show([]);
+  panel.previous.addEventListener('click', () => show(search.previous));
+  panel.next.addEventListener('click', () => show(search.next));
+  show(null);
 }
 
 /**

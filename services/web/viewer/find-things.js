@@ -1,20 +1,53 @@
 // Searching a collection for things to add to a scene, twelve at a time.
 import { getJson } from '../shared/api.js';
 
-/** @import { FoundAssets } from '../shared/types.d.ts' */
+/** @import { FoundAsset, FoundAssets } from '../shared/types.d.ts' */
 
 /** Things of a page: three rows of four on a wall, each large enough to be pointed at. */
 export const PER_PAGE = 12;
 
-/**
- * Finds things by part of their name, or by one of their labels.
- * @param {string} collection
- * @param {string} words
- * @param {string} after `next` of the page before; '' for the first page
- * @returns {Promise<FoundAssets>}
- * @throws {Problem} as `getJson`
- */
-export function findThings(collection, words, after) {
-  const query = new URLSearchParams({ label: words, after, limit: String(PER_PAGE) });
-  return getJson(`/v1/collections/${encodeURIComponent(collection)}/assets?${query}`);
+const FIRST = [''];
+
+/** A search, and where it stands. Pages are lists of beginnings: those of all pages up to the one that is meant. */
+export class ThingSearch {
+  #pages = FIRST;
+  /** @type {string | null} */
+  #following = null;
+  #asked = 0;
+  #what = ''; // is looked for
+
+  /** The page before the one that was found last; null before the first one. */
+  get previous() {
+    return this.#pages.length > 1 ? this.#pages.slice(0, -1) : null;
+  }
+
+  /** The page after it; null behind the last one. */
+  get next() {
+    return this.#following === null ? null : [...this.#pages, this.#following];
+  }
+
+  /**
+   * Finds things by part of their name, or by one of their labels.
+   * @param {string} collection
+   * @param {string} words
+   * @param {string[]} [pages] `previous` or `next`; without it the first page
+   * @returns {Promise<FoundAsset[] | null>} null where something else has been asked for since
+   * @throws {Problem} as `getJson`
+   */
+  async find(collection, words, pages = FIRST) {
+    const mine = ++this.#asked;
+    const what = JSON.stringify([collection, words]);
+    if (what !== this.#what) [this.#what, this.#pages, this.#following] = [what, FIRST, null]; // whether or not it is found
+    const query = new URLSearchParams({ label: words, after: pages.at(-1) ?? '', limit: String(PER_PAGE) });
+    try {
+      /** @type {FoundAssets} */
+      const { assets, next } = await getJson(`/v1/collections/${encodeURIComponent(collection)}/assets?${query}`);
+      if (mine !== this.#asked) return null;
+      [this.#pages, this.#following] = [pages, next];
+      return assets;
+    } catch (error) {
+      if (mine !== this.#asked) return null;
+      throw error;
+    }
+  }
 }

@@ -1,5 +1,5 @@
 // The wall in the headset from which things are added to the scene: twelve pictures at a time, labels to choose from, and a few buttons.
-import { findThings } from './find-things.js';
+import { ThingSearch } from './find-things.js';
 import { INK, paintButton, paintGround, paintTile } from './panel-paint.js';
 import { PressPanel, reportPlaces, standBefore } from './press-panel.js';
 import { fetchBytes } from '../shared/network.js';
@@ -41,12 +41,8 @@ export class PickerWall {
   /** @type {string[]} */
   #labels = []; // of what the first page showed
   #label = ''; // that was chosen
-  /** @type {string[]} */
-  #before = []; // beginnings of the pages up to this one
-  /** @type {string | null} */
-  #next = null;
+  #search = new ThingSearch();
   #said = '';
-  #request = 0; // an older one that is still loading shows nothing any more
 
   /**
    * @param {Scene} scene
@@ -87,7 +83,7 @@ export class PickerWall {
       return;
     }
     standBefore(this.#wall, camera, { away: WALL_AWAY_M, below: WALL_BELOW_M, turn: 0 });
-    this.#show('', []);
+    this.#show('', null);
   }
 
   #close() {
@@ -99,24 +95,27 @@ export class PickerWall {
   /**
    * Shows a page of things.
    * @param {string} label
-   * @param {string[]} before beginnings of the pages up to this one
+   * @param {string[] | null} pages of the search; null for the first one
    */
-  async #show(label, before) {
-    const request = ++this.#request;
-    [this.#label, this.#before, this.#said, this.#things] = [label, before, t('Loading …'), []];
+  async #show(label, pages) {
+    [this.#label, this.#said, this.#things] = [label, t('Loading …'), []];
     this.#paint();
+    /** @type {FoundAsset[]} */
+    let things = [];
     try {
-      const { assets, next } = await findThings(this.#callbacks.collection(), label, before.at(-1) ?? '');
-      if (request !== this.#request) return;
-      [this.#things, this.#next, this.#said] = [assets, next, assets.length === 0 ? t('Nothing is here yet.') : ''];
-      if (!label && before.length === 0) this.#labels = commonLabels(assets);
+      const found = await this.#search.find(this.#callbacks.collection(), label, pages ?? undefined);
+      if (!found) return; // something else has been chosen since
+      things = found;
+      this.#said = things.length === 0 ? t('Nothing is here yet.') : '';
+      if (!label && !pages) this.#labels = commonLabels(things);
     } catch (error) {
       this.#said = sentences(error);
     }
+    this.#things = things;
     this.#pictures.clear();
     this.#paint();
-    await Promise.all(this.#things.map((thing) => this.#loadPicture(thing)));
-    if (request === this.#request) this.#paint();
+    await Promise.all(things.map((thing) => this.#loadPicture(thing)));
+    if (this.#things === things) this.#paint();
   }
 
   /** @param {FoundAsset} thing */
@@ -146,7 +145,7 @@ export class PickerWall {
       name: `label ${label}`,
       text: label || t('All'),
       isChosen: label === this.#label,
-      press: () => this.#show(label, []),
+      press: () => this.#show(label, null),
     }));
   }
 
@@ -165,10 +164,10 @@ export class PickerWall {
   /** @param {CanvasRenderingContext2D} context */
   #paintButtons(context) {
     const saving = this.#callbacks.saving();
-    const [before, next] = [this.#before, this.#next];
+    const { previous, next } = this.#search;
     const buttons = [
-      before.length > 0 && { name: 'previous', text: t('Previous'), press: () => this.#show(this.#label, before.slice(0, -1)) },
-      next !== null && { name: 'next', text: t('Next'), press: () => this.#show(this.#label, [...before, next]) },
+      previous && { name: 'previous', text: t('Previous'), press: () => this.#show(this.#label, previous) },
+      next && { name: 'next', text: t('Next'), press: () => this.#show(this.#label, next) },
       saving && { name: 'save', text: t('Save scene'), press: () => this.#save(saving) },
       { name: 'reset view', text: t('Reset view'), press: () => this.#resetView() },
       { name: 'close', text: t('Close'), press: () => this.#close() },

@@ -153,6 +153,24 @@ func test_the_limit_of_the_device_is_kept() -> void:
 	expect_equal(1, DirAccess.get_files_at("user://capture2vr/files").size())
 
 
+func test_what_was_not_used_for_long_goes_first() -> void:
+	var folder := "user://capture2vr/files"
+	var found := await opened()
+	await found.download("bowl")
+	var paths := Array(DirAccess.get_files_at(folder)).map(func(file: String) -> String: return ProjectSettings.globalize_path(folder.path_join(file)))
+	expect_equal(0, OS.execute("touch", ["-d", "2 days ago"] + paths))
+	var level: Variant = (await found.levels("bowl"))[1]
+	expect_ok(await found.level_bytes(level))
+	var used := Array(DirAccess.get_files_at(folder)).filter(func(file: String) -> bool:
+		return Time.get_unix_time_from_system() - FileAccess.get_modified_time(folder.path_join(file)) < 3600)
+	expect(level.sha256 in used and used.size() < paths.size(), "%s are used, of %d" % [used, paths.size()])
+	expect_equal(level.sha256, FileAccess.get_sha256(folder.path_join(level.sha256)))
+	var cache: Variant = CaptureCollection._cache
+	cache.limit = used.reduce(func(sum: int, file: String) -> int: return sum + FileAccess.get_size(folder.path_join(file)), 0)
+	cache._evict("")
+	expect_equal(used, Array(DirAccess.get_files_at(folder)))
+
+
 func test_a_preview_is_a_picture_or_a_fault() -> void:
 	var found := await opened()
 	expect_fault(CaptureFault.MESH_INVALID, await found.preview(found.rows()[0]))

@@ -40,6 +40,10 @@ def test_the_viewer_speaks_german(german: Page, site: Site) -> None:
     expect(german.locator("#said")).to_have_text("40 cm × 40 cm × 40 cm · 768 Dreiecke · verfeinert, Version 1")
     german.get_by_text("Über das Ding", exact=True).click()
     expect(german.locator("#about-text")).to_contain_text("Version 1, verfeinert, vom ")
+    german.locator("#about > summary").click()
+    german.locator("#downloads > summary").click()
+    expect(german.locator("#downloads-list")).to_contain_text("Für fast jedes 3D-Programm")
+    german.locator("#downloads > summary").click()
     german.get_by_role("button", name="Hintergrund").click()
     expect(german.locator("#notice")).to_contain_text("Hintergrund:")
     assert english_left(german) == []

@@ -1,12 +1,14 @@
 extends RefCounted
 ## Files on the device, each named by the SHA-256 of what it holds, so that a name never means other bytes.
 ##
-## Every load hashes the file anew and fetches it again where it is damaged. When the limit is passed, those that came first
-## go first.
+## Every load hashes the file anew and fetches it again where it is damaged. When the limit is passed, those that were not
+## used for the longest time go first.
 
 const PART := ".part"
 ## Most bytes of a file whose size nobody has told.
 const UNTOLD_BYTES := 64 << 20
+## Seconds from one use of a file to the next one that is noted: notes cost writes to the device's memory.
+const USE_EVERY_S := 3600
 
 ## Bytes that all files together may take.
 var limit: int
@@ -69,6 +71,7 @@ func _read(fetch: Node, url: String, sha256: String, size: int, told: Callable) 
 	var path := _path(sha256)
 	if FileAccess.file_exists(path):
 		if await _hash(fetch, path) == sha256:
+			_note_use(path)
 			return _content(path)
 		DirAccess.remove_absolute(path)
 	DirAccess.make_dir_recursive_absolute(_folder)  # systems clear the files of apps while these run
@@ -112,10 +115,23 @@ func _path(sha256: String) -> String:
 	return _folder.path_join(sha256)
 
 
+## Godot can set no file's time, but a file that is written to gets a new one, also where the byte is the one that it had.
+func _note_use(path: String) -> void:
+	if Time.get_unix_time_from_system() - FileAccess.get_modified_time(path) < USE_EVERY_S:
+		return
+	var file := FileAccess.open(path, FileAccess.READ_WRITE)
+	if file == null or file.get_length() == 0:
+		return
+	file.seek(0)
+	var first := file.get_8()
+	file.seek(0)
+	file.store_8(first)
+
+
 func _evict(kept: String) -> void:
 	var files := _files()
 	var sum := bytes()
-	files.sort_custom(func(one: Stored, other: Stored) -> bool: return one.came < other.came)
+	files.sort_custom(func(one: Stored, other: Stored) -> bool: return one.used < other.used)
 	for file in files:
 		if sum <= limit:
 			return
@@ -131,16 +147,16 @@ func _files() -> Array[Stored]:
 	return found
 
 
-## A file on the device, and when it came.
+## A file on the device, and when it was used last: to the hour.
 class Stored:
 	var name: String
 	var size: int
-	var came: int
+	var used: int
 
 	func _init(file: String, path: String) -> void:
 		name = file
 		size = FileAccess.get_size(path)
-		came = FileAccess.get_modified_time(path)
+		used = FileAccess.get_modified_time(path)
 
 
 ## A file on its way, and who waits for it.
