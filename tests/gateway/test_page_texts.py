@@ -84,7 +84,7 @@ def test_every_text_of_a_page_is_german_in_the_german_page(page: Path) -> None:
 
 def test_every_sentence_of_the_scripts_has_a_translation_and_no_translation_is_without_use() -> None:
     said = {text.replace("\\'", "'") for path in SCRIPTS for text in _CALL.findall(path.read_text(encoding="utf-8"))}
-    said |= {text for each in FORMATS.values() for text in (each.title, each.about)}  # pages translate what the API tells
+    said |= {text for each in FORMATS.values() for text in (each.title, each.about)}  # which the API tells
     table = german_texts()
     assert said - set(table) == set()
     pages = " ".join(one_line(path.read_text(encoding="utf-8")) for path in PAGES)
