@@ -105,9 +105,10 @@ async def get_film(
     """Get a film of a capture as it was stored, or a part of it with a Range header: a browser seeks in it by parts."""
     store = store_of(request)
     found = await in_thread(lambda: find_film(store, capture, read_receipt(store, _kind_of, capture), film))
-    headers = {"Accept-Ranges": "bytes", **_PRIVATE}
+    etag = f"{capture}-{film}"  # a stored capture never changes
+    headers = {"Accept-Ranges": "bytes", "ETag": f'"{etag}"', **_PRIVATE}
     try:
-        part = parse_range(request.headers.get("range"), None, "", found.size)
+        part = parse_range(request.headers.get("range"), request.headers.get("if-range"), etag, found.size)
     except UnsatisfiableError as error:
         told = {"Content-Range": f"bytes */{found.size}"}
         hints = (f"ask for a range that begins below byte {found.size}",)

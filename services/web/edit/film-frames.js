@@ -24,7 +24,7 @@ export function keyFramesOf(names, films) {
 
 /** A film, of which one frame at a time is shown. */
 export class FilmFrames {
-  #video = Object.assign(document.createElement('video'), { muted: true, playsInline: true, preload: 'auto' });
+  #video = Object.assign(document.createElement('video'), { muted: true, playsInline: true, preload: 'metadata' });
   #canvas = document.createElement('canvas');
   #url = '';
   /** @type {Promise<unknown>} */
@@ -53,7 +53,7 @@ export class FilmFrames {
     if (url !== this.#url) {
       this.#url = url;
       video.src = url;
-      await this.#until('loadeddata');
+      await this.#until('loadedmetadata');
     }
     video.currentTime = seconds + ROUNDING_S;
     await this.#until('seeked');
@@ -66,7 +66,7 @@ export class FilmFrames {
     return picture;
   }
 
-  /** @param {'loadeddata' | 'seeked'} event */
+  /** @param {'loadedmetadata' | 'seeked'} event */
   async #until(event) {
     const done = new AbortController();
     const { signal } = done;

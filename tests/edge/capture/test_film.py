@@ -28,6 +28,7 @@ from services.edge.capture.video import VideoFrames
 from services.edge.errors import Cancelled, CaptureError
 from services.edge.photos.screening import screen
 from services.edge.photos.structure_from_motion import align
+from tests.support.captures import turn_film
 from tests.support.walkaround import render_walkaround
 
 WIDTH, HEIGHT, RATE = 320, 240, 30
@@ -146,17 +147,9 @@ def test_a_walk_filmed_is_placed(tmp_path: Path) -> None:
     assert len(align(kept).views) == len(capture.photos) >= 12
 
 
-UPRIGHT = ((1, 0, 0, 1), (0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0))
-
-
-@pytest.mark.parametrize(("turns", "matrix"), [*enumerate(UPRIGHT)])
-def test_a_phone_held_upright_is_told_and_not_turned(turns: int, matrix: tuple[int, ...], tmp_path: Path) -> None:
-    """The matrix of the track's header: x' = a x + c y, y' = b x + d y, x right and y down (ISO/IEC 14496-12)."""
-    path = encode(tmp_path / "a.mp4", VIEWS[:20])
-    data = bytearray(path.read_bytes())
-    a, b, c, d = matrix
-    struct.pack_into(">9i", data, data.index(b"tkhd") + 44, a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30)
-    path.write_bytes(data)
+@pytest.mark.parametrize("turns", range(4))
+def test_a_phone_held_upright_is_told_and_not_turned(turns: int, tmp_path: Path) -> None:
+    path = turn_film(encode(tmp_path / "a.mp4", VIEWS[:20]), turns)
     capture = read_capture(path)
     assert {photo.turns for photo in capture.photos} == {turns}
     assert_shows_its_moment(capture.photos, VIEWS)

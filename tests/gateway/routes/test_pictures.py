@@ -124,6 +124,9 @@ async def test_films_are_read_by_parts(tmp_path: Path) -> None:
         ]:
             answer = await client.get(films[0]["url"], headers={"Range": asked})
             assert (answer.status_code, answer.headers["content-range"], answer.content) == (206, told, part)
+        for etag, status in [(whole.headers["etag"], 206), ('"another"', 200)]:
+            answer = await client.get(films[0]["url"], headers={"Range": "bytes=0-9", "If-Range": etag})
+            assert answer.status_code == status
         beyond = await client.get(films[0]["url"], headers={"Range": f"bytes={len(film)}-"})
         assert problem_of(beyond) == (416, "RANGE_UNSATISFIABLE")
         assert beyond.headers["content-range"] == f"bytes */{len(film)}"

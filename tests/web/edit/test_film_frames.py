@@ -14,6 +14,7 @@ from playwright.sync_api import Page, expect
 from services.cli.up import Stack
 from services.storage.catalogue.publish import publish
 from services.storage.local import LocalStore
+from tests.support.captures import turn_film
 from tests.support.pages import await_data
 from tests.support.patience import PATIENCE_S
 from tests.web.edit.test_edit import open_tab, recipe_of
@@ -23,7 +24,9 @@ from tests.web.edit.test_photo_lassos import draw_by_mouse, make_balls
 pytestmark = pytest.mark.browser
 KEY = "balls-filmed"
 RATE, FRAMES = 30, 60
-FILMS = {"round.mp4": "libx264", "back.webm": "libvpx-vp9"}
+FILMS = {"round.mp4": "libx264", "back.webm": "libvpx-vp9", "upright.mp4": "libx264"}
+TURNED = "upright.mp4"
+"""Its phone was held upright: its pictures are to be turned clockwise by a quarter."""
 SHOWN = (0, 10, 20, 41)
 """Frames that are key frames: 10/30 s is written 0.33 s, when the frame before it is still shown; 20/30 s is 0.67 s."""
 
@@ -33,8 +36,8 @@ def key_frame(film: str, number: int) -> str:
 
 
 def level(film: str, number: int) -> int:
-    """How bright the left half of a frame is; the right half is as much darker than white."""
-    return 20 + 3 * number if film == "round.mp4" else 200 - 3 * number
+    """How bright the left half of a frame is, as it is stored; the right half is as much darker than white."""
+    return 200 - 3 * number if film == "back.webm" else 20 + 3 * number
 
 
 def write(path: Path, codec: str) -> Path:
@@ -46,7 +49,7 @@ def write(path: Path, codec: str) -> Path:
             picture[:, :160], picture[:, 160:] = level(path.name, number), 255 - level(path.name, number)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         container.mux(stream.encode())
-    return path
+    return turn_film(path, 1) if path.name == TURNED else path
 
 
 @pytest.fixture(scope="module")
@@ -83,18 +86,19 @@ def test_key_frames_are_shown_and_take_lines(page: Page, stack: Stack, films: st
             choice.select_option(key_frame(film, number))
             await_data(page, photo=key_frame(film, number))
             halves = page.locator("#photo-image").evaluate(
-                """image => {
-                    const canvas = Object.assign(document.createElement('canvas'), { width: 320, height: 240 });
-                    const drawing = canvas.getContext('2d');
+                """(image, places) => {
+                    const { naturalWidth: width, naturalHeight: height } = image;
+                    const drawing = Object.assign(document.createElement('canvas'), { width, height }).getContext('2d');
                     drawing.drawImage(image, 0, 0);
-                    return [80, 240].map(x => drawing.getImageData(x, 120, 1, 1).data[0]);
-                }"""
+                    return places.map(([x, y]) => drawing.getImageData(x * width, y * height, 1, 1).data[0]);
+                }""",
+                [[0.5, 0.25], [0.5, 0.75]] if film == TURNED else [[0.25, 0.5], [0.75, 0.5]],
             )
-            assert halves == pytest.approx([level(film, number), 255 - level(film, number)], abs=1.4), number
+            assert halves == pytest.approx([level(film, number), 255 - level(film, number)], abs=1.4), (film, number)
     line = [(0.2, 0.2), (0.4, 0.2), (0.4, 0.6), (0.2, 0.6), (0.2, 0.25)]
     draw_by_mouse(page, line)
     (lasso,) = recipe_of(page)["lassos"]
-    assert lasso["photo"] == key_frame("back.webm", 0)
+    assert lasso["photo"] == key_frame(TURNED, 0)
     assert np.min(lasso["line"], axis=0) == pytest.approx([0.2, 0.2], abs=0.02)
 
 
