@@ -15,7 +15,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse, StreamingResponse
 
 from services.gateway.errors import Problem
-from services.gateway.routes.http_ranges import UnsatisfiableError, etag_matches, parse_range
+from services.gateway.routes.http_ranges import etag_matches, take_range
 from services.gateway.routes.read_rules import READS_FILE, READS_FOLDER, Reading, reading_of, unknown_file
 from services.gateway.routes.store_access import in_thread
 from services.gateway.schemas import problems
@@ -107,18 +107,8 @@ async def _large_file(store: LocalStore, head: Head, request: Request) -> Respon
     headers = {**_file_headers(head, head.etag, request), "Accept-Ranges": "bytes"}
     if etag_matches(request.headers.get("if-none-match"), head.etag):
         return Response(status_code=304, headers=headers)
-    request_headers = request.headers
-    try:
-        part = parse_range(request_headers.get("range"), request_headers.get("if-range"), head.etag, head.size)
-    except UnsatisfiableError as error:
-        content_range = {"Content-Range": f"bytes */{head.size}", **reading_of(request).cors_headers}
-        hints = (f"ask for a range that begins below byte {head.size}",)
-        raise Problem(416, "RANGE_UNSATISFIABLE", str(error), hints=hints, headers=content_range) from None
-    start, end = part or (0, head.size)
-    headers["Content-Length"] = str(end - start)
-    if part:
-        headers["Content-Range"] = f"bytes {start}-{end - 1}/{head.size}"
-    status = 206 if part else 200
+    cors = reading_of(request).cors_headers
+    start, end, status = take_range(request.headers, head.etag, head.size, headers, cors)
     if request.method == "HEAD":
         return Response(status_code=status, headers=headers, media_type=head.content_type)
     return StreamingResponse(_blocks(store.path(head.name), start, end), status, headers, head.content_type)

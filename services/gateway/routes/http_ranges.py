@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, MutableMapping
+
+from services.gateway.errors import Problem
 
 _RANGE = re.compile(r"bytes\s*=\s*([0-9]{0,18})\s*-\s*([0-9]{0,18})", re.IGNORECASE)  # 18 digits: below 2^63
 _TAG = re.compile(r'(?:W/)?"([^"]*)"')
@@ -40,3 +43,26 @@ def parse_range(header: str | None, if_range: str | None, etag: str, size: int) 
     if start >= end:
         raise UnsatisfiableError(f"the file has {size} bytes")
     return start, end
+
+
+def take_range(
+    asked: Mapping[str, str], etag: str, size: int, headers: MutableMapping[str, str], always: Mapping[str, str]
+) -> tuple[int, int, int]:
+    """Return the first and the end byte that a request wants of a file, and the status; describe them in `headers`.
+
+    asked   the request's headers
+    always  headers that a refusal has too
+
+    Raises Problem RANGE_UNSATISFIABLE.
+    """
+    try:
+        part = parse_range(asked.get("range"), asked.get("if-range"), etag, size)
+    except UnsatisfiableError as error:
+        told = {"Content-Range": f"bytes */{size}", **always}
+        hints = (f"ask for a range that begins below byte {size}",)
+        raise Problem(416, "RANGE_UNSATISFIABLE", str(error), hints=hints, headers=told) from None
+    start, end = part or (0, size)
+    headers["Content-Length"] = str(end - start)
+    if part:
+        headers["Content-Range"] = f"bytes {start}-{end - 1}/{size}"
+    return start, end, 206 if part else 200

@@ -10,13 +10,12 @@ from fastapi.responses import StreamingResponse
 from pydantic import BaseModel
 
 from services.gateway.access.caller import Scope
-from services.gateway.errors import Problem
 from services.gateway.jobs.capture_objects import object_chunks, read_receipt
 from services.gateway.pictures.capture_films import find_film, list_films
 from services.gateway.pictures.capture_pictures import list_pictures, read_picture
 from services.gateway.routes.access_rules import needs
 from services.gateway.routes.captures import CaptureId
-from services.gateway.routes.http_ranges import UnsatisfiableError, parse_range
+from services.gateway.routes.http_ranges import take_range
 from services.gateway.routes.store_access import in_thread, store_of
 from services.gateway.schemas import problems
 
@@ -107,18 +106,9 @@ async def get_film(
     found = await in_thread(lambda: find_film(store, capture, read_receipt(store, _kind_of, capture), film))
     etag = f"{capture}-{film}"  # a stored capture never changes
     headers = {"Accept-Ranges": "bytes", "ETag": f'"{etag}"', **_PRIVATE}
-    try:
-        part = parse_range(request.headers.get("range"), request.headers.get("if-range"), etag, found.size)
-    except UnsatisfiableError as error:
-        told = {"Content-Range": f"bytes */{found.size}"}
-        hints = (f"ask for a range that begins below byte {found.size}",)
-        raise Problem(416, "RANGE_UNSATISFIABLE", str(error), hints=hints, headers=told) from None
-    start, end = part or (0, found.size)
-    headers["Content-Length"] = str(end - start)
-    if part:
-        headers["Content-Range"] = f"bytes {start}-{end - 1}/{found.size}"
+    start, end, status = take_range(request.headers, etag, found.size, headers, {})
     body = object_chunks(store, found.archive, found.start + start, found.start + end, _CHUNK_BYTES)
-    return StreamingResponse(body, 206 if part else 200, headers, found.media_type)
+    return StreamingResponse(body, status, headers, found.media_type)
 
 
 def _kind_of(receipt: dict[str, Any]) -> str:
