@@ -19,7 +19,7 @@ const SEASON_WORDS = {
   winter: /^winter/,
 };
 const WAIST_WORDS = /^(.*skirts?|(?!barock)\w*rocke?|trousers|pants|jeans|shorts|leggings|chinos|culottes|\w*hosen?)$/;
-const SHOULDER_WORDS = /^(dress|dresses|gown|tunic|.*shirts?|blouses?|sweaters?|jumpers?|pullover|hoodies?|cardigan|jackets?|coats?|waistcoat|suit|top|\w*kleid(er)?|\w*hemd(en)?|\w*blusen?|\w*jacken?|\w*mantel|\w*westen?|anzug)$/;
+const SHOULDER_WORDS = /^(dress|dresses|gown|tunic|.*shirts?|blouses?|sweaters?|jumpers?|pullover|hoodies?|cardigan|jackets?|\w*coats?|suit|(jump|play|boiler)suits?|rompers?|dungarees|\w*overalls?|kimonos?|vests?|ponchos?|capes?|top|\w*kleid(er)?|\w*hemd(en)?|\w*blusen?|\w*jacken?|\w*mantel|\w*westen?|\w*anzug|latzhosen?)$/;
 const CLOTHES_WORDS = /^(garments?|clothes|clothing|wardrobe|outfit|fashion|kleidung|garderobe|kleiderschrank)$/;
 const MONTHS_BEFORE_SPRING = 2; // seasons of meteorologists: spring begins with March
 // Time zones south of the equator whose winter is in July. Where none of them is told, it is the north.
