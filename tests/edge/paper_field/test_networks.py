@@ -9,7 +9,7 @@ import torch
 
 from services.edge.paper_field.losses import certainty
 from services.edge.paper_field.network_config import NetworkConfig, parameter_count
-from services.edge.paper_field.network_passes import BEND, ROUNDING
+from services.edge.paper_field.network_passes import BEND, ROUNDING, Layer, field_value_and_gradient
 from services.edge.paper_field.networks import FieldNetwork, NeighbourNetwork, network_of
 
 CONFIGS = {
@@ -195,3 +195,22 @@ def test_a_seed_gives_one_network(config: NetworkConfig) -> None:
     first = built(config)(queries())
     torch.manual_seed(6)
     torch.testing.assert_close(built(config)(queries()), first, rtol=0, atol=0)
+
+
+def test_the_rounded_relu_is_a_relu_but_for_its_bend_and_has_its_own_slope() -> None:
+    one = torch.ones(1, 1, dtype=torch.float64)
+    layers = [Layer(one, torch.zeros(1).double(), None), Layer(one, torch.ones(1).double(), None)]  # y = a(z) + 1 > 0
+
+    def rounded_relu(z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        f, slope = field_value_and_gradient(z[:, None], layers, rounded=True)
+        return f - 1, slope[:, 0]
+
+    z = torch.linspace(-0.1, 0.1, 201, dtype=torch.float64).requires_grad_()
+    value, slope = rounded_relu(z)
+    assert (value - z.relu()).abs().max() <= 0.0051  # a quarter of the half-width
+    torch.testing.assert_close(torch.autograd.grad(rounded_relu(z)[0].sum(), z)[0], slope)
+    inside = (z.detach() - 0.0004).requires_grad_()  # off the corners of the slope
+    for part in (0, 1):  # not gradcheck, which runs a backward pass again and again
+        (found,) = torch.autograd.grad(rounded_relu(inside)[part].sum(), inside)
+        beside = [rounded_relu(inside.detach() + step)[part] for step in (1e-6, -1e-6)]
+        torch.testing.assert_close(found, (beside[0] - beside[1]) / 2e-6, rtol=1e-3, atol=1e-5)
