@@ -40,25 +40,29 @@ class StoredFilm:
     size: int
 
 
-def list_films(store: Store, capture: str, kind: str) -> list[str]:
-    """Return the names of the films whose key frames lassos may be in, sorted as in the capture's archive.
+def films_in(archive: zipfile.ZipFile, kind: str) -> list[zipfile.ZipInfo]:
+    """Return the films whose key frames lassos may be in, sorted as in the capture's archive.
 
     kind  of the capture, as its receipt tells it. Of films beside depth images no cameras are published
-
-    Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED; OSError.
     """
-    return [info.filename for info in with_archive(store, capture, lambda archive: _films(archive, kind))]
+    if kind not in ("photos", ""):
+        return []
+    return [
+        info
+        for info in archive.infolist()
+        if PurePosixPath(info.filename).suffix.lower() in _TYPES and info.compress_type == zipfile.ZIP_STORED
+    ]
 
 
 def find_film(store: Store, capture: str, kind: str, number: int) -> StoredFilm:
-    """Return where the film at `number` in `list_films` lies.
+    """Return where the film at `number` in `films_in` lies.
 
     Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED, FILM_UNKNOWN; OSError.
     """
     name = capture_name(capture)
 
     def find(archive: zipfile.ZipFile) -> StoredFilm:
-        films = _films(archive, kind)
+        films = films_in(archive, kind)
         if number >= len(films):
             detail = f"the capture has {len(films):,} films, so there is none of number {number:,}"
             raise Problem(404, "FILM_UNKNOWN", detail, hints=("number them from 0",))
@@ -72,13 +76,3 @@ def find_film(store: Store, capture: str, kind: str, number: int) -> StoredFilm:
         return StoredFilm(info.filename, _TYPES[suffix], name, start, info.file_size)
 
     return with_archive(store, capture, find)
-
-
-def _films(archive: zipfile.ZipFile, kind: str) -> list[zipfile.ZipInfo]:
-    if kind not in ("photos", ""):
-        return []
-    return [
-        info
-        for info in archive.infolist()
-        if PurePosixPath(info.filename).suffix.lower() in _TYPES and info.compress_type == zipfile.ZIP_STORED
-    ]

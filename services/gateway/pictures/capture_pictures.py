@@ -22,25 +22,14 @@ _COLOURS = {".jpg", ".jpeg"}
 """Suffixes of the pictures beside depth images: PNGs there are the depth itself."""
 
 
-def list_pictures(store: Store, capture: str, kind: str) -> list[str]:
-    """Return the names of a capture's photos, sorted as in its archive.
-
-    kind  of the capture, as its receipt tells it. Beside depth images only JPEGs are pictures; a single photo has no
-          camera that lassos could be seen by
-
-    Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED; OSError.
-    """
-    return with_archive(store, capture, lambda archive: _photos(archive, kind))
-
-
 def read_picture(store: Store, capture: str, kind: str, number: int) -> tuple[str, bytes]:
-    """Return the name and the bytes of the photo at `number` in `list_pictures`.
+    """Return the name and the bytes of the photo at `number` in `pictures_in`.
 
     Raises Problem CAPTURE_UNKNOWN, CAPTURE_DAMAGED, PICTURE_UNKNOWN; OSError.
     """
 
     def read(archive: zipfile.ZipFile) -> tuple[str, bytes]:
-        names = _photos(archive, kind)
+        names = pictures_in(archive, kind)
         if number >= len(names):
             detail = f"the capture has {len(names):,} pictures, so there is none of number {number:,}"
             raise Problem(404, "PICTURE_UNKNOWN", detail, hints=("number them from 0",))
@@ -49,7 +38,12 @@ def read_picture(store: Store, capture: str, kind: str, number: int) -> tuple[st
     return with_archive(store, capture, read)
 
 
-def _photos(archive: zipfile.ZipFile, kind: str) -> list[str]:
+def pictures_in(archive: zipfile.ZipFile, kind: str) -> list[str]:
+    """Return the names of a capture's photos, sorted as in its archive.
+
+    kind  of the capture, as its receipt tells it. Beside depth images only JPEGs are pictures; a single photo has no
+          camera that lassos could be seen by
+    """
     suffixes = {"rgbd": _COLOURS, "points": set[str](), "image": set[str]()}.get(kind, _PHOTOS)
     return [
         info.filename

@@ -11,8 +11,8 @@ from pydantic import BaseModel
 
 from services.gateway.access.caller import Scope
 from services.gateway.jobs.capture_objects import object_chunks, read_receipt
-from services.gateway.pictures.capture_films import find_film, list_films
-from services.gateway.pictures.capture_pictures import list_pictures, read_picture
+from services.gateway.pictures.capture_films import films_in, find_film
+from services.gateway.pictures.capture_pictures import pictures_in, read_picture, with_archive
 from services.gateway.routes.access_rules import needs
 from services.gateway.routes.captures import CaptureId
 from services.gateway.routes.http_ranges import take_range
@@ -59,7 +59,11 @@ async def get_pictures(capture: CaptureId, request: Request) -> CapturePictures:
 
     def names() -> tuple[list[str], list[str]]:
         kind = read_receipt(store, _kind_of, capture)
-        return list_pictures(store, capture, kind), list_films(store, capture, kind)
+        return with_archive(
+            store,
+            capture,
+            lambda archive: (pictures_in(archive, kind), [film.filename for film in films_in(archive, kind)]),
+        )
 
     pictures, films = await in_thread(names)
     url = f"/v1/captures/{capture}"

@@ -181,14 +181,13 @@ async function showPhotos(on) {
   if (!on || !shown) return;
   if (!job) throw notStored();
   if (!session?.scopes.includes('manage')) throw new Problem({ code: 'SCOPE_MISSING', detail: t('Photos are shown only with an access key that may manage.') });
-  const [{ PhotoLassos: Tool }, { loadCameras }] = await Promise.all([import('./photo-lassos.js'), import('./photo-camera.js')]);
+  const { PhotoLassos: Tool } = await import('./photo-lassos.js');
   photos ??= new Tool((drawn) => {
     lassos = drawn;
     change();
     attempt(page.trouble, previewLassos);
   });
-  const names = (await loadCameras(shown.cameras)).map(({ name }) => name);
-  await photos.open(job.capture, names, lassos, () => document.body.dataset.photos === 'yes');
+  await photos.open(job.capture, shown.cameras, lassos, () => document.body.dataset.photos === 'yes');
   redraw();
 }
 

@@ -1,13 +1,14 @@
 // Lassos: lines in the capture's photos around what is left out, or kept. The tab loads this once it is opened.
 import { FilmFrames, keyFramesOf } from './film-frames.js';
 import { LassoLine, pathOf } from './lasso-line.js';
+import { loadCameras } from './photo-camera.js';
 import { getJson } from '../shared/api.js';
 import { create, element } from '../shared/dom.js';
 import { Problem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
 /** @import { Picture } from './film-frames.js' */
-/** @import { PhotoLasso } from '../shared/types.d.ts' */
+/** @import { AssetFile, PhotoLasso } from '../shared/types.d.ts' */
 
 const MOST = 30; // lassos of a recipe
 
@@ -17,8 +18,7 @@ export class PhotoLassos {
   #lassos = [];
   /** @type {Picture[]} */
   #pictures = [];
-  #capture = '';
-  #cameras = '';
+  #listed = ''; // capture and cameras whose pictures these are
   #films = new FilmFrames();
   #frame = ''; // URL of the film's frame that is shown
   #onChange;
@@ -63,17 +63,18 @@ export class PhotoLassos {
   /**
    * Shows the photos of a capture, and the key frames of its films.
    * @param {string} capture
-   * @param {string[]} cameras names of the photos, or key frames, that the version on the page was made from
+   * @param {AssetFile | undefined} cameras of the photos, or key frames, that the version on the page was made from
    * @param {PhotoLasso[]} lassos that are drawn already
    * @param {() => boolean} isWanted whether the photos are still to be shown, once the server has answered
    * @throws {Problem} NO_PHOTOS, and what the server says
    */
   async open(capture, cameras, lassos, isWanted) {
-    const asked = JSON.stringify(cameras);
-    if (capture !== this.#capture || asked !== this.#cameras) {
+    const wanted = `${capture} ${cameras?.sha256}`;
+    if (wanted !== this.#listed) {
       /** @type {{ pictures: Picture[], films: { name: string, url: string }[] }} */
       const { pictures, films } = await getJson(`/v1/captures/${encodeURIComponent(capture)}/pictures`);
-      [this.#capture, this.#cameras, this.#pictures] = [capture, asked, [...pictures, ...keyFramesOf(cameras, films)]];
+      const names = films.length ? (await loadCameras(cameras)).map(({ name }) => name) : [];
+      [this.#listed, this.#pictures] = [wanted, [...pictures, ...keyFramesOf(names, films)]];
       this.#page.choice.replaceChildren(...this.#pictures.map(({ name }) => create('option', { value: name, textContent: name })));
     }
     if (!isWanted()) return;

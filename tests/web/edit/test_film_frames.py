@@ -54,7 +54,7 @@ def write(path: Path, codec: str) -> Path:
 
 @pytest.fixture(scope="module")
 def films(stack: Stack, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A stored capture of two films; a thing under `KEY` has cameras named after their frames."""
+    """A stored capture of films; a thing under `KEY` has cameras named after their frames."""
     folder = tmp_path_factory.mktemp("films")
     make_balls(stack, folder / "balls", KEY)
     names = [key_frame(film, number) for film in FILMS for number in SHOWN]
