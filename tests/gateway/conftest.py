@@ -1,9 +1,11 @@
-"""Databases of both kinds: what a test says of `url` holds for SQLite and for Postgres."""
+"""Databases of both kinds: what a test says of `url` holds for SQLite and for Postgres. A clock for rate limits."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import sqlalchemy as sa
@@ -47,3 +49,14 @@ def url(tmp_path: Path, request: pytest.FixtureRequest) -> str:
         return f"sqlite:///{tmp_path / 'jobs.db'}"
     found: str = request.getfixturevalue("empty_postgres")
     return found
+
+
+@pytest.fixture
+def still_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stop the clock by which requests are counted, a second after a minute has begun.
+
+    Requests are counted by minutes of the clock: a test that runs over the end of one finds some of them gone.
+    """
+    now = time.time() // 60 * 60 + 1
+    for module in ("limits.strategies", "limits.storage.memory"):
+        monkeypatch.setattr(f"{module}.time", SimpleNamespace(time=lambda: now))

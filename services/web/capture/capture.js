@@ -3,7 +3,7 @@ import { continuedJob, startContinuing } from './continuing.js';
 import { chosenFiles, chosenName, goOn, hasUnkept, startFileChoice } from './file-choice.js';
 import { showUploadProgress, showUploadWaits, startUploadProgress } from '../shared/job-progress.js';
 import { watchJob } from './job-watch.js';
-import { forgetAll, jobKey, keepWhole, sendOnce } from './keeping.js';
+import { jobKey, keepWhole, sendOnce } from './keeping.js';
 import { showKept, startKeptList } from './kept-list.js';
 import { showState, showTrouble } from './page-state.js';
 import { chosenBox } from './photo-box.js';
@@ -80,7 +80,6 @@ async function send() {
     const job = typeof sent === 'string' ? await getJson(`/v1/jobs/${sent}`) : sent;
     location.hash = `job=${job.id}`;
     watchJob(job);
-    await forgetAll();
   } catch (error) {
     showTrouble(error, isConnectionProblem(error) ? await keepForLater() : '');
   }

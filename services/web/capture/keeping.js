@@ -67,18 +67,17 @@ export const keepWhole = (files, { name, about, order, capture }) => inTurn(asyn
 });
 
 /**
- * Sends the capture from this page, unless the service worker has sent it meanwhile.
+ * Sends the capture from this page, unless the service worker has sent it meanwhile, and forgets it on the device.
  * @template T
  * @param {() => Promise<T>} work
  * @returns {Promise<T | string>} what the work gives, or the id of the job that is there already
  */
-export const sendOnce = (work) => exclusively({}, async () => {
+export const sendOnce = (work) => exclusively(async () => {
   const now = await readKept(kept.id).catch(() => undefined);
-  return now?.state === 'sent' ? now.job : work();
+  const sent = now?.state === 'sent' ? now.job : await work();
+  await inTurn(() => forget(kept.id).catch(() => {})); // before anybody else may send: what still waits would be sent again
+  return sent;
 });
-
-/** Forgets all of the capture: the server has it. */
-export const forgetAll = () => inTurn(() => forget(kept.id).catch(() => {}));
 
 /**
  * Goes on with a draft that was kept earlier.

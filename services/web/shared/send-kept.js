@@ -19,14 +19,13 @@ const LOCK = 'capture2vr-send'; // one of the pages and the service worker sends
 /** @typedef {(capture: KeptCapture, fraction: number) => void} OnSending */
 
 /**
- * Sends all captures that wait, of who is logged in now. Another page that is sending, or the service worker, is left to do so.
+ * Sends all captures that wait, of who is logged in now. Another page that is sending, or the service worker, ends first.
  * @param {OnSending} [onSending]
  * @returns {Promise<void>}
  * @throws {Problem} OFFLINE, NO_ANSWER, and what else may be better later
  */
 export async function sendKept(onSending = () => {}) {
-  await exclusively({ ifAvailable: true }, async (mine) => {
-    if (!mine) return;
+  await exclusively(async () => {
     const tenant = await loggedInTenant();
     for (const { id } of (await listKept(tenant)).filter(({ state }) => state === 'waiting')) {
       const capture = await readKept(id);
@@ -38,13 +37,12 @@ export async function sendKept(onSending = () => {}) {
 /**
  * Does something while nobody else of this browser sends kept captures.
  * @template T
- * @param {LockOptions} options
- * @param {(mine: boolean) => Promise<T>} work is told whether nobody else is sending
+ * @param {() => Promise<T>} work
  * @returns {Promise<T>}
  */
-export async function exclusively(options, work) {
+export async function exclusively(work) {
   // Over plain http there are no locks, and no service worker that could send the same.
-  return navigator.locks ? await navigator.locks.request(LOCK, options, (lock) => work(lock !== null)) : work(true);
+  return navigator.locks ? await navigator.locks.request(LOCK, work) : work();
 }
 
 /** The tenant as pages know it: '' where nobody has to log in. Throws where nobody has. */

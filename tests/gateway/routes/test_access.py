@@ -277,6 +277,7 @@ class TestPairing:
             answer = await site.bob.get(f"/v1/pairings/{pairing['id']}")
             assert await code_of(answer) == (404, "PAIRING_UNKNOWN")
 
+    @pytest.mark.usefixtures("still_limits")
     async def test_codes_cannot_be_guessed_at_will(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(guesses, "_OF_ADDRESS", guesses.RateLimitItemPerMinute(3))
         async with two_tenants(tmp_path, memory()) as site:

@@ -34,6 +34,7 @@ async def set_limits(site: TwoTenants, tenant: str, **limits: int) -> None:
     assert {name: answer.json()[name] for name in limits} == limits
 
 
+@pytest.mark.usefixtures("still_limits")
 async def test_requests_a_minute(tmp_path: Path) -> None:
     async with two_tenants(tmp_path, memory()) as site:
         await set_limits(site, "ada", requests_per_minute=3)
@@ -49,6 +50,7 @@ async def test_requests_a_minute(tmp_path: Path) -> None:
         assert (await site.bob.get("/v1/jobs")).status_code == 200
 
 
+@pytest.mark.usefixtures("still_limits")
 async def test_an_addresss_requests_are_counted_before_its_key_is_looked_at(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

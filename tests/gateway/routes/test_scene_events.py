@@ -14,7 +14,7 @@ from typing import Any
 
 import httpx
 import pytest
-from limits import RateLimitItemPerHour
+from limits import RateLimitItemPerMinute
 
 from services.gateway.access import limits, sharing
 from services.gateway.access.caller import Scope
@@ -146,6 +146,7 @@ async def test_what_is_moved_is_told_and_not_stored(
     assert levels == {logging.DEBUG}, "and so would ten lines in the request log"
 
 
+@pytest.mark.usefixtures("still_limits")
 async def test_only_who_saves_may_move_and_only_what_makes_sense(
     site: TwoTenants, scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,7 +155,7 @@ async def test_only_who_saves_may_move_and_only_what_makes_sense(
     assert await code_of(await move(site.anonymous, scene)) == (401, "KEY_MISSING")
     assert await code_of(await move(site.bob, scene)) == (404, "SCENE_UNKNOWN")
     assert (await move(site.ada, scene, {**THERE, "asset": "chair"})).status_code == 422
-    monkeypatch.setattr(limits, "_MOVES", RateLimitItemPerHour(3))
+    monkeypatch.setattr(limits, "_MOVES", RateLimitItemPerMinute(3))
     answers = [await move(site.ada, scene) for _ in range(4)]
     assert [answer.status_code for answer in answers] == [204, 204, 204, 429]
     assert await code_of(answers[-1]) == (429, "MOVES_LIMITED")

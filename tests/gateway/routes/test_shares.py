@@ -149,6 +149,7 @@ async def test_a_password_is_asked_for_and_is_stored_as_a_hash(site: TwoTenants,
     assert b"sesame" not in (tmp_path / "gw" / "gateway.db").read_bytes()
 
 
+@pytest.mark.usefixtures("still_limits")
 async def test_passwords_cannot_be_guessed_at_will(site: TwoTenants, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guesses, "_OF_ADDRESS", guesses.RateLimitItemPerMinute(2))
     made = await share(site, password="open sesame")

@@ -13,7 +13,7 @@ import httpx
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
 from services.gateway.access.caller import ALL_SCOPES, Scope
 from services.gateway.jobs.capture_objects import capture_name
@@ -25,6 +25,13 @@ from tests.web.conftest import GuardedSite, with_a_past
 
 pytestmark = pytest.mark.browser
 
+# How many captures are on the device when nobody else sends any more: asked for at once, answered then.
+_COUNT_AT_MY_TURN = """() => {
+    globalThis.counted = navigator.locks.request('capture2vr-send', async () => {
+        const { listKept } = await import('/web/shared/kept-captures.js');
+        return (await listKept('')).length;
+    });
+}"""
 SIZE = 1200  # pixels of noise along a photo's side: one is 2 MB, and three make an upload that goes on
 
 
@@ -157,6 +164,44 @@ def test_trying_again_on_the_same_page_sends_it_once(
     page.reload()
     await_data(page, kept="")
     assert len(jobs_of(site, "Attic-box")) == 1
+
+
+def test_who_sends_next_finds_nothing_left_of_what_was_sent(
+    context: BrowserContext, line: Line, photos: list[Path]
+) -> None:
+    page, other = visit(context, line), visit(context, line)
+    line.cut()
+    send(page, photos[:1], "Attic rug")
+    expect(page.get_by_role("alert")).to_contain_text("It is kept on this device")
+    line.mend()
+
+    def queue_another(route: Route) -> None:
+        other.evaluate(_COUNT_AT_MY_TURN)
+        route.continue_()
+
+    page.route("**/v1/jobs", queue_another)
+    page.get_by_role("button", name="Try again").click()
+    page.wait_for_url("**/#job=*")
+    assert other.evaluate("counted") == 0
+
+
+def test_a_page_waits_until_another_has_sent(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path]
+) -> None:
+    keep_without_a_server(context, line, photos[:1], "Attic shelf")
+    line.mend()
+    sender = context.new_page()
+    sender.goto(f"{line.url}/browse/default")
+    sender.evaluate(
+        "new Promise((held) => { navigator.locks.request('capture2vr-send', () => (held(), new Promise(() => {}))); })"
+    )
+    page = visit(context, line)
+    await_data(page, kept="waiting")
+    page.wait_for_function("async () => (await navigator.locks.query()).pending.length === 1")
+    assert not jobs_of(site, "Attic-shelf")
+    sender.close()
+    await_data(page, kept="sent")
+    assert len(jobs_of(site, "Attic-shelf")) == 1
 
 
 def test_what_the_server_refuses_is_said_and_stays_until_it_is_deleted(
