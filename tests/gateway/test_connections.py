@@ -71,7 +71,9 @@ async def test_bytes_now_and_then_do_not_keep_it(tmp_path: Path, monkeypatch: py
         while not reading.done():
             writer.write(b"X: y\r\n")
             await asyncio.sleep(0.02)
-        assert (await reading)[0] == 408
+        with suppress(ConnectionError):  # what was still under way has cut off the answer
+            assert (await reading)[0] == 408
+        await until_counted(at, "REQUEST_SILENT")
 
 
 async def test_a_connection_without_a_byte_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
