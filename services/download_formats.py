@@ -14,6 +14,8 @@ then made again."""
 
 MESH, FINEST, POINTS, CAMERAS = "mesh.ply", "lod0.glb", "points.laz", "cameras.json"
 """Files of a bundle: the full mesh, the finest level of detail, points of the capture, the cameras of its photos."""
+SPLATS = "splats.spz"
+"""File of a bundle with splats that were trained on its photos; without it splats cover the finest level as it is."""
 TILESET = "tileset.json"
 """File of a bundle that is a scene in tiles: it names them. All other files are then made of the coarse whole."""
 
@@ -101,6 +103,7 @@ FORMATS = {
             "Gaussian splats that cover the mesh, for splat viewers. Metres, Y up.",
             ".spz",
             (FINEST,),
+            (SPLATS,),
         ),
         DownloadFormat(
             "splats-glb",
@@ -108,6 +111,7 @@ FORMATS = {
             "The same as glTF with KHR_gaussian_splatting; other programs show points. Metres, Y up.",
             "-splats.glb",
             (FINEST,),
+            (SPLATS,),
         ),
         DownloadFormat(
             "points-ply",

@@ -66,6 +66,8 @@ PREVIEW_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.2, "TEXTURING": 0.67, "PACKING
 # The same where the preview is published once more, with textures from photos.
 TEXTURED_STARTS = {"TEXTURING": 0.0, "PACKING": 0.8, "PUBLISHING": 0.95}
 REFINED_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.80, "TEXTURING": 0.90, "PACKING": 0.97, "PUBLISHING": 0.99}
+# The same of a preset that trains splats, which take most of the time.
+SPLATS_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.10, "TEXTURING": 0.20, "PACKING": 0.98, "PUBLISHING": 0.99}
 PREVIEW_FINEST = 192  # most cells of a preview that a refined bundle follows: it must be there within seconds
 EXTRACT_SHARE = 0.4  # of the EXTRACTING stage's time is extraction, the rest is cleaning
 
@@ -207,7 +209,7 @@ def bundles(
     preview = yield from _surface(distance, xyz_unit, subject, finest, clock, bar)
     quality = preview.quality(preset, clock.seconds)
     levels = yield from colour_levels(preview, subject, clock, bar)
-    pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode)
+    pack = partial(assemble_bundle, subject=subject, clock=clock, bar=bar, encode=encode, device=device)
     pack_preview = partial(pack, preview, levels, state="preview", quality=quality)
     if refines or points.texture_views:
         yield from pack_preview(last=False)
@@ -221,7 +223,7 @@ def bundles(
     if refusal:
         yield PreviewKept(_kept_warning(refusal), None, dict(clock.seconds))
     if config:
-        bar.set_range(REFINED_STARTS, share, 1.0)
+        bar.set_range(SPLATS_STARTS if preset.splat_steps else REFINED_STARTS, share, 1.0)
         fitted, fitted_noise = (xyz_unit, None) if preset.denoised else (measured, noise)
         watched = unit.to_unit(points.xyz[held_out == 2])
         if isinstance(config, NetworkConfig) and not len(watched):  # the cloud is too small to hold any out

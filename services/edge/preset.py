@@ -21,11 +21,12 @@ AUTOMATIC = "auto"
 """Name of the automatic choice: the pipeline then chooses a preset from the points (`preset_choice.py`). An empty name
 means the same."""
 
-_ORDER = ("draft", "standard", "fine", "scene", "scene-tiles")
+_ORDER = ("draft", "standard", "fine", "splats", "scene", "scene-tiles")
 """Order of the product's presets in lists, from quick to thorough; the literature's come after them."""
 _POINT_BYTES = 400  # of a capture: 1,000,000 points take 400 MB on their way to the 200,000 that are kept
 _CELL_BYTES = 1_500  # per cell of the surface, some resolution² of them: 384 cells take 220 MB while extracting
 _TILE_BYTES = 1_400_000_000  # of one tile at a time: 1.49 GB measured, interpreter included, for rooms of 3 m at 1 cm
+_SPLATS_BYTES = 1_500_000_000  # of a training of splats, PyTorch included: a whole process took 1.8 GB
 _CELLS = (48, 4 / 3)  # least cells along a side; and cells per √points at one cell per spacing: cloth fills half a box
 
 Extraction = Literal["dual", "published"]
@@ -51,6 +52,7 @@ class Preset:
     extraction   how the trained field becomes a mesh
     tiled        whether the refined bundle is meshed tile by tile, from all points of the capture rather than
                  `most_points`, at the finest cells that they bear
+    splat_steps  steps of a training of Gaussian splats on the photos, which the last bundle then has beside its mesh
     takes        time that the training takes, for people; "" where it is minutes or less
     """
 
@@ -66,6 +68,7 @@ class Preset:
     literature: bool = False
     extraction: Extraction = "dual"
     tiled: bool = False
+    splat_steps: int = 0
     takes: str = ""
 
     @property
@@ -104,6 +107,8 @@ def parse_preset(name: str, text: str) -> Preset:
     preset = _build(Preset, {"name": name, **values}, name, "")
     if list(preset.lod_faces) != sorted(set(preset.lod_faces), reverse=True) or not preset.lod_faces:
         raise EdgeError("PRESET_INVALID", f"preset '{name}': lod_faces must decrease from level to level")
+    if preset.splat_steps < 0:
+        raise EdgeError("PRESET_INVALID", f"preset '{name}': splat_steps must not be negative")
     if preset.tiled and preset.fit:
         raise EdgeError("PRESET_INVALID", f"preset '{name}': tiled cannot be combined with a fit")
     return preset
@@ -116,11 +121,12 @@ def memory_bytes(preset: Preset, points: int, device: str = "cpu") -> int:
     mesh = _POINT_BYTES * points + _CELL_BYTES * cells**2
     if preset.tiled:  # its preview is made from some of the points, and each tile from its own
         return _POINT_BYTES * min(points, preset.most_points) + _TILE_BYTES
-    if preset.fit is None:
-        return mesh
-    from services.edge.paper_field.memory_estimate import fit_memory_bytes
+    fit = 0
+    if preset.fit is not None:
+        from services.edge.paper_field.memory_estimate import fit_memory_bytes
 
-    return mesh + fit_memory_bytes(min(points, preset.most_points), preset.fit, device)
+        fit = fit_memory_bytes(min(points, preset.most_points), preset.fit, device)
+    return mesh + max(fit, _SPLATS_BYTES if preset.splat_steps else 0)
 
 
 def _folder() -> Traversable:

@@ -66,7 +66,7 @@ class GatewaySettings(StrictSettings):
     retry_s: float = Field(default=1.0, gt=0)
     max_attempts: int = Field(default=5, ge=1)  # runs of one job that may end with a lost worker
     # Used until a worker has reported its presets; the first is the default.
-    presets: CommaList = ("auto", "draft", "standard", "fine", "scene", "scene-tiles")
+    presets: CommaList = ("auto", "draft", "standard", "fine", "splats", "scene", "scene-tiles")
 
     @field_validator("workers")
     @classmethod

@@ -1,7 +1,8 @@
-"""Splats beside the mesh that they cover: likeness to photos that were held out, and bytes.
+"""Splats beside the mesh, covering it and trained: likeness to photos that were held out, bytes, seconds.
 
-Each row in a process of its own, preset `draft`, on the CPU. One photo in eight is held out. Mesh (the finest level,
-with its texture) and splats are compared in the same pixels: where the photo shows the thing and both draw it.
+Each row in a process of its own, preset `draft` with the splats of preset `splats`, on the CPU. One photo in eight is
+held out. Mesh (the finest level, with its texture) and splats are compared in the same pixels: where the photo shows
+the thing and all draw it.
 """
 
 from __future__ import annotations
@@ -11,13 +12,15 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import torch
 import trimesh
 
 from services.cli.demo_phone import simulate_capture
@@ -33,15 +36,13 @@ from services.edge.points.texture_views import hold_out_frames, texture_view
 from services.edge.preset import load_preset
 from services.edge.render.photo_comparison import LikenessCheck, check_likeness, check_surface, compare_colours
 from services.edge.render.posed_picture import PosedPicture
-from services.edge.splats.splat_glb import to_splat_glb
-from services.edge.splats.spz import to_spz
-from services.edge.splats.surface_splats import MOST_SPLATS, Splats, cover_with_splats
+from services.edge.splat_training.splat_rendering import PinholeView, SplatTensors, draw_splats
+from services.edge.splats.spz import from_spz, to_spz
+from services.edge.splats.surface_splats import Splats, cover_with_splats
 from services.storage.bundle import Bundle
 from tests.bench import captures
 from tests.bench.cell import ROOT
-from tests.bench.splat_rendering import draw_splats
 
-COUNTS = (100_000, MOST_SPLATS)
 TRAINERS_PLY_BYTES = 248  # of a splat as trainers write it: 62 floats, of which 45 are harmonics
 _OPAQUE = 0.9
 _ONE_IN = 8  # photos is held out
@@ -108,14 +109,15 @@ ROWS: dict[str, Callable[[Path], Capture]] = {
 
 def one(name: str, out: Path | None = None) -> dict[str, Any]:
     """The figures of a row, measured in this process; out: folder for its pictures."""
+    preset = replace(load_preset("draft"), splat_steps=load_preset("splats").splat_steps)
     with tempfile.TemporaryDirectory() as folder:
         capture = ROWS[name](Path(folder))
         capture = to_depth(capture) if capture.kind == "photos" else capture
         spared = max(1, len(capture.frames) // _ONE_IN)
         frames = hold_out_frames(capture.frames, spared)[1]
-        made = [
-            step for step in reconstruct(capture, load_preset("draft"), hold_out=spared) if isinstance(step, Bundle)
-        ]
+        began = time.perf_counter()
+        made = [step for step in reconstruct(capture, preset, hold_out=spared) if isinstance(step, Bundle)]
+        seconds = time.perf_counter() - began
         bundle = made[-1]
         level = read_glb(bundle.files["lod0.glb"]).mesh
         to_asset = np.array(bundle.manifest["capture_to_asset"], np.float64).reshape(4, 4)
@@ -123,53 +125,55 @@ def one(name: str, out: Path | None = None) -> dict[str, Any]:
         surface = level.mesh if isinstance(level, TexturedMesh) else level
         checks = check_surface(surface, photos, ())
         photos, things = [each.picture for each in checks], [each.thing for each in checks]
-        figures: dict[str, Any] = {"photos": len(photos), "mesh bytes": len(bundle.files["lod0.glb"])}
-        meshes = check_likeness(level, photos, things)
-        for count in COUNTS:
-            splats = cover_with_splats(level, count)
-            drawn = [_drawn(splats, *each) for each in zip(photos, things, meshes, strict=True)]
-            figures[str(count)] = {
-                "mesh": astuple(Likeness.of([mesh for mesh, _ in drawn])),
-                "splats": astuple(Likeness.of([splat for _, splat in drawn])),
-                "spz": len(to_spz(splats)),
-                "glb": len(to_splat_glb(splats)),
-            }
-            if out:
-                _write_pictures(out / f"{name.split(',')[0]}-{count}.jpg", drawn)
-        return figures
+        covering = cover_with_splats(level)
+        files = {"mesh": bundle.files["lod0.glb"], "covering": to_spz(covering), "trained": bundle.files["splats.spz"]}
+        both = covering, from_spz(files["trained"])
+        drawn = [
+            _drawn(both, *each) for each in zip(photos, things, check_likeness(level, photos, things), strict=True)
+        ]
+        if out:
+            _write_pictures(out / f"{name.split(',')[0]}.jpg", drawn[0])
+        return {
+            "photos": len(photos),
+            "seconds": round(seconds),
+            "splats": [len(each) for each in both],
+            "likeness": [astuple(Likeness.of(each)) for each in zip(*drawn, strict=True)],
+            "bytes": [len(each) for each in files.values()],
+        }
 
 
 def _drawn(
-    splats: Splats, photo: PosedPicture, thing: Bools, mesh: LikenessCheck
-) -> tuple[LikenessCheck, LikenessCheck]:
+    splats: Sequence[Splats], photo: PosedPicture, thing: Bools, mesh: LikenessCheck
+) -> tuple[LikenessCheck, ...]:
     """Compare mesh and splats with a photo in the same pixels: on the thing, a pixel or two within what is opaque."""
     height, width = mesh.photo.shape[:2]
-    rgb, opacity = draw_splats(splats, photo, width, height)
-    shown = cv2.resize(thing.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
-    both = cv2.erode((shown & (opacity > _OPAQUE)).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    over = rgb / np.maximum(opacity, 1e-3)[..., None]
-    return compare_colours(mesh.photo, mesh.rendering.astype(np.float32), both), compare_colours(mesh.photo, over, both)
+    device = torch.device("cpu")
+    view = PinholeView.of(photo, width, height, device)
+    both = cv2.resize(thing.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    over = []
+    for each in splats:
+        with torch.no_grad():
+            rgb, opacity = (found.numpy() for found in draw_splats(SplatTensors.of(each, device), view))
+        both &= opacity > _OPAQUE
+        over.append(255 * rgb / np.maximum(opacity, 1e-3)[..., None])
+    both = cv2.erode(both.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    pictures = (mesh.rendering.astype(np.float32), *over)
+    return tuple(compare_colours(mesh.photo, each, both) for each in pictures)
 
 
-def _write_pictures(file: Path, drawn: Sequence[tuple[LikenessCheck, LikenessCheck]]) -> None:
-    """The first held-out photo, the mesh, and the splats, side by side."""
-    mesh, splat = drawn[0]
-    row: Floats = np.concatenate([mesh.photo, mesh.rendering, splat.rendering], axis=1)
+def _write_pictures(file: Path, drawn: Sequence[LikenessCheck]) -> None:
+    """The first held-out photo, the mesh, the splats that cover it, and the trained ones, side by side."""
+    row: Floats = np.concatenate([drawn[0].photo, *(each.rendering for each in drawn)], axis=1)
     file.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(file), np.ascontiguousarray(row[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
-def lines_of(name: str, figures: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of the table for a capture, one for each number of splats."""
-    for count in COUNTS:
-        each = figures[str(count)]
-        pairs = (f"{each['mesh'][place]:.2f} | {each['splats'][place]:.2f}" for place in range(3))
-        share = each["spz"] / (count * TRAINERS_PLY_BYTES)
-        sizes = (figures["mesh bytes"], each["spz"], each["glb"])
-        yield (
-            f"| {name} | {figures['photos']} | {count:,} | {' | '.join(pairs)} "
-            f"| {' | '.join(f'{size / 1e6:.2f}' for size in sizes)} | {share:.1%} |"
-        )
+def line_of(name: str, figures: Mapping[str, Any]) -> str:
+    """The line of the table for a capture."""
+    likeness = (" | ".join(f"{each[place]:.2f}" for each in figures["likeness"]) for place in range(3))
+    sizes = " | ".join(f"{size / 1e6:.2f}" for size in figures["bytes"])
+    share = figures["bytes"][-1] / (figures["splats"][-1] * TRAINERS_PLY_BYTES)
+    return f"| {name} | {figures['photos']} | {' | '.join(likeness)} | {sizes} | {share:.1%} | {figures['seconds']} |"
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -178,13 +182,13 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("words", nargs="*", help=f"only rows that contain all of these words; all: {'; '.join(ROWS)}")
     parser.add_argument("--out", type=Path, help="folder for pictures: photo, mesh, splats")
     options = parser.parse_args(arguments)
-    print("| capture | photos | splats | PSNR mesh | splats | SSIM mesh | splats | sharp mesh | splats "
-          "| MB mesh | spz | glb | spz of trainer's PLY |")  # fmt: skip
-    print(f"|{'---|' * 13}")
+    print("| capture | photos | PSNR mesh | covering | trained | SSIM mesh | covering | trained "
+          "| sharp mesh | covering | trained | MB mesh | covering | trained | of a PLY | seconds |")  # fmt: skip
+    print(f"|{'---|' * 16}")
     for name in (name for name in ROWS if all(word in name for word in options.words)):
         command = [sys.executable, "-m", "tests.bench.splats", name, *([str(options.out)] if options.out else [])]
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=ROOT)
-        print("\n".join(lines_of(name, json.loads(done.stdout.splitlines()[-1]))), flush=True)
+        print(line_of(name, json.loads(done.stdout.splitlines()[-1])), flush=True)
 
 
 if __name__ == "__main__":

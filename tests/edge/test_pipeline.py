@@ -21,6 +21,7 @@ from services.edge.export.ktx2 import Ktx2Encoder, Ktx2Error, Ktx2Header
 from services.edge.pipeline import PREVIEW_STARTS, reconstruct
 from services.edge.preset import Preset, load_preset
 from services.edge.progress import Progress
+from services.edge.splats.spz import from_spz
 from services.storage.bundle import Bundle
 from tests.referees.glb_reader import Glb
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
@@ -222,7 +223,7 @@ def _striped_sheet(hole: str, frames: int = 20) -> Capture:
 
 @pytest.fixture(scope="module")
 def sheet_bundles() -> list[Bundle]:
-    made = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96))
+    made = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96, splat_steps=3))
     return [step for step in made if isinstance(step, Bundle)]
 
 
@@ -256,6 +257,25 @@ def test_what_no_depth_shows_is_filled_and_marked_unless_that_is_not_wanted(shee
     assert isinstance(kept, Bundle)
     assert kept.manifest["quality"]["filled_area"] == 0
     assert b"property uchar filled" not in kept.files["mesh.ply"][:400]
+
+
+def test_splats_are_trained_on_the_photos_where_the_preset_says_so(sheet_bundles: list[Bundle]) -> None:
+    plain, textured = (bundle.files for bundle in sheet_bundles)
+    assert "splats.spz" not in plain, "the mesh does not wait for them"
+    splats = from_spz(textured["splats.spz"])
+    assert len(splats) == pytest.approx(100_000, rel=0.01)
+    low, high = splats.xyz.min(axis=0), splats.xyz.max(axis=0)
+    np.testing.assert_allclose(np.sort(high - low)[1:], 0.9, atol=0.05)
+    red, blue = (np.abs(splats.rgb.astype(int) - colour).max(axis=1) < 60 for colour in ((230, 60, 40), (40, 60, 200)))
+    assert (red | blue).mean() > 0.8
+    assert min(red.mean(), blue.mean()) > 0.3
+
+
+def test_a_capture_without_photos_gets_no_splats_and_a_warning() -> None:
+    *_, bundle = reconstruct(_bowl(), replace(COARSE, splat_steps=3))
+    assert isinstance(bundle, Bundle)
+    assert "splats.spz" not in bundle.files
+    assert "no splats were trained: the capture has no photos" in bundle.manifest["warnings"]
 
 
 @pytest.mark.parametrize("hole", ["open", "sky"])

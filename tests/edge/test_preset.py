@@ -16,7 +16,7 @@ FOLDER = Path(presets.__file__).parent / "presets"
 
 
 def test_every_preset_loads_and_the_literature_comes_last() -> None:
-    assert preset_names() == ("draft", "standard", "fine", "scene", "scene-tiles", *LITERATURE)
+    assert preset_names() == ("draft", "standard", "fine", "splats", "scene", "scene-tiles", *LITERATURE)
     for name in preset_names():
         preset = load_preset(name)
         assert preset.name == name
@@ -51,6 +51,7 @@ def test_an_unknown_name_is_told_with_the_known_ones(name: str) -> None:
         ("resolutoin = 128", "resolutoin"),
         ('name = "other"', "name"),
         ("[fit]\nstepz = 3", "fit.stepz"),
+        ("splats = 3", "splats"),
         ("[fit.densify]\nmore = 3", "fit.densify.more"),
     ],
 )
@@ -68,6 +69,7 @@ def test_an_unknown_key_is_an_error_that_names_it(text: str, named: str) -> None
         ("lod_faces = [1.5]", "is not a list of numbers"),
         ("lod_faces = [100, 1000]", "must decrease"),
         ("lod_faces = []", "must decrease"),
+        ("splat_steps = -1", "splat_steps must not be negative"),
         ("denoised = 1", "is not true or false"),
         ("fit = 3", "fit = 3 is not a table"),
         ("[fit]\nsteps = true", "fit.steps = True is not a whole number"),

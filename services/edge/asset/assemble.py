@@ -12,6 +12,7 @@ from services.edge.asset.cut_pictures import pictures_of_cut
 from services.edge.asset.levels import add_textures, build_levels, pack_glb, preview_images
 from services.edge.asset.manifest import AssetSubject, MeasuredSurface, asset_frame, build_manifest
 from services.edge.asset.photo_check import check_textures_with_photos, figures_with_textures, marked_pictures
+from services.edge.asset.splat_file import splat_file
 from services.edge.asset.target import measure_cost, require_budget
 from services.edge.export.ktx2 import EncodeKtx2, Ktx2Error
 from services.edge.export.ply import ply_bytes
@@ -21,6 +22,7 @@ from services.edge.texture.nearest_colour import transfer_colours
 from services.storage.bundle import Bundle, State
 
 _LODS_SHARE = 0.3  # of the TEXTURING stage's time goes into levels of detail, where they get textures too
+_TEXTURES_END = 0.4  # of the same, where splats are trained after the textures
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +67,14 @@ def assemble_bundle(
     bar: Bar,
     last: bool,
     encode: EncodeKtx2 | None = None,
+    device: str = "cpu",
 ) -> Iterator[Progress | Bundle]:
     """Yield the bundle of a surface whose levels of detail are made: files, preview images, manifest.
 
     last    whether this is the job's last bundle. Textures, animation, USDZ, points, cameras are made only then; they
             would delay the preview
     encode  encoder of KTX2 textures for a target that wants them; `require_encoder` has checked that it is there
+    device  device that splats are trained on, where the preset wants them
 
     Raises EdgeError BUDGET_UNREACHABLE and Ktx2Error: before a refined bundle, but after a preview is yielded.
     """
@@ -81,14 +85,23 @@ def assemble_bundle(
     if last:
         yield bar.begin("TEXTURING", f"textures of {len(levels)} levels of detail")
         with clock("TEXTURING"):
-            rest = part_of(bar.tick("TEXTURING"), _LODS_SHARE, 1)
+            end = _TEXTURES_END if subject.preset.splat_steps else 1
+            rest = part_of(bar.tick("TEXTURING"), _LODS_SHARE, end)
             assets, texture_warnings, failed = _try_textures(coloured, subject, state, encode, rest)
+    splats: dict[str, bytes] = {}
+    if last and subject.preset.splat_steps:
+        yield bar.advance("TEXTURING", _TEXTURES_END, "splats, trained on the photos")
+        with clock("TEXTURING"):
+            rest = part_of(bar.tick("TEXTURING"), _TEXTURES_END, 1)
+            splats, splat_warnings = splat_file(assets[0], subject, to_asset, device, rest)
+            texture_warnings += splat_warnings
     yield bar.begin("PACKING", "files and preview images")
     with clock("PACKING"):
         tick = bar.tick("PACKING")
         files = {f"lod{level}.glb": pack_glb(asset, subject.target) for level, asset in enumerate(assets)}
         costs = [measure_cost(glb) for glb in files.values()]
         files |= preview_images(assets, last=last, tick=tick)
+        files |= splats
         files["mesh.ply"] = ply_bytes(
             coloured.full, filled=surface.surface.filled_vertices if surface.surface.filled.any() else None
         )

@@ -14,7 +14,7 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 from trimesh.visual import ColorVisuals
 
-from services.download_formats import CAMERAS, FINEST, MESH, POINTS
+from services.download_formats import CAMERAS, FINEST, MESH, POINTS, SPLATS
 from services.edge.arrays import Floats
 from services.edge.convert.camera_files import colmap_zip, transforms_zip
 from services.edge.convert.capture_points import CapturePoints
@@ -27,7 +27,7 @@ from services.edge.export.usdz import to_usdz
 from services.edge.export.z_up import z_up
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.splats.splat_glb import to_splat_glb
-from services.edge.splats.spz import to_spz
+from services.edge.splats.spz import from_spz, to_spz
 from services.edge.splats.surface_splats import cover_with_splats
 from services.edge.texture.nearest_colour import transfer_colours
 
@@ -98,11 +98,13 @@ def _usdz(bundle: BundleFolder, key: str) -> bytes:
 
 
 def _splats_spz(bundle: BundleFolder, key: str) -> bytes:
-    return to_spz(cover_with_splats(_finest(bundle).mesh))
+    return bundle.read(SPLATS) if bundle.has(SPLATS) else to_spz(cover_with_splats(_finest(bundle).mesh))
 
 
 def _splats_glb(bundle: BundleFolder, key: str) -> bytes:
-    return to_splat_glb(cover_with_splats(_finest(bundle).mesh))
+    """Of the bundle's own splats, which are trained, or of such that cover the mesh."""
+    trained = bundle.has(SPLATS)
+    return to_splat_glb(from_spz(bundle.read(SPLATS)) if trained else cover_with_splats(_finest(bundle).mesh))
 
 
 def _points_ply(bundle: BundleFolder, key: str) -> bytes:

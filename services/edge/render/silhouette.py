@@ -28,6 +28,7 @@ _CERTAIN = 0.01  # how far inside the mesh's outline the photo surely shows the 
 _CERTAIN_OF_RIM = 0.02  # the same where photos vote on rims, so that one photo's error has no effect
 _ASIDE = 0.02  # of the mesh's longest side: what the photo's depth shows as far from the mesh is not the thing
 _PAST = 0.04  # relative depth by which a photo that looks past a place sees farther
+_BEFORE = 0.03  # relative depth by which something in front of a place is nearer
 _ROUNDS = 3  # of GrabCut
 _ROUNDS_OF_RIM = 1  # the same where photos vote on rims: three find no more of them
 _LEAST_GROUND = 0.02  # of the picture: with less background around the thing nothing is cut out
@@ -48,6 +49,7 @@ class MeshInPhoto:
     z      (h,w) depth of the mesh in the camera's units, 0 without mesh
     own    (h,w) the photo's own depth, 0 where it has none
     past   (h,w) pixels where the photo's depth looks past the mesh
+    hidden (h,w) pixels where it shows something in front of the mesh
     """
 
     rgb: Bytes
@@ -58,6 +60,7 @@ class MeshInPhoto:
     z: Floats
     own: Floats
     past: Bools
+    hidden: Bools
 
 
 def see_mesh(picture: PosedPicture, scene: Scene) -> MeshInPhoto | None:
@@ -73,8 +76,9 @@ def see_mesh(picture: PosedPicture, scene: Scene) -> MeshInPhoto | None:
         return None
     z = np.where(found, hits.along.reshape(height, width), 0)  # the rays have depth 1 along the optical axis
     own: Floats = cv2.resize(picture.depth(), (width, height), interpolation=cv2.INTER_NEAREST).astype(np.float32)
-    past = (own > 0) & (own > (1 + _PAST) * _nearest_known(z, found))
-    return MeshInPhoto(rgb, hits, rays, found, whole, z, own, past)
+    behind = _nearest_known(z, found)
+    past, hidden = (own > 0) & (own > (1 + _PAST) * behind), (own > 0) & (own < (1 - _BEFORE) * behind)
+    return MeshInPhoto(rgb, hits, rays, found, whole, z, own, past, hidden)
 
 
 def outline_thing(

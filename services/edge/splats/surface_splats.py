@@ -22,7 +22,8 @@ _WIDTH = 0.6
 """Standard deviation along the surface, over the mean distance of neighbours: with less there are gaps, with more the
 colours are blurred."""
 _THICKNESS = 0.1  # the same across the surface, over the one along it
-_THINNEST_M = 5e-5  # the least that .spz can store
+THINNEST_M = 5e-5
+"""The least standard deviation that .spz can store."""
 _OPACITY = 0.95
 _GREY = 150  # sRGB, of a surface without colours
 # Steps of the R2 sequence, by the plastic number (M. Roberts, 2018): as evenly spread as a grid, in any triangle.
@@ -67,7 +68,7 @@ def cover_with_splats(surface: Mesh | TexturedMesh, count: int = MOST_SPLATS) ->
     spacing = math.sqrt(total / count)
     face, bary = _even_places(doubled, count)
     width = _WIDTH * spacing
-    thickness = max(_THICKNESS * width, _THINNEST_M)
+    thickness = max(_THICKNESS * width, THINNEST_M)
     return Splats(
         np.einsum("nc,ncx->nx", bary, corners[face]).astype(np.float32),
         _turns_to(normals[face] / doubled[face, None]).astype(np.float32),

@@ -15,6 +15,8 @@ from services.edge.convert.convert_bundle import convert
 from services.edge.convert.read_glb import read_glb
 from services.edge.export.glb import to_glb
 from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.splats.spz import from_spz, to_spz
+from services.edge.splats.surface_splats import MOST_SPLATS, cover_with_splats
 from tests.referees.glb_reader import Glb
 from tests.support.downloadable import SHEET, coloured, downloadable, textured, written
 from tests.support.painted import quarters
@@ -136,6 +138,16 @@ def test_a_texture_that_only_graphics_cards_read_gives_way_to_the_full_meshs_col
     assert found.rgb is not None
     left = found.rgb[found.vertices[:, 0].argmin()]
     assert left[0] > left[2]
+
+
+def test_splats_are_the_bundles_own_where_it_has_trained_ones(tmp_path: Path) -> None:
+    own = cover_with_splats(coloured(), 50)
+    trained = written(downloadable(splats_spz=to_spz(own)), tmp_path / "trained")
+    assert convert(trained, "splats-spz", "sheet") == to_spz(own)
+    assert len(Glb.of(convert(trained, "splats-glb", "sheet")).positions) == 50
+    plain = written(downloadable(), tmp_path / "plain")
+    covering = from_spz(convert(plain, "splats-spz", "sheet"))
+    assert len(covering) == len(Glb.of(convert(plain, "splats-glb", "sheet")).positions) == MOST_SPLATS
 
 
 def test_usdz_is_the_bundles_own_where_it_has_one(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ PLENTY = 1 << 50
 def test_the_automatic_choice_is_the_default_and_every_preset_states_its_bound() -> None:
     known = known_presets(None)
     offer = capabilities_of(known, CPU, PLENTY)
-    assert offer.names[:5] == ("auto", "draft", "standard", "fine", "scene")
+    assert offer.names[:6] == ("auto", "draft", "standard", "fine", "splats", "scene")
     told = {preset.name: preset for preset in offer.presets}
     assert told["auto"].trained
     assert not told["draft"].trained

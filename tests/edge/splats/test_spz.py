@@ -7,11 +7,12 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.edge.arrays import Floats
-from services.edge.splats.spz import to_spz
+from services.edge.splats.spz import from_spz, to_spz
 from services.edge.splats.surface_splats import Splats
 
 
@@ -80,6 +81,24 @@ def test_splats_are_read_back_as_they_were(splats: Splats) -> None:
     np.testing.assert_allclose(found.rgb, splats.rgb, atol=1)
     np.testing.assert_allclose(np.log(found.scale), np.log(splats.scale), atol=0.51 / 16)
     assert np.abs((found.rotation * splats.rotation).sum(axis=1)).min() > 1 - 1e-4
+
+
+@given(splat_sets())
+@settings(max_examples=30, deadline=None)
+def test_the_product_reads_the_same(splats: Splats) -> None:
+    data = to_spz(splats)
+    found, expected = from_spz(data), decoded(data)
+    np.testing.assert_allclose(found.xyz, expected.xyz, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-5)
+    np.testing.assert_allclose(found.scale, expected.scale, rtol=1e-5)
+    np.testing.assert_allclose(found.opacity, expected.opacity, atol=1e-6)
+    np.testing.assert_allclose(found.rgb, expected.rgb.clip(0, 255), atol=0.51)
+
+
+@pytest.mark.parametrize("wrong", [b"nonsense!", gzip.compress(b"x"), gzip.compress(bytes(16))])
+def test_another_file_is_refused(wrong: bytes) -> None:
+    with pytest.raises((ValueError, OSError, struct.error)):
+        from_spz(wrong)
 
 
 @given(splat_sets())
