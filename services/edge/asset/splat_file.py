@@ -11,19 +11,17 @@ from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.splats.spz import to_spz
 from services.edge.splats.surface_splats import cover_with_splats
 
-_COUNT = 100_000  # a third of what a headset draws: with 300,000 a training takes twice as long
+_COUNT = 100_000  # a third of what a headset draws, which a CPU trains in minutes
 
 
 def splat_file(
     finest: Mesh | TexturedMesh, subject: AssetSubject, to_asset: Floats, device: str, tick: Tick
 ) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """Return the file by name where the preset trains splats, or a warning that says why there is none.
+    """Train splats as the preset says; return the file by name, or a warning that says why there is none.
 
     finest    the finest level of detail, in the asset frame, which the splats cover at first
     to_asset  (4,4) from the capture frame to the asset frame
     """
-    if not (steps := subject.preset.splat_steps):
-        return {}, ()
     if not subject.colours.texture_views:
         return {}, ("no splats were trained: the capture has no photos",)
     # Imported here: a worker that trains nothing must not load torch.
@@ -33,7 +31,7 @@ def splat_file(
     mesh = finest.mesh if isinstance(finest, TexturedMesh) else finest
     try:
         start = cover_with_splats(finest, _COUNT)
-        trained = train_splats(start, mesh, pictures, steps=steps, device=device, tick=tick)
+        trained = train_splats(start, mesh, pictures, steps=subject.preset.splat_steps, device=device, tick=tick)
     except EdgeError as error:
         return {}, (f"no splats were trained: {error.message}",)
     except MemoryError:

@@ -108,11 +108,8 @@ def draw_splats(splats: SplatTensors, view: PinholeView) -> tuple[Tensor, Tensor
     ellipses = _project(splats, view)
     with torch.no_grad():
         pairs = _pairs(ellipses, view)
-    alpha = _alpha(ellipses, pairs, view)
-    log = torch.log1p(-alpha).double()  # a sum over all pixels, of which differences are taken
-    before = log.cumsum(0) - log
-    light = torch.exp(before - before.index_select(0, pairs.first.index_select(0, pairs.pixel))).to(alpha.dtype)
-    weight = (light * alpha)[:, None]
+    alpha = _alpha(ellipses, pairs.splat, pairs.pixel, view)
+    weight = (torch.exp(_log_light(alpha, pairs.pixel, pairs.first)).to(alpha.dtype) * alpha)[:, None]
     shown = torch.cat([weight * ellipses.rgb.index_select(0, pairs.splat), weight], dim=1)
     picture = shown.new_zeros(view.width * view.height, 4).index_add(0, pairs.pixel, shown)
     return picture[:, :3].reshape(view.height, view.width, 3), picture[:, 3].reshape(view.height, view.width)
@@ -166,13 +163,12 @@ def _pairs(ellipses: _Ellipses, view: PinholeView) -> _Pairs:
     splat = torch.repeat_interleave(torch.arange(len(count), device=device), count)
     place = torch.arange(len(splat), device=device) - torch.repeat_interleave(count.cumsum(0) - count, count)
     pixel = (place // wide[splat] + low[splat, 1]) * view.width + place % wide[splat] + low[splat, 0]
-    alpha = _alpha(ellipses, _Pairs(splat, pixel, pixel), view)
+    alpha = _alpha(ellipses, splat, pixel, view)
     shown = torch.nonzero(alpha > _LEAST)[:, 0]
     # Splats are nearest first, and stay so within a pixel. Numbers of 32 bits are sorted in half the time.
     shown = shown[pixel[shown].to(torch.int32).sort(stable=True)[1]]
-    splat, pixel, log = splat[shown], pixel[shown], torch.log1p(-alpha[shown]).double()
-    before = log.cumsum(0) - log
-    lit = torch.nonzero(before - before[_firsts(pixel, view)[pixel]] > _HIDDEN)[:, 0]
+    splat, pixel = splat[shown], pixel[shown]
+    lit = torch.nonzero(_log_light(alpha[shown], pixel, _firsts(pixel, view)) > _HIDDEN)[:, 0]
     return _Pairs(splat[lit], pixel[lit], _firsts(pixel[lit], view))
 
 
@@ -181,10 +177,17 @@ def _firsts(pixel: Tensor, view: PinholeView) -> Tensor:
     return torch.searchsorted(pixel, torch.arange(view.width * view.height, device=pixel.device))
 
 
-def _alpha(ellipses: _Ellipses, pairs: _Pairs, view: PinholeView) -> Tensor:
+def _log_light(alpha: Tensor, pixel: Tensor, first: Tensor) -> Tensor:
+    """log T of each pair (P,) in double precision: differences of a sum that runs over all pixels."""
+    log = torch.log1p(-alpha).double()
+    before = log.cumsum(0) - log
+    return before - before.index_select(0, first.index_select(0, pixel))
+
+
+def _alpha(ellipses: _Ellipses, splat: Tensor, pixel: Tensor, view: PinholeView) -> Tensor:
     """How much of its pixel the splat of each pair covers (P,)."""
     shape = torch.cat([ellipses.at, ellipses.precision, ellipses.opacity[:, None]], dim=1)
-    x, y, xx, xy, yy, opacity = shape.index_select(0, pairs.splat).unbind(1)
-    dx = (pairs.pixel % view.width).to(x.dtype) + 0.5 - x
-    dy = (pairs.pixel // view.width).to(x.dtype) + 0.5 - y
+    x, y, xx, xy, yy, opacity = shape.index_select(0, splat).unbind(1)
+    dx = (pixel % view.width).to(x.dtype) + 0.5 - x
+    dy = (pixel // view.width).to(x.dtype) + 0.5 - y
     return (opacity * torch.exp(-0.5 * (xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy))).clamp(max=_MOST)

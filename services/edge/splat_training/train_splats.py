@@ -1,9 +1,9 @@
-"""Train splats that cover a mesh until they look like the photos: thin and furry things are more than their surface.
+"""Train splats that cover a mesh until they look like the photos.
 
 The parameters and the loss are those of B. Kerbl et al. (2023): 0.8 · L1 + 0.2 · (1 − SSIM) for one photo a step, Adam.
-Differences: there are as many splats as a headset draws from the start, evenly spread on the mesh, so that none are
-split or added; their colours do not change with the direction; and each photo has a gain for each colour channel,
-because phones change exposure and white balance on the way.
+Differences: all splats are there from the start, evenly spread on the mesh, so that none are split or added; their
+colours do not change with the direction; and each photo has a gain for each colour channel, because phones change
+exposure and white balance on the way.
 
 The photos show more than the thing. Where it is, its splats are drawn over a random colour, so that they must cover it,
 also where it is more than its mesh; around it they must cover nothing. Along its outline, which is known to some
@@ -91,7 +91,8 @@ def _numbers(count: int) -> Iterator[int]:
 def _load(mesh: Mesh, pictures: Sequence[PosedPicture], device: torch.device, tick: Tick) -> list[_Photo]:
     """Load the photos that show the mesh."""
     scene, photos = Scene(mesh), list[_Photo]()
-    for number, picture in enumerate(pictures):
+    for number, each in enumerate(pictures):
+        picture = each.loaded()  # decoded once, and looked at three times
         if (view := see_mesh(picture, scene)) is not None:
             thing = outline_thing(view, picture, mesh, scene)
             unsure = disc(max(1, round(_UNSURE * max(thing.shape))))
