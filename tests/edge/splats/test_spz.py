@@ -95,7 +95,11 @@ def test_the_product_reads_the_same(splats: Splats) -> None:
     np.testing.assert_allclose(found.rgb, expected.rgb.clip(0, 255), atol=0.51)
 
 
-@pytest.mark.parametrize("wrong", [b"nonsense!", gzip.compress(b"x"), gzip.compress(bytes(16))])
+@pytest.mark.parametrize(
+    "wrong",
+    [b"nonsense!", gzip.compress(b"x"), gzip.compress(bytes(16))],
+    ids=["no gzip", "gzip of one byte", "gzip of 16 zeros"],
+)
 def test_another_file_is_refused(wrong: bytes) -> None:
     with pytest.raises((ValueError, OSError, struct.error)):
         from_spz(wrong)
