@@ -7,8 +7,11 @@ import re
 from functools import lru_cache
 from pathlib import Path
 
-# `import … from './x'`, `import './x'` and `export … from './x'` where a line begins; not `import('./x')`.
-_IMPORT = re.compile(r"""^(?:import|export)\b(?!\s*\()(?:[^'"();]*?\bfrom)?\s*['"](\.[^'"]+)['"]""", re.MULTILINE)
+# `import … from './x'`, `import './x'` and `export … from './x'` where a statement begins; not `import('./x')`.
+# In minified modules that is behind another one, or a comment.
+_IMPORT = re.compile(
+    r"""(?:^|;|\*/)(?:import|export)\b(?!\s*\()(?:[^'"();]*?\bfrom)?\s*['"](\.[^'"]+)['"]""", re.MULTILINE
+)
 _ENTRY = re.compile(r'( *)<script type="module" src="/web/([^"]+)"(?: data-later="/web/([^"]+)")?></script>')
 
 

@@ -36,6 +36,20 @@ def test_the_nearest_come_first_and_each_once(tmp_path: Path) -> None:
     assert names(static_imports(tmp_path / "entry.js")) == ["one", "two", "three"]
 
 
+def test_minified_modules_are_read_too(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        entry=(
+            '/* licence */import{a as b}from"./one.js";import{c}from"./two.js";'
+            'export*from"./three.js";import("./later.js")'
+        ),
+        one="",
+        two="",
+        three="",
+    )
+    assert names(static_imports(tmp_path / "entry.js")) == ["one", "two", "three"]
+
+
 def test_a_module_that_was_changed_is_read_again(tmp_path: Path) -> None:
     write(tmp_path, entry="import './one.js';\n", one="", second="")
     assert names(static_imports(tmp_path / "entry.js")) == ["one"]
