@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
-WRITERS = 1
+WRITERS = 2
 """Version of all that writes these formats. Raised when a file comes out different: files that were made before are
 then made again."""
 
@@ -17,7 +17,9 @@ MESH, FINEST, POINTS, CAMERAS = "mesh.ply", "lod0.glb", "points.laz", "cameras.j
 SPLATS = "splats.spz"
 """File of a bundle with splats that were trained on its photos; without it splats cover the finest level as it is."""
 TILESET = "tileset.json"
-"""File of a bundle that is a scene in tiles: it names them. All other files are then made of the coarse whole."""
+"""File of a bundle that is a scene in tiles: it names them. All other files are then of the coarse whole."""
+TILES = "tile-*.glb"
+"""Files of such a bundle: its tiles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +55,10 @@ FORMATS = {
             "3d-tiles",
             "3D Tiles",
             "The whole scene, all tiles in full detail, for Cesium: a zip of tileset.json and GLB. "
-            "The other formats have the scene's coarse whole. Metres, Z up.",
+            "PLY and STL have all of it too, the other formats its coarse whole. Metres, Z up.",
             "-3d-tiles.zip",
             (TILESET,),
-            ("tile-*.glb",),
+            (TILES,),
         ),
         DownloadFormat(
             "glb", "GLB", "For nearly every 3D program: mesh and texture in one file. Metres, Y up.", ".glb", (FINEST,)
@@ -81,6 +83,7 @@ FORMATS = {
             "For MeshLab, CloudCompare and scripts: every triangle, colours at the vertices. Metres, Z up.",
             ".ply",
             (MESH,),
+            (TILESET, TILES),
         ),
         DownloadFormat(
             "stl",
@@ -88,6 +91,7 @@ FORMATS = {
             "For 3D printing: every triangle, no colours. Millimetres, Z up, as slicers expect.",
             ".stl",
             (MESH,),
+            (TILESET, TILES),
         ),
         DownloadFormat(
             "usdz",

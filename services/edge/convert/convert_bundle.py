@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 from trimesh.visual import ColorVisuals
 
-from services.download_formats import CAMERAS, FINEST, MESH, POINTS, SPLATS
+from services.download_formats import CAMERAS, FINEST, MESH, POINTS, SPLATS, TILESET
 from services.edge.arrays import Floats
 from services.edge.convert.camera_files import colmap_zip, transforms_zip
 from services.edge.convert.capture_points import CapturePoints
+from services.edge.convert.join_tiles import join_tiles
 from services.edge.convert.read_glb import StoredLevel, read_glb
 from services.edge.convert.tileset_zip import tileset_zip
 from services.edge.export.glb import to_glb
@@ -79,13 +81,18 @@ def _obj(bundle: BundleFolder, key: str) -> bytes:
 
 
 def _ply(bundle: BundleFolder, key: str) -> bytes:
-    return ply_bytes(_upright(_full(bundle)))
+    return ply_bytes(_upright(_every_triangle(bundle)))
 
 
 def _stl(bundle: BundleFolder, key: str) -> bytes:
-    mesh = _upright(_full(bundle))
+    mesh = _upright(_every_triangle(bundle))
     data: bytes = export_stl(trimesh.Trimesh(mesh.vertices * _MM, mesh.faces, process=False))
     return data
+
+
+def _every_triangle(bundle: BundleFolder) -> Mesh:
+    """The full mesh, of a scene in tiles all of them, in the asset frame."""
+    return join_tiles(bundle.read, partial(_full, bundle)) if bundle.has(TILESET) else _full(bundle)
 
 
 def _upright(mesh: Mesh) -> Mesh:
@@ -155,7 +162,7 @@ def _finest(bundle: BundleFolder) -> StoredLevel:
 
 
 def _full(bundle: BundleFolder) -> Mesh:
-    """The full mesh, in the asset frame. Raises ValueError."""
+    """The full mesh, of a scene in tiles the coarse whole, in the asset frame. Raises ValueError."""
     with (bundle.folder / MESH).open("rb") as file:
         found = trimesh.load(file, file_type="ply", process=False)
     if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,14 @@ from services.edge.arrays import Floats
 from services.edge.convert.convert_bundle import convert
 from services.edge.convert.read_glb import read_glb
 from services.edge.export.glb import to_glb
+from services.edge.export.ply import ply_bytes
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.splats.spz import from_spz, to_spz
 from services.edge.splats.surface_splats import MOST_SPLATS, cover_with_splats
 from tests.referees.glb_reader import Glb
 from tests.support.downloadable import SHEET, coloured, downloadable, textured, written
 from tests.support.painted import quarters
-from tests.support.tilesets import hill_bundle
+from tests.support.tilesets import CELLS, hill_bundle, hill_tile, hills
 
 GRID_M = 1e-4  # of compressed positions
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -70,6 +72,44 @@ def test_a_scene_in_tiles_is_zipped_with_all_of_them(tmp_path: Path) -> None:
         (tmp_path / "tileset.json").write_bytes(document)
         with pytest.raises(ValueError, match=r"tileset\.json"):
             convert(folder, "3d-tiles", "hills")
+
+
+@pytest.mark.parametrize("dress", [lambda mesh: mesh, textured], ids=["coloured", "textured"])
+def test_ply_and_stl_of_a_scene_in_tiles_are_its_finest_tiles_in_one_piece(
+    dress: Callable[[Mesh], Mesh | TexturedMesh], tmp_path: Path
+) -> None:
+    bundle, _ = hill_bundle(levels=3, dress=dress)
+    folder = written(bundle, tmp_path)
+    found = loaded(convert(folder, "ply", "hills"), "ply")
+    tileset = bundle.manifest["tileset"]
+    assert len(found.faces) == tileset["triangles"]
+    along = CELLS * 2 ** (tileset["levels"] - 1) + 1
+    assert len(found.vertices) == along**2  # each once, also on the borders of tiles
+    x, z, height = found.vertices[:, 0], -found.vertices[:, 1], found.vertices[:, 2]
+    np.testing.assert_allclose(height, hills(x, z), atol=10 * GRID_M)  # the floor slopes, and x and z are rounded, too
+    if dress is not textured:
+        np.testing.assert_allclose(found.visual.vertex_colors[:, 0], np.clip(255 * height / 1.2, 0, 255), atol=2)
+    else:
+        assert np.ptp(found.visual.vertex_colors[:, :3], axis=0).min() > 100  # the picture's quarters
+    printed = loaded(convert(folder, "stl", "hills"), "stl")
+    assert len(printed.faces) == len(found.faces)
+    np.testing.assert_allclose(bounds(printed.vertices), bounds(found.vertices) * 1000, atol=1e-2)
+
+
+def test_tiles_whose_texture_only_graphics_cards_read_get_the_coarse_wholes_colours(tmp_path: Path) -> None:
+    def dress(mesh: Mesh) -> TexturedMesh:
+        subject = textured(mesh)
+        return TexturedMesh(subject.mesh, subject.uv, subject.jpeg, 64, ktx2=b"\xabKTX 20\xbb and so on")
+
+    bundle, _ = hill_bundle(levels=2, dress=dress)
+    folder = written(bundle, tmp_path)
+    (tmp_path / "mesh.ply").write_bytes(ply_bytes(hill_tile(np.full(2, -6.0), 12.0, 48)))
+    found = loaded(convert(folder, "ply", "hills"), "ply")
+    shade = np.clip(255 * found.vertices[:, 2] / 1.2, 0, 255)
+    assert np.abs(found.visual.vertex_colors[:, 0] - shade).mean() < 5
+    (tmp_path / "tileset.json").write_bytes(b'{"root": {}}')
+    with pytest.raises(ValueError, match="no tiles"):
+        convert(folder, "ply", "hills")
 
 
 def test_what_is_no_level_of_ours_is_told() -> None:
