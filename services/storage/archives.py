@@ -23,6 +23,7 @@ _BLOCK_BYTES = 1 << 20  # per read: a zip bomb can write at most this much more 
 _COMPRESSIONS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what phones write; LZMA's dictionary alone may need GBs
 _ENCRYPTED = 0x1  # general purpose bit flag, APPNOTE 4.4.4
 _MAX_NAME_BYTES = 255  # of a file name on common file systems
+_MAX_PATH_BYTES = 1000  # of a file with its folders; Linux opens none over 4,096, those above the target included
 _JUNK_NAMES = {"__MACOSX", "Thumbs.db", "desktop.ini"}
 _DRIVE_LETTER = re.compile(r"[A-Za-z]:")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f]")
@@ -209,6 +210,7 @@ def _safe_path(info: zipfile.ZipInfo) -> PurePosixPath:
         not path.parts
         or _CONTROL_CHARACTER.search(name)
         or any(_utf8_bytes(part) > _MAX_NAME_BYTES for part in path.parts)
+        or _utf8_bytes(name) > _MAX_PATH_BYTES
     ):
         raise ArchiveError(
             "ARCHIVE_BROKEN", "the file's name is empty, too long or has control characters", _printable(name)

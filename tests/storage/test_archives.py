@@ -208,6 +208,11 @@ def test_an_archive_inside_is_known_by_its_content(tmp_path: Path, content: byte
     assert error.file == "photo.jpg"
 
 
+def test_a_path_that_no_file_system_takes_is_refused(tmp_path: Path) -> None:
+    deep = "/".join(["folder" * 20] * 50)
+    assert_refused("ARCHIVE_BROKEN", zipped(tmp_path / "a.zip", {f"{deep}/a.jpg": JPEG}))
+
+
 def test_a_name_twice_is_refused(tmp_path: Path) -> None:
     archive = zipped(tmp_path / "a.zip", {zipfile.ZipInfo("a"): b"1", zipfile.ZipInfo("./a"): b"2"})
     assert_refused("ARCHIVE_BROKEN", archive)

@@ -14,6 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.gateway.access.authentication import Authentication
 from services.gateway.access.limits import TenantLimits, capture_too_large, too_much_stored
+from services.gateway.errors import Problem
 from services.storage.store import Store, list_all
 from services.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenant
 
@@ -28,8 +29,8 @@ class Allowance:
     """How large an upload may be: as one capture, and beside what is stored already. 0: no limit"""
 
     capture_bytes: int
-    stored_limit: int
-    stored_bytes: int
+    stored_limit: int = 0
+    stored_bytes: int = 0
 
     def without(self, size: int) -> Allowance:
         """Return the allowance once so many of the stored bytes are gone, as those of an upload that is finished."""
@@ -52,16 +53,22 @@ class Usage:
         self._counting: dict[str, asyncio.Task[int]] = {}
 
     async def allowance(self, tenant: str, limits: TenantLimits) -> Allowance:
-        """Return how large an upload of the tenant may be now."""
+        """Return how large an upload of the tenant may be now. Raises Problem STORE_UNAVAILABLE."""
         stored = await self.stored_bytes(tenant) if limits.stored_bytes else 0
         return Allowance(limits.capture_bytes, limits.stored_bytes, stored)
 
     async def stored_bytes(self, tenant: str) -> int:
-        """Return what a tenant stores; counted now if it never was, and in the background if that is long ago."""
+        """Return what a tenant stores; counted now if it never was, and in the background if that is long ago.
+
+        Raises Problem STORE_UNAVAILABLE where it must be counted now and cannot.
+        """
         access = self._authentication.store
         found = await self._authentication.run(lambda: access.usage(tenant))
         if found is None:
-            return await self._count(tenant)
+            try:
+                return await self._count(tenant)
+            except OSError as error:
+                raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
         stored, measured = found
         if time.time() - measured > FRESH_S:
             self._count(tenant)

@@ -209,16 +209,23 @@ class _Receiver:
             except (Problem, ClientDisconnect) as failure:
                 return failure
             if self._end + self._spooled + len(batch) > self._upload.length:
-                return too_long(self._upload)
+                return too_long(self._upload.length)
             await self._uploads.on_thread(partial(self._write, batch))
             if self._spooled >= self._uploads.chunk_bytes:
                 await self._store_chunk()
 
     async def close(self) -> None:
-        """Remove the temporary file, and chunks that were not acknowledged."""
+        """Remove the temporary file, and chunks that were not acknowledged.
+
+        A chunk that the store does not delete now goes with the upload's others, once it is finished or expires.
+        """
         self._spool.unlink(missing_ok=True)
         for chunk in self._held:
-            await self._uploads.on_thread(partial(self._store.delete, chunk_name(self._upload.id, chunk)))
+            name = chunk_name(self._upload.id, chunk)
+            try:
+                await self._uploads.on_thread(partial(self._store.delete, name))
+            except OSError as error:
+                _log.warning("%s is left on the store for now: %s", name, error)
 
     def _write(self, batch: bytes) -> None:
         with self._spool.open("ab") as file:
@@ -262,9 +269,9 @@ def content_of(metadata: Mapping[str, str]) -> tuple[str, str]:
     return media_type, "" if media_type.startswith("multipart/") else metadata.get("filename", "")
 
 
-def too_long(upload: Upload) -> Problem:
-    """Return the problem for more bytes than an upload was created for."""
-    detail = f"the upload has {upload.length:,} bytes, and this is more"
+def too_long(length: int) -> Problem:
+    """Return the problem for more bytes than an upload was created for, which is `length`."""
+    detail = f"the upload has {length:,} bytes, and this is more"
     return Problem(413, "UPLOAD_TOO_LONG", detail, hints=("ask with HEAD how far it is, and send the rest alone",))
 
 

@@ -12,6 +12,7 @@ from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.gateway.access.caller import Scope
+from services.gateway.access.usage import Allowance
 from services.gateway.errors import Problem
 from services.gateway.jobs.async_store import AsyncJobStore
 from services.gateway.jobs.capture_objects import (
@@ -205,7 +206,7 @@ async def upload_capture(request: Request, box: BoxQuery = "", continues: Contin
     "/outlines",
     response_model=OutlineView,
     dependencies=[needs(Scope.CAPTURE)],
-    responses=problems(400, 408, 413, 415, 422, 503, 507),
+    responses=problems(400, 408, 413, 415, 422, 429, 503, 507),
     openapi_extra=_BODY,
 )
 async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
@@ -214,7 +215,11 @@ async def outline_photo(request: Request, box: BoxQuery = "") -> OutlineView:
     Takes the same body as an upload, and stores nothing. Send the photo itself: a smaller copy may give another
     outline.
     """
-    return OutlineView.model_validate(await uploads_of(request).outline(request, parse_box(box)))
+    tenant, limits = caller_of(request).tenant, await limits_of(request)
+    allowance = Allowance(limits.capture_bytes)  # what is stored does not matter: this is not
+    with request.app.state.limits.upload(tenant, limits.uploads_at_once):
+        found = await uploads_of(request).outline(request, parse_box(box), allowance.check)
+    return OutlineView.model_validate(found)
 
 
 @router.get("/captures", response_model=CapturePage, dependencies=[_LISTS], responses=problems(422, 503))

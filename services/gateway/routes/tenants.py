@@ -150,10 +150,7 @@ async def get_usage(request: Request) -> UsageView:
 
 
 async def _usage(tenant: str, limits: TenantLimits, request: Request) -> UsageView:
-    try:
-        stored = await request.app.state.usage.stored_bytes(tenant)
-    except OSError as error:
-        raise Problem(503, "STORE_UNAVAILABLE", "the store does not answer", retryable=True) from error
+    stored = await request.app.state.usage.stored_bytes(tenant)
     active, today = await request.app.state.job_store.read(JobStore.load, tenant)
     return UsageView(
         tenant=tenant, limits=LimitsView(**limits.document()), jobs=active, jobs_today=today, stored_bytes=stored

@@ -99,15 +99,21 @@ async def create_upload(request: Request) -> Response:
     length, metadata = protocol.parse_bytes(request.headers, "Upload-Length"), protocol.parse_metadata(request.headers)
     require_media_type(*content_of(metadata))
     await _check_length(request, length)
+    begins = "content-type" in request.headers
+    if begins:
+        _parse_part(request, length)
     resumable, tenant = _resumable(request), caller_of(request).tenant
     database, expiry = resumable.database, resumable.expiry()
     upload = await resumable.run(lambda: database.create(tenant, length, metadata, expiry, _MOST_UNFINISHED))
     if upload is None:
         detail = f"{_MOST_UNFINISHED:,} uploads are unfinished already"
         raise limited("UPLOADS_LIMITED", detail, _RETRY_S, hint="finish some, or delete them")
-    if request.headers.get("content-type"):
-        protocol.require_media_type(request.headers)
-        upload = await _append(request, upload)
+    if begins:
+        try:
+            upload = await _append(request, upload)
+        except Exception:  # nobody is told its id: it would stay unfinished until it expires
+            await _discard(request, await resumable.find(tenant, upload.id))
+            raise
     headers = {"Location": f"/v1/uploads/{upload.id}", **protocol.state_headers(upload)}
     return Response(status_code=201, headers=headers)
 
@@ -150,7 +156,7 @@ async def continue_upload(upload: UploadId, request: Request) -> Response:
     if found.received < found.length:
         found = await _append(request, found)
     elif await _has_body(request):
-        raise too_long(found)
+        raise too_long(found.length)
     return Response(status_code=204, headers=protocol.state_headers(found))
 
 
@@ -164,11 +170,7 @@ async def continue_upload(upload: UploadId, request: Request) -> Response:
 )
 async def delete_upload(upload: UploadId, request: Request) -> Response:
     """Delete an upload and its bytes for good. The capture that a finished one became stays."""
-    resumable, caller = _resumable(request), caller_of(request)
-    found = await resumable.find(caller.tenant, upload)
-    await resumable.remove(found, store_of(request))
-    if caller.key and not found.finished:
-        await request.app.state.usage.add(caller.tenant, -found.received)
+    await _discard(request, await _resumable(request).find(caller_of(request).tenant, upload))
     return Response(status_code=204)
 
 
@@ -231,14 +233,32 @@ async def _has_body(request: Request) -> bool:
     return False
 
 
+async def _discard(request: Request, upload: Upload) -> None:
+    """Delete an upload and its bytes for good. Raises Problem UPLOAD_LOCKED."""
+    caller = caller_of(request)
+    await _resumable(request).remove(upload, store_of(request))
+    if caller.key and not upload.finished:
+        await request.app.state.usage.add(caller.tenant, -upload.received)
+
+
+def _parse_part(request: Request, length: int, received: int = 0) -> protocol.Checksum | None:
+    """Parse the headers of a request whose body is a part of an upload of `length` bytes, and return its checksum.
+
+    Raises Problem UPLOAD_MEDIA_TYPE, UPLOAD_HEADER, UPLOAD_TOO_LONG.
+    """
+    protocol.require_media_type(request.headers)
+    checksum = protocol.parse_checksum(request.headers)
+    told = protocol.parse_bytes(request.headers, "Content-Length") if "content-length" in request.headers else 0
+    if received + told > length:
+        raise too_long(length)
+    return checksum
+
+
 async def _append(request: Request, upload: Upload) -> Upload:
     """Append the request's body to an upload. Raises Problem, ClientDisconnect."""
     usage, caller = request.app.state.usage, caller_of(request)
     limits = await limits_of(request)
-    checksum = protocol.parse_checksum(request.headers)
-    told = protocol.parse_bytes(request.headers, "Content-Length") if "content-length" in request.headers else 0
-    if upload.received + told > upload.length:
-        raise too_long(upload)
+    checksum = _parse_part(request, upload.length, upload.received)
 
     async def before_chunk(size: int) -> None:
         (await usage.allowance(caller.tenant, await limits_of(request))).check(size)

@@ -117,9 +117,17 @@ class Uploads:
                 receipt = _receipt(capture, continues, packed, inspection)
                 return await self._store_capture(store, receipt, packed.archive)
 
-    async def outline(self, request: Request, box: PhotoBox | None) -> dict[str, Any]:
-        """Return the outline of the thing in the request's photo; stores nothing. Raises Problem."""
-        async with self._inspected(request, body_of(request), box) as (_, found):
+    async def outline(
+        self, request: Request, box: PhotoBox | None, check_size: Callable[[int], None]
+    ) -> dict[str, Any]:
+        """Return the outline of the thing in the request's photo; stores nothing. Raises Problem.
+
+        check_size  raises Problem for a photo of so many bytes; called before anything is read, and when it is packed
+        """
+        body = body_of(request)
+        check_size(body.size)
+        async with self._inspected(request, body, box) as (packed, found):
+            check_size(packed.archive.stat().st_size)
             facts = found or _UNKNOWN
             return {
                 "inspected": found is not None,

@@ -102,7 +102,10 @@ class Sender:
             raise Refused("the URL must name a host, and no user")
         port = url.port or {"http": 80, "https": 443}[url.scheme]
         loop = asyncio.get_running_loop()
-        found = await loop.getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
+        try:
+            found = await loop.getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
+        except UnicodeError:  # of a label that is empty, or longer than 63 letters
+            raise Refused(f"{url.host[:80]} is not a host's name") from None
         addresses = list(dict.fromkeys(str(entry[4][0]) for entry in found))
         # All of them: a host with one private address among others is no receiver of the internet.
         if not self._allow_private and not all(map(is_public, addresses)):

@@ -134,7 +134,17 @@ def empty(store: Store, collection: str, keys: Keys = NO_KEYS) -> None:
 
 
 def _update_collection(store: Store, collection: str, key: str, keys: Keys) -> None:
-    _replace_row(store, collection, key, keys, lambda visibility: _listed_rows([read_entry(store, key)], visibility))
+    listed = True
+
+    def rows_for(visibility: Visibility | None) -> list[Row]:
+        nonlocal listed
+        rows = _listed_rows([read_entry(store, key)], visibility)
+        listed = bool(rows)
+        return rows
+
+    _replace_row(store, collection, key, keys, rows_for)
+    if not listed:  # others must not find by the index the earlier shards, which list what is private
+        _forget_retired(store, collection, keys)
 
 
 def _replace_row(

@@ -23,6 +23,7 @@ from services.gateway.database import open_engine
 from services.gateway.jobs.capture_objects import new_capture
 from services.gateway.resumable.expiry import KEEP_S, Expiry
 from services.gateway.resumable.store import UploadStore
+from services.gateway.routes import uploads as uploads_routes
 from services.gateway.settings import GatewaySettings
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
@@ -31,6 +32,7 @@ from services.storage.tenant_store import store_of_tenant
 from tests.referees.s3.server import S3Server
 from tests.storage.conftest import s3_store
 from tests.support import private_pictures
+from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import listening, until
 from tests.support.patience import PATIENCE_S
 from tests.support.tenants import make_key, two_tenants
@@ -368,6 +370,37 @@ class TestProtocol:
         refused = await one.client.post("/v1/uploads", headers=sent)
         assert code(refused) == answer
         assert refused.headers["Tus-Resumable"] == "1.0.0"
+
+    @pytest.mark.parametrize(
+        ("headers", "answer"),
+        [
+            ({"Content-Type": "text/plain"}, (415, "UPLOAD_MEDIA_TYPE")),
+            ({"Upload-Checksum": "md5 AAAA"}, (400, "UPLOAD_HEADER")),
+            ({"Upload-Length": "20"}, (413, "UPLOAD_TOO_LONG")),
+            ({"Upload-Checksum": checksum("sha1", b"other")}, (460, "UPLOAD_CHECKSUM")),
+        ],
+    )
+    async def test_a_creation_that_is_refused_with_its_first_bytes_leaves_no_upload(
+        self, one: Site, monkeypatch: pytest.MonkeyPatch, headers: dict[str, str], answer: tuple[int, str]
+    ) -> None:
+        monkeypatch.setattr(uploads_routes, "_MOST_UNFINISHED", 1)
+        sent = {**TUS, "Upload-Length": "100", "Content-Type": PART, **headers}
+        for _ in range(2):
+            assert code(await one.client.post("/v1/uploads", headers=sent, content=cloud(50))) == answer
+        assert one.chunks() == []
+        assert (await create(one.client, 100, body=cloud(50))).status_code == 201
+        assert code(await create(one.client, 100)) == (429, "UPLOADS_LIMITED")
+
+    async def test_a_store_that_does_not_answer_is_named_and_the_upload_goes_on_later(self, tmp_path: Path) -> None:
+        store = AwayStore()
+        async with site(tmp_path, store) as found:
+            upload = await created(found.client, 100, filename="a.ply")
+            store.is_away = True
+            assert code(await patch(found.client, upload, 0, cloud(100))) == (503, "STORE_UNAVAILABLE")
+            store.is_away = False
+            assert await offset_of(found.client, upload) == 0
+            assert (await patch(found.client, upload, 0, cloud(100))).status_code == 204
+            assert (await finish(found.client, upload)).status_code == 201
 
     @pytest.mark.parametrize(
         ("headers", "answer"),

@@ -13,6 +13,7 @@ import pytest
 from services.gateway.access import usage
 from services.storage.local import LocalStore
 from services.storage.tenant_store import store_of_tenant
+from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import capture, memory
 from tests.support.tenants import TwoTenants, publish_for, two_tenants
 
@@ -22,6 +23,10 @@ CLOUD = _HEAD + b"end_header\n1 2 3\n"
 
 async def send(client: httpx.AsyncClient, content: bytes = CLOUD) -> httpx.Response:
     return await client.post("/v1/captures", files={"files": ("a.ply", content)})
+
+
+async def outline(client: httpx.AsyncClient) -> httpx.Response:
+    return await client.post("/v1/outlines", files={"files": ("a.ply", CLOUD)})
 
 
 def code(answer: httpx.Response) -> tuple[int, str]:
@@ -79,6 +84,7 @@ async def test_uploads_at_once(tmp_path: Path) -> None:
         assert code(refused := await send(site.ada)) == (429, "UPLOADS_LIMITED")
         assert int(refused.headers["retry-after"]) > 0
         assert (await send(site.bob)).status_code == 201
+        assert code(await outline(site.ada)) == (429, "UPLOADS_LIMITED"), "it is checked and packed as an upload is"
         go_on.set()
         assert (await first).status_code in (400, 415, 422)
         assert (await send(site.ada)).status_code == 201, "the place is free again after a failure too"
@@ -115,9 +121,18 @@ class TestBytes:
             await site.ada.delete(f"/v1/captures/{receipt['capture']}")
             assert (await send(site.ada)).status_code == 201
 
+    async def test_a_store_that_does_not_answer_while_it_is_counted_is_named(self, tmp_path: Path) -> None:
+        store = AwayStore()
+        async with two_tenants(tmp_path, store) as site:
+            await set_limits(site, "ada", stored_bytes=2_000)
+            store.is_away = True
+            for answer in (await send(site.ada), await site.ada.get("/v1/usage")):
+                assert code(answer) == (503, "STORE_UNAVAILABLE")
+
     async def test_one_that_is_too_much_only_when_packed_leaves_nothing(self, tmp_path: Path) -> None:
         async with two_tenants(tmp_path, memory()) as site:
             await set_limits(site, "ada", capture_bytes=50)
+            assert code(await outline(site.ada)) == (413, "CAPTURE_BYTES_LIMITED")
 
             async def untold() -> AsyncIterator[bytes]:
                 yield CLOUD

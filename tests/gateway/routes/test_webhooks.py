@@ -129,7 +129,18 @@ async def test_removed_and_restored_are_told_to_the_tenant_alone(tmp_path: Path)
         assert store_of_tenant(store, "ada").head("catalog/dress.json")
 
 
-@pytest.mark.parametrize("url", ["http://example.com/", "https://127.0.0.1/", "https://localhost:1/", "nonsense", ""])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://example.com/",
+        "https://127.0.0.1/",
+        "https://localhost:1/",
+        "nonsense",
+        "",
+        "https://a..example/",
+        f"https://{'a' * 64}.example/",
+    ],
+)
 async def test_urls_that_nothing_is_sent_to(tmp_path: Path, url: str) -> None:
     async with gateway(tmp_path / "gw", memory()) as client:
         answer = await client.post("/v1/webhooks", json={"url": url})

@@ -81,6 +81,16 @@ def test_nothing_leads_from_a_public_list_to_what_it_was_before(store: MemorySto
     assert b"draft" not in objects
 
 
+def test_nothing_leads_from_a_public_list_to_what_has_left_it(store: MemoryStore) -> None:
+    set_collection_visibility(store, "default", PUBLIC, SIGNED)
+    for number, own in enumerate((PRIVATE, UNLISTED)):
+        publish(bundle(content=str(number), label="The bedroom"), store, key="room", keys=SIGNED, visibility=PUBLIC)
+        set_asset_visibility(store, "room", own, SIGNED)
+        assert b"bedroom" not in b"".join(store.get(head.name) for head in list_all(store, "collections/default/shard"))
+        assert set(listed(store, believed=SIGNED.verification_keys)) == {"dress", "cup"}
+        assert read_index(store.get(index_name("default")), "default").retired == ()
+
+
 def test_a_job_decides_once_and_its_owner_ever_after() -> None:
     store = MemoryStore()
     publish(bundle(), store, key="dress", job="one", visibility=PRIVATE)
