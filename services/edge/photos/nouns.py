@@ -48,6 +48,7 @@ class Alignment:
     error_px     mean reprojection error of the observations, in pixels of the pictures that features were found in
     verdicts     on every input photo, placed or not
     warnings     sentences for the report
+    contradicted whether the poses that came with the photos contradict them, and were not used
     """
 
     views: tuple[PhotoView, ...]
@@ -57,3 +58,4 @@ class Alignment:
     error_px: float
     verdicts: tuple[PhotoVerdict, ...]
     warnings: tuple[str, ...] = ()
+    contradicted: bool = False

@@ -40,22 +40,26 @@ class _Strategy:
 
 _STRATEGIES = (
     _Strategy(FAST, sequential, (0.0, 0.9)),
-    _Strategy(FAST, exhaustive, (0.9, 0.92)),
+    _Strategy(FAST, exhaustive, (0.91, 0.92)),
     _Strategy(FINE, exhaustive, (0.92, 0.95)),
 )
+_WITHOUT_POSES = (0.9, 0.91)  # of the progress bar: the first strategy once more
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
     """Result of one strategy; `features` are those that the answer's observations refer to.
 
-    trouble: why the network that looks for more matches failed, "" where it did not."""
+    trouble       why the network that looks for more matches failed, "" where it did not
+    contradicted  whether the poses that came with the photos contradict them, and were not used
+    """
 
     setting: SiftSettings
     features: Sequence[Features]
     pairs: Ints
     answer: SfmResult
     trouble: str = ""
+    contradicted: bool = False
 
     @property
     def share(self) -> float:
@@ -78,9 +82,11 @@ def place(photos: Sequence[Photo], tick: Tick) -> Attempt:
     """Try the strategies in their order until one places enough photos (_GOOD); return the best result.
 
     Where that leaves a few photos out, they are matched with all others once more, by more key points; where that
-    leaves any out, by a network.
+    leaves any out, by a network. Poses that came with the photos are not used where the first strategy places too few
+    by them, and nearly all without them.
     """
     attempts: list[Attempt] = []
+    contradicted = False
     tried: set[tuple[SiftSettings, bytes]] = set()
     for strategy in _STRATEGIES:
         pairs = strategy.pairs(len(photos))
@@ -89,6 +95,11 @@ def place(photos: Sequence[Photo], tick: Tick) -> Attempt:
         tried.add((strategy.setting, pairs.tobytes()))
         known = attempts[-1].features if attempts and attempts[-1].setting == strategy.setting else ()
         attempts.append(_try(photos, strategy, known, tick))
+        if len(attempts) == 1 and not attempts[0].enough and _are_posed(photos):
+            without_poses = [replace(photo, camera_to_world=None) for photo in photos]
+            computed = _try(without_poses, replace(strategy, share=_WITHOUT_POSES), attempts[0].features, tick)
+            if contradicted := computed.share >= _GOOD:
+                photos, attempts = without_poses, [computed]
         if attempts[-1].share >= _GOOD:
             break
     best = _best(attempts)
@@ -100,7 +111,7 @@ def place(photos: Sequence[Photo], tick: Tick) -> Attempt:
     if best.share < 1 and is_installed():
         best = _try_learned(photos, best, tick)
     tick(1.0)
-    return best
+    return replace(best, contradicted=contradicted)
 
 
 def _best(attempts: Sequence[Attempt]) -> Attempt:
@@ -143,12 +154,12 @@ def _problem(
     setting: SiftSettings,
     learned: Ints | None = None,
 ) -> SfmProblem:
-    """Collect the solver's input; given poses are used only if every photo has pose and intrinsics."""
+    """Collect the solver's input."""
     longest = setting.longest if learned is None else min(setting.longest, LONGEST_PX)
     pixel = float(np.median([pixel_ratio(photo, longest) for photo in photos]))
     poses = [photo.camera_to_world for photo in photos if photo.camera_to_world is not None]
     given = [_given_lens(photo.intrinsics, photo.distortion) for photo in photos if photo.intrinsics is not None]
-    if len(poses) == len(given) == len(photos):
+    if _are_posed(photos):
         lens_of, known = np.arange(len(photos)), np.array(poses, np.float64)
         return SfmProblem(tuple(given), lens_of, tuple(features), pairs, pixel, known, learned)
     thorough = setting == FINE or learned is not None  # by then the incremental mapper alone has failed
@@ -156,6 +167,11 @@ def _problem(
     lenses = [_initial_lens([photo for photo in photos if photo.camera == camera]) for camera in cameras]
     lens_of = np.array([cameras.index(photo.camera) for photo in photos])
     return SfmProblem(tuple(lenses), lens_of, tuple(features), pairs, pixel, learned=learned, thorough=thorough)
+
+
+def _are_posed(photos: Sequence[Photo]) -> bool:
+    """Whether every photo came with its pose and intrinsics: only then are the poses used."""
+    return all(photo.camera_to_world is not None and photo.intrinsics is not None for photo in photos)
 
 
 def _given_lens(intrinsics: Intrinsics, distortion: Sequence[float]) -> Lens:

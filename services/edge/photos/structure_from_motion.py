@@ -22,7 +22,8 @@ from services.edge.photos.placement_report import HOW_TO_SHOOT, low_overlap, pla
 def align(photos: Sequence[Photo], *, tick: Tick = no_tick) -> Alignment:
     """Compute cameras and sparse points of photos, in units of the given poses, or else of the first two cameras.
 
-    Where all photos have intrinsics and camera_to_world these are kept, and only the points are triangulated.
+    Where all photos have intrinsics and camera_to_world these are kept, and only the points are triangulated, unless
+    the photos contradict them.
     Raises CaptureError CAPTURE_LOW_OVERLAP, EdgeError ALIGN_FAILED, and what `tick` and `Photo.load` raise.
     """
     if len(photos) < MIN_PHOTOS:
@@ -49,6 +50,7 @@ def _alignment(photos: Sequence[Photo], attempt: Attempt) -> Alignment:
         _error_px(views, attempt),
         verdicts_on(photos, attempt),
         placement_warnings(photos, attempt),
+        attempt.contradicted,
     )
 
 

@@ -58,12 +58,12 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     )
     if refused and len(photos) < MIN_PHOTOS:
         raise _too_few_photos(len(capture.photos), refused)
-    alignment, contradicted = _align(photos, lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
+    alignment = _align(photos, lambda fraction: tick(_SCREENED + (_ALIGNED - _SCREENED) * fraction))
     require_parallax(alignment)
-    if contradicted:
+    if alignment.contradicted:
         capture = replace(capture, metres_per_unit=1.0, scale_confidence="unknown", up=None)
     metres_per_unit, unitless = capture.metres_per_unit, ""
-    if contradicted or any(photo.camera_to_world is None for photo in photos):
+    if alignment.contradicted or any(photo.camera_to_world is None for photo in photos):
         alignment = _scale_to_arms_length(alignment)
     elif capture.scale_confidence == "unknown":
         metres_per_unit, unitless = _ARMS_LENGTH / _median_reach(alignment), _UNITLESS
@@ -83,7 +83,7 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
         warnings=(
             *capture.warnings,
             *_unused_warning(verdicts),
-            *((_CONTRADICTED,) if contradicted else ()),
+            *((_CONTRADICTED,) if alignment.contradicted else ()),
             *alignment.warnings,
             *((unitless,) if unitless else ()),
             *((_TURNTABLE,) if turntable else ()),
@@ -91,17 +91,18 @@ def to_depth(capture: Capture, *, device: str = "cpu", tick: Tick = no_tick) -> 
     )
 
 
-def _align(photos: Sequence[Photo], tick: Tick) -> tuple[Alignment, bool]:
-    """Align the photos, and tell whether the poses that came with them contradict them and were not used."""
+def _align(photos: Sequence[Photo], tick: Tick) -> Alignment:
+    """Align the photos; where the poses that came with them cannot be used, without these."""
     try:
-        return align(photos, tick=tick), False
+        return align(photos, tick=tick)
     except CaptureError as error:
         if any(photo.camera_to_world is None for photo in photos):
             raise
         try:
-            return align([replace(photo, camera_to_world=None) for photo in photos], tick=tick), True
+            computed = align([replace(photo, camera_to_world=None) for photo in photos], tick=tick)
         except CaptureError:
             raise error from None
+        return replace(computed, contradicted=True)
 
 
 def _which_way_is_up(
