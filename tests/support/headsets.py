@@ -9,6 +9,26 @@ from pathlib import Path
 
 from playwright.sync_api import BrowserContext, Page, expect
 
+# A headset asks for one picture after the other, and here they are drawn in software: twenty a second are enough.
+_TWENTY_A_SECOND = """{
+const native = window.requestAnimationFrame.bind(window);
+let waiting = new Map(), running = new Map(), timer, last = 0, next = 1;
+const frame = (now) => {
+    [running, waiting, timer, last] = [waiting, new Map(), undefined, performance.now()];
+    for (const callback of running.values()) {
+        try { callback(now); } catch (error) { reportError(error); }
+    }
+};
+window.requestAnimationFrame = (callback) => {
+    waiting.set(next, callback);
+    timer ??= setTimeout(() => native(frame), last + 50 - performance.now());
+    return next++;
+};
+window.cancelAnimationFrame = (id) => {
+    waiting.delete(id);
+    running.delete(id);
+};
+}"""
 _WORN = """
 const device = new IWER.XRDevice(IWER.metaQuest3);
 device.installRuntime({ forceInstall: true });
@@ -43,6 +63,7 @@ _MOVE = """([kind, side, place, [sine, cosine]]) => {
 
 def wear(context: BrowserContext, iwer: Path) -> None:
     """Pages of this context run in a headset whose wearer stands at the origin, eyes at 1.6 m, looking along -z."""
+    context.add_init_script(_TWENTY_A_SECOND)
     context.add_init_script(path=iwer)
     context.add_init_script(_WORN)
 
