@@ -8,7 +8,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, TypeVar
@@ -107,39 +108,58 @@ class TenantData:
         while True:
             try:
                 await self.apply_retention(time.time())
-            except (OSError, SQLAlchemyError) as error:
+            except (Problem, OSError, SQLAlchemyError) as error:
                 _log.warning("what was kept long enough could not be deleted; trying again later: %s", error)
             await asyncio.sleep(_PERIOD_S)
 
     async def apply_retention(self, now: float) -> None:
-        """Delete what every tenant wants to keep no longer. Raises OSError, SQLAlchemyError."""
+        """Delete what every tenant wants to keep no longer. What cannot be deleted is logged, and the others go on.
+
+        Raises SQLAlchemyError.
+        """
         for tenant, days in (await self._run(self.authentication.store.retentions)).items():
             await self._apply(tenant, Retention(**days), now)
 
     async def _apply(self, tenant: str, retention: Retention, now: float) -> None:
-        own = store_of_tenant(self.store, tenant)
         if retention.captures_days:
-            for capture in await asyncio.to_thread(_old_captures, own, now - retention.captures_days * DAY_S):
-                await self._delete_capture(tenant, own, capture)
+            before = now - retention.captures_days * DAY_S
+            await self._delete_old("capture", tenant, _old_captures, before, self._delete_capture)
         if retention.removed_assets_days:
-            for key in await asyncio.to_thread(_old_removed, own, now - retention.removed_assets_days * DAY_S):
-                try:
-                    await self.delete_asset(tenant, key)
-                except Problem as problem:
-                    _log.info("asset %s of %s is kept for now: %s", key, tenant, problem.detail)
+            before = now - retention.removed_assets_days * DAY_S
+            await self._delete_old("asset", tenant, _old_removed, before, self._delete_removed)
         if retention.jobs_days:
             before = now - retention.jobs_days * DAY_S
             jobs = await self.job_store.write(JobStore.delete_ended, tenant, before=before)
             if jobs:
                 await self._run(lambda: self.deletions.add(tenant, receipt_of("ended jobs", [], jobs=jobs)))
 
-    async def _delete_capture(self, tenant: str, own: Store, capture: str) -> None:
+    async def _delete_old(
+        self,
+        kind: str,
+        tenant: str,
+        find: Callable[[Store, str, float], list[str]],
+        before: float,
+        delete: Callable[[str, str], Awaitable[None]],
+    ) -> None:
+        with _failure_logged(f"old {kind}s of {tenant}"):
+            for name in await asyncio.to_thread(find, self.store, tenant, before):
+                with _failure_logged(f"{kind} {name} of {tenant}"):
+                    await delete(tenant, name)
+
+    async def _delete_capture(self, tenant: str, capture: str) -> None:
         if await self.job_store.read(JobStore.unfinished, tenant, capture=capture):
             return  # deleted once the job has ended
-        size = await asyncio.to_thread(delete_capture, own, capture)
+        try:
+            size = await asyncio.to_thread(delete_capture, store_of_tenant(self.store, tenant), capture)
+        except Problem:  # CAPTURE_UNKNOWN: another gateway or a user has deleted it since it was found
+            return
         gone = [DeletedObject(f"captures/{capture}", size, "")]
         await self._run(lambda: self.deletions.add(tenant, receipt_of(f"capture {capture}", gone)))
         await self.usage.add(tenant, -size)
+
+    async def _delete_removed(self, tenant: str, key: str) -> None:
+        with suppress(FileNotFoundError):  # another gateway or a user has deleted it since it was found
+            await self.delete_asset(tenant, key)
 
     async def _finish(self, tenant: str, event: str, receipt: dict[str, Any], data: dict[str, Any]) -> Deletion:
         deletion = await self._run(lambda: self.deletions.add(tenant, receipt))
@@ -153,8 +173,20 @@ class TenantData:
         return await self.authentication.run(work)
 
 
-def _old_captures(own: Store, before: float) -> list[str]:
-    """Return the captures that were uploaded before this time; damaged ones have none and stay."""
+@contextmanager
+def _failure_logged(what: str) -> Iterator[None]:
+    """Log why something could not be deleted, and go on: the next look tries it again."""
+    try:
+        yield
+    except Problem as problem:
+        _log.info("%s: kept for now, because %s", what, problem.detail)
+    except (OSError, ValueError) as fault:  # ValueError: a name or a time on the store that is none
+        _log.warning("%s: could not be deleted, trying again later: %s", what, fault)
+
+
+def _old_captures(store: Store, tenant: str, before: float) -> list[str]:
+    """Return a tenant's captures that were uploaded before this time; damaged ones have none and stay."""
+    own = store_of_tenant(store, tenant)
     found: list[str] = []
     after = ""
     while page := list_captures(own, _capture_and_time, after=after, limit=_PAGE)[0]:
@@ -167,19 +199,19 @@ def _capture_and_time(receipt: dict[str, Any]) -> tuple[str, float]:
     return receipt["capture"], _seconds(str(receipt.get("created")))
 
 
-def _old_removed(own: Store, before: float) -> list[str]:
-    """Return the keys of assets that were removed before this time."""
+def _old_removed(store: Store, tenant: str, before: float) -> list[str]:
+    """Return the keys of a tenant's assets that were removed before this time."""
+    own = store_of_tenant(store, tenant)
     found: list[str] = []
     after = ""
     while keys := list_keys(own, after=after, limit=_PAGE):
         for key in keys:
             try:
                 removed = read_entry(own, key).document.get("removed")
-            except OSError as fault:  # damaged, or deleted since the keys were listed
-                _log.warning("asset %s is kept: %s", key, fault)
-                continue
-            if removed and _seconds(removed) < before:
-                found.append(key)
+                if removed and _seconds(str(removed)) < before:
+                    found.append(key)
+            except (OSError, ValueError) as fault:  # damaged, or deleted since the keys were listed
+                _log.warning("asset %s of %s: kept, because it cannot be read: %s", key, tenant, fault)
         after = keys[-1]
     return found
 

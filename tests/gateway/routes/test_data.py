@@ -14,16 +14,18 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from services.gateway.access.store import AccessStore
 from services.gateway.database import open_engine
 from services.gateway.records.audit_log import AuditStore
 from services.gateway.records.tenant_data import DAY_S, TenantData
 from services.storage.catalogue.verify import verify
 from services.storage.local import LocalStore
+from services.storage.memory import MemoryStore
 from services.storage.store import Store, list_all
 from services.storage.tenant_store import store_of_tenant
-from tests.support.in_process_gateway import ended, gateway, memory, start
+from tests.support.in_process_gateway import ended, gateway, memory, start, until
 from tests.support.receivers import receiver
-from tests.support.tenants import publish_for, two_tenants
+from tests.support.tenants import make_key, publish_for, two_tenants
 
 _HEAD = b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(b"property float %c\n" % axis for axis in b"xyz")
 CLOUD = _HEAD + b"end_header\n1 2 3\n"
@@ -206,6 +208,64 @@ async def test_a_capture_that_a_job_needs_outlives_its_time(tmp_path: Path, data
         await ended(site.ada, job)
         await data[0].apply_retention(time.time() + 2 * DAY_S)
         assert (await everything(site.ada))["captures"] == 0
+
+
+class _TwoGateways(MemoryStore):
+    """A store on which another gateway deletes all captures of the tenant ada while this one deletes her first."""
+
+    def delete(self, name: str) -> None:
+        for head in self.list("tenants/ada/captures/") if name.startswith("tenants/ada/") else ():
+            super().delete(head.name)
+        super().delete(name)
+
+
+def put_old_capture(store: Store, capture: str) -> None:
+    """Store a capture of the year 2020."""
+    receipt = {"capture": capture, "created": "2020-01-01T00:00:00Z"}
+    store.put(f"captures/{capture}.zip", b"zip", content_type="application/zip")
+    store.put(f"captures/{capture}.json", json.dumps(receipt).encode(), content_type="application/json")
+
+
+async def test_a_capture_that_another_gateway_has_just_deleted_stops_no_retention(tmp_path: Path) -> None:
+    """The loop itself runs here, as in a gateway; ada comes first."""
+    store = _TwoGateways()
+    for tenant, capture in (("ada", "cap_1"), ("ada", "cap_2"), ("bob", "cap_3")):
+        put_old_capture(store_of_tenant(store, tenant), capture)
+        make_key(tmp_path / "gw", tenant)
+    engine = open_engine(f"sqlite:///{tmp_path / 'gw' / 'gateway.db'}")
+    for tenant in ("ada", "bob"):
+        AccessStore(engine).set_retention(tenant, {"captures_days": 30})
+    engine.dispose()
+    async with two_tenants(tmp_path, store) as site:
+
+        async def bobs_capture_is_gone() -> bool:
+            return (await everything(site.bob))["deleted"] == ["capture cap_3"]
+
+        await until(bobs_capture_is_gone)
+        assert (await everything(site.ada))["deleted"] == ["capture cap_1"], "the other's is in the other's receipt"
+    assert not names(store_of_tenant(store, "bob"))
+
+
+async def test_what_cannot_be_deleted_is_named_and_the_rest_goes(
+    tmp_path: Path, data: list[TenantData], caplog: pytest.LogCaptureFixture
+) -> None:
+    store = memory()
+    async with two_tenants(tmp_path, store) as site:
+        for tenant, client in (("ada", site.ada), ("bob", site.bob)):
+            await client.put("/v1/retention", json={"captures_days": 30, "removed_assets_days": 30})
+            put_old_capture(store_of_tenant(store, tenant), "cap_1")
+            for key in ("dress", "shoe"):
+                publish_for(store, tenant, key)
+                await client.post(f"/v1/assets/{key}/remove")
+        ada = store_of_tenant(store, "ada")
+        entry = json.loads(ada.get("catalog/dress.json"))
+        ada.put("catalog/dress.json", json.dumps({**entry, "removed": "long ago"}).encode(), content_type="a")
+        ada.put("collections/default/index.json", b"{", content_type="application/json")
+        await data[0].apply_retention(time.time() + 40 * DAY_S)
+        assert (await everything(site.ada))["deleted"] == ["capture cap_1"]
+        assert (await everything(site.bob))["deleted"] == ["asset dress", "asset shoe", "capture cap_1"]
+    assert "asset dress of ada: kept, because it cannot be read: Invalid isoformat string: 'long ago'" in caplog.text
+    assert "asset shoe of ada: could not be deleted, trying again later: collections/default/index.json" in caplog.text
 
 
 async def audit(client: httpx.AsyncClient, **params: Any) -> list[dict[str, Any]]:
