@@ -43,12 +43,15 @@ def restore_database(data: Path) -> None:
     except FolderInUse as error:
         raise BadInput(str(error)) from None
     except (sqlite3.Error, SQLAlchemyError) as error:
-        raise BadInput(f"{database} cannot be restored: {getattr(error, 'orig', None) or error}") from error
+        raise BadInput(
+            f"{database} cannot be restored and stays as it is: {getattr(error, 'orig', None) or error}"
+        ) from error
     source = (
         f"the snapshot {done.snapshot.name}" if done.snapshot else "an empty database, because there is no snapshot"
     )
     console.print(f"restored from {source}")
-    console.print(f"{done.rows:,} rows were read from the damaged file, which is kept as {done.kept.name}")
+    if done.kept is not None:
+        console.print(f"{done.rows:,} rows were read from the damaged file, which is kept as {done.kept.name}")
     console.print(f"{done.jobs:,} jobs were added that only the store told of")
     warn("what was deleted or revoked since the snapshot may be back: look at `capture2vr keys list`")
 

@@ -1,35 +1,36 @@
 """Restore a damaged SQLite database: the newest whole snapshot, rows that can be read, jobs that the store tells of.
 
-The damaged file is kept beside the new one.
+The new database is built beside the damaged file, and then takes its place; the damaged file is kept.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 
-from services.atomic_write import atomic_write
+from services.atomic_write import sync
 from services.gateway.database import for_writing, open_engine
 from services.gateway.jobs.job import Job, Lease, Order, State
 from services.gateway.jobs.row_mapping import job_values, lease_values
 from services.gateway.jobs.tables import jobs, leases
-from services.gateway.snapshots import DatabaseDamaged, check_file, snapshots_in
+from services.gateway.snapshots import NAME_TIME, DatabaseDamaged, check_file, snapshots_in
 from services.storage.catalogue.entry import Entry, list_keys, read_entry
 from services.storage.catalogue.faults import CatalogueFault
 from services.storage.store import Store
 from services.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenant, valid_tenant
 
-_BESIDE = ("", "-wal", "-shm")  # suffixes of the files of one SQLite database
+_BESIDE = ("", "-wal", "-shm", "-journal")  # suffixes of the files of one SQLite database
 _ROWS_AT_ONCE = 64
 _LEAST_ROW_BYTES = 40  # of any table; the numbers of rows go no higher than there is space for
 _MIGRATIONS = "alembic_version"
@@ -61,13 +62,14 @@ class _Column:
 class Restored:
     """What a restored database was made of.
 
-    snapshot  the newest whole one, or None; kept: the damaged file
+    snapshot  the newest whole one, or None
+    kept      the damaged file, which rows were read from; None where there was none
     rows      number of rows that were read from the damaged file
     jobs      number of jobs that only the store told of
     """
 
     snapshot: Path | None
-    kept: Path
+    kept: Path | None
     rows: int
     jobs: int
 
@@ -75,20 +77,20 @@ class Restored:
 def restore(database: Path, snapshots: Path, store: Store) -> Restored:
     """Replace a database by the newest whole snapshot, what can be read of the old file, and what the store tells.
 
-    No gateway may run. Raises OSError, sqlite3.Error.
+    The new one is built beside the old one, which stays in its place until then: a failure changes nothing, and the
+    same call may be repeated. No gateway may run. Raises OSError, sqlite3.Error, sqlalchemy.exc.SQLAlchemyError.
     """
+    fresh = database.with_name(f"{database.stem}-restoring{database.suffix}")
     snapshot = _newest_whole(snapshots)
-    kept = _set_aside(database)
-    if snapshot is not None:
-        with atomic_write(database) as fresh:
-            shutil.copyfile(snapshot, fresh)
-    engine = open_engine(f"sqlite:///{database.absolute()}")
+    damaged = database if database.exists() else _set_aside_since(snapshot, database, fresh)
+    _remove(fresh)  # of a restore that was killed
     try:
-        rows = _salvage(kept, database)
-        _complete_leases(engine)
-        return Restored(snapshot, kept, rows, _rebuild_jobs(engine, store))
-    finally:
-        engine.dispose()
+        rows, count = _build(fresh, snapshot, damaged, store)
+    except BaseException:
+        _remove(fresh)
+        raise
+    kept = _replace(database, fresh)
+    return Restored(snapshot, kept if damaged == database else damaged, rows, count)
 
 
 def _newest_whole(folder: Path) -> Path | None:
@@ -99,20 +101,68 @@ def _newest_whole(folder: Path) -> Path | None:
     return None
 
 
-def _set_aside(database: Path) -> Path:
-    """Rename the files of a database, and return the new name of the first."""
-    name = f"{database.stem}-damaged-{datetime.now(UTC):%Y%m%dT%H%M%SZ}{database.suffix}"
+def _set_aside_since(snapshot: Path | None, database: Path, fresh: Path) -> Path | None:
+    """Return the newest damaged file that was set aside since the snapshot, None where there is none.
+
+    A restore that was cut off between its two renames leaves it, the new file, and no database.
+    """
+    name = re.compile(rf"{re.escape(database.stem)}-damaged-\d{{8}}T\d{{6}}Z{re.escape(database.suffix)}")
+    damaged = max((each for each in database.parent.iterdir() if name.fullmatch(each.name)), default=None)
+    if damaged is None or (snapshot is not None and _time_in(damaged) < _time_in(snapshot)):
+        return None  # a snapshot is taken of a database: so the restore of then had come to its end
+    if fresh.exists():
+        _rename(database, damaged)  # its log, which may not have come to be renamed
+    return damaged
+
+
+def _time_in(name: Path) -> str:
+    return name.stem.rpartition("-")[2]
+
+
+def _build(fresh: Path, snapshot: Path | None, damaged: Path | None, store: Store) -> tuple[int, int]:
+    """Write the new database into one file, and sync it; return the numbers of rows and of jobs of `Restored`."""
+    if snapshot is not None:
+        shutil.copyfile(snapshot, fresh)
+    engine = open_engine(f"sqlite:///{fresh.absolute()}")
+    try:
+        rows = _salvage(damaged, fresh) if damaged is not None else 0
+        _complete_leases(engine)
+        count = _rebuild_jobs(engine, store)
+    finally:
+        engine.dispose()
+    with closing(sqlite3.connect(fresh)) as db:
+        db.execute("PRAGMA journal_mode = DELETE")  # without a log, so that one rename moves all of it
+    sync(fresh)
+    return rows, count
+
+
+def _replace(database: Path, fresh: Path) -> Path:
+    """Put the new file in the place of a database; return the name under which the old one is kept."""
+    at = datetime.now(UTC)
+    while (kept := database.with_name(f"{database.stem}-damaged-{at:{NAME_TIME}}{database.suffix}")).exists():
+        at += timedelta(seconds=1)
+    _rename(database, kept)
+    sync(database.parent)
+    # A crash before the next line leaves no database: a restore then finds the old one by `_set_aside_since`.
+    fresh.rename(database)
+    sync(database.parent)
+    return kept
+
+
+def _rename(database: Path, name: Path) -> None:
+    """Rename a database's files that are there. Its log comes after it: a crash leaves no database without its log."""
     for suffix in _BESIDE:
-        old = database.with_name(database.name + suffix)
-        if old.exists():
-            old.rename(database.with_name(name + suffix))
-    return database.with_name(name)
+        with suppress(FileNotFoundError):
+            database.with_name(database.name + suffix).rename(name.with_name(name.name + suffix))
+
+
+def _remove(database: Path) -> None:
+    for suffix in _BESIDE:
+        database.with_name(database.name + suffix).unlink(missing_ok=True)
 
 
 def _salvage(damaged: Path, database: Path) -> int:
     """Copy the rows of a damaged database that can be read and are whole; return how many."""
-    if not damaged.exists():
-        return 0
     with (
         closing(sqlite3.connect(damaged)) as source,
         closing(sqlite3.connect(database, isolation_level=None)) as target,

@@ -17,6 +17,8 @@ from sqlalchemy.engine import make_url
 
 from services.atomic_write import atomic_write
 
+NAME_TIME = "%Y%m%dT%H%M%SZ"
+"""How the names of snapshots, and of damaged databases that are kept, have the time in UTC."""
 _LOOK_S = 600.0  # between two looks whether a snapshot is due
 _EVERY_S = 86_400.0
 _PREFIX, _SUFFIX = "gateway-", ".db"
@@ -59,7 +61,7 @@ def take_snapshot(database: Path, folder: Path, keep: int, now: float) -> Path:
     """
     check_file(database)
     folder.mkdir(parents=True, exist_ok=True)
-    snapshot = folder / f"{_PREFIX}{datetime.fromtimestamp(now, UTC):%Y%m%dT%H%M%SZ}{_SUFFIX}"
+    snapshot = folder / f"{_PREFIX}{datetime.fromtimestamp(now, UTC):{NAME_TIME}}{_SUFFIX}"
     with atomic_write(snapshot) as part:
         part.unlink(missing_ok=True)  # of a run that was killed: SQLite writes only a new file
         with closing(sqlite3.connect(database, isolation_level=None)) as db:

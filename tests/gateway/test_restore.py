@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import time
 from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -19,9 +21,10 @@ from services.gateway.instance_lock import lock_instance
 from services.gateway.jobs.job import Order, State
 from services.gateway.jobs.store import JobStore
 from services.gateway.restore import restore
-from services.gateway.snapshots import DatabaseDamaged, Snapshots, check_file, snapshots_in, take_snapshot
+from services.gateway.snapshots import NAME_TIME, DatabaseDamaged, Snapshots, check_file, snapshots_in, take_snapshot
 from services.storage.catalogue.publish import publish
 from services.storage.memory import MemoryStore
+from services.storage.store import Head
 from services.storage.tenant_store import DEFAULT_TENANT, store_of_tenant
 from tests.support.bundles import bundle
 
@@ -111,6 +114,7 @@ def test_what_came_after_the_snapshot_is_read_from_the_damaged_file(database: Pa
     damaged = database.read_bytes()
     done = restore(database, tmp_path / "snapshots", MemoryStore())
     assert done.snapshot is not None
+    assert done.kept is not None
     assert done.kept.read_bytes() == damaged
     check_file(database)
     found = known_jobs(database)
@@ -155,6 +159,118 @@ def test_without_a_snapshot_the_store_tells_what_was_published(database: Path, t
     finally:
         engine.dispose()
     assert restore(database, tmp_path / "snapshots", store).jobs == 0, "they are in the database now"
+
+
+class _AwayStore(MemoryStore):
+    """A store that cannot be reached."""
+
+    def list(self, prefix: str, *, after: str = "", limit: int = 1000) -> list[Head]:
+        raise OSError("the store does not answer")
+
+
+@pytest.fixture
+def damaged(database: Path, tmp_path: Path) -> set[str]:
+    """Damage the database, whose snapshot knows one of its jobs; return what can be read of all its jobs."""
+    old = add_jobs(database, "old")
+    take_snapshot(database, tmp_path / "snapshots", 3, time.time())
+    add_jobs(database, *(f"new{number}" for number in range(100)))
+    spoil(database, 0.8, 0.9)
+    (tmp_path / "copy").mkdir()
+    copy = Path(shutil.copy(database, tmp_path / "copy"))
+    restore(copy, tmp_path / "snapshots", MemoryStore())
+    found = set(known_jobs(copy))
+    assert len(found) > len(old)
+    return found
+
+
+def others_beside(database: Path) -> list[str]:
+    return sorted(file.name for file in database.parent.glob(f"{database.stem}*") if file != database)
+
+
+def test_a_restore_that_fails_changes_nothing_and_its_repeat_loses_nothing(
+    database: Path, tmp_path: Path, damaged: set[str]
+) -> None:
+    before = database.read_bytes()
+    for _ in range(2):
+        with pytest.raises(OSError, match="does not answer"):
+            restore(database, tmp_path / "snapshots", _AwayStore())
+        assert database.read_bytes() == before
+        assert others_beside(database) == [], "nothing half built stays"
+    done = restore(database, tmp_path / "snapshots", MemoryStore())
+    assert set(known_jobs(database)) == damaged
+    assert done.kept is not None
+    assert done.kept.read_bytes() == before
+
+
+def test_what_a_killed_restore_has_half_built_is_not_used(database: Path, tmp_path: Path, damaged: set[str]) -> None:
+    for suffix in ("", "-wal", "-shm", "-journal"):
+        (tmp_path / f"gateway-restoring.db{suffix}").write_bytes(b"half")
+    done = restore(database, tmp_path / "snapshots", MemoryStore())
+    check_file(database)
+    assert set(known_jobs(database)) == damaged
+    assert done.kept is not None
+    assert others_beside(database) == [done.kept.name]
+
+
+def test_a_restore_that_was_cut_off_between_its_renames_is_repeated(
+    database: Path, tmp_path: Path, damaged: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rename = Path.rename
+
+    def cut_off(self: Path, target: Path) -> Path:
+        if target == database:
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "rename", cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            restore(database, tmp_path / "snapshots", MemoryStore())
+    assert not database.exists()
+    (aside,) = tmp_path.glob("gateway-damaged-*.db")
+    done = restore(database, tmp_path / "snapshots", MemoryStore())
+    assert set(known_jobs(database)) == damaged
+    assert done.kept == aside
+    assert others_beside(database) == [aside.name]
+
+
+def test_a_log_that_was_not_yet_renamed_is_read_too(database: Path, tmp_path: Path) -> None:
+    """What a crash leaves after the first of all renames: a file set aside, its log at the old place, a new file."""
+    add_jobs(database, "old")
+    take_snapshot(database, tmp_path / "snapshots", 3, time.time())
+    with closing(sqlite3.connect(database)) as reader:  # keeps the log from being written into the file
+        reader.execute("SELECT count(*) FROM jobs").fetchone()
+        jobs = add_jobs(database, "new")
+        log = Path(f"{database}-wal").read_bytes()
+        aside = shutil.copy(
+            database, tmp_path / f"gateway-damaged-{datetime.now(UTC) + timedelta(minutes=1):{NAME_TIME}}.db"
+        )
+    database.rename(tmp_path / "gateway-restoring.db")
+    Path(f"{database}-wal").write_bytes(log)
+    done = restore(database, tmp_path / "snapshots", MemoryStore())
+    assert set(jobs) <= known_jobs(database).keys()
+    assert done.kept == aside
+
+
+def test_a_damaged_file_from_before_the_snapshot_is_not_read(database: Path, tmp_path: Path) -> None:
+    """It is of an earlier restore: its rows would replace newer ones."""
+    add_jobs(database, "a")
+    shutil.copy(database, tmp_path / "gateway-damaged-20200101T000000Z.db")
+    jobs = add_jobs(database, "b")
+    take_snapshot(database, tmp_path / "snapshots", 3, time.time())
+    database.unlink()
+    done = restore(database, tmp_path / "snapshots", MemoryStore())
+    assert (done.kept, done.rows) == (None, 0)
+    assert set(jobs) <= known_jobs(database).keys()
+
+
+def test_two_restores_within_a_second_keep_both_damaged_files(database: Path, tmp_path: Path) -> None:
+    for content in (b"\xaa" * 50_000, b"\xbb" * 50_000):
+        database.write_bytes(content)
+        done = restore(database, tmp_path / "snapshots", MemoryStore())
+        assert done.kept is not None
+        assert done.kept.read_bytes() == content
+    assert len(list(tmp_path.glob("gateway-damaged-*.db"))) == 2
 
 
 class TestCommands:
