@@ -1,11 +1,13 @@
 """Scrub the store: read every file of every asset, and compare its hash with the one in its name.
 
-Serving notices a file that was changed since it was written; only reading notices what a disk has lost without a trace.
+A file that the disk cannot read is damaged too. Serving notices a file that was changed since it was written; only
+reading notices what a disk has lost without a trace.
 """
 
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
 import json
 import logging
@@ -34,9 +36,10 @@ _log = logging.getLogger(__name__)
 class ScrubState:
     """How far a scrub is, written down after every page, so that a restart goes on.
 
-    after    name of the last object that was looked at, "" between two scrubs
+    after    name of the last object that was checked, "" between two scrubs
     ended    seconds since the epoch of the last scrub's end, 0 for none
-    checked  number of files of this scrub, or of the last; damaged: names of those that are not what was published
+    checked  number of files of this scrub, or of the last
+    damaged  names of those that are not what was published, or that the disk cannot read
     """
 
     after: str = ""
@@ -71,14 +74,17 @@ class Scrub:
             _log.warning("the store could not be scrubbed to the end: %s", error)
 
     def steps(self) -> Iterator[str]:
-        """Do the rest of a round, a read or a page of names at a time; yield what came last. Raises OSError."""
+        """Do the rest of a round, a read or a page of names at a time; yield what came last.
+
+        Raises OSError where the store fails; the steps of another call then go on with the file that was not checked.
+        """
         state = self.state
         if not state.after:
             state.checked, state.damaged = 0, []
         while heads := self._store.list("", after=state.after, limit=_PAGE):
             for head in heads:
-                state.after = head.name
                 yield from self._check(head)
+                state.after = head.name  # only now: a round that an error ends goes on with the file that it met
             self._write()
             yield state.after
         state.after, state.ended = "", time.time()
@@ -96,9 +102,15 @@ class Scrub:
                 yield head.name
         except FileNotFoundError:
             return  # deleted since it was listed
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            fault = f"the disk cannot read it from byte {start:,} on"
+        else:
+            fault = "" if digest.hexdigest() == named else f"its {start} bytes do not have the hash in its name"
         self.state.checked += 1
-        if digest.hexdigest() != named and len(self.state.damaged) < _MOST_NAMED:
-            _log.error("%s is damaged: its %d bytes do not have the hash in its name", head.name, start)
+        if fault and len(self.state.damaged) < _MOST_NAMED:
+            _log.error("%s is damaged: %s", head.name, fault)
             self.state.damaged.append(head.name)
 
     def _write(self) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
+from services.cli.database_work import scrub_store
 from services.gateway import scrub
 from services.gateway.scrub import Scrub
 from services.storage.catalogue.publish import publish
@@ -39,6 +41,21 @@ def rot(path: Path) -> None:
     os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
 
+@pytest.fixture
+def faults(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """The errno with which the disk refuses to read an object behind its first byte, by name."""
+    refused: dict[str, int] = {}
+    read = LocalStore.get
+
+    def get(self: LocalStore, name: str, *, start: int = 0, length: int | None = None) -> bytes:
+        if name in refused and start:
+            raise OSError(refused[name], os.strerror(refused[name]))
+        return read(self, name, start=start, length=1 if name in refused else length)
+
+    monkeypatch.setattr(LocalStore, "get", get)
+    return refused
+
+
 def whole(store: LocalStore, progress: Path) -> Scrub:
     made = Scrub(store, progress, 7)
     for _ in made.steps():
@@ -57,6 +74,46 @@ def test_a_rotten_byte_is_found_in_every_tenants_files(store: LocalStore, tmp_pa
     for name in rotten:
         rot(store.path(name))
     assert whole(store, tmp_path / "scrub.json").state.damaged == rotten
+
+
+def test_a_file_that_the_disk_cannot_read_is_damaged_and_the_others_are_read(
+    store: LocalStore, tmp_path: Path, faults: dict[str, int], caplog: pytest.LogCaptureFixture
+) -> None:
+    unreadable, *_, rotten = files(store)
+    faults[unreadable] = errno.EIO
+    rot(store.path(rotten))
+    done = whole(store, tmp_path / "scrub.json").state
+    assert (done.checked, done.damaged) == (len(files(store)), [unreadable, rotten])
+    assert done.ended
+    assert f"{unreadable} is damaged: the disk cannot read it from byte 1 on" in caplog.text
+
+
+def test_the_command_line_names_what_the_disk_cannot_read(
+    tmp_path: Path, faults: dict[str, int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = LocalStore(tmp_path / "store")
+    publish(bundle(content="boot"), store, key="boot")
+    unreadable = next(head.name for head in store.list("assets/"))
+    faults[unreadable] = errno.EIO
+    assert not scrub_store(tmp_path)
+    assert f"damaged: {unreadable}" in capsys.readouterr().err
+
+
+async def test_a_file_that_was_not_checked_is_checked_in_the_next_round(
+    store: LocalStore, tmp_path: Path, faults: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another fault than the disk's ends the round: the store is away. Nothing was said of the file that met it."""
+    monkeypatch.setattr(scrub, "_READS_A_SECOND", 1e6)
+    met = files(store)[2]
+    rot(store.path(met))
+    faults[met] = errno.ESTALE
+    background = Scrub(store, tmp_path / "scrub.json", 7)
+    await background._round()
+    assert (background.state.checked, background.state.damaged, background.state.ended) == (2, [], 0.0)
+    faults.clear()
+    await background._round()
+    assert (background.state.checked, background.state.damaged) == (len(files(store)), [met])
+    assert background.state.ended
 
 
 def test_it_goes_on_after_a_restart(store: LocalStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
