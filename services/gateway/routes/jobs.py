@@ -242,7 +242,7 @@ async def _event_stream(
                 if not replaying:
                     metrics.observe_event_lag(time.time() - event.at)
                 last_seq = event.seq
-            if job.last_event > last_seq:
+            if fresh and job.last_event > last_seq:  # without any, the rows of the others are lost
                 continue
             if job.ended:
                 return

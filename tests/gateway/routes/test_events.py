@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import CANCEL_S, PATIENCE_S
 
 
 async def test_live_and_replay_tell_the_same_story(tmp_path: Path) -> None:
@@ -52,6 +54,20 @@ async def test_a_listener_hears_across_a_restart_of_the_gateway(tmp_path: Path) 
             story = await listening
     assert story[-1][2]["state"] == "SUCCEEDED"
     assert story[-1][2]["elapsed_s"] >= told.json()["elapsed_s"]
+
+
+async def test_a_stream_ends_although_the_last_event_is_lost(tmp_path: Path) -> None:
+    """A restored database may lack rows that could not be read."""
+    store = memory()
+    async with worker(Making(store), tmp_path / "edge") as port, gateway(tmp_path / "gw", store, port) as client:
+        job = await start(client, capture(store))
+        whole = await events(client, job)
+        with closing(sqlite3.connect(tmp_path / "gw" / "gateway.db")) as db:
+            db.execute("DELETE FROM events WHERE job = ? AND seq IN (2, ?)", (job, len(whole)))
+            db.commit()
+        async with asyncio.timeout(CANCEL_S):
+            assert await events(client, job) == [whole[0], *whole[2:-1]]
+            assert await events(client, job, **{"Last-Event-ID": str(len(whole) - 1)}) == []
 
 
 async def test_an_unknown_job_has_no_events(tmp_path: Path) -> None:
