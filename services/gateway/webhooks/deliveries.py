@@ -16,7 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.gateway.webhooks.outbox import Delivery, Outbox
 from services.gateway.webhooks.send import Outcome, Sender
 
-_AT_ONCE = 16  # a receiver that never answers holds its own place for a quarter of a minute
+_AT_ONCE = 16  # a receiver that never answers holds its own place for a quarter of a minute; see PLACES_A_TENANT
 _POLL_S = 1.0  # between looks at the outbox, which other gateways fill too
 _CLEAN_S = 3_600.0
 _JITTER = 0.1  # of a wait that a receiver asks for, so that messages that failed together do not return together

@@ -35,6 +35,8 @@ DELAYS_S = (5, 60, 300, 1_800, 7_200, 14_400, 21_600, 21_600, 21_600)
 """Seconds to wait after each failed attempt: ten attempts over 24 hours and a half."""
 KEEP_S = 7 * 86_400.0
 """Seconds for which a message that was delivered or given up can be sent again."""
+PLACES_A_TENANT = 8
+"""Most messages of one tenant that are sent at once: half of a gateway's places, so that others find one free."""
 _STEP_S = 1e-6  # the least that a time of today in seconds, as a double, keeps apart with certainty
 _LEASE_S = 60.0  # for one attempt: longer than any takes; a gateway that died in the middle is then followed by another
 
@@ -140,12 +142,15 @@ class Outbox:
             enqueue(db, new_messages(db, tenant, (event,)))
 
     def claim(self, now: float, most: int, busy: set[str]) -> list[Delivery]:
-        """Lease at most `most` messages that are due, one for each webhook that is not `busy`; the oldest first."""
+        """Lease at most `most` messages that are due, one for each webhook that is not `busy`.
+
+        The tenants take turns: the next message is of the tenant with the fewest busy webhooks, and of several the one
+        that is due longest. No tenant has more than PLACES_A_TENANT at once, those of `busy` webhooks included.
+        """
         due = sa.and_(messages.c.due <= now, webhooks.c.disabled.is_(None), messages.c.webhook.not_in(list(busy)))
-        first = sa.select(sa.func.min(messages.c.due), messages.c.webhook).join(webhooks).where(due)
         claimed = []
         with self._writer.begin() as db:
-            for _, webhook in db.execute(first.group_by(messages.c.webhook).limit(most)).all():
+            for webhook in db.execute(_webhooks_by_turn(due, busy).limit(most)).scalars().all():
                 select = sa.select(
                     messages, webhooks.c.url, webhooks.c.secret, webhooks.c.old_secret, webhooks.c.old_until
                 )
@@ -201,6 +206,18 @@ class Outbox:
         with self._writer.begin() as db:
             ended = {"due": None, "ended": now, **values}
             db.execute(messages.update().where(messages.c.id == message.id).values(ended))
+
+
+def _webhooks_by_turn(due: sa.ColumnElement[bool], busy: set[str]) -> sa.Select[tuple[str]]:
+    """Select the webhooks that have a due message, in the order in which they are served."""
+    mine = webhooks.alias()
+    held = sa.select(sa.func.count()).where(mine.c.tenant == webhooks.c.tenant, mine.c.id.in_(list(busy)))
+    oldest = sa.func.min(messages.c.due)
+    number = sa.func.row_number().over(partition_by=webhooks.c.tenant, order_by=(oldest, messages.c.webhook))
+    columns = (messages.c.webhook, oldest.label("oldest"), (number + held.scalar_subquery()).label("place"))
+    waiting = sa.select(*columns).join(webhooks).where(due).group_by(messages.c.webhook, webhooks.c.tenant).subquery()
+    served = sa.select(waiting.c.webhook).where(waiting.c.place <= PLACES_A_TENANT)
+    return served.order_by(waiting.c.place, waiting.c.oldest, waiting.c.webhook)
 
 
 def _payload(event: Event) -> str:

@@ -12,7 +12,7 @@ from sqlalchemy.engine import Engine
 
 from services.gateway.access.store import AccessStore
 from services.gateway.database import open_engine
-from services.gateway.webhooks.outbox import DELAYS_S, KEEP_S, Event, Outbox
+from services.gateway.webhooks.outbox import DELAYS_S, EVENTS, KEEP_S, PLACES_A_TENANT, Delivery, Event, Outbox
 from services.gateway.webhooks.store import WebhookStore
 
 LATE = time.time() + 1e6
@@ -76,6 +76,47 @@ def test_one_at_a_time_to_each_webhook_the_oldest_first(box: Box) -> None:
     assert {each.message.webhook for each in claimed} == {one, two}
     assert all('"number":0' in each.message.payload for each in claimed)
     assert [each.message.webhook for each in box.outbox.claim(LATE, 10, {one})] == [two]
+
+
+def hooks_of(claimed: list[Delivery]) -> list[str]:
+    return [each.message.webhook for each in claimed]
+
+
+def test_of_several_webhooks_the_one_that_has_waited_longest_is_first(box: Box) -> None:
+    kinds = {box.hook("ada", kind): kind for kind in EVENTS}
+    order = sorted(kinds, reverse=True)  # against the order in which a database groups them
+    for hook in order:
+        box.outbox.enqueue("ada", Event(kinds[hook], "x", {}))
+    assert hooks_of(box.outbox.claim(LATE, 1, set())) == order[:1]
+    assert hooks_of(box.outbox.claim(LATE, 3, {order[0]})) == order[1:4]
+
+
+def test_a_tenant_with_many_dead_webhooks_leaves_places_to_others(box: Box) -> None:
+    dead = {box.hook("ada") for _ in range(20)}
+    for number in range(3):
+        box.outbox.enqueue("ada", Event("job.failed", str(number), {}))
+    bobs = box.hook("bob")
+    box.outbox.enqueue("bob", EVENT)
+    claimed = hooks_of(box.outbox.claim(LATE, 16, set()))
+    assert len(claimed) == PLACES_A_TENANT + 1
+    assert {*claimed} - dead == {bobs}
+    busy = {*claimed} & dead
+    assert box.outbox.claim(LATE, 7, busy) == []
+    busy.pop()
+    (following,) = hooks_of(box.outbox.claim(LATE, 7, busy))
+    assert following in dead - busy
+
+
+def test_the_next_place_is_for_the_tenant_that_has_the_fewest(box: Box) -> None:
+    """However many tenants have webhooks that do not answer, and however long their messages have waited."""
+    two, one = sorted((box.hook("ada"), box.hook("ada")))
+    for number in range(3):
+        box.outbox.enqueue("ada", Event("job.failed", str(number), {}))
+    while (bobs := box.hook("bob")) < two:  # a database that groups by webhook would begin with the least
+        box.hooks.delete("bob", bobs)
+    box.outbox.enqueue("bob", EVENT)
+    assert hooks_of(box.outbox.claim(LATE, 1, {one})) == [bobs]
+    assert hooks_of(box.outbox.claim(LATE, 1, {one, bobs})) == [two]
 
 
 def test_it_is_tried_for_a_day_and_then_given_up(box: Box) -> None:
