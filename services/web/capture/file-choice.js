@@ -1,7 +1,8 @@
 // The form's first two parts: which files to send, and the name of the object.
 import { mayHaveCompass, readHeading, startCompass } from './compass.js';
 import { guide, isPhoto, setHeading } from './guidance.js';
-import { forgetPhoto, goOnWith, keepPhoto } from './keeping.js';
+import { beginAnother, forgetPhoto, goOnWith, keepPhoto } from './keeping.js';
+import { showKept } from './kept-list.js';
 import { startLiveCamera } from './live-camera.js';
 import { showSinglePhoto } from './photo-box.js';
 import { keyFrom } from '../shared/api.js';
@@ -118,8 +119,10 @@ async function addFiles(id, input) {
   input.value = ''; // so that the same file can be chosen again after it was removed
   const heading = id === 'photos' && useCompass && added.length === 1 ? await readHeading() : null;
   if (id === 'photos') for (const photo of added) keepTaken(photo, heading);
-  files = ADDING.includes(id) ? [...files, ...added] : added;
+  const replaces = !ADDING.includes(id);
+  files = replaces ? added : [...files, ...added];
   showFiles();
+  if (replaces) await beginAnother().then(showKept);
 }
 
 /** Shows what is chosen: how many files and megabytes, guidance for photos, and the names of other files. */

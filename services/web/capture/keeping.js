@@ -1,6 +1,6 @@
 // Keeps what the page has on the device: photos as they are taken, and the whole capture when the server cannot be reached. What cannot be kept
 // is said, and stays in the page.
-import { forget, forgetFile, keep, newKept, readKept, readKeptFiles } from '../shared/kept-captures.js';
+import { forget, forgetFile, keep, keepAlone, newKept, readKept, readKeptFiles } from '../shared/kept-captures.js';
 import { exclusively } from '../shared/send-kept.js';
 import { t } from '../shared/texts.js';
 import { newFiletype, pathOf, randomKey } from '../shared/upload-form.js';
@@ -24,6 +24,12 @@ function begin() {
   return newKept({ id: `${Date.now()}-${randomKey()}`, tenant: ownTenant(), jobKey: randomKey(), filetype: newFiletype() });
 }
 
+/** Begins another capture: photos that the person has replaced are nowhere else, and stay on the device as a draft. */
+export const beginAnother = () => inTurn(async () => {
+  kept = begin();
+  numbers.clear();
+});
+
 /** The key with which this capture's job is made once, from here or by the service worker. */
 export const jobKey = () => kept.jobKey;
 
@@ -38,7 +44,7 @@ export const keptId = () => kept.id;
  */
 export const keepPhoto = (file, heading) => inTurn(async () => {
   askForDurability();
-  return attempt([newFile(file, heading)]);
+  return attempt([newFile(file, heading)], (rows) => keep(kept, rows));
 });
 
 /**
@@ -60,7 +66,9 @@ export function forgetPhoto(file) {
  */
 export const keepWhole = (files, { name, about, order, capture }) => inTurn(async () => {
   Object.assign(kept, { ...about, state: 'waiting', name, order, capture });
-  const trouble = await attempt(files.filter((file) => !numbers.has(file)).map((file) => newFile(file, null)));
+  const earlier = files.flatMap((file) => numbers.get(file) ?? []);
+  const added = files.filter((file) => !numbers.has(file)).map((file) => newFile(file, null));
+  const trouble = await attempt(added, (rows) => keepAlone(kept, rows, earlier));
   if (trouble) kept.state = 'draft';
   else await askForSync();
   return trouble;
@@ -73,7 +81,7 @@ export const keepWhole = (files, { name, about, order, capture }) => inTurn(asyn
  * @returns {Promise<T | string>} what the work gives, or the id of the job that is there already
  */
 export const sendOnce = (work) => exclusively(async () => {
-  const now = await readKept(kept.id).catch(() => undefined);
+  const now = await inTurn(() => readKept(kept.id)).catch(() => undefined);
   const sent = now?.state === 'sent' ? now.job : await work();
   await inTurn(() => forget(kept.id).catch(() => {})); // before anybody else may send: what still waits would be sent again
   return sent;
@@ -108,11 +116,12 @@ function newFile(file, heading) {
 
 /**
  * @param {[File, KeptFile][]} files
+ * @param {(rows: KeptFile[]) => Promise<void>} write
  * @returns {Promise<string>}
  */
-async function attempt(files) {
+async function attempt(files, write) {
   try {
-    await keep(kept, files.map(([, row]) => row));
+    await write(files.map(([, row]) => row));
   } catch (error) {
     return reasonOf(error);
   }

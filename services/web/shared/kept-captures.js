@@ -80,6 +80,25 @@ export async function keep(capture, files = []) {
 }
 
 /**
+ * Keeps a capture with these files alone, and forgets what else was kept of it: all of it, or nothing and an error.
+ * @param {KeptCapture} capture
+ * @param {KeptFile[]} added
+ * @param {number[]} earlier numbers of the files that were kept before, and stay
+ * @throws {DOMException} as `keep`
+ */
+export async function keepAlone(capture, added, earlier) {
+  await run('readwrite', (stores) => {
+    /** @type {IDBRequest<KeptFile[]>} */
+    const before = stores(FILES).getAll(rangeOf(capture.id));
+    before.onsuccess = () => {
+      for (const { id, number } of before.result) if (!earlier.includes(number)) stores(FILES).delete([id, number]);
+    };
+    for (const file of added) stores(FILES).put(file);
+    return stores(CAPTURES).put(capture);
+  });
+}
+
+/**
  * Forgets one file of a capture.
  * @param {string} id
  * @param {number} number

@@ -268,6 +268,67 @@ def test_photos_that_were_taken_and_not_sent_are_there_at_the_next_visit(
     await_data(page, kept="")
 
 
+@pytest.mark.parametrize("server", [True, False])
+def test_photos_that_are_replaced_are_not_sent_and_stay_as_a_draft(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path], tmp_path: Path, server: bool
+) -> None:
+    scan = tmp_path / "scan.xyz"
+    scan.write_text("".join(f"{x} {y} 0\n" for x in range(20) for y in range(20)))
+    name = f"Replaced {server}"
+    page = visit(context, line)
+    for photo in photos[:2]:
+        page.locator("#photos").set_input_files(photo)
+    await_data(page, looked="2", onDevice="yes")
+    page.locator("#files").set_input_files(scan)
+    expect(page.locator("#chosen")).to_contain_text("1 file")
+    expect(page.locator("#kept-list li")).to_contain_text("2 photos of")
+    page.locator("#name").fill(name)
+    if not server:
+        line.cut()
+    page.get_by_role("button", name="Send", exact=True).click()
+    if server:
+        page.wait_for_url("**/#job=*")
+    else:
+        expect(page.get_by_role("alert")).to_contain_text("It is kept on this device")
+        line.mend()
+    page.close()
+    page = visit(context, line)
+    await_data(page, kept="draft" if server else "draft sent")
+    (job,) = jobs_of(site, name.replace(" ", "-"))
+    assert stored_files(site, job) == hashes([scan])
+    page.get_by_role("button", name="Go on").click()
+    await_data(page, looked="2")
+
+
+def test_a_photo_that_was_removed_but_not_forgotten_is_not_sent(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path], tmp_path: Path
+) -> None:
+    dark = tmp_path / "dark.jpg"
+    Image.new("RGB", (300, 200)).save(dark)
+    page = visit(context, line)
+    for number, photo in enumerate([dark, photos[0]], start=1):
+        page.locator("#photos").set_input_files(photo)
+        await_data(page, looked=str(number), onDevice="yes")
+    page.evaluate("""() => {
+        const own = IDBObjectStore.prototype.delete;
+        IDBObjectStore.prototype.delete = () => {
+            IDBObjectStore.prototype.delete = own;
+            throw new DOMException('once', 'UnknownError');
+        };
+    }""")
+    page.get_by_role("button", name="Remove dark.jpg").click()
+    await_data(page, looked="1")
+    line.cut()
+    page.locator("#name").fill("Bright")
+    page.get_by_role("button", name="Send", exact=True).click()
+    expect(page.get_by_role("alert")).to_contain_text("It is kept on this device")
+    page.close()
+    line.mend()
+    await_data(visit(context, line), kept="sent")
+    (job,) = jobs_of(site, "Bright")
+    assert stored_files(site, job) == hashes(photos[:1])
+
+
 def test_another_user_of_the_browser_neither_sees_nor_sends_them(
     browser: Browser, guarded: GuardedSite, photos: list[Path]
 ) -> None:
