@@ -2,7 +2,7 @@
 // worker, which has neither XMLHttpRequest nor the storage that the pages' library for uploads needs.
 import { forgetFiles, keep, listKept, readKept, readKeptFiles } from './kept-captures.js';
 import { fetchBytes } from './network.js';
-import { Problem, parseAnswer, sentences } from './problems.js';
+import { Problem, isConnectionProblem, parseAnswer, sentences } from './problems.js';
 import { t } from './texts.js';
 import { UPLOAD_CHECK_MS } from './time-limits.js';
 import { captureAddress, formOf } from './upload-form.js';
@@ -12,27 +12,44 @@ import { captureAddress, formOf } from './upload-form.js';
 
 const TUS = { 'Tus-Resumable': '1.0.0' };
 const CHUNK_BYTES = 2 << 20; // of one request: what a slow line sends within the time limit
-const REFUSED = [400, 404, 413, 415, 422]; // what the server will not take later either
+const REFUSED = [400, 403, 404, 409, 413, 415, 422]; // what the server will not take later either
+const DAMAGED = 'UPLOAD_DAMAGED'; // the server has lost a part of what was sent
+const OF_UPLOAD = ['UPLOAD_OFFSET', 'UPLOAD_INCOMPLETE']; // conflicts that the next try ends
 const GONE = [404, 410]; // an upload that has expired
 const LOCK = 'capture2vr-send'; // one of the pages and the service worker sends at a time
 
 /** @typedef {(capture: KeptCapture, fraction: number) => void} OnSending */
 
 /**
- * Sends all captures that wait, of who is logged in now. Another page that is sending, or the service worker, ends first.
+ * Sends all captures that wait, of who is logged in now. Another page that is sending, or the service worker, ends first. A capture that fails
+ * does not keep the next ones from being sent, unless they would fail too.
  * @param {OnSending} [onSending]
  * @returns {Promise<void>}
- * @throws {Problem} OFFLINE, NO_ANSWER, and what else may be better later
+ * @throws {Problem} OFFLINE, NO_ANSWER, and what else may be better later, with the names of the captures that failed
  */
 export async function sendKept(onSending = () => {}) {
   await exclusively(async () => {
     const tenant = await loggedInTenant();
+    const troubles = [];
     for (const { id } of (await listKept(tenant)).filter(({ state }) => state === 'waiting')) {
       const capture = await readKept(id);
-      if (capture?.state === 'waiting') await sendOrRefuse(capture, onSending);
+      if (capture?.state !== 'waiting') continue;
+      try {
+        await sendOrRefuse(capture, onSending);
+      } catch (error) {
+        if (holdsForAll(error)) throw error;
+        troubles.push(`${capture.name}: ${sentences(error)}`);
+      }
     }
+    if (troubles.length) throw new Problem({ detail: troubles.join(' ') });
   });
 }
+
+/**
+ * Whether other captures would meet the same: no connection, nobody logged in, a limit, or a server in trouble.
+ * @param {unknown} error
+ */
+const holdsForAll = (error) => isConnectionProblem(error) || (error instanceof Problem && (error.status === 401 || error.status === 429 || error.status >= 500));
 
 /**
  * Does something while nobody else of this browser sends kept captures.
@@ -62,10 +79,21 @@ async function sendOrRefuse(capture, onSending) {
   try {
     await send(capture, onSending);
   } catch (error) {
-    if (!(error instanceof Problem) || !REFUSED.includes(error.status)) throw error;
+    if (!(error instanceof Problem)) throw error;
+    if (error.code === DAMAGED) throw await beginAgain(capture);
+    if (!REFUSED.includes(error.status) || OF_UPLOAD.includes(error.code)) throw error;
     Object.assign(capture, { state: 'refused', trouble: `${error.file && `${error.file}: `}${sentences(error)}` });
     await keep(capture);
   }
+}
+
+/**
+ * Forgets an upload of which the server has lost a part; what is on the device is whole. The server's own hint would have the person delete it.
+ * @param {KeptCapture} capture
+ */
+async function beginAgain(capture) {
+  await keep(Object.assign(capture, { upload: '' }));
+  return new Problem({ code: DAMAGED, detail: t('The server has lost a part of what was sent. The next try sends all of it again.') });
 }
 
 /**

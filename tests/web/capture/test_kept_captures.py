@@ -17,10 +17,13 @@ from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
 from services.gateway.access.caller import ALL_SCOPES, Scope
 from services.gateway.jobs.capture_objects import capture_name
+from services.storage.catalogue.publish import publish
+from services.storage.store import list_all
 from tests.support.lines import Line, line_to
 from tests.support.pages import await_data
 from tests.support.sites import Site
 from tests.support.tenants import make_key
+from tests.support.things import RED, box
 from tests.web.conftest import GuardedSite, with_a_past
 
 pytestmark = pytest.mark.browser
@@ -74,11 +77,12 @@ def visit_once(context: BrowserContext, line: Line) -> None:
     visit(context, line, wait_for="ready").close()
 
 
-def send(page: Page, photos: list[Path], name: str) -> None:
+def send(page: Page, photos: list[Path], name: str, *, collection: str = "") -> None:
     page.locator("#files").set_input_files(photos)
     page.locator("#name").fill(name)
     page.locator("#description").evaluate("area => (area.value = 'From the attic.')")
-    page.get_by_role("button", name="Send").click()
+    page.locator("#collection").evaluate("(field, name) => (field.value = name)", collection)
+    page.get_by_role("button", name="Send", exact=True).click()
 
 
 def jobs_of(site: Site, key: str) -> list[dict[str, Any]]:
@@ -95,16 +99,19 @@ def hashes(photos: list[Path]) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in photos}
 
 
-def keep_without_a_server(context: BrowserContext, line: Line, photos: list[Path], name: str) -> None:
-    """Open the page without the server, send, and close it."""
+def keep_without_a_server(
+    context: BrowserContext, line: Line, photos: list[Path], *names: str, collection: str = ""
+) -> None:
+    """Open the page without the server, send, and close it, for each name."""
     visit_once(context, line)
     line.cut()
-    page = visit(context, line)
-    send(page, photos, name)
-    alert = page.get_by_role("alert")
-    expect(alert).to_contain_text("The server cannot be reached.")
-    expect(alert).to_contain_text("It is kept on this device, and sent when the server can be reached")
-    page.close()
+    for name in names:
+        page = visit(context, line)
+        send(page, photos, name, collection=collection)
+        alert = page.get_by_role("alert")
+        expect(alert).to_contain_text("The server cannot be reached.")
+        expect(alert).to_contain_text("It is kept on this device, and sent when the server can be reached")
+        page.close()
 
 
 def test_a_capture_without_a_server_is_kept_and_sent_when_the_page_opens_again(
@@ -216,6 +223,64 @@ def test_what_the_server_refuses_is_said_and_stays_until_it_is_deleted(
     expect(page.locator("#kept-list li")).to_contain_text("broken.jpg")
     page.get_by_role("button", name="Delete").click()
     await_data(page, kept="")
+
+
+def test_what_contradicts_what_the_server_has_is_refused_and_the_next_one_is_sent(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path]
+) -> None:
+    publish(box("Heirloom", RED), site.store, key="Heirloom")
+    keep_without_a_server(context, line, photos[:1], "Heirloom", "Attic desk", collection="attic")
+    line.mend()
+    page = visit(context, line)
+    await_data(page, kept="refused sent")
+    expect(page.locator("#kept-list li").first).to_contain_text("Heirloom: ")
+    expect(page.locator("#kept-list li").first).to_contain_text("choose another key", ignore_case=True)
+    expect(page.locator("#kept-trouble")).to_have_text("")
+    assert len(jobs_of(site, "Attic-desk")) == 1
+
+
+@pytest.mark.parametrize(("status", "kept"), [(423, "waiting sent"), (503, "waiting waiting"), (403, "refused sent")])
+def test_what_fails_for_one_capture_alone_is_said_with_its_name_and_the_next_one_is_sent(
+    context: BrowserContext, line: Line, photos: list[Path], status: int, kept: str
+) -> None:
+    keep_without_a_server(context, line, photos[:1], "Attic bed", "Attic clock")
+    line.mend()
+    failed: list[str] = []
+
+    def fail_once(route: Route) -> None:
+        if failed:
+            return route.continue_()
+        failed.append(route.request.url)
+        return route.fulfill(status=status, json={"status": status, "code": "FAILED", "detail": "not this time"})
+
+    page = context.new_page()
+    page.route("**/v1/jobs", fail_once)
+    page.goto(line.url)
+    expect(page.locator("#kept-captures")).to_contain_text("Not this time.")
+    await_data(page, kept=kept)
+    trouble = "" if status == 403 else "Attic bed: Not this time." if status == 423 else "Not this time."
+    expect(page.locator("#kept-trouble")).to_have_text(trouble)
+
+
+def test_an_upload_that_the_server_has_lost_is_sent_anew(
+    context: BrowserContext, line: Line, site: Site, photos: list[Path]
+) -> None:
+    keep_without_a_server(context, line, photos[:1], "Attic trunk")
+    line.mend()
+    page = context.new_page()
+    page.route("**/v1/uploads/*/capture", lambda route: route.abort())
+    page.goto(line.url)
+    expect(page.locator("#kept-trouble")).to_contain_text("The server cannot be reached.")
+    page.close()
+    for head in list(list_all(site.store, "uploads/")):
+        site.store.delete(head.name)
+    page = visit(context, line)
+    expect(page.locator("#kept-trouble")).to_contain_text("Attic trunk: The server has lost a part of what was sent.")
+    await_data(page, kept="waiting")
+    page.get_by_role("button", name="Send now").click()
+    await_data(page, kept="sent")
+    (job,) = jobs_of(site, "Attic-trunk")
+    assert stored_files(site, job) == hashes(photos[:1])
 
 
 @pytest.mark.parametrize(
