@@ -1,10 +1,11 @@
 // The capture page (/): choose files, name the object, upload, watch the job, see the result.
 import { continuedJob, startContinuing } from './continuing.js';
-import { chosenFiles, chosenName, goOn, hasUnkept, startFileChoice } from './file-choice.js';
+import { openDraft, resumeDraft } from './drafts.js';
+import { chosenFiles, chosenName, hasUnkept, startFileChoice } from './file-choice.js';
 import { showUploadProgress, showUploadWaits, startUploadProgress } from '../shared/job-progress.js';
 import { watchJob } from './job-watch.js';
 import { jobKey, keepWhole, sendOnce } from './keeping.js';
-import { showKept, startKeptList } from './kept-list.js';
+import { startKeptList } from './kept-list.js';
 import { showState, showTrouble } from './page-state.js';
 import { chosenBox } from './photo-box.js';
 import { sendCapture, unfinishedFiles } from './resumable-upload.js';
@@ -194,10 +195,7 @@ offerPresets();
 offerToGoOn();
 resumeJob();
 let continuing = startContinuing(); // the thing that photos are added to is known
-continuing.catch(showTrouble);
-startKeptList(async (draft) => {
-  await goOn(draft);
-  await showKept();
-});
+continuing.catch(showTrouble).then(resumeDraft);
+startKeptList(openDraft);
 registerServiceWorker();
 showAccount().then((session) => (page.sharing.hidden = session?.via !== 'session')); // without keys everybody sees everything

@@ -1,11 +1,14 @@
 // More photos of a thing: the page then adds them to those that are stored, and the job makes the next version of the same asset.
 import { expectMore } from './file-choice.js';
+import { keepContinued } from './keeping.js';
 import { getJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
+import { Problem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Job, Manifest } from '../shared/types.d.ts' */
 
+const NOT_FOUND = 404;
 const OF_PHOTOS = ['photos', 'photo']; // formats of captures that photos can be added to
 
 const page = {
@@ -21,6 +24,9 @@ const page = {
 /** @type {Job | null} */
 let earlier = null;
 let offered = ''; // id of the job whose photos the button adds to
+
+/** Id of the job that the page's address names to add photos to; '' where the page makes a new thing. */
+export const addedTo = () => new URLSearchParams(location.hash.slice(1)).get('add') ?? '';
 
 /** The job that is continued, or null where the page makes a new thing. */
 export const continuedJob = () => earlier;
@@ -40,22 +46,34 @@ export function offerMorePhotos(job, capture) {
  * @throws {Problem} as `getJson`
  */
 export async function startContinuing() {
-  const id = new URLSearchParams(location.hash.slice(1)).get('add');
+  const id = addedTo();
   if (!id) return;
+  keepContinued(id);
   /** @type {Job} */
-  const job = await getJson(`/v1/jobs/${encodeURIComponent(id)}`);
+  const job = await getJson(`/v1/jobs/${encodeURIComponent(id)}`).catch(withoutThing);
   earlier = job;
   showContinued(job);
 }
 
+/**
+ * Where the thing is gone, its draft is no longer bound to it: the photos can make a new one.
+ * @param {unknown} error
+ * @returns {never}
+ */
+function withoutThing(error) {
+  if (error instanceof Problem && error.status === NOT_FOUND) keepContinued('');
+  throw error;
+}
+
 /** @param {Job} job */
-async function showContinued({ asset_key: key, label, edits = {} }) {
+async function showContinued({ id, asset_key: key, label, edits = {} }) {
   const name = label || key;
   page.section.hidden = false;
   page.details.hidden = true;
   page.heading.textContent = t('More photos of {name}', { name });
   page.lost.hidden = !(edits.crop || edits.planes?.length || edits.lassos?.length || edits.up || edits.front || edits.length);
   expectMore(name);
+  keepContinued(id, name);
   document.body.dataset.continues = key;
   const advice = await unseenSides(key);
   fillList(page.unseen, advice);

@@ -11,6 +11,7 @@ import { ownTenant } from '../shared/whose.js';
 
 const SYNC = 'send-captures'; // the service worker listens to this
 
+let continued = { adds: '', name: '' }; // the job whose thing the photos are added to, and what that thing is called
 /** @type {KeptCapture} */
 let kept = begin();
 /** @type {Map<File, number>} */
@@ -21,8 +22,19 @@ let queue = Promise.resolve(); // one write after the other
 
 /** A capture of this page; nothing of it is on the device yet. */
 function begin() {
-  return newKept({ id: `${Date.now()}-${randomKey()}`, tenant: ownTenant(), jobKey: randomKey(), filetype: newFiletype() });
+  return newKept({ id: `${Date.now()}-${randomKey()}`, tenant: ownTenant(), jobKey: randomKey(), filetype: newFiletype(), ...continued });
 }
+
+/**
+ * Writes down whose thing the photos are added to, so that a draft is added to it later too.
+ * @param {string} adds id of the job that made it; '' for a new thing
+ * @param {string} [name] of the thing, once it is known
+ */
+export const keepContinued = (adds, name = '') => inTurn(async () => {
+  continued = { adds, name };
+  kept = { ...kept, adds, name: name || kept.name };
+  if (numbers.size > 0) await keep(kept).catch(() => {}); // the next photo writes it too
+});
 
 /** Begins another capture: photos that the person has replaced are nowhere else, and stay on the device as a draft. */
 export const beginAnother = () => inTurn(async () => {
@@ -88,13 +100,14 @@ export const sendOnce = (work) => exclusively(async () => {
 });
 
 /**
- * Goes on with a draft that was kept earlier.
+ * Goes on with a draft that was kept earlier. Its photos now belong to what this page makes.
  * @param {KeptCapture} draft
  * @returns {Promise<{ file: File, heading: number | null }[]>} its photos
  */
-export async function goOnWith(draft) {
+export const goOnWith = (draft) => inTurn(async () => {
   const files = await readKeptFiles(draft.id);
-  kept = draft;
+  kept = { ...draft, adds: continued.adds, name: continued.name || draft.name };
+  await keep(kept).catch(() => {}); // the next photo writes it too
   numbers.clear();
   return files.map(({ number, path, body, lastModified, heading }) => {
     const file = new File([body], path, { type: body.type, lastModified });
@@ -102,7 +115,7 @@ export async function goOnWith(draft) {
     lastNumber = Math.max(lastNumber, number);
     return { file, heading };
   });
-}
+});
 
 /**
  * @param {File} file

@@ -79,7 +79,8 @@ async function sentenceOf({ id, state, name, created, trouble }) {
   if (state === 'waiting') return t('{name}: it waits for the server.', { name });
   const count = (await readKeptFiles(id)).length;
   const photos = count === 1 ? t('1 photo') : t('{count} photos', { count });
-  return t('{photos} of {date}, not sent.', { photos, date: new Date(created).toLocaleString() });
+  const text = t('{photos} of {date}, not sent.', { photos, date: new Date(created).toLocaleString() });
+  return name ? `${name}: ${text}` : text;
 }
 
 /**

@@ -15,11 +15,12 @@ const [CAPTURES, FILES] = ['captures', 'files'];
  * @property {string} tenant who was logged in; '' where nobody had to
  * @property {number} created
  * @property {'draft' | 'waiting' | 'sent' | 'refused'} state a draft is still being made, and never sent
- * @property {string} name of the thing
+ * @property {string} name of the thing; '' where a draft has none yet
  * @property {string} jobKey with which the job is made once, however often it is asked for
  * @property {number[] | null} box the rectangle that the thing lies in, in a single photo
  * @property {JobOrder | null} order null for a draft
  * @property {string} continues id of the stored capture that these photos are added to; '' for none
+ * @property {string} [adds] id of the job whose thing these photos are added to; '' for a new thing
  * @property {string} filetype media type of the form that is uploaded
  * @property {string} upload address of the upload, once it has begun
  * @property {string} capture id of the stored capture, once it is there
@@ -122,11 +123,11 @@ export const forget = (id) => run('readwrite', (stores) => {
 
 /**
  * A capture that begins now, as a draft.
- * @param {Pick<KeptCapture, 'id' | 'tenant' | 'jobKey' | 'filetype'>} made
+ * @param {Pick<KeptCapture, 'id' | 'tenant' | 'jobKey' | 'filetype' | 'name' | 'adds'>} made
  * @returns {KeptCapture}
  */
 export const newKept = (made) => ({
-  ...made, created: Date.now(), state: 'draft', name: '', box: null, order: null, continues: '', upload: '', capture: '', job: '', trouble: '',
+  ...made, created: Date.now(), state: 'draft', box: null, order: null, continues: '', upload: '', capture: '', job: '', trouble: '',
 });
 
 /** All files of a capture. @param {string} id */

@@ -11,7 +11,7 @@ import httpx
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, Route, expect
+from playwright.sync_api import Browser, BrowserContext, Page, Route, expect
 
 from services.gateway.jobs.capture_objects import capture_name
 from services.storage.catalogue.publish import publish
@@ -119,6 +119,89 @@ def test_without_a_server_they_are_kept_and_added_later(browser: Browser, site: 
     again = newest(site, "pot")
     assert again["id"] != job["id"]
     assert stored(site, again) == ["1.jpg", "2.jpg"]
+
+
+def take_and_leave(context: BrowserContext, url: str, photo: Path) -> None:
+    page = context.new_page()
+    page.goto(url)
+    if "#add" in url:
+        expect(page.get_by_role("heading", name="More photos of A cup")).to_be_visible()
+    page.locator("#photos").set_input_files(photo)
+    await_data(page, looked="1", onDevice="yes")
+    page.close()
+
+
+def test_photos_that_were_taken_for_a_thing_and_not_sent_are_added_to_it_later(
+    browser: Browser, site: Site, tmp_path: Path
+) -> None:
+    job = made(site, "bottle", photos(tmp_path / "first", "1.jpg"))
+    with with_a_past(browser) as context:
+        take_and_leave(context, f"{site.url}/#add={job['id']}", photos(tmp_path / "more", "2.jpg")[0])
+        page = context.new_page()
+        page.goto(site.url)
+        expect(page.locator("#kept-list li")).to_contain_text("A cup: 1 photo of")
+        page.get_by_role("button", name="Go on").click()
+        expect(page.get_by_role("heading", name="More photos of A cup")).to_be_visible()
+        await_data(page, looked="1", kept="")
+        page.get_by_role("button", name="Send", exact=True).click()
+        page.wait_for_url("**/#job=*")
+    again = newest(site, "bottle")
+    assert again["id"] != job["id"]
+    assert stored(site, again) == ["1.jpg", "2.jpg"]
+
+
+def test_who_takes_photos_before_the_page_knows_the_thing_finds_them_with_it_later(
+    browser: Browser, site: Site, tmp_path: Path
+) -> None:
+    job = made(site, "vial", photos(tmp_path / "first", "1.jpg"))
+    with with_a_past(browser) as context:
+        page = context.new_page()
+        page.route(f"**/v1/jobs/{job['id']}", lambda route: None)  # never answered
+        page.goto(f"{site.url}/#add={job['id']}")
+        page.locator("#photos").set_input_files(photos(tmp_path / "more", "2.jpg"))
+        await_data(page, looked="1", onDevice="yes")
+        page.close()
+        page = context.new_page()
+        page.goto(site.url)
+        page.get_by_role("button", name="Go on").click()
+        expect(page.get_by_role("heading", name="More photos of A cup")).to_be_visible()
+        await_data(page, looked="1", kept="")
+
+
+def test_photos_of_another_thing_leave_the_one_that_photos_are_added_to(
+    browser: Browser, site: Site, tmp_path: Path
+) -> None:
+    job = made(site, "vase", photos(tmp_path / "first", "1.jpg"))
+    with with_a_past(browser) as context:
+        take_and_leave(context, site.url, photos(tmp_path / "more", "2.jpg")[0])
+        page = context.new_page()
+        page.goto(f"{site.url}/#add={job['id']}")
+        expect(page.get_by_role("heading", name="More photos of A cup")).to_be_visible()
+        page.get_by_role("button", name="Go on").click()
+        await_data(page, looked="1", kept="")
+        expect(page.get_by_role("heading", name="More photos of A cup")).to_be_hidden()
+        page.locator("#name").fill("A fork")
+        page.get_by_role("button", name="Send", exact=True).click()
+        page.wait_for_url("**/#job=*")
+    assert stored(site, newest(site, "A-fork")) == ["2.jpg"]
+    assert newest(site, "vase")["id"] == job["id"]
+
+
+def test_photos_for_a_thing_that_is_gone_can_make_a_new_one(browser: Browser, site: Site, tmp_path: Path) -> None:
+    job = made(site, "tin", photos(tmp_path / "first", "1.jpg"))
+    with with_a_past(browser) as context:
+        take_and_leave(context, f"{site.url}/#add={job['id']}", photos(tmp_path / "more", "2.jpg")[0])
+        page = context.new_page()
+        gone = {"status": 404, "code": "JOB_UNKNOWN", "detail": "there is no such job"}
+        page.route(f"**/v1/jobs/{job['id']}", lambda route: route.fulfill(status=404, json=gone))
+        page.goto(site.url)
+        page.get_by_role("button", name="Go on").click()
+        expect(page.get_by_role("alert")).to_contain_text("there is no such job")
+        await_data(page, looked="1")
+        page.get_by_role("button", name="Choose again").click()
+        page.get_by_role("button", name="Go on").click()
+        await_data(page, looked="1", kept="", state="choosing")
+        expect(page.locator("#details")).to_be_visible()
 
 
 @pytest.mark.parametrize(("form", "offered"), [("photos", True), ("photo", True), ("video", False), ("ply", False)])
