@@ -4,7 +4,7 @@ import { openDraft, resumeDraft } from './drafts.js';
 import { chosenFiles, chosenName, hasUnkept, startFileChoice } from './file-choice.js';
 import { showUploadProgress, showUploadWaits, startUploadProgress } from '../shared/job-progress.js';
 import { watchJob } from './job-watch.js';
-import { jobKey, keepWhole, sendOnce } from './keeping.js';
+import { jobKey, keepAsDraft, keepWhole, sendOnce } from './keeping.js';
 import { startKeptList } from './kept-list.js';
 import { showState, showTrouble } from './page-state.js';
 import { chosenBox } from './photo-box.js';
@@ -38,8 +38,8 @@ const page = {
   stripped: element('stripped', HTMLElement),
   unfinished: element('unfinished', HTMLElement),
 };
-/** @type {CaptureReceipt | null} */
-let receipt = null; // of the upload: trying again does not send it twice
+/** @type {{ receipt: CaptureReceipt, files: File[], about: string } | null} */
+let upload = null; // what the server has, and of which files
 let isKept = false; // on the device, to be sent later
 
 /** Fills the list of presets with what the workers offer. Without an answer only the automatic choice is there. */
@@ -82,8 +82,25 @@ async function send() {
     location.hash = `job=${job.id}`;
     watchJob(job);
   } catch (error) {
-    showTrouble(error, isConnectionProblem(error) ? await keepForLater() : '');
+    showTrouble(error, isConnectionProblem(error) ? { more: await keepForLater() } : { canChange: true });
   }
+}
+
+/** Returns to the form, with all that was to be sent. */
+async function change() {
+  isKept = false;
+  await keepAsDraft();
+  showState('choosing');
+}
+
+/** Whether the fields can be sent; shows the first that cannot. What is hidden is not sent. */
+function checkFields() {
+  page.collection.value = page.collection.value.trim(); // phones' keyboards add a space
+  const wrong = page.form.querySelector('input:invalid:not([hidden] *)');
+  if (!(wrong instanceof HTMLInputElement)) return true;
+  const folded = wrong.closest('details');
+  if (folded) folded.open = true;
+  return wrong.reportValidity();
 }
 
 /** @returns {Promise<Job>} */
@@ -91,10 +108,16 @@ async function sendNow() {
   const name = chosenName();
   if (!navigator.onLine) throw offline();
   const progress = { onProgress: showUploadProgress, onWaiting: showUploadWaits };
-  receipt ??= await sendCapture(chosenFiles(), name, about(), progress);
+  const receipt = knownReceipt() ?? await sendCapture(chosenFiles(), name, about(), progress);
+  upload = { receipt, files: chosenFiles(), about: JSON.stringify(about()) };
   showReceipt(receipt);
   const { path, body } = jobOrder(name);
   return postJson(path, { ...body, capture: receipt.capture }, { 'Idempotency-Key': jobKey() });
+}
+
+/** What the server has said of the chosen files, where it has them: they are not sent twice. */
+function knownReceipt() {
+  return upload?.files === chosenFiles() && upload.about === JSON.stringify(about()) ? upload.receipt : null;
 }
 
 /** What the upload says of its capture. */
@@ -113,7 +136,7 @@ function jobOrder(name) {
 /** Keeps the capture on the device. @returns {Promise<string>} what to tell the person */
 async function keepForLater() {
   const name = chosenName();
-  const trouble = await keepWhole(chosenFiles(), { name, about: about(), order: jobOrder(name), capture: receipt?.capture ?? '' });
+  const trouble = await keepWhole(chosenFiles(), { name, about: about(), order: jobOrder(name), capture: knownReceipt()?.capture ?? '' });
   isKept = !trouble;
   return trouble || t('It is kept on this device, and sent when the server can be reached: by itself, or when you open this page again.');
 }
@@ -177,8 +200,9 @@ function restart() {
 
 page.form.addEventListener('submit', (event) => {
   event.preventDefault();
-  send();
+  if (checkFields()) send();
 });
+element('change', HTMLButtonElement).addEventListener('click', change);
 element('retry', HTMLButtonElement).addEventListener('click', retry);
 element('reload', HTMLButtonElement).addEventListener('click', () => location.reload());
 for (const id of ['again', 'another']) element(id, HTMLButtonElement).addEventListener('click', restart);

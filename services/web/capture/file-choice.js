@@ -33,7 +33,7 @@ const taken = new WeakSet(); // by the camera in the page: their names say nothi
 let isMore = false; // the files are added to what is stored
 let useCompass = false; // whether the person allows the page to ask the phone where its camera looks
 
-/** The files that are chosen now. */
+/** The files that are chosen now: another list after each change. */
 export const chosenFiles = () => files;
 
 /** Whether photos were taken that could not be kept on the device. */

@@ -86,6 +86,13 @@ export const keepWhole = (files, { name, about, order, capture }) => inTurn(asyn
   return trouble;
 });
 
+/** Makes a draft again of a capture that waits: the person changes it, and nobody sends it meanwhile. */
+export const keepAsDraft = () => inTurn(async () => {
+  if (kept.state !== 'waiting') return;
+  kept.state = 'draft';
+  await keep(kept).catch(() => {}); // the next photo writes it too
+});
+
 /**
  * Sends the capture from this page, unless the service worker has sent it meanwhile, and forgets it on the device.
  * @template T

@@ -11,6 +11,7 @@ const page = {
   reason: element('reason', HTMLElement),
   hints: element('hints', HTMLElement),
   retry: element('retry', HTMLButtonElement),
+  change: element('change', HTMLButtonElement),
 };
 
 /**
@@ -27,13 +28,14 @@ export function showState(state) {
 /**
  * Shows an error: what happened, to which file, and what to do.
  * @param {unknown} error
- * @param {string} [more] a sentence that follows
+ * @param {{ more?: string, canChange?: boolean }} [about] `more`: a sentence that follows; `canChange`: the form has what was to be sent
  */
-export function showTrouble(error, more = '') {
+export function showTrouble(error, { more = '', canChange = false } = {}) {
   const { code, file, message, hints } = toProblem(error);
   document.body.dataset.code = code;
   page.reason.textContent = file && !message.includes(file) ? `${file}: ${message}` : message;
   fillList(page.hints, more ? [...hints, more] : hints);
   page.retry.hidden = !isConnectionProblem(error);
+  page.change.hidden = !canChange;
   showState('trouble');
 }
