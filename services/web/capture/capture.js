@@ -14,13 +14,14 @@ import { getJson, keyFrom, postJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { isConnectionProblem, offline } from '../shared/problems.js';
 import { registerServiceWorker } from '../shared/register-service-worker.js';
-import { splitWords } from '../shared/search-words.js';
+import { joinWords, splitWords } from '../shared/search-words.js';
 import { t } from '../shared/texts.js';
 
-/** @import { JobOrder } from '../shared/kept-captures.js' */
+/** @import { JobOrder, KeptCapture } from '../shared/kept-captures.js' */
 /** @import { CaptureReceipt, Cut, Job, JobRequest, Presets, Visibility } from '../shared/types.d.ts' */
 
 document.body.dataset.started = 'yes';
+const NEW_JOB = '/v1/jobs';
 const page = {
   form: element('form', HTMLFormElement),
   preset: element('preset', HTMLSelectElement),
@@ -130,7 +131,7 @@ const about = () => ({ box: chosenBox(), continues: continuedJob()?.capture ?? '
  */
 function jobOrder(name) {
   const earlier = continuedJob();
-  return earlier ? { path: earlier.links.again, body: {} } : { path: '/v1/jobs', body: jobRequest(name) };
+  return earlier ? { path: earlier.links.again, body: {} } : { path: NEW_JOB, body: jobRequest(name) };
 }
 
 /** Keeps the capture on the device. @returns {Promise<string>} what to tell the person */
@@ -161,6 +162,21 @@ function jobRequest(name) {
     box: chosenBox(),
     visibility: /** @type {Visibility | ''} */ (page.visibility.value),
   };
+}
+
+/**
+ * Fills the fields as they were when a capture was sent.
+ * @param {KeptCapture} [capture] one that was never sent, or added to a thing, has no fields
+ */
+async function showFields(capture) {
+  if (capture?.order?.path !== NEW_JOB) return;
+  await offering; // the preset is among what is offered
+  const request = /** @type {Omit<JobRequest, 'capture'>} */ (/** @type {unknown} */ (capture.order.body));
+  page.words.value = joinWords(request.labels);
+  page.longest.value = request.longest_m ? String(Number((100 * request.longest_m).toFixed(6))) : '';
+  for (const name of /** @type {const} */ (['description', 'collection', 'target', 'preset', 'cut', 'fill', 'visibility'])) {
+    page[name].value = request[name];
+  }
 }
 
 /**
@@ -215,11 +231,11 @@ window.addEventListener('online', () => {
   if (isKept && document.body.dataset.state === 'trouble') send();
 });
 startFileChoice();
-offerPresets();
+const offering = offerPresets();
 offerToGoOn();
 resumeJob();
 let continuing = startContinuing(); // the thing that photos are added to is known
-continuing.catch(showTrouble).then(resumeDraft);
-startKeptList(openDraft);
+continuing.catch(showTrouble).then(resumeDraft).then(showFields);
+startKeptList((draft) => openDraft(draft).then(showFields));
 registerServiceWorker();
 showAccount().then((session) => (page.sharing.hidden = session?.via !== 'session')); // without keys everybody sees everything

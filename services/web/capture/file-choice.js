@@ -105,6 +105,7 @@ export async function goOn(draft) {
     taken.add(file);
   }
   files = photos.map(({ file }) => file);
+  if (draft.name) page.name.value = draft.name;
   showFiles();
 }
 

@@ -107,13 +107,14 @@ export const sendOnce = (work) => exclusively(async () => {
 });
 
 /**
- * Goes on with a draft that was kept earlier. Its photos now belong to what this page makes.
+ * Goes on with a draft that was kept earlier, or with what was refused. Its photos now belong to what this page makes.
  * @param {KeptCapture} draft
  * @returns {Promise<{ file: File, heading: number | null }[]>} its photos
  */
 export const goOnWith = (draft) => inTurn(async () => {
   const files = await readKeptFiles(draft.id);
   kept = { ...draft, adds: continued.adds, name: continued.name || draft.name };
+  if (draft.state === 'refused') Object.assign(kept, { state: 'draft', jobKey: randomKey(), upload: '', capture: '', trouble: '' });
   await keep(kept).catch(() => {}); // the next photo writes it too
   numbers.clear();
   return files.map(({ number, path, body, lastModified, heading }) => {

@@ -22,7 +22,7 @@ let sending = null;
 
 /**
  * Shows what is kept, and sends what waits: now, and whenever there is a network again.
- * @param {(draft: KeptCapture) => void} goOn is called with a draft that the person wants to go on with
+ * @param {(draft: KeptCapture) => void} goOn is called with a draft, or what was refused, that the person wants to go on with
  */
 export async function startKeptList(goOn) {
   onGoOn = goOn;
@@ -66,6 +66,7 @@ async function itemOf(capture) {
   const buttons = create('div', { className: 'kept-buttons' });
   item.append(create('span', { id: `kept-${capture.id}`, textContent: await sentenceOf(capture) }), buttons);
   if (capture.state === 'draft') buttons.append(button(t('Go on'), () => onGoOn(capture)));
+  if (capture.state === 'refused') buttons.append(button(t('Change it'), () => onGoOn(capture)));
   if (capture.state === 'waiting') buttons.append(button(t('Send now'), sendWaiting));
   if (capture.state === 'sent') buttons.append(button(t('See it'), () => seeJob(capture)));
   buttons.append(button(capture.state === 'sent' ? t('Done') : t('Delete'), () => remove(capture)));

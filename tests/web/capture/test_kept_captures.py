@@ -237,6 +237,16 @@ def test_what_contradicts_what_the_server_has_is_refused_and_the_next_one_is_sen
     expect(page.locator("#kept-list li").first).to_contain_text("choose another key", ignore_case=True)
     expect(page.locator("#kept-trouble")).to_have_text("")
     assert len(jobs_of(site, "Attic-desk")) == 1
+    page.get_by_role("button", name="Change it").click()
+    await_data(page, looked="1", kept="sent")
+    expect(page.locator("#description")).to_have_value("From the attic.")
+    expect(page.locator("#collection")).to_have_value("attic")
+    expect(page.locator("#name")).to_have_value("Heirloom")
+    page.locator("#name").fill("Heirloom of the attic")
+    page.get_by_role("button", name="Send", exact=True).click()
+    page.wait_for_url("**/#job=*")
+    (job,) = jobs_of(site, "Heirloom-of-the-attic")
+    assert stored_files(site, job) == hashes(photos[:1])
 
 
 @pytest.mark.parametrize(("status", "kept"), [(423, "waiting sent"), (503, "waiting waiting"), (403, "refused sent")])
