@@ -24,7 +24,8 @@ from typing import Any
 
 from services.atomic_write import sync
 from services.cli.errors import BadInput
-from services.storage.object_backup import PART, StoredObject, content_path, sha256_of
+from services.storage.bundle import sha256_of
+from services.storage.object_backup import PART, StoredObject, content_path
 
 DATABASE, INVENTORY, KEYS = "database.zip", "objects.json.gz", "keys.sealed"
 """Files of a backup."""

@@ -6,18 +6,17 @@ import json
 from pathlib import Path
 
 from services.atomic_write import atomic_write
+from services.cli.earlier_results import MANIFEST, REPORT, listed_files
 from services.cli.errors import BadInput
 from services.cli.progress import console
 from services.download_formats import FORMATS, formats_of
 from services.edge.convert.convert_bundle import BundleFolder, convert
 
-_MANIFESTS = ("manifest.json", "report.json")  # of `pull` and of `run`
-
 
 def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
     """Convert the results in a folder; return the file. out: None: beside them. Raises BadInput."""
-    bundle, key = _open(folder)
-    possible = [each.name for each in formats_of([path.name for path in folder.iterdir()])]
+    bundle, key, files = _open(folder)
+    possible = [each.name for each in formats_of([file for file in files if bundle.has(file)])]
     if format_name not in possible:
         reason = "cannot be made from what is there" if format_name in FORMATS else "is no format"
         raise BadInput(f"{folder}: {format_name} {reason}; it can be one of: {', '.join(possible) or 'none'}")
@@ -32,13 +31,13 @@ def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
     return path
 
 
-def _open(folder: Path) -> tuple[BundleFolder, str]:
-    """Return the bundle in a folder, and its asset key. Raises BadInput."""
-    manifest = next((folder / name for name in _MANIFESTS if (folder / name).is_file()), None)
+def _open(folder: Path) -> tuple[BundleFolder, str, list[str]]:
+    """Return the bundle in a folder, its asset key, and the names of its files. Raises BadInput."""
+    manifest = next((folder / name for name in (MANIFEST, REPORT) if (folder / name).is_file()), None)
     if manifest is None:
-        raise BadInput(f"{folder} has no {' or '.join(_MANIFESTS)}: name a folder that `run` or `pull` has written")
+        raise BadInput(f"{folder} has no {MANIFEST} or {REPORT}: name a folder that `run` or `pull` has written")
     try:
         document = json.loads(manifest.read_bytes())
-        return BundleFolder(folder, document), str(document["key"])
+        return BundleFolder(folder, document), str(document["key"]), listed_files(document)
     except (ValueError, KeyError, TypeError):
         raise BadInput(f"{manifest} is damaged: run or pull again") from None

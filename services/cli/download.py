@@ -14,6 +14,7 @@ import httpx
 
 from services.atomic_write import atomic_write
 from services.cli.errors import BadInput
+from services.storage.bundle import sha256_of
 from services.storage.catalogue.faults import FILE_CHANGED, FILE_MISSING, CatalogueFault
 from services.storage.catalogue.reader import AssetFile
 
@@ -82,12 +83,6 @@ def fetch(objects: RemoteObjects, asset_file: AssetFile, cache: Path) -> str:
                 FILE_CHANGED, asset_file.name, f"its {size:,} bytes do not have the hash that the manifest lists"
             )
     return "network"
-
-
-def sha256_of(path: Path) -> str:
-    """Return the sha256 of a file, hex."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _remove_abandoned(cache: Path) -> None:

@@ -15,7 +15,8 @@ from rich.table import Table
 
 from services.cli.assets import check_collection
 from services.cli.catalogue_work import load_verification_keys
-from services.cli.download import RemoteObjects, fetch, sha256_of
+from services.cli.download import RemoteObjects, fetch
+from services.cli.earlier_results import MANIFEST, files_of_pull
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer
 from services.cli.http import client_of
 from services.cli.progress import console, warn
@@ -40,8 +41,6 @@ from services.storage.catalogue.reader import (
     retry_if_shard_missing,
 )
 from services.storage.catalogue.signing import PublicKey
-
-_MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,32 +196,22 @@ def _install(out: Path, files: dict[str, Path], manifest: bytes) -> None:
     Deletes files of an earlier pull that are not part of this one, unless the user has changed them.
     """
     out.mkdir(parents=True, exist_ok=True)
-    if blocked := next((out / name for name in (*files, _MANIFEST) if (out / name).is_dir()), None):
+    if blocked := next((out / name for name in (*files, MANIFEST) if (out / name).is_dir()), None):
         raise BadInput(f"{blocked} is a folder, but a file must be written there; choose another folder with -o")
-    outdated = [path for path in _previous_files(out) if path.name not in files]
+    outdated = [path for path in files_of_pull(out) if path.name not in files]
     staging = out / ".pulling"
     shutil.rmtree(staging, ignore_errors=True)  # left by a command that was killed
     staging.mkdir()
     try:
         for name, cached in files.items():
             shutil.copyfile(cached, staging / name)
-        (staging / _MANIFEST).write_bytes(manifest)
-        for name in (*files, _MANIFEST):
+        (staging / MANIFEST).write_bytes(manifest)
+        for name in (*files, MANIFEST):
             (staging / name).replace(out / name)
         for path in outdated:
             path.unlink()
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-
-
-def _previous_files(out: Path) -> list[Path]:
-    """Return the files in `out` that the manifest of an earlier pull lists, and that are unchanged since."""
-    try:
-        records = json.loads((out / _MANIFEST).read_bytes())["files"]
-        files = {out / Path(str(each["file"])).name: str(each["sha256"]) for each in records}
-    except (OSError, ValueError, KeyError, TypeError):  # no manifest, or not one of ours
-        return []
-    return [path for path, sha256 in files.items() if path.is_file() and sha256_of(path) == sha256]
 
 
 def _add_hint(fault: CatalogueFault, last_seen: SeenVersion) -> CatalogueFault:

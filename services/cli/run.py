@@ -19,6 +19,7 @@ import numpy as np
 
 from services.asset_names import AssetNames
 from services.cli.assets import check_collection
+from services.cli.earlier_results import MANIFEST, files_of_pull, files_of_run
 from services.cli.errors import INVALID_KEY, BadInput, printable, sentence
 from services.cli.progress import StageBar, console, warn
 from services.cli.report import report_page
@@ -41,7 +42,9 @@ from services.storage.catalogue.publish import PublishedAsset, publish
 from services.storage.local import LocalStore
 
 _PICTURE = "preview.png"  # name of the picture in bundles of both states
-_EARLIER_RESULTS = ("bundle", "preview", "refined.png")
+_READ_AS_IT_IS = (".r3d", ".usdz", ".3mf")
+"""Archives that are a file to whoever reads captures: Record3D's, and models, which it names as not readable."""
+_OF_EVERY_RUN = ("bundle", "preview", "refined.png")
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +176,9 @@ def open_source(source: Path, scratch: Path) -> Path:
         raise BadInput(f"{source}: there is no such file or folder")
     if not source.is_file() and not source.is_dir():
         raise BadInput(f"{source} is neither a file nor a folder")  # reading a pipe or a device may never end
-    # Record3D's archive (.r3d) is read as it is. A file named .zip must be an archive: if not, unpack() says so.
-    if source.is_file() and source.suffix.lower() != ".r3d" and (source.suffix.lower() == ".zip" or is_zip(source)):
+    # A file named .zip must be an archive: if not, unpack() says so.
+    suffix = source.suffix.lower()
+    if source.is_file() and suffix not in _READ_AS_IT_IS and (suffix == ".zip" or is_zip(source)):
         unpack(source, scratch / "capture")
         return scratch / "capture"
     return source
@@ -299,11 +303,7 @@ class Results:
     def write(self, bundle: Bundle) -> None:
         """Write a bundle's files and update the report."""
         if bundle.state == "preview":
-            earlier = [path.name for path in (*self.out.glob("photo-*.jpg"), *self.out.glob("cut-*.jpg"))]
-            for name in (*_EARLIER_RESULTS, *earlier):
-                shutil.rmtree(self.out / name, ignore_errors=True)
-                with suppress(FileNotFoundError, IsADirectoryError):
-                    (self.out / name).unlink()
+            self._remove_earlier()
         else:
             self._move_preview()
         self.out.mkdir(parents=True, exist_ok=True)
@@ -327,6 +327,16 @@ class Results:
             },
             quality,
         )
+
+    def _remove_earlier(self) -> None:
+        """Remove what an earlier run or pull has written, for `convert` would take it for this one's."""
+        pulled = files_of_pull(self.out)
+        listed = (*files_of_run(self.out), *pulled, *([self.out / MANIFEST] if pulled else []))
+        pictures = (*self.out.glob("photo-*.jpg"), *self.out.glob("cut-*.jpg"))
+        for path in {*(self.out / name for name in _OF_EVERY_RUN), *listed, *pictures}:
+            shutil.rmtree(path, ignore_errors=True)
+            with suppress(FileNotFoundError, IsADirectoryError):
+                path.unlink()
 
     def keep_preview(self, warning: str, quality: Mapping[str, Any] | None, seconds: Mapping[str, float]) -> None:
         """Update the report of a run whose training gave no better mesh, with the rejected mesh's quality figures."""

@@ -93,6 +93,12 @@ def sha256_hex(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def sha256_of(path: Path) -> str:
+    """Return the sha256 of a file as `sha256_hex` writes it. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def is_sha256(text: str) -> bool:
     """Whether a text is a SHA-256 as `sha256_hex` writes it: 64 lower-case hexadecimal digits."""
     return _SHA256.fullmatch(text) is not None

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from services.atomic_write import atomic_write
-from services.storage.bundle import hash_in_name
+from services.storage.bundle import hash_in_name, sha256_of
 from services.storage.store import Head, Store, check_name, list_all
 from services.storage.tenant_store import tenant_of
 
@@ -179,12 +179,6 @@ def _move_to_place(part: Path, folder: Path) -> str:
         with atomic_write(path, temporary=part):
             part.chmod(0o600)
     return sha256
-
-
-def sha256_of(path: Path) -> str:
-    """Return the sha256 of a file in hex. Raises OSError."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _restore_object(store: Store, folder: Path, wanted: StoredObject) -> Head:

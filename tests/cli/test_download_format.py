@@ -44,7 +44,14 @@ def test_results_on_this_machine_are_converted(tmp_path: Path, manifest: str) ->
     written(bundle, tmp_path)
     with pytest.raises(BadInput, match="name a folder that"):
         convert_folder(tmp_path, "stl", None)
-    (tmp_path / manifest).write_text(json.dumps({**bundle.manifest, "key": "sheet"}))
+    listed = {"report.json": {"bytes": dict.fromkeys(bundle.files, 9)}}.get(
+        manifest, {"files": [{"file": name} for name in bundle.files]}
+    )
+    (tmp_path / manifest).write_text(json.dumps({**bundle.manifest, **listed, "key": "sheet"}))
+    (tmp_path / "cameras.json").write_text("{}")  # of something else: with the points it would be cameras
+    (tmp_path / "points.laz").write_bytes(b"LASF")
+    with pytest.raises(BadInput, match="colmap cannot be made from what is there"):
+        convert_folder(tmp_path, "colmap", None)
     assert convert_folder(tmp_path, "stl", None) == tmp_path / "sheet.stl"
     assert convert_folder(tmp_path, "glb", tmp_path / "a.glb").read_bytes()[:4] == b"glTF"
     with pytest.raises(BadInput, match="exe is no format; it can be one of: glb"):

@@ -20,7 +20,7 @@ from services.cli.run import Results, run_preset
 from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.preset import Preset, preset_names
 from services.edge.worker import memory_budget
-from services.storage.bundle import Bundle
+from services.storage.bundle import Bundle, sha256_hex
 from tests.cli.test_run import capture2vr
 from tests.support.clouds import write_ply
 from tests.support.repository import ROOT
@@ -224,9 +224,18 @@ def test_photos_never_reach_the_store(tmp_path: Path) -> None:
 
 def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:
     preview = bundle("preview", 0.003).manifest["quality"]
-    results.write(bundle("refined", 0.002, verdict="better", because="", preview=preview))
+    refined = bundle("refined", 0.002, verdict="better", because="", preview=preview)
+    tiles = {"tileset.json": b"{}", "tile-0-0-0.1.glb": b"1", "cameras.json": b"{}", "splats.spz": b"1"}
+    results.write(replace(refined, files={**refined.files, **tiles}))
+    pulled = dict.fromkeys(("points.laz", "thumbnail.webp"), b"of a pull")
+    for name, content in pulled.items():
+        (results.out / name).write_bytes(content)
+    records = [{"file": name, "sha256": sha256_hex(content)} for name, content in pulled.items()]
+    (results.out / "manifest.json").write_text(json.dumps({"key": "dress", "files": records}))
+    (results.out / "thumbnail.webp").write_bytes(b"mine")  # somebody has put another one in its place
     again = Results(results.out, "shirt")
     again.write(bundle("preview", 0.003))
+    (results.out / "thumbnail.webp").unlink()
     assert {path.name for path in results.out.iterdir()} == {
         "bundle",
         "mesh.ply",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from services.storage.bundle import sha256_of
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove
 from services.storage.catalogue.verify import fetch_from, verify
@@ -18,7 +19,6 @@ from services.storage.object_backup import (
     copy_objects,
     list_objects,
     restore_objects,
-    sha256_of,
     unexpected_objects,
 )
 from services.storage.store import NO_CACHE, Head, Store, list_all

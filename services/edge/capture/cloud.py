@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Floats
-from services.edge.capture.cloud_parts import dropped_warning, read_some, valid_mask
+from services.edge.capture.cloud_parts import MAX_BAD_SHARE, MAX_COORDINATE, dropped_warning, read_some, valid_mask
+from services.edge.capture.cloud_process import georeferenced_origin, moved_warning
 from services.edge.capture.files import Folder, translate_errors, unreadable
 from services.edge.capture.meshes import read_mesh, vertex_colours
 from services.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
@@ -32,6 +34,7 @@ _MAX_BYTES = {
 _SNIFF_BYTES = 2**16  # read of a file to detect its format
 # Hash multipliers: odd, hence invertible modulo 2^64, with the bits of the golden ratio and of the roots of 3 and 5.
 _ODD_FACTORS = np.array([0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B, 0x3C6EF372FE94F82B], np.uint64)
+_FAR_OFF = 100.0  # of a cloud's extent from the origin: below it float32 is exact to a hundred thousandth of that
 _SAMPLE = 100_000  # points used for the principal extents; fast also for a cloud of 20 million
 
 UP_Y = (0.0, 1.0, 0.0)
@@ -106,8 +109,9 @@ def read_cloud(folder: Folder, name: str, kind: str) -> Capture:
     cloud, warnings = _read(folder, name, kind)
     if len(cloud.xyz) > MAX_POINTS:
         raise too_many_points(len(cloud.xyz), name)
-    cloud, dropped = _drop_invalid(cloud, name)
-    return _capture(kind, name, cloud, (*warnings, *dropped))
+    (xyz,), moved = _near_origin([cloud.xyz], name)
+    cloud, dropped = _drop_invalid(replace(cloud, xyz=xyz), name)
+    return _capture(kind, name, cloud, (*warnings, *moved, *dropped))
 
 
 def _parts(folder: Folder, name: str, kind: str) -> RawParts | None:
@@ -171,15 +175,16 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
 
 def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tuple[str, ...]]:
     """Sample points on the surfaces, after validating the vertices, so that errors are about the file's vertices."""
-    vertices = np.concatenate([surface.vertices for surface in surfaces])
-    if len(vertices) > 3 * MAX_POINTS:
-        raise too_many_points(len(vertices), name)
-    cloud, warnings = _drop_invalid(Cloud(vertices), name)
+    if (count := sum(len(surface.vertices) for surface in surfaces)) > 3 * MAX_POINTS:
+        raise too_many_points(count, name)
+    near, moved = _near_origin([surface.vertices for surface in surfaces], name)
+    surfaces = [replace(surface, vertices=vertices) for surface, vertices in zip(surfaces, near, strict=True)]
+    cloud, dropped = _drop_invalid(Cloud(np.concatenate(near)), name)
     if (cloud.xyz == cloud.xyz[0]).all():
         raise CaptureError("CAPTURE_DEGENERATE", "has all its vertices at the same position", file=name)
     keep = [replace(surface, vertices=np.where(valid_mask(surface.vertices)[:, None], surface.vertices, np.nan))
             for surface in surfaces]  # fmt: skip
-    return sample_surfaces(keep, name), warnings
+    return sample_surfaces(keep, name), (*moved, *dropped)
 
 
 def _obj_vertices(folder: Folder, name: str, kind: str) -> Cloud:
@@ -193,6 +198,23 @@ def _obj_vertices(folder: Folder, name: str, kind: str) -> Cloud:
     if xyz.ndim != 2:
         raise unreadable(name, "has no vertices")
     return Cloud(xyz)
+
+
+def _near_origin(parts: Sequence[Floats], name: str) -> tuple[list[Floats], tuple[str, ...]]:
+    """Move georeferenced coordinates, parts of (N,3), near the origin, as float32 has steps of 3 cm at 500 km; warn.
+
+    A few points that are far away do not make coordinates georeferenced, nor do they say where the others are.
+    """
+    some = np.concatenate([part[:: max(1, len(part) // _SAMPLE)] for part in parts])
+    some = some[np.isfinite(some).all(axis=1)]
+    if len(some) == 0:
+        return list(parts), ()
+    low, high = np.quantile(some, (MAX_BAD_SHARE, 1 - MAX_BAD_SHARE), axis=0)
+    origin, farthest = georeferenced_origin(low, high), float(np.abs([low, high]).max())
+    # A house in millimetres reaches as far from the origin, and stays where it is.
+    if origin is None or farthest < min(MAX_COORDINATE, _FAR_OFF * float((high - low).max())):
+        return list(parts), ()
+    return [np.asarray(part, np.float64) - origin for part in parts], (moved_warning(origin, name),)
 
 
 def _drop_invalid(cloud: Cloud, name: str) -> tuple[Cloud, tuple[str, ...]]:

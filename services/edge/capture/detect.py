@@ -60,6 +60,8 @@ _CLOUD_SUFFIXES = (
     ".glb",
     ".gltf",
 )
+# Of models that are not read, whose folders and archives have textures: these are no photos of the thing.
+_UNREAD_MODELS = (".usd", ".usda", ".usdc", ".usdz", ".fbx", ".dae", ".3mf", ".3ds", ".blend", ".skp", ".step", ".stp")
 _ARCHIVES = (b"PK\x03\x04", b"Rar!\x1a\x07", b"7z\xbc\xaf\x27\x1c", b"\x1f\x8b\x08", b"\xfd7zXZ", b"BZh")
 # Text tables of numbers that belong to a recording; they look like point clouds, and are none.
 _SIDE_TABLES = ("odometry.csv", "poses.csv", "imu.csv", "camera_matrix.csv", "groundtruth.txt", "rgb.txt", "depth.txt")
@@ -125,12 +127,24 @@ def _read_files(folder: Folder) -> Capture:
 def _read_pictures(folder: Folder) -> Capture:
     """Read the photos, or a video when there are too few photos. Called after clouds: meshes have texture images."""
     videos = film.find_videos(folder)
+    model = next((name for name in folder.names if name.lower().endswith(_UNREAD_MODELS)), None)
+    if model is not None and not videos and not any(_is_by_camera(folder, name) for name in photos.pictures(folder)):
+        hints = ("export it as GLB, OBJ, PLY or STL, and send that",)
+        raise CaptureError("CAPTURE_UNKNOWN_FORMAT", "is a model in a format that is not read", file=model, hints=hints)
     if videos and len(photos.pictures(folder)) < MIN_PHOTOS:
         return film.read(folder)
     if not photos.matches(folder):
         raise _nothing_readable(folder)
     capture = photos.read(folder)
     return replace(capture, warnings=(*capture.warnings, *film.unused_warning(videos)))
+
+
+def _is_by_camera(folder: Folder, name: str) -> bool:
+    """Return whether a picture tells the focal length that it was taken with."""
+    try:
+        return photos.read_photo(folder, name).focal_px is not None
+    except CaptureError:
+        return False
 
 
 def _candidate(folder: Folder, name: str) -> str | None:

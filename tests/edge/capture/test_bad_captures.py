@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
+from PIL.ExifTags import IFD, Base
 
 from services.edge.capture.detect import read_capture
 from services.edge.capture.images import MAX_PIXELS, header_size
@@ -69,6 +71,7 @@ SINGLE: dict[str, tuple[str, str, Callable[[], bytes]]] = {
     "a letter": ("CAPTURE_UNKNOWN_FORMAT", "letter.txt", lambda: b"Dear reader,\nthis is a letter.\n"),
     "a photo": ("IMAGE_UNREADABLE", "IMG_1.JPG", lambda: b"\xff\xd8\xff\xe0" + b"\0" * 64),
     "a zip": ("CAPTURE_UNKNOWN_FORMAT", "scan.zip", lambda: b"PK\x03\x04" + b"\0" * 64),
+    "a USDZ": ("CAPTURE_UNKNOWN_FORMAT", "shoe.usdz", lambda: b"PK\x03\x04" + b"\0" * 64),
     "cut PLY": ("CAPTURE_TRUNCATED", "scan.ply", lambda: captures.ply_bytes(XYZ, RGB)[:-100]),
     "cut ASCII PLY": ("CAPTURE_TRUNCATED", "scan.ply", lambda: captures.ply_bytes(XYZ, form="ascii")[:-400]),
     "PLY cut in its header": ("CAPTURE_TRUNCATED", "scan.ply", lambda: captures.ply_bytes(XYZ)[:60]),
@@ -164,6 +167,22 @@ def test_a_bad_file_has_its_code(name: str, tmp_path: Path) -> None:
         assert all(caught.value.hints)
         assert caught.value.hints
         assert not caught.value.retryable
+
+
+@pytest.mark.parametrize("model", ["shoe.fbx", "shoe.usdc", "Shoe.DAE"])
+def test_the_textures_of_a_model_that_is_not_read_are_no_photos(model: str, tmp_path: Path) -> None:
+    (tmp_path / model).write_bytes(b"Kaydara FBX Binary  \0")
+    for number in range(4):
+        Image.fromarray(np.full((64, 64, 3), 40 * number, np.uint8)).save(tmp_path / f"texture_{number}.png")
+    with pytest.raises(CaptureError) as caught:
+        read_capture(tmp_path)
+    assert (caught.value.code, caught.value.file) == ("CAPTURE_UNKNOWN_FORMAT", model)
+    assert "GLB" in caught.value.hints[0]
+    exif = Image.Exif()
+    exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 26
+    for number in range(4):
+        Image.new("RGB", (64, 64)).save(tmp_path / f"IMG_{number}.jpg", exif=exif)
+    assert read_capture(tmp_path).kind == "photos", "photos beside the model that an app made of them"
 
 
 def test_an_empty_folder(tmp_path: Path) -> None:

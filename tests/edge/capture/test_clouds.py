@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 import tempfile
@@ -21,7 +22,7 @@ from services.edge.capture.pcd import lzf_decompress
 from services.edge.capture.sample_surface import SAMPLES
 from services.edge.capture.tables import MAX_PARTED_POINTS
 from services.edge.errors import Cancelled
-from tests.support import captures
+from tests.support import captures, surfaces
 from tests.support.patience import CANCEL_S
 
 XYZ, RGB, NORMALS = captures.sphere()
@@ -99,6 +100,49 @@ def test_georeferenced_las_is_moved_near_the_origin(tmp_path: Path) -> None:
     assert np.abs(capture.cloud.xyz).max() < 10
     assert "georeferenced" in capture.warnings[0]
     np.testing.assert_allclose(np.ptp(capture.cloud.xyz, axis=0), np.ptp(XYZ, axis=0), atol=3e-4)
+
+
+def _obj(xyz: np.ndarray, faces: np.ndarray) -> bytes:
+    corners = (" ".join(f"{value:.4f}" for value in row) for row in xyz.tolist())
+    triangles = (" ".join(map(str, row)) for row in (faces + 1).tolist())
+    return "".join([*(f"v {row}\n" for row in corners), *(f"f {row}\n" for row in triangles)]).encode()
+
+
+def _npy(xyz: np.ndarray) -> bytes:
+    np.save(made := io.BytesIO(), xyz)
+    return made.getvalue()
+
+
+FAR: dict[str, Callable[[np.ndarray, np.ndarray], bytes]] = {
+    "scan.xyz": lambda xyz, faces: rows(xyz),
+    "scan.npy": lambda xyz, faces: _npy(xyz),
+    "points.obj": lambda xyz, faces: _obj(xyz, faces[:0]),
+    "mesh.obj": _obj,
+}
+
+
+@pytest.mark.parametrize("far", [(530_123.0, 180_456.0, 20.0), (691_000.0, 5_336_000.0, 500.0), (-2e4, 0.0, 0.0)])
+@pytest.mark.parametrize("name", FAR)
+def test_georeferenced_coordinates_of_any_format_are_moved_near_the_origin(
+    name: str, far: tuple[float, float, float], tmp_path: Path
+) -> None:
+    sheet = surfaces.patch(lambda u, v: [u, v, 0.2 * np.sin(4 * u)], 40, 30)
+    (tmp_path / name).write_bytes(FAR[name](sheet.vertices + np.array(far), sheet.faces))
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert np.abs(capture.cloud.xyz).max() < 10
+    assert "georeferenced" in capture.warnings[0]
+    np.testing.assert_allclose(np.ptp(capture.cloud.xyz, axis=0), np.ptp(sheet.vertices, axis=0), atol=0.02)
+
+
+def test_stray_points_and_large_things_in_millimetres_are_not_georeferenced(tmp_path: Path) -> None:
+    house = XYZ * 20_000.0 / np.ptp(XYZ, axis=0).max()
+    for xyz in (house, np.vstack([XYZ, [[4e5, 0, 0], [0, -9e5, 0]]])):
+        np.savetxt(tmp_path / "scan.xyz", xyz, fmt="%.5f")
+        capture = read_capture(tmp_path)
+        assert capture.cloud is not None
+        np.testing.assert_allclose(capture.cloud.xyz, xyz, atol=1e-4)
+        assert not any("georeferenced" in warning for warning in capture.warnings)
 
 
 def test_empty_pixels_of_an_organised_pcd_are_no_fault(tmp_path: Path) -> None:
