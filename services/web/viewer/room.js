@@ -6,7 +6,7 @@ import { SavedScene, loadScene } from './saved-scene.js';
 import { isSame } from './scene-merge.js';
 import { isLoaded } from './scene-item.js';
 import { deleteAt, postJson } from '../shared/api.js';
-import { toProblem } from '../shared/problems.js';
+import { Problem, toProblem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 import { ofShownTenant } from '../shared/whose.js';
 
@@ -23,6 +23,7 @@ export const MOST_ITEMS = 50;
  * @typedef {object} RoomCallbacks
  * @property {() => SceneItem[]} items
  * @property {(items: SceneItem[]) => void} setItems shows these; those that are new are loaded, those that are missing are removed
+ * @property {(item: SceneItem) => Promise<void>} load waits until a thing has come, or could not be loaded
  * @property {(item: SceneItem) => boolean} isHeld whether a hand or the mouse has the item
  * @property {LiveMoves} live what others are moving
  * @property {() => boolean} isVisible whether anybody looks at the page
@@ -127,7 +128,7 @@ export class Room {
   /**
    * Saves the scene under a name: a new one, or the one that the page shows.
    * @param {string} name
-   * @throws {Problem} as `postJson`
+   * @throws {Problem} THINGS_MISSING, and as `postJson`
    */
   async save(name) {
     if (this.#saved) {
@@ -136,13 +137,29 @@ export class Room {
       this.touch();
       return;
     }
-    for (const item of this.#callbacks.items().filter(isLoaded)) item.fix();
+    await this.#fixAll();
     /** @type {SceneDocument} */
     const document = await postJson('/v1/scenes', { ...this.#content(), name });
     if (this.#callbacks.isWorn()) {
       history.replaceState(null, '', document.view); // to load another page would end the session
       this.#follow(document);
     } else location.assign(document.view);
+  }
+
+  /**
+   * Makes all things part of the scene, each where it stands. Waits for those on their way: before it is loaded a thing has no place.
+   * @throws {Problem} THINGS_MISSING
+   */
+  async #fixAll() {
+    const { items, load } = this.#callbacks;
+    const missing = () => items().filter((item) => !item.placed && !isLoaded(item));
+    await Promise.all(missing().map(load));
+    const names = missing().map(({ name }) => name).join(', ');
+    if (names) {
+      const hints = [t('Wait for what is missing and save again, or take it away.')];
+      throw new Problem({ code: 'THINGS_MISSING', detail: t('Not loaded yet: {names}.', { names }), hints });
+    }
+    for (const item of items().filter(isLoaded)) item.fix();
   }
 
   /**

@@ -128,6 +128,7 @@ const room = new Room({
   items: () => items,
   setItems,
   createItem: (key, placed) => new SceneItem(key, placed),
+  load: (item) => updates.update(item),
   isHeld,
   live,
   isVisible,

@@ -20,7 +20,7 @@ from services.gateway.routes.pages import WEB
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove, restore
 from services.storage.catalogue.scene import PlacedAsset
-from services.storage.catalogue.scene_documents import create_scene, read_scene, replace_scene
+from services.storage.catalogue.scene_documents import create_scene, list_scenes, read_scene, replace_scene
 from services.storage.store import Store
 from tests.support.headsets import Hand, enter, wear
 from tests.support.pages import await_data, open_panel
@@ -158,6 +158,39 @@ def test_what_is_saved_as_a_scene_opens_elsewhere_as_it_was(
         other.goto(page.url)
         await_things(other, 2)
         assert places(other) == places(page)
+
+
+def test_a_scene_is_saved_with_what_is_still_on_its_way(page: Page, site: Site) -> None:
+    held: list[Route] = []
+    page.route("**/v1/assets/blue", lambda route: held.append(route), times=1)
+    page.goto(f"{site.url}/view?key=red&key=blue")
+    await_things(page, 1)
+    expect(page.locator("#said")).to_contain_text("1 more on the way")
+    open_panel(page, "Scene")
+    page.get_by_role("button", name="Save").click()
+    held[0].continue_()
+    page.wait_for_url("**/scene/scn_*")
+    stored = read_scene(site.store, page.url.rpartition("/")[2])
+    assert [each.asset for each in stored.items] == ["red", "blue"]
+    assert stored.items[0].position_m[0] < stored.items[1].position_m[0], "side by side"
+
+
+def test_a_scene_is_not_saved_without_what_cannot_be_loaded(page: Page, site: Site) -> None:
+    before = len(list_scenes(site.store)[0])
+    page.route("**/v1/assets/blue", lambda route: route.abort())
+    page.goto(f"{site.url}/view?key=red&key=blue")
+    await_things(page, 1)
+    open_panel(page, "Scene")
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("#scene-trouble")).to_contain_text("Not loaded yet: blue.")
+    assert len(list_scenes(site.store)[0]) == before
+    open_panel(page, "Scene")
+    page.get_by_role("button", name="Take blue away").click()
+    open_panel(page, "Scene")
+    page.get_by_role("button", name="Save").click()
+    page.wait_for_url("**/scene/scn_*")
+    stored = read_scene(site.store, page.url.rpartition("/")[2])
+    assert [each.asset for each in stored.items] == ["red"]
 
 
 def test_two_who_move_things_at_the_same_time_lose_nothing_without_being_told(
