@@ -1,7 +1,6 @@
 // The panel of the viewer's page that says in plain words how good a thing is, what to mind, what to shoot again, and how it was made.
 import { create, element } from '../shared/dom.js';
 import { formatCount, formatNumber, stateText } from '../shared/format.js';
-import { sentences } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Manifest, QualityFigures } from '../shared/types.d.ts' */
@@ -34,16 +33,13 @@ const UP_TELLERS = {
  * Fills the panel.
  * @param {AssetEntry} entry
  * @param {(entry: AssetEntry) => Promise<Manifest>} loadManifest
+ * @throws {Problem} as `loadManifest`
  */
 export async function showAbout(entry, loadManifest) {
-  const panel = element('about-text', HTMLElement);
-  try {
-    const manifest = await loadManifest(entry);
-    panel.replaceChildren(...sectionsOf(entry, manifest).filter(([, lines]) => lines.length > 0).flatMap(sectionElements));
-    document.body.dataset.about = String(entry.version);
-  } catch (error) {
-    panel.replaceChildren(create('p', { textContent: sentences(error) }));
-  }
+  const manifest = await loadManifest(entry);
+  const sections = sectionsOf(entry, manifest).filter(([, lines]) => lines.length > 0);
+  element('about-text', HTMLElement).replaceChildren(...sections.flatMap(sectionElements));
+  document.body.dataset.about = String(entry.version);
 }
 
 /** @param {Section} section */

@@ -23,11 +23,12 @@ const panel = {
  * Shows the panel's content.
  * @param {(key: string) => void} onChoose is called with the asset that was chosen
  * @param {string} collection
+ * @throws {Problem} as `getJson`
  */
-export function showAdding(onChoose, collection) {
+export async function showAdding(onChoose, collection) {
   const search = new ThingSearch();
   let timer = 0;
-  const show = (/** @type {string[] | null} */ pages) => attempt(panel.trouble, async () => {
+  const find = async (/** @type {string[] | null} */ pages) => {
     const found = await search.find(panel.collection.value.trim() || 'default', panel.search.value.trim(), pages ?? undefined);
     if (!found) return; // somebody has typed on meanwhile
     panel.list.replaceChildren(...found.map((asset) => createChoice(asset, onChoose)));
@@ -35,12 +36,14 @@ export function showAdding(onChoose, collection) {
     panel.previous.disabled = search.previous === null;
     panel.next.disabled = search.next === null;
     document.body.dataset.choices = String(found.length);
-  });
+  };
+  const show = (/** @type {string[] | null} */ pages) => attempt(panel.trouble, () => find(pages));
   const searchSoon = () => {
     clearTimeout(timer);
     timer = setTimeout(() => show(null), TYPING_MS);
   };
   panel.collection.value = collection;
+  await find(null);
   panel.form.addEventListener('input', searchSoon);
   panel.form.addEventListener('submit', (event) => {
     event.preventDefault();
@@ -48,7 +51,6 @@ export function showAdding(onChoose, collection) {
   });
   panel.previous.addEventListener('click', () => show(search.previous));
   panel.next.addEventListener('click', () => show(search.next));
-  show(null);
 }
 
 /**

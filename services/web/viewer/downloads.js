@@ -24,15 +24,14 @@ const panel = {
  * Lists the formats that an asset can have, each with a button that downloads it; behind that of splats, one that shows them here.
  * @param {SceneItem} item
  * @param {ShowSplats} showSplats
+ * @throws {Problem} as `getJson`
  */
 export async function showDownloads(item, showSplats) {
-  await attempt(panel.trouble, async () => {
-    const entries = await loadDownloads(ofShownTenant(`/v1/assets/${encodeURIComponent(item.key)}/downloads`), panel);
-    const splats = entries.find(({ download }) => download.format === SPLATS);
-    splats?.item.append(createSwitch(splats.download, item, showSplats));
-    panel.list.replaceChildren(...entries.map((entry) => entry.item));
-    document.body.dataset.downloads = String(entries.length);
-  });
+  const entries = await loadDownloads(ofShownTenant(`/v1/assets/${encodeURIComponent(item.key)}/downloads`), panel);
+  const splats = entries.find(({ download }) => download.format === SPLATS);
+  splats?.item.append(createSwitch(splats.download, item, showSplats));
+  panel.list.replaceChildren(...entries.map((entry) => entry.item));
+  document.body.dataset.downloads = String(entries.length);
 }
 
 /**

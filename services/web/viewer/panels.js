@@ -1,6 +1,8 @@
 // The panels of the viewer's page for the one thing or the scene that it shows, and who gets them. A panel's module is loaded when the panel is opened.
 import { isLoaded } from './scene-item.js';
-import { child, element } from '../shared/dom.js';
+import { attempt } from '../shared/attempt.js';
+import { child, create, element } from '../shared/dom.js';
+import { offline, sentences } from '../shared/problems.js';
 import { ofShownTenant } from '../shared/whose.js';
 
 /** @import { AssetEntry, AssetNames, Manifest, Session } from '../shared/types.d.ts' */
@@ -22,16 +24,45 @@ const page = {
 };
 
 /**
- * Shows a panel, and fills it when it is opened for the first time. Until it is filled nothing in it can be pressed: the browser would send its form.
+ * Shows a panel, and fills it when it is opened; where that fails it says why, and tries again when it is next opened. Until it is filled
+ * nothing in it can be pressed: the browser would send its form, and what is saved would be empty.
  * @param {HTMLDetailsElement} panel
  * @param {() => Promise<void>} fill
  */
 function offer(panel, fill) {
-  const content = [...panel.children].filter((part) => part instanceof HTMLElement && part.tagName !== 'SUMMARY');
+  const trouble = child(panel, '[role=alert]', HTMLElement);
+  const content = [...panel.children].filter((part) => part.tagName !== 'SUMMARY' && part !== trouble);
   const setInert = (/** @type {boolean} */ inert) => content.forEach((part) => part.toggleAttribute('inert', inert));
+  let isFilling = false;
+  const open = async () => {
+    if (!panel.open || isFilling) return;
+    isFilling = true;
+    await attempt(trouble, async () => {
+      await fill();
+      panel.removeEventListener('toggle', open);
+      setInert(false);
+    });
+    isFilling = false;
+  };
   setInert(true);
   panel.hidden = false;
-  panel.addEventListener('toggle', () => fill().finally(() => setInert(false)), { once: true });
+  panel.addEventListener('toggle', open);
+}
+
+/**
+ * Waits for a module; one that does not come is a problem of the connection.
+ * @template T
+ * @param {Promise<T>} loading
+ * @returns {Promise<T>}
+ * @throws {Problem} OFFLINE
+ */
+async function loadModule(loading) {
+  try {
+    return await loading;
+  } catch (error) {
+    console.error(error);
+    throw offline();
+  }
 }
 
 /**
@@ -55,7 +86,10 @@ export function offerDownloads(item, stage, redraw) {
     const { showSplats } = await import('./splats.js');
     if (isLoaded(item)) await showSplats(item, bytes, stage, redraw);
   };
-  offer(page.downloads, () => import('./downloads.js').then(({ showDownloads }) => showDownloads(item, show)));
+  offer(page.downloads, async () => {
+    const { showDownloads } = await loadModule(import('./downloads.js'));
+    await showDownloads(item, show);
+  });
   openIfNamed(page.downloads);
 }
 
@@ -65,12 +99,18 @@ export function offerDownloads(item, stage, redraw) {
  * @param {(entry: AssetEntry) => Promise<Manifest>} loadManifest
  */
 export function offerAbout(item, loadManifest) {
-  let shown = 0;
-  const fill = () => {
+  let shown = 0; // the version that the panel is about, or will be
+  const fill = async () => {
     const { entry } = item;
     if (!page.about.open || !entry || entry.version === shown) return;
     shown = entry.version;
-    import('./about.js').then(({ showAbout }) => showAbout(entry, loadManifest));
+    try {
+      const { showAbout } = await loadModule(import('./about.js'));
+      await showAbout(entry, loadManifest);
+    } catch (error) {
+      shown = 0; // tried again when it is next opened
+      element('about-text', HTMLElement).replaceChildren(create('p', { textContent: sentences(error) }));
+    }
   };
   page.about.hidden = false;
   page.about.addEventListener('toggle', fill);
@@ -88,7 +128,7 @@ export function offerMeasuring(item, stage, callbacks) {
   /** @type {Measuring | null} */
   let measuring = null;
   offer(page.measure, async () => {
-    const { Measuring: Panel } = await import('./measuring.js');
+    const { Measuring: Panel } = await loadModule(import('./measuring.js'));
     measuring = new Panel(item, stage, callbacks);
     measuring.update();
   });
@@ -126,9 +166,15 @@ export function offerManaging({ key }, session, onNames) {
   if (!session?.scopes.includes('manage') || ofShownTenant('') !== '') return;
   page.edit.href = `/edit/${encodeURIComponent(key)}`;
   page.edit.hidden = !session.scopes.includes('capture');
-  offer(page.names, () => import('./naming.js').then(({ showNaming }) => showNaming(key, onNames)));
+  offer(page.names, async () => {
+    const { showNaming } = await loadModule(import('./naming.js'));
+    await showNaming(key, onNames);
+  });
   if (session.via !== 'session') return; // without accounts there is nobody to share it with
-  offer(page.share, () => import('./sharing.js').then(({ showSharing }) => showSharing(key)));
+  offer(page.share, async () => {
+    const { showSharing } = await loadModule(import('./sharing.js'));
+    await showSharing(key);
+  });
 }
 
 /** Hides what is about one thing alone: the page shows several from now on. */
@@ -143,7 +189,10 @@ export function hidePanelsOfOne() {
  * @param {() => string} collection
  */
 export function offerAdding(onChoose, collection) {
-  offer(page.add, () => import('./add-thing.js').then(({ showAdding }) => showAdding(onChoose, collection())));
+  offer(page.add, async () => {
+    const { showAdding } = await loadModule(import('./add-thing.js'));
+    await showAdding(onChoose, collection());
+  });
 }
 
 /**
@@ -151,6 +200,13 @@ export function offerAdding(onChoose, collection) {
  * @param {SceneOffer} scene
  */
 export function offerScene(scene) {
-  offer(page.scene, () => import('./scene-panel.js').then(({ showScenePanel }) => showScenePanel(scene)));
-  if (scene.id && scene.canShare) offer(page.share, () => import('./sharing.js').then(({ showSharingOfScene }) => showSharingOfScene(scene.id)));
+  offer(page.scene, async () => {
+    const { showScenePanel } = await loadModule(import('./scene-panel.js'));
+    showScenePanel(scene);
+  });
+  if (!scene.id || !scene.canShare) return;
+  offer(page.share, async () => {
+    const { showSharingOfScene } = await loadModule(import('./sharing.js'));
+    await showSharingOfScene(scene.id);
+  });
 }

@@ -22,27 +22,27 @@ const panel = {
 /**
  * Shows the panel's content for a scene of one's own, which only its links open to others.
  * @param {string} scene its id
+ * @throws {Problem} as `getJson`
  */
 export async function showSharingOfScene(scene) {
   panel.ofAsset.hidden = true;
+  await showLinks({ scene });
   listen({ scene });
-  await attempt(panel.trouble, () => showLinks({ scene }));
 }
 
 /**
  * Shows the panel's content for an asset of one's own.
  * @param {string} key
+ * @throws {Problem} as `getJson`
  */
 export async function showSharing(key) {
   const path = `/v1/assets/${encodeURIComponent(key)}`;
+  /** @type {AssetEntry} */
+  const { visibility } = await getJson(path);
+  panel.visibility.value = visibility ?? '';
+  await showLinks({ asset: key });
   panel.visibility.addEventListener('change', () => attempt(panel.trouble, () => putJson(`${path}/visibility`, { visibility: panel.visibility.value || null })));
   listen({ asset: key });
-  await attempt(panel.trouble, async () => {
-    /** @type {AssetEntry} */
-    const { visibility } = await getJson(path);
-    panel.visibility.value = visibility ?? '';
-    await showLinks({ asset: key });
-  });
 }
 
 /** @param {SharedThing} thing */

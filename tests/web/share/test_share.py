@@ -48,6 +48,19 @@ def revoke(owner: Page) -> None:
     await_data(owner, links="0")
 
 
+def test_links_that_do_not_come_are_asked_for_at_the_next_opening(owner: Page) -> None:
+    owner.reload()
+    await_data(owner, loaded="2 1 0", tenant="ada")
+    owner.route("**/v1/shares?*", lambda route: route.abort(), times=1)
+    owner.get_by_text("Share", exact=True).click()
+    expect(owner.locator("#share-trouble")).to_contain_text("The server cannot be reached.")
+    expect(owner.locator("#share-form")).to_have_attribute("inert", "")
+    owner.get_by_text("Share", exact=True).click()
+    open_panel(owner, "Share")
+    make_link(owner)
+    revoke(owner)
+
+
 def test_a_link_is_opened_without_a_login_until_it_is_revoked(owner: Page, visitor: Page, guarded: GuardedSite) -> None:
     make_link(owner)
     address = text_of(picture_of(owner.get_by_role("img", name="QR code of the link")))

@@ -59,6 +59,18 @@ def test_quality_warnings_advice_and_origin_are_told(page: Page, site: Site) -> 
     assert page.locator("body").get_attribute("data-bad") is None
 
 
+def test_what_does_not_come_is_told_at_the_next_opening(page: Page, site: Site) -> None:
+    publish(box("Cup", RED, warnings=["It is cracked."]), site.store, key="cracked")
+    page.goto(f"{site.url}/view/cracked")
+    await_data(page, loaded="2 1 0")
+    page.route("**/viewer/about.js", lambda route: route.abort(), times=1)
+    page.get_by_text("About", exact=True).click()
+    expect(page.locator("#about-text")).to_contain_text("The server cannot be reached.")
+    page.get_by_text("About", exact=True).click()
+    open_panel(page, "About")
+    expect(page.locator("#about-text")).to_contain_text("It is cracked.")
+
+
 def test_the_panel_of_a_real_thing_is_all_on_the_page(page: Page, site: Site, bundle: Bundle) -> None:
     publish(bundle, site.store, key="bowl")
     page.goto(f"{site.url}/view/bowl")

@@ -73,6 +73,19 @@ def test_what_cannot_be_made_now_is_said(page: Page, site: Site, bundle: Bundle)
     expect(page.get_by_role("button", name="GLB", exact=True)).to_be_enabled()
 
 
+def test_a_list_that_does_not_come_is_asked_for_at_the_next_opening(page: Page, site: Site, bundle: Bundle) -> None:
+    publish(bundle, site.store, key="bowl")
+    page.goto(f"{site.url}/view/bowl")
+    await_data(page, loaded="2 1 0")
+    page.route("**/downloads", lambda route: route.abort(), times=1)
+    page.get_by_text("Download", exact=True).click()
+    expect(page.locator("#downloads-trouble")).to_contain_text("The server cannot be reached.")
+    page.get_by_text("Download", exact=True).click()
+    open_panel(page, "Download")
+    await_data(page, downloads="10")
+    expect(page.locator("#downloads-trouble")).to_be_hidden()
+
+
 def test_splats_are_shown_in_place_of_the_mesh(page: Page, stack: Stack, bundle: Bundle) -> None:
     publish(bundle, LocalStore(stack.store_root), key="bowl")
     faults: list[str] = []

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.asset_names import AssetNames
 from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import read_entry
+from services.storage.catalogue.names_update import change_names
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.visibility import Visibility
 from tests.support.pages import await_data, open_panel
@@ -55,6 +58,35 @@ def test_what_is_no_name_is_said_and_nothing_is_lost(page: Page, site: Site, bun
     expect(page.locator("#names-trouble")).to_contain_text("at most 50 characters, and this one has 60")
     expect(page.get_by_label("Search words")).to_have_value("a" * 60)
     assert read_entry(site.store, "kept").names.labels == ()
+
+
+def test_what_does_not_come_at_first_comes_at_the_next_opening_and_nothing_is_wiped(
+    page: Page, site: Site, bundle: Bundle
+) -> None:
+    publish(bundle, site.store, key="torn")
+    change_names(site.store, "torn", site.keys, label="Dress", description="Torn at the hem.", labels=("silk",))
+    page.goto(f"{site.url}/view/torn")
+    await_data(page, loaded="2 1 0")
+    for address in ("**/viewer/naming.js", "**/v1/assets/torn"):
+        page.route(address, lambda route: route.abort())
+        page.get_by_text("Name it", exact=True).click()
+        expect(page.locator("#names-trouble")).to_have_text(
+            "The server cannot be reached. Check the connection and try again."
+        )
+        expect(page.locator("#names-form")).to_have_attribute("inert", "")
+        page.unroute(address)
+        page.get_by_text("Name it", exact=True).click()
+    open_names(page)
+    expect(page.locator("#names-trouble")).to_be_hidden()
+    sent: list[Any] = []
+    page.on("request", lambda request: sent.append(request.post_data_json) if request.method == "PATCH" else None)
+    page.get_by_label("Name", exact=True).fill("Wedding dress")
+    change_names(site.store, "torn", site.keys, description="Mended.")
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("#names-saved")).to_have_text("Saved.")
+    assert sent == [{"label": "Wedding dress"}], "once, and nothing that somebody else may have changed meanwhile"
+    assert read_entry(site.store, "torn").names == AssetNames("Wedding dress", "Mended.", ("silk",))
+    expect(page.get_by_label("Description")).to_have_value("Mended.")
 
 
 def test_only_who_manages_it_sees_the_panel(context: BrowserContext, browser: Browser, guarded: GuardedSite) -> None:
