@@ -130,14 +130,17 @@ export class PhotoLassos {
     this.#showPhoto();
   }
 
+  /** Shows the photo that is chosen. Until it has come, no line can be drawn in the one before, which would be recorded for this one. */
   #showPhoto() {
-    const { image, choice } = this.#page;
+    const { image, drawing, choice } = this.#page;
     const picture = this.#pictures.find(({ name }) => name === choice.value);
     if (!picture) return;
     this.#line.clear();
     this.#say('');
     document.body.dataset.photo = '';
     image.alt = picture.name;
+    image.removeAttribute('src');
+    drawing.toggleAttribute('hidden', true);
     if (picture.seconds === undefined) image.src = picture.url;
     else void this.#showFrame(picture.name, picture.url, picture.seconds);
     this.#draw();
@@ -151,7 +154,6 @@ export class PhotoLassos {
   async #showFrame(name, url, seconds) {
     const { image, choice } = this.#page;
     const isWanted = () => choice.value === name;
-    image.removeAttribute('src');
     try {
       const frame = await this.#films.at(url, seconds, isWanted);
       if (!frame || !isWanted()) return;
@@ -164,11 +166,13 @@ export class PhotoLassos {
     }
   }
 
-  /** Gives the drawing the photo's shape, once that is known. */
+  /** Shows the drawing over the photo that has come, in its shape. */
   #fit() {
     const { image, drawing } = this.#page;
+    drawing.toggleAttribute('hidden', false);
     drawing.setAttribute('viewBox', `0 0 ${image.naturalWidth} ${image.naturalHeight}`);
     document.body.dataset.photo = this.#page.choice.value;
+    this.#line.clear();
     this.#draw();
   }
 

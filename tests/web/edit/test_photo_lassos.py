@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 from services.cli.up import Stack
 from services.edits import Edits
@@ -86,7 +86,10 @@ def draw_by_finger(page: Page, line: list[tuple[float, float]]) -> None:
 
 
 def draw_by_mouse(page: Page, line: list[tuple[float, float]]) -> None:
-    corners = places(page, line)
+    drag(page, places(page, line))
+
+
+def drag(page: Page, corners: list[tuple[float, float]]) -> None:
     page.mouse.move(*corners[0])
     page.mouse.down()
     for corner in corners[1:]:
@@ -141,6 +144,22 @@ def test_keys_alone_draw_and_remove_lines(page: Page, stack: Stack, balls: str) 
     assert "lassos" not in recipe_of(page)
 
 
+def test_no_line_is_drawn_in_a_photo_that_is_not_there_yet(page: Page, stack: Stack, balls: str) -> None:
+    open_photos(page, stack, picture_name(3))
+    held: list[Route] = []
+    page.route("**/pictures/4", lambda route: held.append(route))
+    corners = places(page, line_around(RED_AT, 3))
+    with page.expect_request("**/pictures/4"):
+        page.get_by_role("button", name="The next photo").click()
+    drag(page, corners)
+    assert "lassos" not in recipe_of(page)
+    assert page.locator("#photo-image").evaluate("image => image.naturalWidth") == 0, "the photo before is gone"
+    held[0].continue_()
+    await_data(page, photo=picture_name(4))
+    draw_by_mouse(page, line_around(RED_AT, 4))
+    assert [lasso["photo"] for lasso in recipe_of(page)["lassos"]] == [picture_name(4)]
+
+
 def test_a_lasso_is_saved_and_is_there_again(page: Page, stack: Stack, balls: str) -> None:
     open_photos(page, stack, picture_name(3))
     page.get_by_label("Also what is hidden in this photo").check()
@@ -174,3 +193,4 @@ def test_photos_that_there_are_not_are_told(page: Page, stack: Stack, balls: str
     await_data(page, state="ready")
     open_tab(page, "Photos")
     expect(page.locator("#lasso-said")).to_have_text("This photo cannot be shown. Choose another one.")
+    expect(page.locator("#photo-lines")).to_be_hidden()
