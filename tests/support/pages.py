@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from playwright.sync_api import Error, Page
+from playwright.sync_api import Error, Locator, Page
 
 from services.gateway.routes.pages import WEB
 
@@ -33,6 +33,18 @@ def open_panel(page: Page, name: str) -> None:
     """
     page.get_by_text(name, exact=True).click()
     page.wait_for_function(_IS_FILLED, arg=name, polling=20)
+
+
+def press_twice(button: Locator) -> None:
+    """Press a button two times, before the server can have answered the first."""
+    button.evaluate("button => { button.click(); button.click(); }")
+
+
+def requests_of(page: Page, method: str) -> list[str]:
+    """The addresses to which the page sends such requests from now on, as they come."""
+    sent: list[str] = []
+    page.on("request", lambda request: sent.append(request.url) if request.method == method else None)
+    return sent
 
 
 def time_limit_ms(name: str) -> int:

@@ -276,7 +276,7 @@ async function save() {
  * @param {(version: number) => Promise<void>} action
  */
 function guarded(action) {
-  return (/** @type {number} */ version) => attempt(page.trouble, () => action(version));
+  return (/** @type {number} */ version, /** @type {HTMLButtonElement} */ pressed) => attempt(page.trouble, () => action(version), pressed);
 }
 
 /** @param {unknown} error */
@@ -299,7 +299,7 @@ function startControls() {
   });
   for (const [kind, button] of picks) button.addEventListener('click', () => choose(picking === kind ? '' : kind));
   for (const choice of choices) choice.addEventListener('change', change);
-  page.save.addEventListener('click', () => attempt(page.trouble, save));
+  page.save.addEventListener('click', () => attempt(page.trouble, save, page.save));
   page.reset.addEventListener('click', () => {
     showRecipe({});
     change();

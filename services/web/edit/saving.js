@@ -17,6 +17,9 @@ const page = {
   cancel: element('cancel', HTMLButtonElement),
 };
 
+/** The recipe whose order has no answer yet, and the order's key: sent again, as after a lost connection, it starts no second job. */
+let unanswered = { recipe: '', key: '' };
+
 /** @type {() => void} */
 let cancel = () => {};
 page.cancel.addEventListener('click', () => cancel());
@@ -29,8 +32,11 @@ page.cancel.addEventListener('click', () => cancel());
  * @throws {Problem} why it could not be started, or has failed
  */
 export async function runEdited(job, edits) {
+  const recipe = `${job.id} ${JSON.stringify(edits)}`;
+  if (unanswered.recipe !== recipe) unanswered = { recipe, key: crypto.randomUUID?.() ?? `${job.id}-${Date.now()}` };
   /** @type {Job} */
-  const again = await postJson(job.links.again, { edits }, { 'Idempotency-Key': crypto.randomUUID?.() ?? `${job.id}-${Date.now()}` });
+  const again = await postJson(job.links.again, { edits }, { 'Idempotency-Key': unanswered.key });
+  unanswered = { recipe: '', key: '' };
   page.tools.hidden = true;
   page.work.hidden = false;
   startJobProgress();

@@ -10,10 +10,12 @@ import { t } from '../shared/texts.js';
 
 /**
  * @typedef {object} VersionCallbacks
- * @property {(version: number) => void} onShow
- * @property {(version: number) => void} onCompare
- * @property {(version: number) => void} onRestore
+ * @property {VersionAction} onShow
+ * @property {VersionAction} onCompare
+ * @property {VersionAction} onRestore
  */
+
+/** @typedef {(version: number, pressed: HTMLButtonElement) => void} VersionAction */
 
 /**
  * Publishes an earlier version again as the newest one.
@@ -77,10 +79,10 @@ function describe({ version, state, created, restored }, newest) {
 /**
  * @param {string} text
  * @param {number} version
- * @param {(version: number) => void} onClick
+ * @param {VersionAction} onClick
  */
 function button(text, version, onClick) {
   const made = create('button', { type: 'button', textContent: text, ariaLabel: t('{action}: version {version}', { action: text, version }) });
-  made.addEventListener('click', () => onClick(version));
+  made.addEventListener('click', () => onClick(version, made));
   return made;
 }

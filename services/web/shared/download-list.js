@@ -42,7 +42,7 @@ function createItem(download, { said, trouble }) {
   const button = create('button', { type: 'button', textContent: `${download.title}${size}` });
   const about = create('p', { className: 'quiet', textContent: download.about, id: `about-${download.file}` });
   button.setAttribute('aria-describedby', about.id);
-  button.addEventListener('click', () => attempt(trouble, () => save(download, button, said)));
+  button.addEventListener('click', () => attempt(trouble, () => save(download, said), button));
   item.append(button, about);
   return item;
 }
@@ -50,11 +50,9 @@ function createItem(download, { said, trouble }) {
 /**
  * Waits until the file has been made, and has the browser save it.
  * @param {Download} download
- * @param {HTMLButtonElement} button stays disabled meanwhile
  * @param {HTMLElement} said
  */
-async function save({ url, title, file }, button, said) {
-  button.disabled = true;
+async function save({ url, title, file }, said) {
   said.textContent = t('{title} is being made …', { title });
   try {
     await untilMade(url);
@@ -63,8 +61,6 @@ async function save({ url, title, file }, button, said) {
   } catch (error) {
     said.textContent = '';
     throw error;
-  } finally {
-    button.disabled = false;
   }
 }
 

@@ -55,10 +55,6 @@ function createSwitch({ url, title }, item, showSplats) {
     button.setAttribute('aria-pressed', String(item.splats !== null));
     document.body.dataset.splats = item.splats ? 'shown' : 'hidden';
   };
-  button.addEventListener('click', async () => {
-    button.disabled = true;
-    await attempt(panel.trouble, toggle);
-    button.disabled = false;
-  });
+  button.addEventListener('click', () => attempt(panel.trouble, toggle, button));
   return button;
 }

@@ -38,7 +38,7 @@ export async function showNaming(key, onChange) {
       fill(names);
       onChange(names);
       panel.saved.textContent = t('Saved.');
-    });
+    }, panel.form);
   });
   panel.form.addEventListener('input', () => (panel.saved.textContent = ''));
 }

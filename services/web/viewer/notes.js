@@ -60,7 +60,7 @@ export class Notes {
     panel.cancel.addEventListener('click', () => this.#write(null, ''));
     panel.form.addEventListener('submit', (event) => {
       event.preventDefault();
-      attempt(panel.trouble, () => this.#save());
+      attempt(panel.trouble, () => this.#save(), panel.form);
     });
     panel.details.addEventListener('toggle', () => panel.details.open && this.load());
     document.addEventListener('keydown', ({ key }) => key === 'Escape' && panel.details.open && this.#leave());
@@ -218,18 +218,18 @@ export class Notes {
     show.addEventListener('click', () => this.#toggle(note, { turn: true }));
     row.append(show, create('p', { dir: 'auto', className: 'text', textContent: note.text }), create('p', { className: 'quiet', textContent: this.#facts(note) }));
     if (this.#mayPin) row.append(this.#createButton(t('Change'), t('Change note {place}', { place: place + 1 }), () => this.#write(null, note.id)));
-    if (this.#mayPin) row.append(this.#createButton(t('Remove'), t('Remove note {place}', { place: place + 1 }), () => attempt(panel.trouble, () => this.#remove(note))));
+    if (this.#mayPin) row.append(this.#createButton(t('Remove'), t('Remove note {place}', { place: place + 1 }), (button) => attempt(panel.trouble, () => this.#remove(note), button)));
     return row;
   }
 
   /**
    * @param {string} verb
    * @param {string} name for who does not see which row it is in
-   * @param {() => void} onClick
+   * @param {(button: HTMLButtonElement) => void} onClick
    */
   #createButton(verb, name, onClick) {
     const button = create('button', { type: 'button', className: 'link', textContent: verb, ariaLabel: name });
-    button.addEventListener('click', onClick);
+    button.addEventListener('click', () => onClick(button));
     return button;
   }
 

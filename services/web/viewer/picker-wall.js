@@ -43,6 +43,7 @@ export class PickerWall {
   #label = ''; // that was chosen
   #search = new ThingSearch();
   #said = '';
+  #isSaving = false;
 
   /**
    * @param {Scene} scene
@@ -189,7 +190,10 @@ export class PickerWall {
 
   /** @param {() => Promise<void>} saving */
   async #save(saving) {
+    if (this.#isSaving) return; // pressed a second time
+    this.#isSaving = true;
     this.#said = await saving().then(() => t('The scene is saved.'), (error) => sentences(error));
+    this.#isSaving = false;
     this.#paint();
   }
 }

@@ -140,10 +140,9 @@ export class Room {
     await this.#fixAll();
     /** @type {SceneDocument} */
     const document = await postJson('/v1/scenes', { ...this.#content(), name });
-    if (this.#callbacks.isWorn()) {
-      history.replaceState(null, '', document.view); // to load another page would end the session
-      this.#follow(document);
-    } else location.assign(document.view);
+    if (this.#callbacks.isWorn()) history.replaceState(null, '', document.view); // to load another page would end the session
+    else location.assign(document.view);
+    this.#follow(document); // until the other page is there, too: who presses again saves the same scene
   }
 
   /**

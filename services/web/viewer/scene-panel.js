@@ -35,7 +35,7 @@ export function showScenePanel({ id, name, onSave, onDelete }) {
     attempt(panel.trouble, async () => {
       await onSave(panel.name.value.trim() || t('Scene'));
       panel.said.textContent = t('Saved.');
-    });
+    }, panel.form);
   });
-  onSecondPress(panel.delete, t('Tap again: it cannot be undone'), () => attempt(panel.trouble, onDelete));
+  onSecondPress(panel.delete, t('Tap again: it cannot be undone'), () => attempt(panel.trouble, onDelete, panel.delete));
 }

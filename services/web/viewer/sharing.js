@@ -49,7 +49,7 @@ export async function showSharing(key) {
 function listen(thing) {
   panel.form.addEventListener('submit', (event) => {
     event.preventDefault();
-    attempt(panel.trouble, () => createLink(thing));
+    attempt(panel.trouble, () => createLink(thing), panel.form);
   });
 }
 
@@ -92,7 +92,7 @@ function createItem(share, thing) {
   revoke.addEventListener('click', () => attempt(panel.trouble, async () => {
     await deleteAt(`/v1/shares/${share.id}`);
     await showLinks(thing);
-  }));
+  }, revoke));
   item.append(code, link, facts, revoke);
   return item;
 }

@@ -21,7 +21,7 @@ from services.cli.up import Stack
 from services.storage.bundle import Bundle
 from services.storage.catalogue.publish import publish
 from tests.support.clouds import write_ply
-from tests.support.pages import await_data
+from tests.support.pages import await_data, press_twice
 from tests.support.patience import PATIENCE_S
 from tests.support.screenshots import await_frames
 from tests.support.sites import Site
@@ -232,6 +232,32 @@ def test_a_refusal_is_said_and_nothing_is_lost(page: Page, stack: Stack, ball: d
     slide(page, "Left", 0.97)
     expect(page.locator("#said")).to_have_text("Nothing of it is left.")
     expect(page.get_by_role("button", name="Save as a new version")).to_be_disabled()
+
+
+def test_who_saves_again_before_there_is_an_answer_starts_one_job(
+    page: Page, stack: Stack, ball: dict[str, Any]
+) -> None:
+    keys: list[str] = []
+
+    def lose(route: Route) -> None:
+        keys.append(route.request.headers["idempotency-key"])
+        route.abort()
+
+    page.route("**/again", lose)
+    page.goto(f"{stack.url}/edit/{ball['asset_key']}")
+    await_data(page, state="ready")
+    page.get_by_label("Keep only what is inside a box").check()
+    save = page.get_by_role("button", name="Save as a new version")
+    press_twice(save)
+    expect(page.locator("#trouble")).to_contain_text("The server cannot be reached.")
+    with page.expect_event("requestfailed"):
+        save.click()
+    assert len(keys) == 2
+    assert keys[0] == keys[1]
+    slide(page, "Left", 0.4)
+    with page.expect_event("requestfailed"):
+        save.click()
+    assert keys[2] != keys[0], "another recipe"
 
 
 def test_what_was_made_elsewhere_cannot_be_edited(page: Page, site: Site, bundle: Bundle) -> None:

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
-from tests.support.pages import await_data, open_panel
+from tests.support.pages import await_data, open_panel, press_twice, requests_of
 from tests.support.qr_codes import picture_of, text_of
 from tests.support.screenshots import drawn, stage
 from tests.support.things import GREEN, box
@@ -58,6 +58,14 @@ def test_links_that_do_not_come_are_asked_for_at_the_next_opening(owner: Page) -
     owner.get_by_text("Share", exact=True).click()
     open_panel(owner, "Share")
     make_link(owner)
+    revoke(owner)
+
+
+def test_who_presses_twice_makes_one_link(owner: Page) -> None:
+    posts = requests_of(owner, "POST")
+    press_twice(owner.get_by_role("button", name="Make a link"))
+    await_data(owner, links="1")
+    assert len(posts) == 1
     revoke(owner)
 
 

@@ -17,7 +17,7 @@ from services.storage.catalogue.publish import publish
 from services.storage.catalogue.visibility import Visibility
 from services.storage.store import Store
 from tests.support.headsets import enter, wear
-from tests.support.pages import await_data
+from tests.support.pages import await_data, press_twice, requests_of
 from tests.support.screenshots import await_frames, halves, stage
 from tests.support.sites import Site
 from tests.support.things import BLUE, box
@@ -51,8 +51,10 @@ def test_a_note_is_pinned_shown_changed_and_removed(page: Page, site: Site) -> N
     page.get_by_role("button", name="Pin a note").click()
     page.keyboard.press("Enter")  # the middle of the view
     page.get_by_label("The note").fill(HOSTILE)
-    page.get_by_role("button", name="Save note").click()
+    posts, deletions = requests_of(page, "POST"), requests_of(page, "DELETE")
+    press_twice(page.get_by_role("button", name="Save note"))
     await_data(page, notes="1")
+    assert len(posts) == 1
     (note,) = read_entry(site.store, "noted").notes
     assert note.text == HOSTILE
     assert max(abs(value - middle) for value, middle in zip(note.at, (0, 0.2, 0), strict=True)) == pytest.approx(
@@ -69,8 +71,9 @@ def test_a_note_is_pinned_shown_changed_and_removed(page: Page, site: Site) -> N
     page.get_by_label("The note").fill("Clean")
     page.get_by_role("button", name="Save note").click()
     expect(page.locator("#notes-list .text")).to_have_text("Clean")
-    page.get_by_role("button", name="Remove note 1").click()
+    press_twice(page.get_by_role("button", name="Remove note 1"))
     await_data(page, notes="0")
+    assert len(deletions) == 1
     assert read_entry(site.store, "noted").notes == ()
     assert page.locator("body").get_attribute("data-bad") is None
 

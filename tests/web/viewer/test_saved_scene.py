@@ -23,7 +23,7 @@ from services.storage.catalogue.scene import PlacedAsset
 from services.storage.catalogue.scene_documents import create_scene, list_scenes, read_scene, replace_scene
 from services.storage.store import Store
 from tests.support.headsets import Hand, enter, wear
-from tests.support.pages import await_data, open_panel
+from tests.support.pages import await_data, open_panel, press_twice, requests_of
 from tests.support.patience import PATIENCE_S
 from tests.support.screenshots import await_frames, places_of, stage
 from tests.support.sites import Site
@@ -191,6 +191,23 @@ def test_a_scene_is_not_saved_without_what_cannot_be_loaded(page: Page, site: Si
     page.wait_for_url("**/scene/scn_*")
     stored = read_scene(site.store, page.url.rpartition("/")[2])
     assert [each.asset for each in stored.items] == ["red"]
+
+
+def test_who_presses_again_saves_one_scene(page: Page, site: Site) -> None:
+    page.goto(f"{site.url}/view?key=red&key=blue")
+    await_things(page, 2)
+    page.route("**/scene/scn_*", lambda route: route.fulfill(status=204))  # its own page never comes
+    open_panel(page, "Scene")
+    posts = requests_of(page, "POST")
+    press_twice(page.get_by_role("button", name="Save"))
+    expect(page.locator("#scene-said")).to_have_text("Saved.")
+    page.get_by_label("Name of the scene").fill("Hall")
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("#label")).to_have_text("Hall")
+    assert len(posts) == 1
+    scene = (page.get_attribute("body", "data-scene") or "").split()[0]
+    until_saved(page, scene, 2)
+    assert read_scene(site.store, scene).name == "Hall"
 
 
 def test_two_who_move_things_at_the_same_time_lose_nothing_without_being_told(
