@@ -148,11 +148,16 @@ export function showQuickLook(entry) {
  * Shows a sentence for a while, or until the next one.
  * @param {string} text
  * @param {{ stays?: boolean }} [options] stays: until the next one in any case
+ * @returns {() => void} takes it away, if no other one has taken its place
  */
 export function showNotice(text, { stays = false } = {}) {
   clearTimeout(noticeTimer);
   page.notice.textContent = text;
-  if (text && !stays) noticeTimer = setTimeout(() => (page.notice.textContent = ''), NOTICE_MS);
+  const clear = () => {
+    if (page.notice.textContent === text) page.notice.textContent = '';
+  };
+  if (text && !stays) noticeTimer = setTimeout(clear, NOTICE_MS);
+  return clear;
 }
 
 /**

@@ -198,15 +198,23 @@ export function offerAdding(onChoose, collection) {
 /**
  * Offers to save the scene, and to share one that is saved.
  * @param {SceneOffer} scene
+ * @returns {() => void} to be called when it was saved for the first time, or deleted
  */
 export function offerScene(scene) {
+  let update = () => {};
   offer(page.scene, async () => {
     const { showScenePanel } = await loadModule(import('./scene-panel.js'));
-    showScenePanel(scene);
+    update = showScenePanel(scene);
   });
-  if (!scene.id || !scene.canShare) return;
-  offer(page.share, async () => {
-    const { showSharingOfScene } = await loadModule(import('./sharing.js'));
-    await showSharingOfScene(scene.id);
-  });
+  const id = scene.id();
+  if (id && scene.canShare) {
+    offer(page.share, async () => {
+      const { showSharingOfScene } = await loadModule(import('./sharing.js'));
+      await showSharingOfScene(id);
+    });
+  }
+  return () => {
+    if (id && !scene.id()) page.share.hidden = true; // its links have ended with it
+    update();
+  };
 }

@@ -41,6 +41,10 @@ export class Room {
   #maySave = false;
   #mayAdd = false;
   #reports;
+  /** Shows in the scene's panel whether it is saved. */
+  #updatePanel = () => {};
+  /** Takes away the notice that it is not. */
+  #clearTrouble = () => {};
 
   /** @param {RoomCallbacks} callbacks */
   constructor(callbacks) {
@@ -86,8 +90,8 @@ export class Room {
     this.#mayAdd = session.scopes.includes('read') && (this.#maySave || !this.#saved);
     if (this.#mayAdd) offerAdding((key) => this.add(key), this.collection);
     if (!this.#maySave) return;
-    offerScene({
-      id: this.#saved?.id ?? '',
+    this.#updatePanel = offerScene({
+      id: () => this.#saved?.id ?? '',
       canShare: session.via === 'session',
       name: () => this.name,
       onSave: (name) => this.save(name),
@@ -166,9 +170,10 @@ export class Room {
    * @throws {Problem} as `deleteAt`
    */
   async delete() {
-    if (!this.#saved) return;
-    await deleteAt(`/v1/scenes/${this.#saved.id}`);
-    this.#saved.end();
+    const saved = this.#saved;
+    if (!saved) return;
+    await deleteAt(`/v1/scenes/${saved.id}`);
+    saved.end();
     location.assign('/browse/default');
   }
 
@@ -186,6 +191,7 @@ export class Room {
       isVisible: this.#callbacks.isVisible,
     });
     this.#callbacks.onChange();
+    this.#updatePanel();
     this.#reportSaved();
   }
 
@@ -231,14 +237,20 @@ export class Room {
   }
 
   #reportSaved() {
-    document.body.dataset.scene = `${this.#saved?.id} ${this.#saved?.version}`;
-    document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
+    if (!this.#saved) return;
+    const { id, version, isDirty } = this.#saved;
+    Object.assign(document.body.dataset, { scene: `${id} ${version}`, saved: isDirty ? 'no' : 'yes' });
+    if (!isDirty) this.#clearTrouble();
   }
 
-  /** Somebody has deleted the scene. */
+  /** Somebody has deleted the scene: from now on the page shows a draft, which may be saved as a new one. */
   #end() {
     this.#saved?.end();
-    showNotice(t('This scene was deleted. What you see here is kept nowhere.'), { stays: true });
+    this.#saved = null;
+    delete document.body.dataset.scene;
+    document.body.dataset.saved = 'no';
+    this.#updatePanel();
+    this.#clearTrouble = showNotice(t('This scene was deleted. What you see here is kept nowhere.'), { stays: true });
   }
 
   /** @param {unknown} error */
@@ -246,7 +258,7 @@ export class Room {
     const { code, message } = toProblem(error);
     document.body.dataset.saved = this.#saved?.isDirty ? 'no' : 'yes';
     if (code === 'SCENE_UNKNOWN') this.#end();
-    else if (this.#saved?.isDirty) showNotice(t('Not saved yet, trying again: {reason}', { reason: message }), { stays: true });
+    else if (this.#saved?.isDirty) this.#clearTrouble = showNotice(t('Not saved yet, trying again: {reason}', { reason: message }), { stays: true });
   }
 }
 

@@ -114,7 +114,9 @@ export class SavedScene {
    * @param {() => Promise<void>} step
    */
   #inTurn(step) {
-    this.#running = this.#running.then(step).catch((error) => this.#callbacks.onTrouble(error));
+    this.#running = this.#running.then(step).catch((error) => {
+      if (!this.#hasEnded) this.#callbacks.onTrouble(error);
+    });
     return this.#running;
   }
 
@@ -168,7 +170,7 @@ export class SavedScene {
         /** @type {SceneDocument} */
         const saved = await putJson(addressOf(this.id), { name, items }, { 'If-Match': `"${this.version}"` });
         this.#document = saved;
-        this.#callbacks.onSaved();
+        if (!this.#hasEnded) this.#callbacks.onSaved();
       } catch (error) {
         if (!(error instanceof Problem) || error.code !== 'SCENE_CHANGED') throw error;
         await this.#load();
@@ -185,7 +187,7 @@ export class SavedScene {
    * @param {SceneDocument} theirs
    */
   #show(theirs) {
-    if (theirs.version <= this.version) return; // saved here, or without the server the copy of before
+    if (this.#hasEnded || theirs.version <= this.version) return; // saved here, or without the server the copy of before
     const { lost, ...merged } = mergeScenes(this.#document, this.#callbacks.content(), theirs);
     this.#document = theirs;
     this.#callbacks.show(merged);

@@ -407,6 +407,36 @@ def test_a_thing_is_added_and_one_taken_away_and_the_scene_is_deleted(page: Page
         read_scene(site.store, scene.id)
 
 
+def test_a_scene_that_somebody_deletes_can_be_saved_anew(page: Page, site: Site) -> None:
+    scene = create_scene(site.store, "Room", (LEFT, RIGHT))
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 2)
+    open_panel(page, "Scene")
+    expect(page.get_by_role("button", name="Delete the scene")).to_be_visible()
+    httpx.delete(f"{site.url}/v1/scenes/{scene.id}").raise_for_status()
+    expect(page.locator("#notice")).to_contain_text("This scene was deleted.")
+    expect(page.get_by_role("button", name="Delete the scene")).to_be_hidden()
+    page.get_by_label("Name of the scene").fill("Room, again")
+    page.get_by_role("button", name="Save").click()
+    page.wait_for_url(re.compile(f"/scene/(?!{scene.id})scn_"))
+    again = read_scene(site.store, page.url.rpartition("/")[2])
+    assert (again.name, again.items) == ("Room, again", (LEFT, RIGHT))
+
+
+def test_what_is_saved_at_last_is_no_more_said_to_be_unsaved(page: Page, site: Site) -> None:
+    scene = create_scene(site.store, "Room", (LEFT,))
+    page.goto(f"{site.url}/scene/{scene.id}")
+    await_things(page, 1)
+    page.route("**/v1/scenes/*", lambda route: route.abort() if route.request.method == "PUT" else route.continue_())
+    page.locator("#move").click()
+    page.locator("#stage").focus()
+    page.keyboard.press("PageUp")
+    expect(page.locator("#notice")).to_contain_text("Not saved yet, trying again:")
+    page.unroute("**/v1/scenes/*")
+    until_saved(page, scene.id, 2)
+    expect(page.locator("#notice")).to_have_text("")
+
+
 def test_the_page_of_all_things_lists_the_scenes(page: Page, site: Site) -> None:
     hostile = "<img src=x>"
     scene = create_scene(site.store, hostile, (LEFT,))
