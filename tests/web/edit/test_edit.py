@@ -195,8 +195,10 @@ def test_planes_up_and_length_are_in_the_frame_of_the_capture(page: Page, stack:
     assert np.linalg.norm(np.subtract(length["start"], length["end"])) > 0.001
     page.get_by_label("in centimetres").fill("0")
     expect(page.get_by_role("button", name="Save as a new version")).to_be_disabled()
+    expect(page.locator("#length-now")).to_have_text("A length is from 0.1 centimetres to 100,000.")
     assert "length" not in recipe_of(page)
     page.get_by_label("in centimetres").fill("")
+    expect(page.locator("#length-now")).to_contain_text("apart")
 
     open_tab(page, "Plane")
     page.get_by_role("button", name="Choose a plane").click()
