@@ -14,6 +14,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Bytes, Floats, Ints
+from services.edge.mesh.concatenate import concatenate
 from services.edge.mesh.normals import vertex_normals
 from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.topology import compact
@@ -53,13 +54,13 @@ def garment() -> Mesh:
     body = _body()
     sleeves = [_sleeve(side, phase) for side, phase in _SLEEVES]
     outside = [_remove_vertices(sleeve, _inside_body(sleeve.vertices)) for sleeve in sleeves]
-    dress = _join([_remove_vertices(body, _inside_sleeves(body.vertices)), *outside])
+    dress = concatenate([_remove_vertices(body, _inside_sleeves(body.vertices)), *outside])
     return Mesh(dress.vertices + np.array([0.0, _HUNG_M, 0.0]), dress.faces, _paint(dress))
 
 
 def garment_scene() -> Mesh:
     """Make the dress above a floor of oak boards."""
-    return _join([garment(), _floor()])
+    return concatenate([garment(), _floor()])
 
 
 def _body() -> Mesh:
@@ -210,12 +211,3 @@ def _grid(rows: int, columns: int) -> Ints:
 def _remove_vertices(mesh: Mesh, vertices: Bools) -> Mesh:
     """Remove the faces that have a corner among the marked vertices (V,)."""
     return compact(mesh, np.flatnonzero(~vertices[mesh.faces].any(axis=1)))
-
-
-def _join(parts: list[Mesh]) -> Mesh:
-    """Concatenate meshes; coloured if all of them are."""
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
-    colours = [part.rgb for part in parts if part.rgb is not None]
-    rgb = np.concatenate(colours) if len(colours) == len(parts) else None
-    return Mesh(np.concatenate([part.vertices for part in parts]), faces, rgb)

@@ -11,6 +11,7 @@ import numpy as np
 from services.download_formats import TILESET
 from services.edge.convert.read_glb import StoredLevel, read_glb
 from services.edge.convert.tileset_zip import tiles_in
+from services.edge.mesh.concatenate import concatenate
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.render.sample_image import bilinear
 from services.edge.texture.nearest_colour import transfer_colours
@@ -55,11 +56,7 @@ def _sampled(textured: TexturedMesh) -> Mesh:
 
 def _welded(meshes: Sequence[Mesh]) -> Mesh:
     """Put meshes together; vertices at the same place become one, with the colour of the first."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)])
-    colours = [mesh.rgb for mesh in meshes if mesh.rgb is not None]
-    rgb = np.concatenate(colours) if len(colours) == len(meshes) else None
-    cells = np.rint(vertices / _SAME_M).astype(np.int64)
+    mesh = concatenate(meshes)
+    cells = np.rint(mesh.vertices / _SAME_M).astype(np.int64)
     _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    return Mesh(vertices, faces, rgb).with_vertices(first, number.reshape(-1)[faces])
+    return mesh.with_vertices(first, number.reshape(-1)[mesh.faces])

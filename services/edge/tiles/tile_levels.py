@@ -17,6 +17,7 @@ from services.edge.arrays import Bools, Bytes, Floats, Tick, part_of
 from services.edge.asset.target import Target
 from services.edge.export.glb import to_glb
 from services.edge.export.ktx2 import EncodeKtx2
+from services.edge.mesh.concatenate import concatenate
 from services.edge.mesh.edges import border_edges
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.sampling import sample
@@ -122,16 +123,12 @@ def ancestor_level(
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
     """Put meshes together; border vertices at the same place become one."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)])
-    colours = [mesh.rgb for mesh in meshes if mesh.rgb is not None]
-    rgb = np.concatenate(colours) if len(colours) == len(meshes) else None
-    rim = np.unique(border_edges(faces))
-    _, first, which = np.unique(vertices[rim], axis=0, return_index=True, return_inverse=True)
-    number = np.arange(len(vertices))
+    mesh = concatenate(meshes)
+    rim = np.unique(border_edges(mesh.faces))
+    _, first, which = np.unique(mesh.vertices[rim], axis=0, return_index=True, return_inverse=True)
+    number = np.arange(len(mesh.vertices))
     number[rim] = rim[first[which.ravel()]]
-    return Mesh(vertices, number[faces], rgb)
+    return replace(mesh, faces=number[mesh.faces])
 
 
 def _level(mesh: Mesh, asset: Mesh | TexturedMesh | None, target: Target, error_m: float) -> Level:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from services.edge.arrays import Bools, Floats, Ints
+from services.edge.mesh.concatenate import concatenate
 from services.edge.mesh.edges import edges_of
 from services.edge.mesh.holes import fill_holes
 from services.edge.mesh.nouns import Mesh
@@ -84,10 +85,9 @@ def _join(mesh: Mesh, own: Bools, seam: Bools, before: Sequence[Mesh]) -> _Joine
     strips = [strip for strip in before if len(strip.faces)]
     if not strips:
         return _Joined(mesh.vertices, np.empty((0, 3), np.int64), mesh.faces[own])
-    starts = np.cumsum([0, *(len(strip.vertices) for strip in strips)])
-    every = np.concatenate([strip.vertices for strip in strips])
-    known, number = np.unique(every, axis=0, return_inverse=True)
-    faces = number.ravel()[np.concatenate([strip.faces + start for strip, start in zip(strips, starts, strict=False)])]
+    every = concatenate(strips)
+    known, number = np.unique(every.vertices, axis=0, return_inverse=True)
+    faces = number.ravel()[every.faces]
     faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
     name = len(known) + np.arange(len(mesh.vertices))
     near = np.flatnonzero(seam)
