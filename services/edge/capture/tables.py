@@ -15,13 +15,15 @@ from services.edge.capture.colours import rgb8
 from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.nouns import Cloud
 from services.edge.capture.raw_parts import LARGE, PART, RawPart, RawParts
+from services.edge.capture.unnamed_columns import column_layout
 from services.edge.errors import CaptureError
 
 MAX_PARTED_POINTS = 200_000_000  # of files that are read in parts: 8 bytes each while a scene is sorted into tiles
 MAX_POINTS = 20_000_000  # 20 million points of 24 bytes are 480 MB; a phone's scan has one to five million
 _MAX_LINE = 10_000  # characters: NumPy takes 2.5 µs for each number, and a scan has tens of columns at most
+_HEAD_BYTES = 2**16  # of a table, in which comments above the rows are looked for
 _XYZ = ("x", "y", "z")
-_RGB = (("red", "green", "blue"), ("r", "g", "b"))
+_RGB = (("red", "green", "blue"), ("r", "g", "b"), ("rf", "gf", "bf"))  # the last are CloudCompare's, of 0 to 1
 _NORMAL = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 
 
@@ -80,19 +82,20 @@ def read_npy(path: Path, file: str) -> Cloud:
 
 
 def npy_parts(path: Path, file: str) -> RawParts | None:
-    """The points of a .npy in parts, by the names of its fields or its first three columns; None for other arrays."""
+    """The points of a .npy in parts, by the names of its fields or by its columns' values; None for other arrays."""
     array = npy_array(path, file)
     if len(array) <= LARGE or (array.dtype.fields is None and (array.ndim != 2 or array.shape[1] < 3)):
         return None
     if len(array) > MAX_PARTED_POINTS:
         raise too_many_points(len(array), file, MAX_PARTED_POINTS)
+    at = None if array.dtype.fields is not None else column_layout(array).colours  # once: all parts have one layout
 
     def read() -> Iterator[RawPart]:
         for start in range(0, len(array), PART):
             rows = np.array(npy_array(path, file)[start : start + PART])  # a map of its own: its pages are freed
             if rows.dtype.fields is None:
-                cloud = _unnamed_columns(rows.astype(np.float64))
-                yield RawPart(cloud.xyz, cloud.rgb)
+                colours = None if at is None else rows[:, at : at + 3].astype(np.float32)
+                yield RawPart(rows[:, :3].astype(np.float64), colours)
             else:
                 yield raw_columns({name.lower(): rows[name].reshape(-1) for name in rows.dtype.names or ()}, file)
 
@@ -132,19 +135,24 @@ def _is_number(text: str) -> bool:
 
 
 def read_table(path: Path, file: str) -> Cloud:
-    """Read a point cloud from rows of numbers. A header line names the columns; without one the first 3 are x, y, z."""
+    """Read a point cloud from rows of numbers. A header line names the columns, also where it is a comment.
+
+    Without one the first three columns are x, y and z; what the others are is told by `column_layout`.
+    """
     lines = _rows(path.read_bytes())
     if len(lines) > MAX_POINTS:
         raise too_many_points(len(lines), file)
     if (longest := max(map(len, lines), default=0)) > _MAX_LINE:
         raise unreadable(file, f"has a line of {longest:,} characters; rows of numbers have at most {_MAX_LINE:,}")
+    counted = _drop_point_count(lines)
     names = _column_names(lines, file)
     with translate_errors(file, "table of numbers"):
         table = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
     if table.shape[1] < 3:
         raise unreadable(file, f"has {table.shape[1]} columns; points need at least three: x, y and z")
+    names = names or _commented_names(path, table.shape[1])
     if names is None:
-        return _unnamed_columns(table)
+        return _unnamed_columns(table, counted=counted)
     return named_columns({name: table[:, column] for column, name in enumerate(names[: table.shape[1]])}, file)
 
 
@@ -158,20 +166,43 @@ def _rows(data: bytes) -> list[str]:
     return [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
 
 
+def _drop_point_count(lines: list[str]) -> bool:
+    """Remove the point count that a .pts begins with from `lines`; return whether there was one."""
+    if len(lines) < 2 or not lines[0].strip().isdigit():
+        return False
+    del lines[0]
+    return True
+
+
 def _column_names(lines: list[str], file: str) -> list[str] | None:
-    """Remove the header line (column names, or the point count of a .pts) from `lines`; return the names, if any."""
+    """Remove the header line from `lines`; return the column names that it has, or None without one."""
     first = lines[0].split() if lines else []
     if not first:
         raise CaptureError("CAPTURE_EMPTY", "has no rows of numbers", file=file, hints=("export the capture again",))
-    if len(first) == 1 and first[0].isdigit() and len(lines) > 1:
-        del lines[0]
-        return None
     if all(_is_number(field) for field in first):
         return None
     del lines[0]
     if not lines:
         raise CaptureError("CAPTURE_EMPTY", "has a header line, but no rows of numbers", file=file)
     return [name.strip('"').lower() for name in first]
+
+
+def _commented_names(path: Path, columns: int) -> list[str] | None:
+    """Return the column names of a comment above the rows, as CloudCompare and NumPy write them, or None.
+
+    It has a name for every column, x, y and z among them: a sentence about x, y and z names no columns.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
+    for line in filter(None, map(str.strip, head.splitlines())):
+        if not line.startswith(("#", "//")):
+            return None
+        words = line.lstrip("#/").strip(" \t,;").lower()
+        separator = next((each for each in ";,\t" if each in words), None)  # names may have blanks, "Scalar field"
+        names = [name.strip(' "') for name in words.split(separator)]
+        if len(names) == columns and {*_XYZ} <= {*names}:
+            return names
+    return None
 
 
 def named_columns(columns: dict[str, NDArray[Any]], file: str) -> Cloud:
@@ -200,26 +231,15 @@ def _first_present(columns: dict[str, NDArray[Any]], choices: tuple[tuple[str, .
     return None
 
 
-def _unnamed_columns(table: Floats) -> Cloud:
-    """Make a cloud from columns without names: x y z, then colours and normals, told apart by their values.
-
-    Three columns of unit vectors are normals, three of 0..255 or 0..1 are colours.
-    """
-    rgb = normals = None
-    extra = table[:, 3:] if table.shape[1] in (6, 9) else table[:, 4:] if table.shape[1] in (7, 10) else table[:, :0]
-    for start in range(0, extra.shape[1] - 2, 3):
-        triple = extra[:, start : start + 3]
-        if normals is None and _unit_length(triple):
-            normals = unit_normals(triple)
-        elif rgb is None and np.nanmin(triple, initial=0.0) >= 0:
-            rgb = rgb8(triple)
-    return Cloud(table[:, :3], rgb, normals)
-
-
-def _unit_length(vectors: Floats) -> bool:
-    """Return whether over 90 % of the rows have length 1 within 1 %, which colours do not have."""
-    sample = vectors[:: max(1, len(vectors) // 10_000)]
-    return bool(np.mean(np.abs(np.linalg.norm(sample, axis=1) - 1.0) < 0.01) > 0.9)
+def _unnamed_columns(table: Floats, *, counted: bool = False) -> Cloud:
+    """Make a cloud from columns without names: x y z, then colours and normals, told apart by their values."""
+    layout = column_layout(table, counted=counted)
+    rgb, normals = (None if at is None else table[:, at : at + 3] for at in layout)
+    return Cloud(
+        table[:, :3],
+        rgb8(rgb) if rgb is not None else None,
+        unit_normals(normals) if normals is not None else None,
+    )
 
 
 def unit_normals(vectors: NDArray[Any]) -> Floats:

@@ -113,6 +113,22 @@ def test_a_large_npy_is_read_in_parts(tmp_path: Path) -> None:
     assert (whole.rgb == 128).all()
 
 
+@pytest.mark.usefixtures("small_is_large")
+def test_all_parts_of_a_table_have_one_layout_and_one_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Alone, the first part would be x y z r g b i, with colours of 0 to 1."""
+    monkeypatch.setattr("services.edge.capture.tables.PART", 10_000)
+    intensity, colours = np.zeros((COUNT, 1)), np.ones((COUNT, 3))
+    intensity[COUNT // 2 :], colours[COUNT // 2 :] = 1_000, (30, 20, 10)
+    np.save(tmp_path / "scan.npy", np.hstack([square(COUNT), intensity, colours]))
+    capture = read_capture(tmp_path / "scan.npy")
+    assert capture.cloud is not None
+    assert capture.cloud.rgb is not None
+    assert np.array_equal(np.unique(capture.cloud.rgb, axis=0), [(1, 1, 1), (30, 20, 10)])
+    whole = everything(capture)
+    assert whole.rgb is not None
+    assert np.array_equal(whole.rgb, colours)
+
+
 def test_invalid_points_are_left_out_of_every_part() -> None:
     xyz = square(1_000)
     xyz[::20] = np.nan

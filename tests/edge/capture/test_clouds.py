@@ -26,6 +26,11 @@ from tests.support import captures, surfaces
 from tests.support.patience import CANCEL_S
 
 XYZ, RGB, NORMALS = captures.sphere()
+BYTES = np.random.default_rng(1).integers(0, 256, (len(XYZ), 1))
+FRACTIONS = np.random.default_rng(2).uniform(0, 20, (len(XYZ), 1))
+SHADES = np.random.default_rng(3).integers(0, 200, (len(XYZ), 1)) + RGB // 8  # as in pictures: light, then colour
+ORANGE = np.tile([[200, 100, 50]], (len(XYZ), 1))
+UPWARD = np.tile([[0.0, 0.0, 1.0]], (len(XYZ), 1))
 
 
 def rows(*columns: np.ndarray, separator: str = " ", head: str = "") -> bytes:
@@ -45,6 +50,10 @@ CLOUDS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "CSV with names": ("xyz", lambda: rows(XYZ, RGB, NORMALS, separator=",", head="X,Y,Z,R,G,B,nx,ny,nz\n")),
     "semicolons": ("xyz", lambda: rows(XYZ, RGB, NORMALS, separator=";").replace(b".", b",")),
     "CloudCompare": ("xyz", lambda: rows(XYZ, RGB, NORMALS, head="//X Y Z R G B Nx Ny Nz\n")),
+    "text, intensity between": ("xyz", lambda: rows(XYZ, RGB, FRACTIONS, NORMALS)),
+    "text, intensity first": ("xyz", lambda: rows(XYZ, FRACTIONS, RGB, NORMALS)),
+    "text, intensity last": ("xyz", lambda: rows(XYZ, NORMALS, RGB, FRACTIONS)),
+    "text, a floor's normals": ("xyz", lambda: rows(XYZ, UPWARD, RGB)),
     "NumPy": ("npy", lambda: captures.npy_bytes(np.hstack([XYZ, RGB, NORMALS]))),
 }
 
@@ -63,7 +72,58 @@ def test_points_colours_and_normals_come_back(name: str, tmp_path: Path) -> None
     assert (cloud.xyz.dtype, cloud.rgb.dtype, cloud.normals.dtype) == (np.float64, np.uint8, np.float32)
     np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)
     np.testing.assert_array_equal(cloud.rgb, RGB)
-    np.testing.assert_allclose(cloud.normals, NORMALS, atol=1e-5)
+    np.testing.assert_allclose(cloud.normals, UPWARD if "floor" in name else NORMALS, atol=1e-5)
+
+
+TABLES: dict[str, tuple[np.ndarray, bytes]] = {
+    "x y z r g b i": (RGB, rows(XYZ, RGB, FRACTIONS)),
+    "x y z i r g b": (RGB, rows(XYZ, FRACTIONS, RGB)),
+    "intensities of a laser scanner": (RGB, rows(XYZ, 16 * BYTES - 2048, RGB)),
+    "one colour": (ORANGE, rows(XYZ, ORANGE, FRACTIONS)),
+    "whole intensities last": (SHADES, rows(XYZ, SHADES, BYTES)),
+    "whole intensities first": (SHADES, rows(XYZ, BYTES, SHADES)),
+    "no intensities": (SHADES, rows(XYZ, 0 * BYTES, SHADES)),
+    "nothing tells": (RGB, rows(XYZ, RGB, BYTES)),
+    "nothing tells, .pts": (RGB, rows(XYZ, BYTES, RGB, head="500\n")),
+    "whole intensities last, .pts": (SHADES, rows(XYZ, SHADES, BYTES, head="500\n")),
+    "two more columns": (RGB, rows(XYZ, RGB, BYTES, FRACTIONS)),
+    "two more columns, .pts": (ORANGE, rows(XYZ, ORANGE, BYTES, BYTES, head="500\n")),
+    "five more columns": (RGB, rows(XYZ, RGB, *[FRACTIONS] * 5)),
+    "colours that are not known": (np.where(RGB == 255, 0, RGB), rows(XYZ, np.where(RGB == 255, np.nan, RGB), BYTES)),
+    "CloudCompare": (RGB, rows(XYZ, RGB, 4 * BYTES, head="//X Y Z R G B Intensity\n")),
+    "CloudCompare, with the count": (RGB, rows(XYZ, RGB, BYTES, head="//X Y Z R G B Intensity\n500\n")),
+    "CloudCompare, blanks in names": (RGB, rows(XYZ, BYTES, RGB, separator=";", head="//X;Y;Z;Scalar field;R;G;B\n")),
+    "CloudCompare, fractions": (RGB, rows(XYZ, RGB / 255, FRACTIONS, head="//X Y Z Rf Gf Bf Intensity\n")),
+    "NumPy's header": (RGB, rows(XYZ, BYTES, RGB, head="# a scan\n#\n# x, y, z, i, r, g, b\n")),
+    "a sentence": (RGB, rows(XYZ, RGB, FRACTIONS, head="# x y z are in metres, r g b are bytes\n")),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_tables_colours_are_told_from_its_intensities(name: str, tmp_path: Path) -> None:
+    expected, data = TABLES[name]
+    (tmp_path / "scan.txt").write_bytes(data)
+    cloud = read_capture(tmp_path / "scan.txt").cloud
+    assert cloud is not None
+    np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)
+    np.testing.assert_array_equal(cloud.rgb, expected)
+
+
+@given(
+    names=st.permutations(["x", "y", "z", "r", "g", "b", "Intensity", "GpsTime"]),
+    mark=st.sampled_from(["//", "# ", "#", ""]),
+    separator=st.sampled_from([" ", ",", ";", "\t", ", "]),
+)
+def test_a_header_names_the_columns_in_any_order(names: list[str], mark: str, separator: str) -> None:
+    columns = {**dict(zip("xyz", XYZ.T, strict=True)), **dict(zip("rgb", RGB.T, strict=True))}
+    table = np.stack([columns.get(name, BYTES[:, 0]) for name in names], axis=1)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scan.txt"
+        path.write_bytes(rows(table, separator=separator, head=f"{mark}{separator.join(names)}\n"))
+        cloud = read_capture(path).cloud
+    assert cloud is not None
+    np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)
+    np.testing.assert_array_equal(cloud.rgb, RGB)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
