@@ -130,6 +130,13 @@ def decode_depth(data: bytes, file: str) -> Floats:
     return _one_channel(pixels, file)
 
 
+def has_8_bits(data: bytes, file: str) -> bool:
+    """Return whether an image has 8 bits a value, as previews of depth have. Raises IMAGE_UNREADABLE."""
+    import cv2
+
+    return _decode(data, file, cv2.IMREAD_UNCHANGED).dtype == np.uint8
+
+
 def _one_channel(pixels: NDArray[Any], file: str) -> Floats:
     if pixels.ndim != 2:
         raise broken_image(file, f"has {pixels.shape[2]} channels; a depth or confidence image has one")

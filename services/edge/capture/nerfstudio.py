@@ -1,4 +1,4 @@
-"""Read captures of nerfstudio and instant-ngp: `transforms.json`, images and, optionally, depth images in mm.
+"""Read captures of nerfstudio, instant-ngp and NeRFCapture: `transforms.json`, images and, optionally, depth images.
 
 Poses are camera-to-world in OpenGL axes. Pixel corners are at integers (COLMAP's convention), ours are pixel centres,
 so half a pixel is subtracted from cx and cy.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -24,14 +24,15 @@ from services.edge.capture.frame_records import (
     missing_warning,
     rgbd_capture,
 )
-from services.edge.capture.images import image_size
+from services.edge.capture.images import has_8_bits, image_size, read_bytes
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
 from services.edge.capture.posed_photos import GivenCamera, posed_capture, with_camera
 from services.edge.errors import CaptureError
 
 FILE = "transforms.json"
-METRES_PER_STEP = 1e-3  # nerfstudio's depth_unit_scale_factor: millimetres
+METRES_PER_STEP = 1e-3  # where the file has none of _DEPTH_UNITS: millimetres, as nerfstudio has it
+_DEPTH_UNITS = ("depth_unit_scale_factor", "integer_depth_scale")  # metres per step: nerfstudio's, instant-ngp's
 _NEGLIGIBLE_DISTORTION = (
     1e-6  # largest coefficient that is ignored: less distortion moves no pixel by a hundredth of a pixel
 )
@@ -45,7 +46,10 @@ def matches(folder: Folder) -> bool:
 
 
 def read(folder: Folder) -> Capture:
-    """Read the capture: RGB-D frames, or posed photos without depth. Raises CaptureError, naming the file."""
+    """Read the capture: RGB-D frames, or posed photos where there is no depth, or only 8-bit previews of it.
+
+    Raises CaptureError, naming the file.
+    """
     tree = read_json(folder.path(FILE), FILE)
     frames = tree.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
@@ -56,10 +60,13 @@ def read(folder: Folder) -> Capture:
     if all(name is None for _, name in named):
         return _photos(folder, tree, frames)
     missing = [name for _, name in named if name is not None and not folder.has(name)]
-    records = [_record(folder, tree | frame, name) for frame, name in named if name is not None and folder.has(name)]
-    if not records:
+    present = [(frame, name) for frame, name in named if name is not None and folder.has(name)]
+    if not present:
         reason = f"lists {len(missing)} depth images, but the capture has none of them; the first is {missing[0]}"
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the folder of depth images too",))
+    if _is_preview(folder, present[0][1]) and (capture := _photos_instead(folder, tree, frames, present[0][1])):
+        return capture
+    records = [_record(folder, tree | frame, name) for frame, name in present]
     warnings = missing_warning(missing, "depth images")
     return rgbd_capture("nerfstudio", records, axes="opengl", up=None, file=FILE, warnings=warnings)
 
@@ -91,6 +98,31 @@ def _photo(folder: Folder, frame: Mapping[str, Any], name: str) -> Photo:
     return with_camera(photo, GivenCamera(key, camera, lens.coefficients if lens else (0.0,) * 5, pose, "opengl"))
 
 
+def _is_preview(folder: Folder, depth: str) -> bool:
+    """Return whether a depth image has 8 bits, as NeRFCapture's: greys without a unit. False for an unreadable one."""
+    if depth.lower().endswith(".npy"):
+        return False
+    try:
+        return has_8_bits(read_bytes(folder.path(depth), depth), depth)
+    except CaptureError:
+        return False  # reported as every broken depth image is
+
+
+def _photos_instead(
+    folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any]], depth: str
+) -> Capture | None:
+    """Read the images as posed photos, with a warning that `depth` is a preview; None where there are no images."""
+    pictured = [frame for frame in frames if frame.get("file_path")]
+    if not any(folder.has(_image_name(folder, frame)) for frame in pictured):
+        return None
+    capture = _photos(folder, tree, pictured)
+    warning = (
+        f"{depth}: has 8 bits per pixel, so the depth images are previews without a unit; they were ignored, and the "
+        "images used as photos. Measured depth has 16 or 32 bits: export that, if the app can"
+    )
+    return replace(capture, warnings=(warning, *capture.warnings))
+
+
 def _depth_name(folder: Folder, frame: Mapping[str, Any]) -> str | None:
     written = frame.get("depth_file_path") or frame.get("depth_path")
     return None if written is None else folder.resolve(written, by=FILE)
@@ -111,8 +143,8 @@ def _record(folder: Folder, frame: Mapping[str, Any], depth: str) -> FrameRecord
 
 
 def _metres_per_step(frame: Mapping[str, Any]) -> float:
-    key = "depth_unit_scale_factor"
-    scale = number(frame, key, file=FILE) if key in frame else METRES_PER_STEP
+    key = next((key for key in _DEPTH_UNITS if key in frame), None)
+    scale = METRES_PER_STEP if key is None else number(frame, key, file=FILE)
     if not 0 < scale < math.inf:
         raise unreadable(FILE, f"has {key} = {scale}, which is not a positive, finite number")
     return scale

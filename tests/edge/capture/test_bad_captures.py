@@ -321,6 +321,7 @@ RECORDINGS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
         "CAPTURE_BAD_INTRINSICS",
         nerf(lambda tree: [tree.pop("fl_x"), tree.pop("fl_y")]),
     ),
+    "a depth unit of 0": ("nerfstudio", "CAPTURE_UNREADABLE", nerf(lambda tree: tree.update(integer_depth_scale=0))),
     "no frames": ("nerfstudio", "CAPTURE_EMPTY", nerf(lambda tree: tree.update(frames=[]))),
     "frames of words": ("nerfstudio", "CAPTURE_UNREADABLE", nerf(lambda tree: tree.update(frames=["a"]))),
     "images missing, without depth": (

@@ -118,6 +118,69 @@ def test_nerfstudio_takes_the_angle_of_view_and_frames_their_own_focal_length(tm
     assert second.intrinsics.fx == pytest.approx(2 * captures.FOCAL)
 
 
+STEP_M = 10 / 65_535  # metres: NeRFCapture's script has 10 m as the largest value of 16 bits
+
+
+@pytest.mark.parametrize(
+    ("top", "frame"),
+    [
+        ({"integer_depth_scale": STEP_M}, {}),
+        ({}, {"integer_depth_scale": STEP_M}),
+        ({"integer_depth_scale": 1.0}, {"integer_depth_scale": STEP_M}),
+        ({"integer_depth_scale": 1.0}, {"depth_unit_scale_factor": STEP_M}),
+    ],
+)
+def test_instant_ngps_unit_of_depth(top: dict[str, float], frame: dict[str, float], tmp_path: Path) -> None:
+    folder = captures.write_nerfstudio(tmp_path)
+    tree = json.loads((folder / "transforms.json").read_text()) | top
+    for index, (each, pose) in enumerate(zip(tree["frames"], captures.poses(), strict=True)):
+        captures.save_png(folder / f"depth/{index}.png", captures.steps(captures.depth_m(pose), 1 / STEP_M))
+        each |= {"depth_path": each.pop("depth_file_path"), **frame}
+    (folder / "transforms.json").write_text(json.dumps(tree))
+    capture = read_capture(folder)
+    assert (capture.kind, len(capture.frames), capture.warnings) == ("rgbd", 4, ())
+    for read in capture.frames:
+        off = np.linalg.norm(captures.back_project(read) - captures.CENTRE, axis=1) - captures.RADIUS_M
+        assert np.abs(off).max() < _HALF_STEP_M
+
+
+def previews(folder: Path) -> Path:
+    """The capture with depth of 8 bits, as NeRFCapture's: from black at the camera to white at a metre."""
+    for index, pose in enumerate(captures.poses()):
+        grey = np.clip(captures.depth_m(pose) * 255, 0, 255).astype(np.uint8)
+        captures.save_png(folder / f"depth/{index}.png", grey)
+    return folder
+
+
+def test_photos_are_taken_where_depth_is_a_preview(tmp_path: Path) -> None:
+    folder = previews(captures.write_nerfstudio(tmp_path))
+    capture = read_capture(folder)
+    assert (capture.kind, capture.format, capture.scale_confidence) == ("photos", "nerfstudio", "unknown")
+    assert [photo.name for photo in capture.photos] == [f"images/{index}.jpg" for index in range(4)]
+    assert np.stack([photo.camera_to_world for photo in capture.photos]) == pytest.approx(np.stack(captures.poses()))
+    (warning,) = capture.warnings
+    assert warning.startswith("depth/0.png: has 8 bits per pixel")
+
+
+def test_previews_of_depth_alone_are_refused(tmp_path: Path) -> None:
+    folder = previews(captures.write_nerfstudio(tmp_path))
+    shutil.rmtree(folder / "images")
+    with pytest.raises(CaptureError, match="8 bits per pixel") as caught:
+        read_capture(folder)
+    assert (caught.value.code, caught.value.file) == ("IMAGE_UNREADABLE", "depth/0.png")
+
+
+def test_a_broken_depth_image_is_no_preview(tmp_path: Path) -> None:
+    """The first of twelve: it alone is left out."""
+    folder = captures.write_nerfstudio(tmp_path)
+    tree = json.loads((folder / "transforms.json").read_text())
+    tree["frames"] = [dict(tree["frames"][0], depth_file_path="depth/broken.png"), *tree["frames"] * 3]
+    (folder / "transforms.json").write_text(json.dumps(tree))
+    (folder / "depth/broken.png").write_bytes(b"no picture")
+    capture = read_capture(folder)
+    assert (capture.kind, len(capture.frames)) == ("rgbd", 12)
+
+
 def test_lens_distortion_is_taken_out_of_depth(tmp_path: Path) -> None:
     """Distorting the sphere's depth as the lens would, then reading it, gives the sphere back."""
     folder = captures.write_nerfstudio(tmp_path)
