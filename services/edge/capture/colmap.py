@@ -31,18 +31,20 @@ MAX_BYTES = 2**30  # of one file of the model; a thousand photos with ten thousa
 _NAME_BYTES = 1024  # most bytes of a photo's name in binary files
 # Least sizes of entries in binary files: a camera with three parameters, an image with an empty name, an observation.
 _CAMERA_BYTES, _IMAGE_BYTES, _OBSERVATION_BYTES = 48, 73, 24
-# Camera models by their number in binary files; only the first five are supported.
+# Camera models by their number in binary files; only those of _PARAMETER_INDICES are supported.
 _MODELS = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
 )  # fmt: skip
-# Indices of fx, fy, cx, cy, k1, k2, p1, p2 among a model's parameters; -1: the model lacks it, so it is 0.
-_PARAMETER_INDICES = {
-    "SIMPLE_PINHOLE": (0, 0, 1, 2, -1, -1, -1, -1),
-    "PINHOLE": (0, 1, 2, 3, -1, -1, -1, -1),
-    "SIMPLE_RADIAL": (0, 0, 1, 2, 3, -1, -1, -1),
-    "RADIAL": (0, 0, 1, 2, 3, 4, -1, -1),
-    "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7),
+# Indices of fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 among a model's parameters; those at the end that it lacks
+# are 0. Only models whose k4, k5 and k6 are 0 are read.
+_PARAMETER_INDICES: dict[str, tuple[int, ...]] = {
+    "SIMPLE_PINHOLE": (0, 0, 1, 2),
+    "PINHOLE": (0, 1, 2, 3),
+    "SIMPLE_RADIAL": (0, 0, 1, 2, 3),
+    "RADIAL": (0, 0, 1, 2, 3, 4),
+    "OPENCV": tuple(range(8)),
+    "FULL_OPENCV": tuple(range(12)),
 }
 
 
@@ -139,10 +141,14 @@ def _camera(model: str, width: int, height: int, parameters: Floats, file: str) 
     places = _PARAMETER_INDICES[model]
     if len(parameters) != max(places) + 1:
         raise unreadable(file, f"has a {model} camera with {len(parameters)} parameters instead of {max(places) + 1}")
-    fx, fy, cx, cy, *lens = (float(parameters[at]) if at >= 0 else 0.0 for at in places)
+    fx, fy, cx, cy, *lens = (float(parameters[at]) for at in places)
     if not all(math.isfinite(value) for value in lens):
         raise CaptureError("CAPTURE_BAD_INTRINSICS", "has lens distortion coefficients that are not finite", file=file)
-    return _Camera(checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, width, height), file), (*lens, 0.0))
+    if any(lens[5:]):
+        what = f"has a {model} camera whose k4, k5 or k6 is not 0; only k1, k2, p1, p2 and k3 are supported"
+        raise CaptureError("CAPTURE_BAD_INTRINSICS", what, file=file, hints=("undistort the images with COLMAP first",))
+    distortion = (*lens, *[0.0] * 5)[:5]
+    return _Camera(checked_intrinsics(Intrinsics(fx, fy, cx - 0.5, cy - 0.5, width, height), file), distortion)
 
 
 def _cameras(folder: Folder, file: str) -> dict[int, _Camera]:
@@ -173,8 +179,7 @@ def _camera_record(reader: _BinaryReader, file: str) -> tuple[int, _Camera]:
 def _images(folder: Folder, file: str) -> Iterator[_Image]:
     """Read all images of the model, text or binary."""
     if file.endswith(".txt"):
-        # Every second line lists an image's observations, and is empty if it has none.
-        yield from (_image_line(line, file) for line in _lines(folder, file)[::2] if line)
+        yield from _text_images(_lines(folder, file), file)
         return
     reader = _BinaryReader(_read_model_file(folder, file), file)
     for _ in range(reader.count(_IMAGE_BYTES)):
@@ -182,6 +187,37 @@ def _images(folder: Folder, file: str) -> Iterator[_Image]:
         name = reader.name()
         reader.skip(reader.count(_OBSERVATION_BYTES) * _OBSERVATION_BYTES)
         yield _Image(name, camera, np.array(pose))
+
+
+def _text_images(lines: list[str], file: str) -> Iterator[_Image]:
+    """Parse images.txt: the line of a pose, then one of the image's observations, which may be empty or left out."""
+    after_pose = False
+    for line in lines:
+        if after_pose and not _is_pose_line(line):
+            after_pose = False  # the observations, or the empty line that stands for none
+        elif line:
+            yield _image_line(line, file)
+            after_pose = True
+
+
+def _is_pose_line(line: str) -> bool:
+    """Return whether a line has an image's number, seven numbers of its pose, its camera's number, and a name.
+
+    Observations are numbers in threes, which may be whole numbers too.
+    """
+    words = line.split(None, 9)
+    if len(words) < 10 or not (_is_whole(words[0]) and _is_whole(words[8]) and all(map(_is_number, words[1:8]))):
+        return False
+    name = words[9].split()
+    return len(name) % 3 != 0 or not all(map(_is_number, name))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _image_line(line: str, file: str) -> _Image:
@@ -197,8 +233,12 @@ def _split_fields(line: str, least: int, splits: int | None, file: str) -> list[
     return words
 
 
+def _is_whole(word: str) -> bool:
+    return word.isascii() and word.isdigit() and len(word) < 10
+
+
 def _whole_number(word: str, file: str) -> int:
-    if not (word.isascii() and word.isdigit() and len(word) < 10):
+    if not _is_whole(word):
         raise unreadable(file, f"has {word[:40]!r} where a whole number is expected")
     return int(word)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.edge.capture import colmap
@@ -30,6 +30,11 @@ MODELS = {
     "SIMPLE_RADIAL": (2, [FX, CX + 0.5, CY + 0.5, 0.1], (0.1, 0, 0, 0, 0)),
     "RADIAL": (3, [FX, CX + 0.5, CY + 0.5, 0.1, 0.02], (0.1, 0.02, 0, 0, 0)),
     "OPENCV": (4, [FX, FY, CX + 0.5, CY + 0.5, 0.1, 0.02, 0.003, 0.004], (0.1, 0.02, 0.003, 0.004, 0)),
+    "FULL_OPENCV": (
+        6,
+        [FX, FY, CX + 0.5, CY + 0.5, 0.1, 0.02, 0.003, 0.004, 0.05, 0, 0, 0],
+        (0.1, 0.02, 0.003, 0.004, 0.05),
+    ),
 }
 NAMES = [f"frame {index}.jpg" for index in range(len(POSES))]
 FORMS = ("text", "binary")
@@ -105,6 +110,32 @@ def test_cameras_and_poses_are_the_writers(tmp_path: Path, form: str, model: str
         assert photo.distortion == MODELS[model][2]
         assert photo.load().shape == (HEIGHT, WIDTH, 3)
     assert len({photo.camera for photo in capture.photos}) == 1
+
+
+OBSERVATIONS = ("", "1.0 2.0 -1", "10 20 -1 30 40 5 60 70 8 90 100 -1", None)
+
+
+@pytest.fixture(scope="module")
+def text_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("model"), "text")
+
+
+@given(
+    seen=st.lists(st.sampled_from(OBSERVATIONS), min_size=len(NAMES), max_size=len(NAMES)),
+    blank=st.lists(st.integers(0, 2), min_size=len(NAMES), max_size=len(NAMES)),
+)
+@example(seen=[None] * len(NAMES), blank=[0] * len(NAMES))
+@example(seen=[""] * len(NAMES), blank=[1] + [0] * (len(NAMES) - 1))
+def test_lines_of_observations_may_be_left_out(text_model: Path, seen: list[str | None], blank: list[int]) -> None:
+    """Of any of the photos, and blank lines may stand before any."""
+    poses = images("text", NAMES, POSES).decode().splitlines()[1::2]
+    lines = ["# Image list"]
+    for pose, observations, before in zip(poses, seen, blank, strict=True):
+        lines += [*[""] * before, pose, *([] if observations is None else [observations])]
+    (text_model / "images.txt").write_text("\n".join(lines) + "\n")
+    photos = read(text_model.parents[1]).photos
+    assert [photo.name for photo in photos] == [f"images/{name}" for name in NAMES]
+    assert np.stack([photo.camera_to_world for photo in photos]) == pytest.approx(np.stack(POSES), abs=1e-9)
 
 
 # In a process of its own: pycolmap takes over signals of the one that imports it.
@@ -243,6 +274,7 @@ BAD: dict[str, tuple[str, str, Callable[[Path], None]]] = {
     ),
     "another camera": ("CAPTURE_UNREADABLE", IMAGES, _other_camera),
     "fisheye": (*BAD_CAMERA, _camera(5, [*PINHOLE, 0, 0, 0, 0])),
+    "a rational lens": (*BAD_CAMERA, _camera(6, [*PINHOLE, 0, 0, 0, 0, 0, 0, 0.1, 0])),
     "a model of the future": (*BAD_CAMERA, _camera(99, PINHOLE)),
     "a negative model": (*BAD_CAMERA, _camera(-1, PINHOLE)),
     "focal length 0": (*BAD_CAMERA, _camera(1, [0, 0, CX, CY])),
@@ -265,6 +297,8 @@ def test_bad_models_are_refused_by_name(tmp_path: Path, what: str) -> None:
     ("line", "code"),
     [
         ("7 OPENCV_FISHEYE 640 480 1 2 3 4 5 6 7 8", "CAPTURE_BAD_INTRINSICS"),
+        ("7 FULL_OPENCV 640 480 500 500 320 240 0 0 0 0 0 0.1 0 0", "CAPTURE_BAD_INTRINSICS"),
+        ("7 FULL_OPENCV 640 480 500 500 320 240 0 0 0 0 0", "CAPTURE_UNREADABLE"),
         ("7 PINHOLE 640 480 500", "CAPTURE_UNREADABLE"),
         ("7 PINHOLE 640 480 500 five 320 240", "CAPTURE_UNREADABLE"),
         ("7 PINHOLE -640 480 500 500 320 240", "CAPTURE_UNREADABLE"),

@@ -1,4 +1,4 @@
-"""Cameras for other trainers: COLMAP's own library and our reader of transforms.json find them where they were."""
+"""Cameras for other trainers: COLMAP's own library and our readers find them where they were."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ import pytest
 import trimesh
 
 from services.edge.asset.capture_files import capture_files
+from services.edge.capture.detect import read_capture
 from services.edge.convert.camera_files import colmap_zip
 from services.edge.convert.convert_bundle import convert
 from tests.edge.asset.test_capture_files import CAMERA, points
+from tests.support import captures
 from tests.support.downloadable import TO_ASSET, downloadable, written
 
 CAMERAS = (CAMERA, replace(CAMERA, name="b\nc.jpg", distortion=(0.1, 0.0, 0.0, 0.0, 0.5)))
@@ -53,6 +55,23 @@ def test_colmap_reads_its_text(files: dict[str, bytes], tmp_path: Path) -> None:
     assert len(model.points3D) == 300
     first = model.points3D[1]
     assert first.color.dtype == np.uint8
+
+
+def test_our_own_reader_takes_the_colmap_model_back(files: dict[str, bytes], tmp_path: Path) -> None:
+    """The second camera has a k3, so its model is FULL_OPENCV."""
+    folder = unzipped(files, "colmap", tmp_path / "out")
+    for name in ("a.jpg", "b_c.jpg"):
+        captures.save_jpg(folder / "images" / name, np.zeros((40, 60, 3), np.uint8))
+    capture = read_capture(folder)
+    assert (capture.format, [photo.name for photo in capture.photos]) == ("colmap", ["images/a.jpg", "images/b_c.jpg"])
+    told = json.loads(files["cameras.json"])["cameras"]
+    for photo, expected in zip(capture.photos, told, strict=True):
+        assert photo.distortion == pytest.approx(expected["distortion"])
+        assert photo.camera_to_world is not None
+        np.testing.assert_allclose(photo.camera_to_world[:3], expected["camera_to_world"], atol=1e-6)
+        assert photo.intrinsics is not None
+        fields = ("fx", "fy", "cx", "cy")
+        assert [getattr(photo.intrinsics, field) for field in fields] == pytest.approx(expected["camera"])
 
 
 def test_transforms_have_nerfstudios_axes_and_the_points_beside_them(files: dict[str, bytes], tmp_path: Path) -> None:
