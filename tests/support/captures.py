@@ -10,7 +10,7 @@ import io
 import json
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from pathlib import Path
 
 import av
@@ -521,6 +521,67 @@ def hemisphere() -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(subdivisions=3)
     keep = ball.triangles_center[:, 1] > 0
     return trimesh.Trimesh(ball.vertices, ball.faces[keep], process=False)
+
+
+_GLTF_KINDS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
+
+
+def glb_bytes(
+    attributes: dict[str, np.ndarray],
+    faces: np.ndarray,
+    *,
+    normalised: Container[str] = (),
+    material: dict[str, object] | None = None,
+    picture: np.ndarray | None = None,
+    node: dict[str, object] | None = None,
+    required: tuple[str, ...] = (),
+) -> bytes:
+    """A GLB of one primitive, as the format's text says: rows begin at multiples of four bytes.
+
+    normalised: the attributes whose integers are fractions; picture (H,W,3): texture 0
+    """
+    data, views, accessors = bytearray(), [], []
+
+    def add_view(content: bytes, **more: int) -> int:
+        data.extend(b"\0" * (-len(data) % 4))
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(content), **more})
+        data.extend(content)
+        return len(views) - 1
+
+    def add(name: str, rows: np.ndarray) -> int:
+        width = rows.shape[1] * rows.itemsize
+        step = width + -width % 4
+        content = np.zeros((len(rows), step), np.uint8)
+        content[:, :width] = np.ascontiguousarray(rows).view(np.uint8)
+        accessor = {"bufferView": add_view(content.tobytes(), byteStride=step), "count": len(rows)}
+        accessor |= {"componentType": _GLTF_KINDS[rows.dtype.name], "type": f"VEC{rows.shape[1]}"}
+        accessors.append(accessor | ({"normalized": True} if name in normalised else {}))
+        return len(accessors) - 1
+
+    primitive: dict[str, object] = {"attributes": {name: add(name, rows) for name, rows in attributes.items()}}
+    indices = faces.astype("<u4").tobytes()
+    accessors.append({"bufferView": add_view(indices), "count": faces.size, "componentType": 5125, "type": "SCALAR"})
+    primitive["indices"] = len(accessors) - 1
+    tree: dict[str, object] = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}]}
+    if material is not None:
+        primitive["material"], tree["materials"] = 0, [material]
+    if picture is not None:
+        image = {"bufferView": add_view(cv2.imencode(".png", picture[..., ::-1])[1].tobytes()), "mimeType": "image/png"}
+        tree |= {"images": [image], "textures": [{"source": 0}]}
+    if required:
+        tree |= {"extensionsUsed": required, "extensionsRequired": required}
+    tree |= {"meshes": [{"primitives": [primitive]}], "nodes": [{"mesh": 0} | (node or {})]}
+    tree |= {"accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}]}
+    return glb_of(tree, bytes(data))
+
+
+def glb_of(tree: dict[str, object], chunk: bytes) -> bytes:
+    """A GLB of its JSON and its binary chunk."""
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunk += b"\0" * (-len(chunk) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(chunk))
+    return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(chunk), b"BIN\0") + chunk
 
 
 def as_bytes(exported: str | bytes) -> bytes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import posixpath
 import re
-import struct
 from collections.abc import Iterator, Mapping
 from io import BytesIO
 from typing import Any
@@ -13,20 +12,19 @@ import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.capture.colours import rgb8
-from services.edge.capture.files import Folder, parse_json, translate_errors, unreadable
+from services.edge.capture.files import Folder, translate_errors
+from services.edge.capture.gltf import LIGHT, plain_gltf
 from services.edge.capture.images import check_pixels, header_size, read_bytes
 from services.edge.capture.sample_surface import ColourAt, SampledSurface
-from services.edge.capture.tables import MAX_POINTS, too_many_points, truncated
+from services.edge.capture.tables import truncated
 from services.edge.errors import CaptureError
+from services.edge.srgb import to_linear, to_srgb
 
 MAX_FACES = (
     5_000_000  # summed over all nodes, as a scene can repeat one mesh a million times; sampling takes 200 bytes each
 )
-MAX_NODES = 5_000  # of a scene; trimesh takes about a millisecond per node
 MAX_MATERIALS = 500  # of an OBJ: scanners write tens, and each takes 1 ms and more
 _MATERIAL = re.compile(rb"^[ \t]*usemtl[ \t]+(.*)$", re.MULTILINE)
-_GLB_HEADER = 12
-_UNREAD_EXTENSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
 
 
 def too_many_faces(count: int, file: str) -> CaptureError:
@@ -40,9 +38,12 @@ class _SiblingFiles(Mapping[str, bytes]):
 
     def __init__(self, folder: Folder, file: str) -> None:
         self._folder, self._file = folder, file
+        self.buffers: dict[str, bytes] = {}  # those of a rewritten glTF, by their URIs
         self.refused: CaptureError | None = None  # trimesh swallows errors raised here and continues without colours
 
     def __getitem__(self, name: str) -> bytes:
+        if name in self.buffers:
+            return self.buffers[name]
         try:
             return self._read(name)
         except CaptureError as error:
@@ -76,10 +77,18 @@ def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
     import trimesh
 
     data = read_bytes(folder.path(file), file)
-    _check_before_parsing(data, folder, file, kind)
-    beside = _SiblingFiles(folder, file)
+    beside, parser = _SiblingFiles(folder, file), kind
+    if kind == "obj":
+        _check_obj(data, file)
+    elif kind == "off":
+        _check_off(data, file)
+    elif kind in ("glb", "gltf"):
+        data, beside.buffers = plain_gltf(data, kind, folder, file, beside)
+        parser = "gltf"
     with translate_errors(file, kind.upper()):
-        loaded = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=beside, process=False, maintain_order=True)
+        loaded = trimesh.load_scene(
+            BytesIO(data), file_type=parser, resolver=beside, process=False, maintain_order=True
+        )
         if beside.refused is not None:
             raise beside.refused
         nodes = list(loaded.graph.nodes_geometry)
@@ -88,18 +97,6 @@ def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
             raise too_many_faces(faces, file)
         pictures: _Pictures = {}
         return [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
-
-
-def _check_before_parsing(data: bytes, folder: Folder, file: str, kind: str) -> None:
-    """Check the counts and file names in a mesh file before trimesh reads it."""
-    if kind == "obj":
-        _check_obj(data, file)
-    elif kind == "off":
-        _check_off(data, file)
-    elif kind == "glb":
-        _check_gltf(_glb_json(data, file), folder, file)
-    elif kind == "gltf":
-        _check_gltf(parse_json(data.decode("utf-8-sig", "replace"), file), folder, file)
 
 
 def _check_obj(data: bytes, file: str) -> None:
@@ -119,47 +116,6 @@ def _check_off(data: bytes, file: str) -> None:
     if (vertices * 6 + faces * 8) > len(data) + 8:
         what = f"{vertices:,} vertices and {faces:,} faces, which do not fit into its {len(data):,} bytes"
         raise truncated(file, f"is cut off: its header announces {what}")
-
-
-def _glb_json(data: bytes, file: str) -> dict[str, Any]:
-    """Parse the JSON chunk of a GLB."""
-    if len(data) < _GLB_HEADER + 8:
-        raise truncated(file, "is cut off inside the GLB header")
-    total, length = struct.unpack_from("<I", data, 8)[0], struct.unpack_from("<I", data, _GLB_HEADER)[0]
-    if max(total, length) > len(data):
-        what = f"{max(total, length):,} bytes, but it has only {len(data):,}"
-        raise truncated(file, f"is cut off: its header announces {what}")
-    return parse_json(data[_GLB_HEADER + 8 : _GLB_HEADER + 8 + length].decode("utf-8", "replace"), file)
-
-
-def _check_gltf(tree: dict[str, Any], folder: Folder, file: str) -> None:
-    """Refuse a glTF with too large counts, unsupported compression, or buffer files that are missing or outside.
-
-    trimesh would allocate memory or open the files before it notices.
-    """
-    with translate_errors(file, "glTF"):
-        used = [name for name in _UNREAD_EXTENSIONS if name in tree.get("extensionsRequired", [])]
-        if used:
-            raise unreadable(file, f"needs {used[0]}, which is not supported", "export the glTF without compression")
-        if len(tree.get("nodes", [])) > MAX_NODES:
-            what = f"has more than {MAX_NODES:,} nodes"
-            raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("join the meshes of the scene into one",))
-        for accessor in tree.get("accessors", []):
-            if int(accessor["count"]) > 3 * MAX_POINTS:
-                raise too_many_points(int(accessor["count"]), file)
-        unbacked = sum(int(accessor["count"]) for accessor in tree.get("accessors", []) if "bufferView" not in accessor)
-        if unbacked > MAX_POINTS:  # zeros that need no bytes in the file
-            raise too_many_points(unbacked, file)
-        for buffer in tree.get("buffers", []):
-            uri = buffer.get("uri", "data:")
-            if not uri.startswith("data:") and not folder.exists(_sibling_name(folder, file, uri)):
-                hint = "send the .bin file together with the .gltf"
-                raise unreadable(file, f"refers to {uri[:120]!r}, which is missing", hint)
-
-
-def _sibling_name(folder: Folder, file: str, uri: str) -> str:
-    """Return the name of the file that a URI refers to, relative to the mesh file."""
-    return folder.resolve(uri, by=file, base=posixpath.dirname(file))
 
 
 _Pictures = dict[int, Bytes]
@@ -184,14 +140,23 @@ def _surface(scene: Any, node: str, pictures: _Pictures) -> SampledSurface | Non
 def _colours(geometry: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
     """Return the function that looks up colours: from texture, material, vertices or faces; None without colours."""
     visual = geometry.visual
+    material, light = getattr(visual, "material", None), _per_vertex(geometry, LIGHT)
+    if light is not None or hasattr(material, "baseColorTexture"):
+        return _gltf_colours(material, visual, light, faces, pictures)
     if visual.kind == "texture":
-        return _material_colours(visual, faces, pictures)
+        return _obj_colours(visual, faces, pictures)
     if visual.kind == "vertex":
         return vertex_colours(np.asarray(visual.vertex_colors)[:, :3], faces)
     if visual.kind == "face":
         flat = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
         return lambda triangle, weights: flat[triangle]
     return None
+
+
+def _per_vertex(geometry: Any, name: str) -> Floats | None:
+    """Return an attribute (V,3) of a mesh's vertices, or None where it has none, or one of another length."""
+    values = geometry.vertex_attributes.get(name)
+    return None if values is None or np.shape(values) != (len(geometry.vertices), 3) else np.asarray(values)
 
 
 def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
@@ -203,42 +168,49 @@ def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
     return colour_at
 
 
-def _material_colours(visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
-    """Return a function that samples the texture, times its factor, or else one colour for the whole material."""
-    image, factor = _material(visual.material)
-    uv = None if visual.uv is None else np.asarray(visual.uv, np.float64)
-    if image is not None and uv is not None and factor is not None:
-        check_pixels(image.size, "texture")
-        if id(image) not in pictures:
-            pictures[id(image)] = np.asarray(image.convert("RGB"))
-        pixels = pictures[id(image)]
+def _gltf_colours(material: Any, visual: Any, light: Floats | None, faces: Ints, pictures: _Pictures) -> ColourAt:
+    """Return a function that multiplies texture, factor and vertex colours as linear light (glTF 2.0, section 3.9.2).
 
-        def colour_at(triangle: Ints, weights: Floats) -> Bytes:
-            texel = np.einsum("nc,ncd->nd", weights, uv[faces[triangle]])
-            return np.rint(_nearest(pixels, texel) * factor).astype(np.uint8)
+    White for a material without any of them.
+    """
+    factor = getattr(material, "baseColorFactor", None)  # bytes of linear light
+    texel_at = _texture(getattr(material, "baseColorTexture", None), visual, faces, pictures)
+    linear = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3] / 255
 
-        return colour_at
-    if factor is None:
+    def colour_at(triangle: Ints, weights: Floats) -> Bytes:
+        shade = np.tile(linear, (len(triangle), 1))
+        if light is not None:
+            shade *= np.einsum("nc,ncd->nd", weights, light[faces[triangle]])
+        return to_srgb(shade if texel_at is None else shade * to_linear(texel_at(triangle, weights)))
+
+    return colour_at
+
+
+def _obj_colours(visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    """Return a function that samples the texture, or else one colour for the whole material; None without either."""
+    material = visual.material
+    # For a missing texture trimesh substitutes an image of its own, which has no path.
+    image = material.image if "file_path" in getattr(material.image, "info", {}) else None
+    if (texel_at := _texture(image, visual, faces, pictures)) is not None:
+        return texel_at
+    if image is not None:
+        return lambda triangle, weights: np.full((len(triangle), 3), 255, np.uint8)
+    if "kd" not in material.kwargs:
         return None
-    flat = np.rint(255 * factor).astype(np.uint8)
+    flat = np.rint(255 * np.clip(np.asarray(material.kwargs["kd"], np.float64)[:3], 0, 1)).astype(np.uint8)
     return lambda triangle, weights: np.tile(flat, (len(triangle), 1))
 
 
-def _material(material: Any) -> tuple[Any, Floats | None]:
-    """Return the texture, if any, and the sRGB factor (3,) in [0,1] for it; no factor for an .obj without colours."""
-    if hasattr(material, "baseColorTexture"):  # glTF: linear light
-        factor = material.baseColorFactor
-        linear = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3]
-        return material.baseColorTexture, _srgb(linear / 255 if linear.max() > 1 else linear)
-    # For a missing texture trimesh substitutes an image of its own, which has no path.
-    image = material.image if "file_path" in getattr(material.image, "info", {}) else None
-    diffuse = np.clip(np.asarray(material.kwargs["kd"], np.float64)[:3], 0, 1) if "kd" in material.kwargs else None
-    return image, diffuse if image is None else np.ones(3)
-
-
-def _srgb(linear: Floats) -> Floats:
-    """Convert linear light to sRGB (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
+def _texture(image: Any, visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    """Return a function that looks up the texels of a picture, or None without picture or texture coordinates."""
+    if image is None or visual.uv is None:
+        return None
+    uv = np.asarray(visual.uv, np.float64)
+    check_pixels(image.size, "texture")
+    if id(image) not in pictures:
+        pictures[id(image)] = np.asarray(image.convert("RGB"))
+    pixels = pictures[id(image)]
+    return lambda triangle, weights: _nearest(pixels, np.einsum("nc,ncd->nd", weights, uv[faces[triangle]]))
 
 
 def _nearest(pixels: Bytes, uv: Floats) -> Bytes:

@@ -46,6 +46,24 @@ def hemisphere_bytes(kind: str) -> bytes:
     return captures.as_bytes(captures.hemisphere().export(file_type=kind))
 
 
+def coloured_glb() -> bytes:
+    """A mesh with everything that is rewritten: normalised positions, vertex colours, and a texture's transform."""
+    mesh = captures.hemisphere()
+    transform = {"KHR_texture_transform": {"offset": [0.1, 0.2], "rotation": 0.3, "scale": [2, 3]}}
+    return captures.glb_bytes(
+        {
+            "POSITION": np.rint(mesh.vertices * 32767).astype(np.int16),
+            "TEXCOORD_0": np.rint(255 * np.abs(mesh.vertices[:, :2])).astype(np.uint8),
+            "COLOR_0": np.full((len(mesh.vertices), 4), 128, np.uint8),
+        },
+        mesh.faces,
+        normalised=("POSITION", "TEXCOORD_0", "COLOR_0"),
+        material={"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "extensions": transform}}},
+        picture=np.full((4, 4, 3), 200, np.uint8),
+        required=("KHR_mesh_quantization", "KHR_texture_transform"),
+    )
+
+
 def hostile_laz() -> bytes:
     """A chunk table that makes the decoder allocate 32 GiB, at which it ends its process."""
     data = bytearray(las_bytes(".laz"))
@@ -147,6 +165,23 @@ SINGLE: dict[str, tuple[str, str, Callable[[], bytes]]] = {
         "CAPTURE_TOO_LARGE",
         "a.gltf",
         lambda: b'{"asset": {"version": "2.0"}, "accessors": [{"count": 1000000000000, "type": "VEC3"}]}',
+    ),
+    "GLB whose colours reach past its buffer": (
+        "CAPTURE_UNREADABLE",
+        "a.glb",
+        lambda: coloured_glb().replace(b'"count": 642, "componentType": 5121', b'"count": 643, "componentType": 5121'),
+    ),
+    "GLB cut in its second chunk": (
+        "CAPTURE_TRUNCATED",
+        "a.glb",
+        lambda: captures.glb_of({"asset": {"version": "2.0"}}, b"")[:-8] + struct.pack("<I4s", 900, b"BIN\0"),
+    ),
+    "GLB with colours of two numbers": (
+        "CAPTURE_UNREADABLE",
+        "a.glb",
+        lambda: captures.glb_bytes(
+            {"POSITION": np.eye(3, dtype=np.float32), "COLOR_0": np.ones((3, 2), np.float32)}, np.array([[0, 1, 2]])
+        ),
     ),
     "ragged rows": ("CAPTURE_UNREADABLE", "a.xyz", lambda: b"1 2 3\n" * 300 + b"4 5\n"),
     "words among numbers": ("CAPTURE_UNREADABLE", "a.xyz", lambda: b"1 2 3\n" * 300 + b"4 five 6\n"),
@@ -485,6 +520,7 @@ VALID = {
     "off": hemisphere_bytes("off"),
     "stl": hemisphere_bytes("stl"),
     "glb": hemisphere_bytes("glb"),
+    "coloured glb": coloured_glb(),
 }
 
 
@@ -567,6 +603,16 @@ def test_odd_values_in_metadata_are_read_or_named(kind: str, tmp_path: Path) -> 
         path.write_text(json.dumps(odd_leaf(json.loads(whole), rng)))
         reads_or_names(folder)
         path.write_text(whole)
+
+
+def test_odd_values_in_a_gltf_are_read_or_named(tmp_path: Path) -> None:
+    data = coloured_glb()
+    length = int.from_bytes(data[12:16], "little")
+    tree, chunk = json.loads(data[20 : 20 + length]), data[28 + length :]
+    rng = np.random.default_rng(3)
+    for _ in range(150):
+        (tmp_path / "scan.glb").write_bytes(captures.glb_of(odd_leaf(tree, rng), chunk))  # type: ignore[arg-type]
+        reads_or_names(tmp_path)
 
 
 def test_npy_fuzz_never_unpickles(tmp_path: Path) -> None:
