@@ -424,6 +424,22 @@ def ply_bytes(
     return head + "\n".join(" ".join(map(str, row)) for row in table.tolist()).encode() + b"\n"
 
 
+def splat_ply_bytes(xyz: np.ndarray, rgb: np.ndarray, opacity: np.ndarray, *, form: str = "little") -> bytes:
+    """PLY of Gaussian splats as their trainers write them, "ascii" or "little" endian; opacity (N,) in (0,1)."""
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "f_rest_0", "opacity"]
+    names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    table = np.zeros((len(xyz), len(names)), "<f4")
+    table[:, :3], table[:, 14] = xyz, 1
+    table[:, 6:9] = (rgb / 255 - 0.5) * 2 * np.sqrt(np.pi)
+    table[:, 10] = np.log(opacity / (1 - opacity))
+    style = "ascii" if form == "ascii" else "binary_little_endian"
+    head = f"ply\nformat {style} 1.0\nelement vertex {len(xyz)}\n" + "".join(
+        f"property float {name}\n" for name in names
+    )
+    rows = "\n".join(" ".join(map(repr, row)) for row in table.tolist()) + "\n"
+    return (head + "end_header\n").encode() + (rows.encode() if form == "ascii" else table.tobytes())
+
+
 def pcd_bytes(xyz: np.ndarray, rgb: np.ndarray, normals: np.ndarray, *, form: str = "binary", height: int = 1) -> bytes:
     """PCD as "ascii", "binary" or "binary_compressed", colours packed into the bits of a float."""
     packed = (rgb.astype(np.uint32) << [16, 8, 0]).sum(1).astype(np.uint32)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from services.edge.arrays import Floats
 from services.edge.capture.cloud_parts import MAX_BAD_SHARE, MAX_COORDINATE, dropped_warning, read_some, valid_mask
 from services.edge.capture.cloud_process import georeferenced_origin, moved_warning
+from services.edge.capture.colours import rgb8
 from services.edge.capture.files import Folder, translate_errors, unreadable
 from services.edge.capture.meshes import read_mesh, vertex_colours
 from services.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
@@ -161,12 +162,13 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
 
         return read_las(path, name, folder.tick)
     if kind == "ply":
-        cloud, faces = read_ply(path, name)
+        cloud, faces, warnings = read_ply(path, name)
         used = np.count_nonzero(np.bincount(faces.reshape(-1)))
         if len(faces) == 0 or 2 * used < len(cloud.xyz):  # a cloud with a few stray faces is not a mesh
-            return cloud, ()
+            return cloud, warnings
         colours = None if cloud.rgb is None else vertex_colours(cloud.rgb, faces)
-        return _sample_mesh([SampledSurface(cloud.xyz, faces, colours)], name)
+        sampled, dropped = _sample_mesh([SampledSurface(cloud.xyz, faces, colours)], name)
+        return sampled, (*warnings, *dropped)
     if kind in _MESHES:
         surfaces = read_mesh(folder, name, kind)
         return _sample_mesh(surfaces, name) if surfaces else (_obj_vertices(folder, name, kind), ())
@@ -188,16 +190,21 @@ def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tupl
 
 
 def _obj_vertices(folder: Folder, name: str, kind: str) -> Cloud:
-    """Read the vertices of an .obj without faces as a point cloud; raise CAPTURE_EMPTY for any other mesh format."""
+    """Read the vertices of an .obj without faces as a point cloud, with their colours where all of them have some.
+
+    Raises CAPTURE_EMPTY for any other mesh format.
+    """
     if kind != "obj":
         raise CaptureError("CAPTURE_EMPTY", "is a mesh without triangles", file=name, hints=("export the mesh again",))
     with translate_errors(name, "OBJ"):
         lines = folder.path(name).read_bytes().decode("latin-1").splitlines()
         rows = [line.split()[1:] for line in lines if line.startswith(("v ", "v\t"))]
         xyz = np.array([row[:3] for row in rows], np.float64)
+        coloured = all(len(row) >= 6 for row in rows)
+        rgb = rgb8(np.array([row[3:6] for row in rows], np.float64)) if coloured else None
     if xyz.ndim != 2:
         raise unreadable(name, "has no vertices")
-    return Cloud(xyz)
+    return Cloud(xyz, rgb)
 
 
 def _near_origin(parts: Sequence[Floats], name: str) -> tuple[list[Floats], tuple[str, ...]]:

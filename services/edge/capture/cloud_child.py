@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from services.edge.arrays import Floats
 from services.edge.capture import e57, las
-from services.edge.capture.cloud_process import COLOURS, POSITIONS
+from services.edge.capture.cloud_process import COLOURS, GREYED, POSITIONS
 from services.edge.child_process import set_up_child
 
+_GREY = 128  # sRGB, of points without a colour beside points that have one
 _DECODERS = {"LAZ": las.iter_points, "E57": e57.iter_points}
 
 
@@ -30,20 +31,29 @@ def main(kind: str, file: Path, folder: Path, limit_bytes: int) -> None:
 
 
 def save_parts(parts: Iterable[tuple[Floats, NDArray[Any] | None]], folder: Path) -> None:
-    """Write parts of points, and of their colours where all have them, to two .npy files."""
-    count, coloured, kind = 0, True, np.dtype(np.uint8)
+    """Write parts of points, and of their colours where any part has them, to two .npy files.
+
+    Parts without colours are grey then, and GREYED says of how many points.
+    """
+    count, greyed, kind = 0, 0, np.dtype(np.uint8)
     with ExitStack() as files:
         raw = [files.enter_context((folder / f"{name}.raw").open("wb")) for name in (POSITIONS, COLOURS)]
         for xyz, colours in parts:
             np.ascontiguousarray(xyz, np.float64).tofile(raw[0])
-            coloured = coloured and colours is not None
-            if colours is not None and coloured:
+            if colours is None:
+                np.full(xyz.shape, _GREY, kind).tofile(raw[1])
+                greyed += len(xyz)
+            else:
                 kind = colours.dtype
                 np.ascontiguousarray(colours).tofile(raw[1])
             count += len(xyz)
     _add_header(folder / POSITIONS, np.dtype(np.float64), count)
-    if coloured:
+    if greyed < count:
         _add_header(folder / COLOURS, kind, count)
+        if greyed:
+            (folder / GREYED).write_text(str(greyed))
+    else:
+        (folder / f"{COLOURS}.raw").unlink()
 
 
 def _add_header(path: Path, kind: np.dtype[Any], count: int) -> None:

@@ -58,7 +58,7 @@ def read_some(parts: RawParts, name: str, tick: Tick) -> tuple[Cloud, CloudParts
         np.concatenate([part.colours for _, part in found if part.colours is not None]) if survey.coloured else None,
     )
     origin = georeferenced_origin(survey.low, survey.high)
-    warnings: tuple[str, ...] = () if origin is None else (moved_warning(origin, name),)
+    warnings = parts.warnings if origin is None else (*parts.warnings, moved_warning(origin, name))
     clean = _Clean(np.zeros(3) if origin is None else origin, survey)
     good = int(valid_mask(some.xyz - clean.origin).sum())
     if good < len(some.xyz):

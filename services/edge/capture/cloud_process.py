@@ -22,8 +22,8 @@ from services.edge.capture.tables import MAX_POINTS
 from services.edge.child_process import ChildError, run_child
 from services.edge.errors import CaptureError
 
-POSITIONS, COLOURS = "xyz.npy", "rgb.npy"
-"""Files that the child writes: (N,3) float64, and (N,3) integers if the cloud has colours."""
+POSITIONS, COLOURS, GREYED = "xyz.npy", "rgb.npy", "greyed.txt"
+"""Files that the child writes: (N,3) float64; (N,3) integers if the cloud has colours; how many it made grey."""
 
 _CHILD_BYTES = 6 * 2**30  # limit of the child's address space; 20 million points take under 3 GiB
 _CHILD_SECONDS = 120.0  # time limit of the child; 20 million points take about 40 s
@@ -32,16 +32,25 @@ _FAR = 10_000.0  # metres from the origin above which coordinates are georeferen
 
 def decode_in_child(
     kind: Literal["LAZ", "E57"], path: Path, file: str, tick: Tick
-) -> tuple[Floats, NDArray[Any] | None]:
-    """Decode a cloud -> xyz (N,3) float64, and the colours (N,3) as stored or None. `tick` is called meanwhile.
+) -> tuple[Floats, NDArray[Any] | None, tuple[str, ...]]:
+    """Decode a cloud -> xyz (N,3) float64, the colours (N,3) as stored or None, and warnings. Calls `tick` meanwhile.
 
     Raises CAPTURE_TOO_LARGE where that takes too long, CAPTURE_UNREADABLE where the decoder fails.
     """
     with tempfile.TemporaryDirectory(prefix="cloud-") as name:
         folder = Path(name)
         _decode(kind, path, file, folder, tick, _CHILD_SECONDS)
-        colours = folder / COLOURS
-        return np.load(folder / POSITIONS), np.load(colours) if colours.exists() else None
+        xyz, colours = np.load(folder / POSITIONS), folder / COLOURS
+        return xyz, np.load(colours) if colours.exists() else None, _greyed_warning(folder, len(xyz), file)
+
+
+def _greyed_warning(folder: Path, count: int, file: str) -> tuple[str, ...]:
+    """The warning that some of `count` points were made grey, if any were."""
+    if not (folder / GREYED).exists():
+        return ()
+    what = f"{int((folder / GREYED).read_text()):,} of {count:,} points are of scans without colours that can be read"
+    advice = "export all scans with colours, or leave out those without"
+    return (f"{file}: {what}; these points were made grey: {advice}",)
 
 
 def _decode(kind: str, path: Path, file: str, folder: Path, tick: Tick, most_seconds: float) -> None:
@@ -76,7 +85,7 @@ def decode_to_disk(kind: Literal["LAZ", "E57"], path: Path, file: str, count: in
             yield RawPart(_rows(positions, start), _rows(colours, start) if colours.exists() else None)
 
     weakref.finalize(read, shutil.rmtree, folder, ignore_errors=True)
-    return RawParts(decoded, read)
+    return RawParts(decoded, read, _greyed_warning(folder, decoded, file))
 
 
 def _rows(path: Path, start: int) -> NDArray[Any]:

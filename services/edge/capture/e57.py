@@ -44,7 +44,9 @@ def read_e57(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
         raise too_many_points(count, file)
     if not count:
         raise CaptureError("CAPTURE_EMPTY", "has no points", file=file, hints=("export the capture again",))
-    return near_origin(*decode_in_child("E57", path, file, tick), file)
+    xyz, colours, warnings = decode_in_child("E57", path, file, tick)
+    cloud, moved = near_origin(xyz, colours, file)
+    return cloud, (*warnings, *moved)
 
 
 def e57_parts(path: Path, file: str, tick: Tick = no_tick) -> RawParts | None:

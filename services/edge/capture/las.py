@@ -32,7 +32,7 @@ def read_las(path: Path, file: str, tick: Tick = no_tick) -> tuple[Cloud, tuple[
     """
     compressed = _check_header(path, file)
     with translate_errors(file, "LAS"):
-        xyz, rgb = decode_in_child("LAZ", path, file, tick) if compressed else decode_points(path)
+        xyz, rgb = decode_in_child("LAZ", path, file, tick)[:2] if compressed else decode_points(path)
     return near_origin(xyz, rgb, file)
 
 

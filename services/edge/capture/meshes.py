@@ -144,7 +144,7 @@ def _colours(geometry: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None
     if light is not None or hasattr(material, "baseColorTexture"):
         return _gltf_colours(material, visual, light, faces, pictures)
     if visual.kind == "texture":
-        return _obj_colours(visual, faces, pictures)
+        return _obj_colours(visual, _per_vertex(geometry, "color"), faces, pictures)
     if visual.kind == "vertex":
         return vertex_colours(np.asarray(visual.vertex_colors)[:, :3], faces)
     if visual.kind == "face":
@@ -186,13 +186,18 @@ def _gltf_colours(material: Any, visual: Any, light: Floats | None, faces: Ints,
     return colour_at
 
 
-def _obj_colours(visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
-    """Return a function that samples the texture, or else one colour for the whole material; None without either."""
+def _obj_colours(visual: Any, vertex: Floats | None, faces: Ints, pictures: _Pictures) -> ColourAt | None:
+    """Return a function that samples the texture, or else the vertices' colours (V,3), or else the material's; or None.
+
+    A material beside vertex colours is a writer's default: it is taken only where all vertices are white.
+    """
     material = visual.material
     # For a missing texture trimesh substitutes an image of its own, which has no path.
     image = material.image if "file_path" in getattr(material.image, "info", {}) else None
     if (texel_at := _texture(image, visual, faces, pictures)) is not None:
         return texel_at
+    if vertex is not None and ((rgb := rgb8(vertex)) < 255).any():
+        return vertex_colours(rgb, faces)
     if image is not None:
         return lambda triangle, weights: np.full((len(triangle), 3), 255, np.uint8)
     if "kd" not in material.kwargs:

@@ -5,6 +5,8 @@ Every count in the header is checked against the file's size before anything is 
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.edge.arrays import Ints
+from services.edge.capture.colours import rgb8
 from services.edge.capture.files import translate_errors, unreadable
 from services.edge.capture.meshes import MAX_FACES, too_many_faces
 from services.edge.capture.nouns import Cloud
@@ -35,6 +38,10 @@ _TYPES = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ALIASES = {"diffuse_red": "red", "diffuse_green": "green", "diffuse_blue": "blue"}
+_TEXTURE = re.compile(rb"^comment[ \t]+TextureFile[ \t]+(\S[^\r\n]*)", re.MULTILINE)
+_SPLAT = ("f_dc_0", "f_dc_1", "f_dc_2")
+_HARMONIC = 0.28209479177387814  # the spherical harmonic of degree 0, which is constant: 1 / (2 sqrt(pi))
+_LEAST_LOGIT = math.log(0.1 / 0.9)  # of a splat's opacity: under a tenth it is haze, and no surface
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -62,17 +69,24 @@ class _PlyElement:
         return sum(np.dtype(item.count_kind or item.kind).itemsize for item in self.properties)
 
 
-def read_ply(path: Path, file: str) -> tuple[Cloud, Ints]:
-    """Read the vertices and the faces (F,3) of a PLY; polygons become triangle fans. F = 0 for a point cloud.
+def read_ply(path: Path, file: str) -> tuple[Cloud, Ints, tuple[str, ...]]:
+    """Read the vertices and the faces (F,3) of a PLY, and warnings; polygons become triangle fans. F = 0 for points.
 
+    Of Gaussian splats the centres are read, with the colour that each has from all sides together.
     Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
     """
     with translate_errors(file, "PLY"):
         data = path.read_bytes()
         elements, order, start = _header(data[:_HEADER_BYTES], file)
+        splats = _are_splats(elements)
         if order:
-            return _read_binary(data, start, elements, order, file)
-        return _read_ascii(data[start:], elements, file)
+            cloud, faces = _read_binary(data, start, elements, order, file)
+        else:
+            cloud, faces = _read_ascii(data[start:], elements, file)
+        if splats:
+            return cloud, faces, (_splat_warning(file),)
+        texture = _TEXTURE.search(data[:start])
+        return cloud, faces, (_texture_warning(texture[1], cloud, file),) if texture and len(faces) else ()
 
 
 def ply_parts(path: Path, file: str) -> RawParts | None:
@@ -88,14 +102,46 @@ def ply_parts(path: Path, file: str) -> RawParts | None:
     if any(each.name == "face" and each.count for each in elements):
         return None
     _check_counts(first, path.stat().st_size - start, order, file, MAX_PARTED_POINTS)
-    records = _record(first, order, {})
+    records, splats = _record(first, order, {}), _are_splats(elements)
 
     def read() -> Iterator[RawPart]:
         for row in range(0, first.count, PART):
             rows = np.fromfile(path, records, min(PART, first.count - row), offset=start + row * records.itemsize)
-            yield raw_columns({_ALIASES.get(name, name): rows[name] for name in rows.dtype.names or ()}, file)
+            columns = {_ALIASES.get(name, name): rows[name] for name in rows.dtype.names or ()}
+            yield raw_columns(_splat_centres(columns) if splats else columns, file)
 
-    return RawParts(first.count, read)
+    return RawParts(first.count, read, (_splat_warning(file),) if splats else ())
+
+
+def _are_splats(elements: list[_PlyElement]) -> bool:
+    """Return whether the vertices are Gaussian splats, as programs that train them write them: without faces."""
+    names = {item.name for each in elements if each.name == "vertex" for item in each.properties}
+    return names.issuperset(_SPLAT) and not any(each.name == "face" and each.count for each in elements)
+
+
+def _splat_centres(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return positions and colours of Gaussian splats, without those that can hardly be seen.
+
+    Their opacity is stored before the sigmoid, and their colour as the factor of a spherical harmonic; their normals
+    are zeros (Kerbl et al. 2023, as their program writes them).
+    """
+    seen = columns["opacity"] >= _LEAST_LOGIT if "opacity" in columns else slice(None)
+    rgb = (rgb8(0.5 + _HARMONIC * columns[name][seen].astype(np.float64), 255.0) for name in _SPLAT)
+    return {axis: columns[axis][seen] for axis in "xyz" if axis in columns} | dict(
+        zip(("red", "green", "blue"), rgb, strict=True)
+    )
+
+
+def _splat_warning(file: str) -> str:
+    what = "holds Gaussian splats; the centres of those that can be seen are read as points, which lie near the surface"
+    return f"{file}: {what}, not on it: send the photos that it was made of, or a point cloud, where there is one"
+
+
+def _texture_warning(name: bytes, cloud: Cloud, file: str) -> str:
+    """Return the warning that the texture of this name is not read."""
+    instead = "the mesh has no colours" if cloud.rgb is None else "the colours are those of its vertices"
+    texture = name.decode("latin-1").strip()[:120]
+    return f"{file}: its texture {texture!r} is not read, and {instead}: export the mesh as GLB or OBJ with its texture"
 
 
 def _header(head: bytes, file: str) -> tuple[list[_PlyElement], str, int]:
@@ -146,7 +192,9 @@ def _read_binary(data: bytes, at: int, elements: list[_PlyElement], order: str, 
         if not element.has_list:
             dtype = _record(element, order, {})
             if element.name == "vertex":
-                cloud = _cloud(np.frombuffer(data, dtype, element.count, at), file)
+                records = np.frombuffer(data, dtype, element.count, at)
+                columns = {name: records[name] for name in dtype.names or ()}
+                cloud = _cloud(columns, file, splats=_are_splats(elements))
             at += dtype.itemsize * element.count
         else:
             polygons, at = _binary_lists(data, at, element, order, file)
@@ -168,9 +216,9 @@ def _record(element: _PlyElement, order: str, lengths: dict[str, int]) -> np.dty
     return np.dtype(fields)
 
 
-def _cloud(records: NDArray[Any], file: str) -> Cloud:
-    columns = {_ALIASES.get(name, name): records[name] for name in records.dtype.names or ()}
-    return named_columns(columns, file)
+def _cloud(columns: dict[str, NDArray[Any]], file: str, *, splats: bool) -> Cloud:
+    columns = {_ALIASES.get(name, name): values for name, values in columns.items()}
+    return named_columns(_splat_centres(columns) if splats else columns, file)
 
 
 def _binary_lists(data: bytes, at: int, element: _PlyElement, order: str, file: str) -> tuple[list[Ints], int]:
@@ -252,7 +300,7 @@ def _read_ascii(body: bytes, elements: list[_PlyElement], file: str) -> tuple[Cl
             what = f"{element.count:,} {element.name!r} lines, but only {len(rows):,} are there"
             raise truncated(file, f"is cut off: its header announces {what}")
         if element.name == "vertex":
-            cloud = _ascii_cloud(rows, element, file)
+            cloud = _ascii_cloud(rows, element, file, splats=_are_splats(elements))
         elif element.name == "face":
             faces = _triangle_fans(_ascii_lists(rows), cloud, file)
     if cloud is None:
@@ -260,7 +308,7 @@ def _read_ascii(body: bytes, elements: list[_PlyElement], file: str) -> tuple[Cl
     return cloud, faces
 
 
-def _ascii_cloud(rows: list[str], element: _PlyElement, file: str) -> Cloud:
+def _ascii_cloud(rows: list[str], element: _PlyElement, file: str, *, splats: bool) -> Cloud:
     """Parse the vertex lines as float64, exact for all PLY types, then cast them, so that colours keep their range."""
     if element.has_list:
         raise unreadable(file, "has vertices with list properties, which are not supported")
@@ -269,10 +317,10 @@ def _ascii_cloud(rows: list[str], element: _PlyElement, file: str) -> Cloud:
         what = f"has {table.shape[1]} numbers per vertex; its header announces {len(element.properties)}"
         raise unreadable(file, what)
     columns = {
-        _ALIASES.get(item.name, item.name): table[:, at] if item.kind[0] == "f" else table[:, at].astype(item.kind)
+        item.name: table[:, at] if item.kind[0] == "f" else table[:, at].astype(item.kind)
         for at, item in enumerate(element.properties)
     }
-    return named_columns(columns, file)
+    return _cloud(columns, file, splats=splats)
 
 
 def _ascii_lists(rows: list[str]) -> list[Ints]:

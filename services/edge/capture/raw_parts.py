@@ -26,7 +26,8 @@ class RawPart:
 
 @dataclass(frozen=True, slots=True)
 class RawParts:
-    """All points of a file: how many its header announces, and a function that reads them from the beginning."""
+    """All points of a file: how many its header announces, a function that reads them anew, and warnings."""
 
     count: int
     read: Callable[[], Iterator[RawPart]]
+    warnings: tuple[str, ...] = ()

@@ -510,6 +510,7 @@ def test_the_pixel_limit_is_read_from_the_header() -> None:
 VALID = {
     "ply": captures.ply_bytes(XYZ, RGB, NORMALS),
     "ply ascii": captures.ply_bytes(XYZ, RGB, form="ascii"),
+    "splat ply": captures.splat_ply_bytes(XYZ, RGB, np.full(len(XYZ), 0.9)),
     "mesh ply": hemisphere_bytes("ply"),
     "pcd": captures.pcd_bytes(XYZ, RGB, NORMALS),
     "pcd lzf": captures.pcd_bytes(XYZ, RGB, NORMALS, form="binary_compressed"),

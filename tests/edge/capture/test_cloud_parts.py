@@ -14,7 +14,7 @@ from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture, Cloud
 from services.edge.capture.raw_parts import RawPart, RawParts
 from services.edge.errors import CaptureError
-from tests.support.captures import e57_scan, save_e57
+from tests.support.captures import e57_scan, save_e57, splat_ply_bytes
 
 COUNT = 50_003
 GEOREFERENCED = np.array([500_000.0, 5_000_000.0, 100.0])
@@ -102,6 +102,33 @@ def test_all_scans_of_a_large_e57_are_read_in_parts(tmp_path: Path) -> None:
     assert whole.xyz == pytest.approx(square(COUNT), abs=1e-5)
     assert whole.rgb is not None
     assert (whole.rgb == 9).all()
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_a_scan_without_colours_of_a_large_e57_is_grey(tmp_path: Path) -> None:
+    first, second = np.array_split(square(COUNT), 2)
+    scans = [e57_scan(first, np.full(first.shape, 9, np.uint8)), e57_scan(second)]
+    save_e57(tmp_path / "scan.e57", scans)
+    capture = read_capture(tmp_path / "scan.e57")
+    whole = everything(capture)
+    assert whole.rgb is not None
+    assert (whole.rgb == np.repeat([9, 128], [len(first), len(second)])[:, None]).all()
+    assert f"{len(second):,} of {COUNT:,} points are of scans without colours" in capture.warnings[0]
+
+
+@pytest.mark.usefixtures("small_is_large")
+def test_a_large_file_of_splats_is_read_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With parts of which some have no splat that can be seen."""
+    monkeypatch.setattr("services.edge.capture.ply.PART", 10_000)
+    seen = np.arange(COUNT) < 25_000
+    opacity, rgb = np.where(seen, 0.9, 0.01), np.full((COUNT, 3), (200, 100, 50))
+    (tmp_path / "scan.ply").write_bytes(splat_ply_bytes(square(COUNT), rgb, opacity))
+    capture = read_capture(tmp_path / "scan.ply")
+    whole = everything(capture)
+    assert np.array_equal(whole.xyz, square(COUNT)[seen].astype(np.float32))
+    assert whole.rgb is not None
+    assert (whole.rgb == (200, 100, 50)).all()
+    assert "Gaussian splats" in capture.warnings[0]
 
 
 @pytest.mark.usefixtures("small_is_large")

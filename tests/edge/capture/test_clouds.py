@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,7 +22,9 @@ from services.edge.capture.detect import read_capture
 from services.edge.capture.pcd import lzf_decompress
 from services.edge.capture.sample_surface import SAMPLES
 from services.edge.capture.tables import MAX_PARTED_POINTS
-from services.edge.errors import Cancelled
+from services.edge.errors import Cancelled, CaptureError
+from services.edge.export.obj import to_obj_zip
+from services.edge.mesh.nouns import Mesh
 from tests.support import captures, surfaces
 from tests.support.patience import CANCEL_S
 
@@ -356,6 +359,74 @@ def test_an_obj_without_faces_is_a_cloud(tmp_path: Path) -> None:
     cloud = read_capture(tmp_path).cloud
     assert cloud is not None
     np.testing.assert_allclose(cloud.xyz, XYZ, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1, 255])
+def test_an_obj_without_faces_has_the_colours_of_its_points(scale: int, tmp_path: Path) -> None:
+    """As fractions, and as bytes."""
+    (tmp_path / "points.obj").write_bytes(
+        b"v " + rows(XYZ, RGB / (255 / scale)).strip().replace(b"\n", b"\nv ") + b"\n"
+    )
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    np.testing.assert_array_equal(cloud.rgb, RGB)
+
+
+def test_a_vertex_coloured_obj_download_reads_back(tmp_path: Path) -> None:
+    """Beside its material, whose colour is white."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    rgb = np.tile(np.array([200, 128, 64], np.uint8), (len(ball.vertices), 1))
+    with zipfile.ZipFile(io.BytesIO(to_obj_zip(Mesh(ball.vertices, ball.faces, rgb), "scan"))) as archive:
+        archive.extractall(tmp_path)
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    assert cloud.rgb is not None
+    assert (cloud.rgb == rgb[0]).all()
+
+
+def test_a_material_colours_an_obj_whose_vertices_are_white(tmp_path: Path) -> None:
+    (tmp_path / "scan.mtl").write_text("newmtl paint\nKd 1 0 0\n")
+    corners = "v 0 0 0 1 1 1\nv 1 0 0 1 1 1\nv 0 1 0 1 1 1\n"
+    (tmp_path / "scan.obj").write_text(f"mtllib scan.mtl\n{corners}usemtl paint\nf 1 2 3\n")
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    assert cloud.rgb is not None
+    assert (cloud.rgb == (255, 0, 0)).all()
+
+
+@pytest.mark.parametrize("form", ["ascii", "little"])
+def test_splats_that_can_be_seen_are_points_of_their_colour(form: str, tmp_path: Path) -> None:
+    opacity = np.where(np.arange(len(XYZ)) % 3 == 0, 0.09, 0.11)
+    (tmp_path / "scan.ply").write_bytes(captures.splat_ply_bytes(XYZ, RGB, opacity, form=form))
+    capture = read_capture(tmp_path)
+    cloud = capture.cloud
+    assert cloud is not None
+    np.testing.assert_array_equal(cloud.xyz, XYZ[opacity > 0.1])
+    np.testing.assert_array_equal(cloud.rgb, RGB[opacity > 0.1])
+    assert cloud.normals is None, "the file's are zeros"
+    (warning,) = capture.warnings
+    assert warning.startswith("scan.ply: holds Gaussian splats; the centres")
+
+
+def test_splats_that_cannot_be_seen_are_no_capture(tmp_path: Path) -> None:
+    (tmp_path / "scan.ply").write_bytes(captures.splat_ply_bytes(XYZ, RGB, np.full(len(XYZ), 0.01)))
+    with pytest.raises(CaptureError, match="has only 0 points") as caught:
+        read_capture(tmp_path)
+    assert caught.value.code == "CAPTURE_TOO_FEW_POINTS"
+
+
+def test_a_texture_of_a_ply_is_named_as_it_is_not_read(tmp_path: Path) -> None:
+    """As MeshLab writes it: texture coordinates for the corners of every face."""
+    (tmp_path / "scan.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment TextureFile my scan.jpg\nelement vertex 3\nproperty float x\n"
+        "property float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\n"
+        "property list uchar float texcoord\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 6 0 0 1 0 0 1\n"
+    )
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert capture.cloud.rgb is None
+    (warning,) = capture.warnings
+    assert warning.startswith("scan.ply: its texture 'my scan.jpg' is not read, and the mesh has no colours: export")
 
 
 def test_the_limit_of_points_is_named(tmp_path: Path) -> None:

@@ -155,12 +155,23 @@ def test_points_that_the_scanner_calls_invalid_are_left_out(tmp_path: Path) -> N
     assert np.array_equal(cloud.rgb, RGB[invalid == 0])
 
 
-def test_without_colours_in_every_scan_there_are_none(tmp_path: Path) -> None:
-    captures.save_e57(tmp_path / "scan.e57", [captures.e57_scan(XYZ, RGB), captures.e57_scan(XYZ)])
-    cloud = read_capture(tmp_path).cloud
-    assert cloud is not None
-    assert len(cloud.xyz) == 1000
-    assert cloud.rgb is None
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_scan_without_colours_is_grey_beside_one_that_has_them(order: int, tmp_path: Path) -> None:
+    captures.save_e57(tmp_path / "scan.e57", [captures.e57_scan(XYZ, RGB), captures.e57_scan(XYZ)][::order])
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert np.array_equal(capture.cloud.rgb, np.concatenate([RGB, np.full_like(RGB, 128)][::order]))
+    (warning,) = capture.warnings
+    assert warning.startswith("scan.e57: 500 of 1,000 points are of scans without colours")
+
+
+def test_without_colours_in_any_scan_there_are_none(tmp_path: Path) -> None:
+    captures.save_e57(tmp_path / "scan.e57", [captures.e57_scan(XYZ)] * 2)
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert len(capture.cloud.xyz) == 1000
+    assert capture.cloud.rgb is None
+    assert capture.warnings == ()
 
 
 def test_georeferenced_scans_are_moved_near_the_origin(tmp_path: Path) -> None:
