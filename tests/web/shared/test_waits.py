@@ -124,12 +124,13 @@ def test_data_that_does_not_come_is_said_and_comes_when_asked_for_again(
 @pytest.mark.parametrize(
     ("fault", "paths"),
     [
-        ("silent", ["viewer/viewer.js", "gltf-loader.js", "shared/style.css"]),
-        ("half", ["^/view/", "gltf-loader.js", "shared/style.css"]),
+        ("silent", ["gltf-loader.js", "viewer/viewer.js", "shared/style.css"]),
+        ("half", ["gltf-loader.js", "^/view/", "shared/style.css"]),
     ],
     ids=["silent", "half"],
 )
 def test_a_page_that_does_not_start_says_so(page: Page, line: Line, fault: str, paths: list[str]) -> None:
+    """The loader comes first: once it has arrived the browser keeps it, as its address has a version."""
     for _ in each_fault(page, line, f"{line.url}/view/red", product([fault], paths)):
         await_start(page, line)
         expect_sentence(page, INCOMPLETE)
