@@ -15,8 +15,8 @@ from services.edge.convert.convert_bundle import BundleFolder, convert
 
 def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
     """Convert the results in a folder; return the file. out: None: beside them. Raises BadInput."""
-    bundle, key, files = _open(folder)
-    possible = [each.name for each in formats_of([file for file in files if bundle.has(file)])]
+    bundle, key = _open(folder)
+    possible = [each.name for each in formats_of([path.name for path in folder.iterdir() if bundle.has(path.name)])]
     if format_name not in possible:
         reason = "cannot be made from what is there" if format_name in FORMATS else "is no format"
         raise BadInput(f"{folder}: {format_name} {reason}; it can be one of: {', '.join(possible) or 'none'}")
@@ -31,13 +31,14 @@ def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
     return path
 
 
-def _open(folder: Path) -> tuple[BundleFolder, str, list[str]]:
-    """Return the bundle in a folder, its asset key, and the names of its files. Raises BadInput."""
-    manifest = next((folder / name for name in (MANIFEST, REPORT) if (folder / name).is_file()), None)
+def _open(folder: Path) -> tuple[BundleFolder, str]:
+    """Return the bundle in a folder that was written last, and its asset key. Raises BadInput."""
+    written = [folder / name for name in (MANIFEST, REPORT) if (folder / name).is_file()]
+    manifest = max(written, key=lambda path: path.stat().st_mtime_ns, default=None)
     if manifest is None:
         raise BadInput(f"{folder} has no {MANIFEST} or {REPORT}: name a folder that `run` or `pull` has written")
     try:
         document = json.loads(manifest.read_bytes())
-        return BundleFolder(folder, document), str(document["key"]), listed_files(document)
+        return BundleFolder(folder, document, frozenset(listed_files(document))), str(document["key"])
     except (ValueError, KeyError, TypeError):
         raise BadInput(f"{manifest} is damaged: run or pull again") from None

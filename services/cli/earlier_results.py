@@ -22,7 +22,8 @@ def listed_files(document: dict[str, Any]) -> list[str]:
 def files_of_run(out: Path) -> list[Path]:
     """Return the files in `out` that the report of an earlier run lists."""
     try:
-        names = listed_files({"bytes": json.loads((out / REPORT).read_bytes())["bytes"]})
+        report = json.loads((out / REPORT).read_bytes())
+        names = listed_files({"bytes": report["bytes"]}) if "certificates" in report else []
     except (OSError, ValueError, KeyError, TypeError):  # no report, or not one of ours
         return []
     return [out / name for name in names if (out / name).is_file()]

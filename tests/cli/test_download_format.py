@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,7 @@ def test_results_on_this_machine_are_converted(tmp_path: Path, manifest: str) ->
     (tmp_path / "points.laz").write_bytes(b"LASF")
     with pytest.raises(BadInput, match="colmap cannot be made from what is there"):
         convert_folder(tmp_path, "colmap", None)
+    (tmp_path / "tileset.json").write_text("{}")
     assert convert_folder(tmp_path, "stl", None) == tmp_path / "sheet.stl"
     assert convert_folder(tmp_path, "glb", tmp_path / "a.glb").read_bytes()[:4] == b"glTF"
     with pytest.raises(BadInput, match="exe is no format; it can be one of: glb"):
@@ -65,3 +67,14 @@ def test_results_on_this_machine_are_converted(tmp_path: Path, manifest: str) ->
     (tmp_path / manifest).write_text("[]")
     with pytest.raises(BadInput, match="is damaged"):
         convert_folder(tmp_path, "glb", None)
+
+
+def test_of_two_results_in_a_folder_the_last_is_converted(tmp_path: Path) -> None:
+    bundle = downloadable()
+    written(bundle, tmp_path)
+    run = {**bundle.manifest, "bytes": dict.fromkeys(bundle.files, 9), "key": "of-a-run"}
+    pull = {**bundle.manifest, "files": [{"file": name} for name in bundle.files], "key": "of-a-pull"}
+    for number, (name, document) in enumerate([("report.json", run), ("manifest.json", pull), ("report.json", run)]):
+        (tmp_path / name).write_text(json.dumps(document))
+        os.utime(tmp_path / name, (number, number))
+        assert convert_folder(tmp_path, "stl", None).stem == document["key"]

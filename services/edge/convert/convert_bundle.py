@@ -38,17 +38,21 @@ _MM = 1000.0  # per metre
 
 @dataclass(frozen=True, slots=True)
 class BundleFolder:
-    """A bundle's files in a folder, by their plain names, with its manifest."""
+    """A bundle's files in a folder, by their plain names, with its manifest.
+
+    files: their names, where the folder may have others, which are not the bundle's; None: all are
+    """
 
     folder: Path
     manifest: Mapping[str, Any]
+    files: frozenset[str] | None = None
 
     def read(self, file: str) -> bytes:
         """Read a file. Raises FileNotFoundError."""
         return (self.folder / file).read_bytes()
 
     def has(self, file: str) -> bool:
-        return (self.folder / file).is_file()
+        return (self.files is None or file in self.files) and (self.folder / file).is_file()
 
     @property
     def to_asset(self) -> Floats:
