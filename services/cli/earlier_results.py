@@ -23,7 +23,7 @@ def files_of_run(out: Path) -> list[Path]:
     """Return the files in `out` that the report of an earlier run lists."""
     try:
         report = json.loads((out / REPORT).read_bytes())
-        names = listed_files({"bytes": report["bytes"]}) if "certificates" in report else []
+        names = listed_files(report) if "certificates" in report else []
     except (OSError, ValueError, KeyError, TypeError):  # no report, or not one of ours
         return []
     return [out / name for name in names if (out / name).is_file()]

@@ -29,6 +29,7 @@ from services.edge.asset.photo_check import posed_picture
 from services.edge.capture.detect import read_capture
 from services.edge.capture.nouns import Capture
 from services.edge.convert.read_glb import read_glb
+from services.edge.mesh.concatenate import concatenate
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.photos.to_depth import to_depth
 from services.edge.pipeline import reconstruct
@@ -82,12 +83,7 @@ def furry_ball() -> Mesh:
         (corners.reshape(-1, 3), np.arange(3 * _HAIRS).reshape(-1, 3), shade),
         (np.asarray(floor.vertices), floor.faces, np.repeat(lit[:, None], 3, axis=1)),
     ]
-    first = np.cumsum([0, *(len(vertices) for vertices, _, _ in parts)])
-    return Mesh(
-        np.concatenate([vertices for vertices, _, _ in parts]),
-        np.concatenate([np.asarray(faces) + begin for (_, faces, _), begin in zip(parts, first, strict=False)]),
-        np.concatenate([rgb for _, _, rgb in parts]).clip(0, 255).astype(np.uint8),
-    )
+    return concatenate([Mesh(xyz, np.asarray(faces), rgb.clip(0, 255).astype(np.uint8)) for xyz, faces, rgb in parts])
 
 
 def _furry(folder: Path) -> Capture:

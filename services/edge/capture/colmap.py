@@ -24,7 +24,7 @@ from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
 from services.edge.capture.posed_photos import GivenCamera, posed_capture, with_camera
 from services.edge.capture.poses import pose_from_quaternion
-from services.edge.capture.tables import truncated
+from services.edge.capture.tables import is_number, truncated
 from services.edge.errors import CaptureError
 
 MAX_BYTES = 2**30  # of one file of the model; a thousand photos with ten thousand observations each are 240 MB
@@ -206,18 +206,10 @@ def _is_pose_line(line: str) -> bool:
     Observations are numbers in threes, which may be whole numbers too.
     """
     words = line.split(None, 9)
-    if len(words) < 10 or not (_is_whole(words[0]) and _is_whole(words[8]) and all(map(_is_number, words[1:8]))):
+    if len(words) < 10 or not (_is_whole(words[0]) and _is_whole(words[8]) and all(map(is_number, words[1:8]))):
         return False
     name = words[9].split()
-    return len(name) % 3 != 0 or not all(map(_is_number, name))
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    return len(name) % 3 != 0 or not all(map(is_number, name))
 
 
 def _image_line(line: str, file: str) -> _Image:

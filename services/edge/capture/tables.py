@@ -117,7 +117,7 @@ def looks_numeric(head: str) -> bool:
 
 def _is_row(line: str) -> bool:
     fields = _split(line)
-    return len(fields) >= 3 and all(_is_number(field) for field in fields[:3])
+    return len(fields) >= 3 and all(is_number(field) for field in fields[:3])
 
 
 def _split(line: str) -> list[str]:
@@ -126,7 +126,8 @@ def _split(line: str) -> list[str]:
     return re.split(r"[\s,;]+", line.strip(" \t\r\n,;"))
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Return whether a text is a number, as Python reads it."""
     try:
         float(text)
     except ValueError:
@@ -179,7 +180,7 @@ def _column_names(lines: list[str], file: str) -> list[str] | None:
     first = lines[0].split() if lines else []
     if not first:
         raise CaptureError("CAPTURE_EMPTY", "has no rows of numbers", file=file, hints=("export the capture again",))
-    if all(_is_number(field) for field in first):
+    if all(is_number(field) for field in first):
         return None
     del lines[0]
     if not lines:

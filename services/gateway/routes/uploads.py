@@ -100,8 +100,7 @@ async def create_upload(request: Request) -> Response:
     require_media_type(*content_of(metadata))
     await _check_length(request, length)
     begins = "content-type" in request.headers
-    if begins:
-        _parse_part(request, length)
+    checksum = _parse_part(request, length) if begins else None
     resumable, tenant = _resumable(request), caller_of(request).tenant
     database, expiry = resumable.database, resumable.expiry()
     upload = await resumable.run(lambda: database.create(tenant, length, metadata, expiry, _MOST_UNFINISHED))
@@ -110,7 +109,7 @@ async def create_upload(request: Request) -> Response:
         raise limited("UPLOADS_LIMITED", detail, _RETRY_S, hint="finish some, or delete them")
     if begins:
         try:
-            upload = await _append(request, upload)
+            upload = await _append(request, upload, checksum)
         except Exception:  # nobody is told its id: it would stay unfinished until it expires
             await _discard(request, await resumable.find(tenant, upload.id))
             raise
@@ -154,7 +153,7 @@ async def continue_upload(upload: UploadId, request: Request) -> Response:
         answer = {"Upload-Offset": str(found.received)}
         raise Problem(409, "UPLOAD_OFFSET", detail, hints=("go on from Upload-Offset",), headers=answer)
     if found.received < found.length:
-        found = await _append(request, found)
+        found = await _append(request, found, _parse_part(request, found.length, found.received))
     elif await _has_body(request):
         raise too_long(found.length)
     return Response(status_code=204, headers=protocol.state_headers(found))
@@ -254,11 +253,10 @@ def _parse_part(request: Request, length: int, received: int = 0) -> protocol.Ch
     return checksum
 
 
-async def _append(request: Request, upload: Upload) -> Upload:
-    """Append the request's body to an upload. Raises Problem, ClientDisconnect."""
+async def _append(request: Request, upload: Upload, checksum: protocol.Checksum | None) -> Upload:
+    """Append the request's body to an upload. checksum: of the body, if told. Raises Problem, ClientDisconnect."""
     usage, caller = request.app.state.usage, caller_of(request)
     limits = await limits_of(request)
-    checksum = _parse_part(request, upload.length, upload.received)
 
     async def before_chunk(size: int) -> None:
         (await usage.allowance(caller.tenant, await limits_of(request))).check(size)

@@ -110,7 +110,6 @@ def remove_row(store: Store, collection: str, key: str, keys: Keys = NO_KEYS) ->
     Idempotent. Raises CatalogueFault as `update_collections` does.
     """
     _replace_row(store, collection, key, keys, lambda _: [])
-    _forget_retired(store, collection, keys)
 
 
 def empty(store: Store, collection: str, keys: Keys = NO_KEYS) -> None:
@@ -134,28 +133,18 @@ def empty(store: Store, collection: str, keys: Keys = NO_KEYS) -> None:
 
 
 def _update_collection(store: Store, collection: str, key: str, keys: Keys) -> None:
-    listed = True
-
-    def rows_for(visibility: Visibility | None) -> list[Row]:
-        nonlocal listed
-        rows = _listed_rows([read_entry(store, key)], visibility)
-        listed = bool(rows)
-        return rows
-
-    _replace_row(store, collection, key, keys, rows_for)
-    if not listed:  # others must not find by the index the earlier shards, which list what is private
-        _forget_retired(store, collection, keys)
+    _replace_row(store, collection, key, keys, lambda visibility: _listed_rows([read_entry(store, key)], visibility))
 
 
 def _replace_row(
     store: Store, collection: str, key: str, keys: Keys, rows_for: Callable[[Visibility | None], list[Row]]
 ) -> None:
-    """Write the asset's row in place of the one that the collection has.
+    """Write the asset's row in place of the one that the collection has; without one it is in no earlier shard either.
 
     rows_for  returns the row for a collection of this visibility, or nothing where there shall be none
     """
 
-    def attempt() -> None:
+    def attempt() -> bool:
         data, etag = read_mutable(store, index_name(collection))
         present = _read_current_index(data, collection, keys)
         wanted = rows_for(present.visibility)
@@ -163,7 +152,7 @@ def _replace_row(
         others = [each for each in rows if each.key != key]
         new_rows = sorted([*others, *wanted], key=lambda each: each.key)
         if data is not None and new_rows == list(rows):
-            return
+            return bool(wanted)
         _check_unchanged(store, collection, etag)
         new_shards = _write_shards(store, collection, _split_rows(new_rows), present.version + 1)
         replaced = [shard.sha256 for shard in present.shards[number : number + 1]]
@@ -171,8 +160,10 @@ def _replace_row(
         retired = (*present.retired, *replaced)
         index = Index(collection, present.version + 1, now_iso(), shards, retired, present.visibility)
         _replace_index(store, index, new_shards, keys, etag)
+        return bool(wanted)
 
-    retry_on_conflict(attempt)
+    if not retry_on_conflict(attempt):  # others must not find by the index the earlier shards, which list it
+        _forget_retired(store, collection, keys)
 
 
 def _forget_retired(store: Store, collection: str, keys: Keys) -> None:
