@@ -4,7 +4,7 @@ Both use the frozen backbone of `pixels`, so that their results differ by the he
 
 implicit     f(q) = |MLP(q, latent)|: what anchor-udf is compared with
 anchor-udf   f(q) = |MLP(q, latent, features of the picture where q is seen, the nearest anchors)|  (Zhao et al. 2021),
-             anchors being k-means centres of the 1,024 points; 256 of them and a small MLP, for two CPU cores
+             anchors being k-means centres of the 1,024 points; a small MLP, for two CPU cores
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from services.edge.single_photo.camera import about_vertical, project
 from services.edge.single_photo.network import LATENT, POINTS, WIDTHS, Pixels, Prediction, likeliest_yaw
 from services.edge.single_photo_training.losses import nearest
 
-ANCHORS = 256  # per thing
-_ROUNDS = 3  # of k-means; it starts with every fourth point of the square, which is spread out already
+ANCHORS = 600  # per thing, as published
+_ROUNDS = 3  # of k-means; it starts with points all over the square, which are spread out already
 _NEIGHBOURS = 4  # anchors per query
 _FEATURES = 32  # channels of the picture's and of the anchors' features
 _WIDE = 192  # channels of the MLP
@@ -81,7 +81,7 @@ Field = Implicit | AnchorUdf
 
 def anchors(points: Tensor, count: int) -> Tensor:
     """K-means centres (n,count,3) of points (n,p,3)."""
-    centres = points[:, :: points.shape[1] // count][:, :count]
+    centres = points[:, torch.arange(count, device=points.device) * points.shape[1] // count]
     for _ in range(_ROUNDS):
         own, _ = nearest(points, centres)
         index = own[..., None].expand(-1, -1, 3)

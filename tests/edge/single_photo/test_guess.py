@@ -28,7 +28,14 @@ from services.edge.single_photo.test_time_views import VIEWS, _choose_yaw, predi
 from services.edge.single_photo.weights import SHIPPED, load_pixels
 from services.edge.single_photo_training.batches import HELD_OUT, held_out_batch, training_batches
 from services.edge.single_photo_training.evaluate import head_points
-from services.edge.single_photo_training.field_heads import Field, Implicit, anchors, field_points, value_and_gradient
+from services.edge.single_photo_training.field_heads import (
+    ANCHORS,
+    Field,
+    Implicit,
+    anchors,
+    field_points,
+    value_and_gradient,
+)
 from services.edge.single_photo_training.losses import chamfer, f_score
 from services.edge.single_photo_training.pictures import render_pictures
 from services.edge.single_photo_training.shapes import SAMPLES, generate_shapes
@@ -227,6 +234,13 @@ def test_anchors_are_means_of_what_is_near_them() -> None:
     assert found.shape == (2, 100, 3)
     apart = torch.cdist(points, found).amin(dim=2).mean()
     assert apart < torch.cdist(points, points[:, :100]).amin(dim=2).mean()
+
+
+def test_anchors_reach_the_whole_thing_where_there_are_nearly_as_many_as_points() -> None:
+    along = torch.linspace(0, 1, POINTS)[None, :, None] * torch.tensor([1.0, 0.0, 0.0])
+    found = anchors(along, ANCHORS)
+    assert found.shape == (1, ANCHORS, 3)
+    assert torch.cdist(along, found).amin(dim=2).max() < 2 / ANCHORS
 
 
 @pytest.fixture
