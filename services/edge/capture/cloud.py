@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from services.edge.arrays import Floats
 from services.edge.capture.cloud_parts import MAX_BAD_SHARE, MAX_COORDINATE, dropped_warning, read_some, valid_mask
 from services.edge.capture.cloud_process import georeferenced_origin, moved_warning
-from services.edge.capture.colours import rgb8
-from services.edge.capture.files import Folder, translate_errors, unreadable
-from services.edge.capture.meshes import read_mesh, vertex_colours
+from services.edge.capture.files import Folder, translate_errors
+from services.edge.capture.meshes import read_mesh
 from services.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
+from services.edge.capture.obj import read_obj
 from services.edge.capture.pcd import read_pcd
 from services.edge.capture.ply import ply_parts, read_ply
 from services.edge.capture.raw_parts import RawParts
 from services.edge.capture.sample_surface import SampledSurface, sample_surfaces
+from services.edge.capture.surface_colours import vertex_colours
 from services.edge.capture.tables import MAX_POINTS, looks_numeric, npy_parts, read_npy, read_table, too_many_points
 from services.edge.errors import CaptureError
 
@@ -56,7 +57,7 @@ _FRAMES = {
     "e57": _Frame("metric", UP_Z),  # ASTM E2807: metres; scanners level themselves
     "las": _Frame("estimated", UP_Z),  # usually metres; the coordinate reference system, which is not read, decides
 }
-_MESHES = ("obj", "off", "stl", "glb", "gltf")
+_MESHES = ("off", "stl", "glb", "gltf")
 
 
 def cloud_format(folder: Folder, name: str) -> str | None:
@@ -94,7 +95,7 @@ def _by_text(head: bytes) -> str | None:
         return "off"
     if start.startswith("solid") and "facet" in text:
         return "stl"
-    if re.search(r"^v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]\S*[ \t]+[-+.\dna]", text, re.M | re.I):
+    if re.search(r"^[ \t]*v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]\S*[ \t]+[-+.\dna]", text, re.M | re.I):
         return "obj"
     return "xyz" if looks_numeric(text[: text.rfind("\n")] if len(head) == _SNIFF_BYTES else text) else None
 
@@ -169,9 +170,19 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
         colours = None if cloud.rgb is None else vertex_colours(cloud.rgb, faces)
         sampled, dropped = _sample_mesh([SampledSurface(cloud.xyz, faces, colours)], name)
         return sampled, (*warnings, *dropped)
+    if kind == "obj":
+        obj = read_obj(folder, name)
+        if obj.surface is None:
+            return obj.vertices, ()
+        sampled, dropped = _sample_mesh([obj.surface], name)
+        return sampled, (*obj.warnings, *dropped)
     if kind in _MESHES:
         surfaces = read_mesh(folder, name, kind)
-        return _sample_mesh(surfaces, name) if surfaces else (_obj_vertices(folder, name, kind), ())
+        if not surfaces:
+            raise CaptureError(
+                "CAPTURE_EMPTY", "is a mesh without triangles", file=name, hints=("export the mesh again",)
+            )
+        return _sample_mesh(surfaces, name)
     return {"pcd": read_pcd, "npy": read_npy, "xyz": read_table}[kind](path, name), ()
 
 
@@ -187,24 +198,6 @@ def _sample_mesh(surfaces: list[SampledSurface], name: str) -> tuple[Cloud, tupl
     keep = [replace(surface, vertices=np.where(valid_mask(surface.vertices)[:, None], surface.vertices, np.nan))
             for surface in surfaces]  # fmt: skip
     return sample_surfaces(keep, name), (*moved, *dropped)
-
-
-def _obj_vertices(folder: Folder, name: str, kind: str) -> Cloud:
-    """Read the vertices of an .obj without faces as a point cloud, with their colours where all of them have some.
-
-    Raises CAPTURE_EMPTY for any other mesh format.
-    """
-    if kind != "obj":
-        raise CaptureError("CAPTURE_EMPTY", "is a mesh without triangles", file=name, hints=("export the mesh again",))
-    with translate_errors(name, "OBJ"):
-        lines = folder.path(name).read_bytes().decode("latin-1").splitlines()
-        rows = [line.split()[1:] for line in lines if line.startswith(("v ", "v\t"))]
-        xyz = np.array([row[:3] for row in rows], np.float64)
-        coloured = all(len(row) >= 6 for row in rows)
-        rgb = rgb8(np.array([row[3:6] for row in rows], np.float64)) if coloured else None
-    if xyz.ndim != 2:
-        raise unreadable(name, "has no vertices")
-    return Cloud(xyz, rgb)
 
 
 def _near_origin(parts: Sequence[Floats], name: str) -> tuple[list[Floats], tuple[str, ...]]:

@@ -1,9 +1,8 @@
-"""Read mesh files with trimesh: .obj, .off, .stl, .glb and .gltf, with their textures, materials and buffers."""
+"""Read mesh files with trimesh: .off, .stl, .glb and .gltf, with their textures, materials and buffers."""
 
 from __future__ import annotations
 
 import posixpath
-import re
 from collections.abc import Iterator, Mapping
 from io import BytesIO
 from typing import Any
@@ -11,26 +10,14 @@ from typing import Any
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
-from services.edge.capture.colours import rgb8
 from services.edge.capture.files import Folder, translate_errors
 from services.edge.capture.gltf import LIGHT, plain_gltf
 from services.edge.capture.images import check_pixels, header_size, read_bytes
-from services.edge.capture.sample_surface import ColourAt, SampledSurface
+from services.edge.capture.sample_surface import MAX_FACES, ColourAt, SampledSurface, too_many_faces
+from services.edge.capture.surface_colours import nearest_texels, vertex_colours
 from services.edge.capture.tables import truncated
 from services.edge.errors import CaptureError
 from services.edge.srgb import to_linear, to_srgb
-
-MAX_FACES = (
-    5_000_000  # summed over all nodes, as a scene can repeat one mesh a million times; sampling takes 200 bytes each
-)
-MAX_MATERIALS = 500  # of an OBJ: scanners write tens, and each takes 1 ms and more
-_MATERIAL = re.compile(rb"^[ \t]*usemtl[ \t]+(.*)$", re.MULTILINE)
-
-
-def too_many_faces(count: int, file: str) -> CaptureError:
-    """Return a CAPTURE_TOO_LARGE error for a file of `count` triangles."""
-    what = f"has {count:,} triangles; at most {MAX_FACES:,} are read"
-    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("simplify the mesh",))
 
 
 class _SiblingFiles(Mapping[str, bytes]):
@@ -51,9 +38,7 @@ class _SiblingFiles(Mapping[str, bytes]):
             raise
 
     def _read(self, name: str) -> bytes:
-        beside = self._folder.resolve(name.strip(), by=self._file, base=posixpath.dirname(self._file))
-        if beside.endswith(".mtl") and not self._folder.exists(beside):
-            beside = posixpath.splitext(self._file)[0] + ".mtl"  # the mesh was renamed together with its materials
+        beside = self._folder.resolve(name, by=self._file, base=posixpath.dirname(self._file))
         if not self._folder.exists(beside):
             raise KeyError(beside)  # trimesh continues without a texture, and fails without a buffer
         data = read_bytes(self._folder.path(beside), beside)
@@ -70,7 +55,7 @@ class _SiblingFiles(Mapping[str, bytes]):
 
 
 def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
-    """Read the triangles of a file of `kind` "obj", "off", "stl", "glb" or "gltf", in the scene's frame.
+    """Read the triangles of a file of `kind` "off", "stl", "glb" or "gltf", in the scene's frame.
 
     An empty list when there are no triangles. Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
     """
@@ -78,9 +63,7 @@ def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
 
     data = read_bytes(folder.path(file), file)
     beside, parser = _SiblingFiles(folder, file), kind
-    if kind == "obj":
-        _check_obj(data, file)
-    elif kind == "off":
+    if kind == "off":
         _check_off(data, file)
     elif kind in ("glb", "gltf"):
         data, beside.buffers = plain_gltf(data, kind, folder, file, beside)
@@ -97,13 +80,6 @@ def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
             raise too_many_faces(faces, file)
         pictures: _Pictures = {}
         return [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
-
-
-def _check_obj(data: bytes, file: str) -> None:
-    """Refuse an OBJ of too many materials: trimesh makes a mesh of each, with all vertices."""
-    if (count := len(set(_MATERIAL.findall(data)))) > MAX_MATERIALS:
-        what = f"has {count:,} materials; at most {MAX_MATERIALS:,} are read"
-        raise CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("export the mesh with one texture",))
 
 
 def _check_off(data: bytes, file: str) -> None:
@@ -143,8 +119,6 @@ def _colours(geometry: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None
     material, light = getattr(visual, "material", None), _per_vertex(geometry, LIGHT)
     if light is not None or hasattr(material, "baseColorTexture"):
         return _gltf_colours(material, visual, light, faces, pictures)
-    if visual.kind == "texture":
-        return _obj_colours(visual, _per_vertex(geometry, "color"), faces, pictures)
     if visual.kind == "vertex":
         return vertex_colours(np.asarray(visual.vertex_colors)[:, :3], faces)
     if visual.kind == "face":
@@ -157,15 +131,6 @@ def _per_vertex(geometry: Any, name: str) -> Floats | None:
     """Return an attribute (V,3) of a mesh's vertices, or None where it has none, or one of another length."""
     values = geometry.vertex_attributes.get(name)
     return None if values is None or np.shape(values) != (len(geometry.vertices), 3) else np.asarray(values)
-
-
-def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
-    """Return a function that interpolates vertex colours (V,3) uint8 over the triangles."""
-
-    def colour_at(triangle: Ints, weights: Floats) -> Bytes:
-        return rgb8(np.rint(np.einsum("nc,ncd->nd", weights, rgb[faces[triangle]])).astype(np.int16))
-
-    return colour_at
 
 
 def _gltf_colours(material: Any, visual: Any, light: Floats | None, faces: Ints, pictures: _Pictures) -> ColourAt:
@@ -186,26 +151,6 @@ def _gltf_colours(material: Any, visual: Any, light: Floats | None, faces: Ints,
     return colour_at
 
 
-def _obj_colours(visual: Any, vertex: Floats | None, faces: Ints, pictures: _Pictures) -> ColourAt | None:
-    """Return a function that samples the texture, or else the vertices' colours (V,3), or else the material's; or None.
-
-    A material beside vertex colours is a writer's default: it is taken only where all vertices are white.
-    """
-    material = visual.material
-    # For a missing texture trimesh substitutes an image of its own, which has no path.
-    image = material.image if "file_path" in getattr(material.image, "info", {}) else None
-    if (texel_at := _texture(image, visual, faces, pictures)) is not None:
-        return texel_at
-    if vertex is not None and ((rgb := rgb8(vertex)) < 255).any():
-        return vertex_colours(rgb, faces)
-    if image is not None:
-        return lambda triangle, weights: np.full((len(triangle), 3), 255, np.uint8)
-    if "kd" not in material.kwargs:
-        return None
-    flat = np.rint(255 * np.clip(np.asarray(material.kwargs["kd"], np.float64)[:3], 0, 1)).astype(np.uint8)
-    return lambda triangle, weights: np.tile(flat, (len(triangle), 1))
-
-
 def _texture(image: Any, visual: Any, faces: Ints, pictures: _Pictures) -> ColourAt | None:
     """Return a function that looks up the texels of a picture, or None without picture or texture coordinates."""
     if image is None or visual.uv is None:
@@ -215,14 +160,4 @@ def _texture(image: Any, visual: Any, faces: Ints, pictures: _Pictures) -> Colou
     if id(image) not in pictures:
         pictures[id(image)] = np.asarray(image.convert("RGB"))
     pixels = pictures[id(image)]
-    return lambda triangle, weights: _nearest(pixels, np.einsum("nc,ncd->nd", weights, uv[faces[triangle]]))
-
-
-def _nearest(pixels: Bytes, uv: Floats) -> Bytes:
-    """Look up the nearest texel at uv, with repeat wrapping; trimesh flips v, so 0 is the picture's lower edge."""
-    height, width = pixels.shape[:2]
-    u, v = np.nan_to_num(uv[:, 0]) % 1.0, 1.0 - np.nan_to_num(uv[:, 1]) % 1.0
-    columns = np.minimum((u * width).astype(np.int64), width - 1)
-    rows = np.clip((v * height).astype(np.int64), 0, height - 1)
-    texels: Bytes = pixels[rows, columns]
-    return texels
+    return lambda triangle, weights: nearest_texels(pixels, np.einsum("nc,ncd->nd", weights, uv[faces[triangle]]))

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from services.edge.arrays import Ints
 from services.edge.capture.colours import rgb8
 from services.edge.capture.files import translate_errors, unreadable
-from services.edge.capture.meshes import MAX_FACES, too_many_faces
 from services.edge.capture.nouns import Cloud
 from services.edge.capture.raw_parts import LARGE, PART, RawPart, RawParts
+from services.edge.capture.sample_surface import MAX_FACES, too_many_faces
 from services.edge.capture.tables import (
     MAX_PARTED_POINTS,
     MAX_POINTS,

@@ -12,6 +12,7 @@ from services.edge.capture.nouns import Cloud
 from services.edge.errors import CaptureError
 
 SAMPLES = 100_000  # points per mesh file: 3 mm apart on a square metre
+MAX_FACES = 5_000_000  # summed over all nodes, as a scene can repeat one mesh a million times; 200 bytes each
 SEED = 0  # of the random generator: the same mesh always gives the same points
 
 ColourAt = Callable[[Ints, Floats], Bytes]
@@ -25,6 +26,12 @@ class SampledSurface:
     vertices: Floats
     faces: Ints
     colour_at: ColourAt | None = None
+
+
+def too_many_faces(count: int, file: str) -> CaptureError:
+    """Return a CAPTURE_TOO_LARGE error for a file of `count` triangles."""
+    what = f"has {count:,} triangles; at most {MAX_FACES:,} are read"
+    return CaptureError("CAPTURE_TOO_LARGE", what, file=file, hints=("simplify the mesh",))
 
 
 def sample_surfaces(surfaces: Sequence[SampledSurface], file: str) -> Cloud:

@@ -1,0 +1,28 @@
+"""Look up the colours of points on triangles: of vertices, and of a texture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.edge.arrays import Bytes, Floats, Ints
+from services.edge.capture.colours import rgb8
+from services.edge.capture.sample_surface import ColourAt
+
+
+def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
+    """Return a function that interpolates vertex colours (V,3) uint8 over the triangles."""
+
+    def colour_at(triangle: Ints, weights: Floats) -> Bytes:
+        return rgb8(np.rint(np.einsum("nc,ncd->nd", weights, rgb[faces[triangle]])).astype(np.int16))
+
+    return colour_at
+
+
+def nearest_texels(pixels: Bytes, uv: Floats) -> Bytes:
+    """Look up the nearest texel at uv (N,2), with repeat wrapping; v 0 is the picture's lower edge."""
+    height, width = pixels.shape[:2]
+    u, v = np.nan_to_num(uv[:, 0]) % 1.0, 1.0 - np.nan_to_num(uv[:, 1]) % 1.0
+    columns = np.minimum((u * width).astype(np.int64), width - 1)
+    rows = np.clip((v * height).astype(np.int64), 0, height - 1)
+    texels: Bytes = pixels[rows, columns]
+    return texels
