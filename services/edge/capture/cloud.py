@@ -177,12 +177,13 @@ def _read(folder: Folder, name: str, kind: str) -> tuple[Cloud, tuple[str, ...]]
         sampled, dropped = _sample_mesh([obj.surface], name)
         return sampled, (*obj.warnings, *dropped)
     if kind in _MESHES:
-        surfaces = read_mesh(folder, name, kind)
+        surfaces, absent = read_mesh(folder, name, kind)
         if not surfaces:
             raise CaptureError(
                 "CAPTURE_EMPTY", "is a mesh without triangles", file=name, hints=("export the mesh again",)
             )
-        return _sample_mesh(surfaces, name)
+        sampled, dropped = _sample_mesh(surfaces, name)
+        return sampled, (*absent, *dropped)
     return {"pcd": read_pcd, "npy": read_npy, "xyz": read_table}[kind](path, name), ()
 
 

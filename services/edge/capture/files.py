@@ -98,6 +98,25 @@ class Folder:
             raise unreadable(by, reason, "put that file into the capture's folder, and refer to it by a relative path")
         return name
 
+    def find(self, written: str, *, by: str) -> str | None:
+        """Return the name of the file that is `written` in the file `by`, relative to that, or None.
+
+        Where it is not there, as programs write paths of their own machine: that of a file of its name in the capture.
+        Raises CAPTURE_UNREADABLE for a path out of the capture's folder, unless the capture has a file of its name.
+        """
+        written, beside, outside = written.strip().strip('"'), posixpath.dirname(by), None
+        try:
+            name = self.resolve(written, by=by, base=beside)
+            if self.exists(name):
+                return name
+        except CaptureError as error:
+            outside = error
+        last = posixpath.basename(written.replace("\\", "/")).lower()
+        found = [name for name in self.names if posixpath.basename(name).lower() == last]
+        if not found and outside is not None:
+            raise outside
+        return min(found, key=lambda name: (posixpath.dirname(name) != beside, name), default=None)
+
 
 def open_folder(root: Path) -> Folder:
     """List the regular files below `root`, without hidden files, `__MACOSX` and symbolic links.

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import base64
 import json
-import posixpath
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,14 +109,17 @@ def _check(tree: dict[str, Any], folder: Folder, file: str) -> None:
             raise too_many_points(unbacked, file)
         for buffer in tree.get("buffers", []):
             uri = buffer.get("uri", "data:")
-            if not uri.startswith("data:") and not folder.exists(_sibling_name(folder, file, uri)):
+            if not uri.startswith("data:") and find_uri(folder, file, uri) is None:
                 hint = "send the .bin file together with the .gltf"
                 raise unreadable(file, f"refers to {uri[:120]!r}, which is missing", hint)
 
 
-def _sibling_name(folder: Folder, file: str, uri: str) -> str:
-    """Return the name of the file that a URI refers to, relative to the mesh file."""
-    return folder.resolve(uri, by=file, base=posixpath.dirname(file))
+def find_uri(folder: Folder, file: str, uri: str) -> str | None:
+    """Return the name of the file that a URI in a mesh file refers to, or None; `%20` is a space.
+
+    Raises CAPTURE_UNREADABLE for one outside the capture.
+    """
+    return folder.find(uri, by=file) or folder.find(unquote(uri), by=file)
 
 
 class _Buffers:

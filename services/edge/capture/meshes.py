@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import posixpath
 from collections.abc import Iterator, Mapping
 from io import BytesIO
 from typing import Any
@@ -11,10 +10,10 @@ import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.capture.files import Folder, translate_errors
-from services.edge.capture.gltf import LIGHT, plain_gltf
+from services.edge.capture.gltf import LIGHT, find_uri, plain_gltf
 from services.edge.capture.images import check_pixels, header_size, read_bytes
 from services.edge.capture.sample_surface import MAX_FACES, ColourAt, SampledSurface, too_many_faces
-from services.edge.capture.surface_colours import nearest_texels, vertex_colours
+from services.edge.capture.surface_colours import absent_textures, nearest_texels, vertex_colours
 from services.edge.capture.tables import truncated
 from services.edge.errors import CaptureError
 from services.edge.srgb import to_linear, to_srgb
@@ -26,6 +25,7 @@ class _SiblingFiles(Mapping[str, bytes]):
     def __init__(self, folder: Folder, file: str) -> None:
         self._folder, self._file = folder, file
         self.buffers: dict[str, bytes] = {}  # those of a rewritten glTF, by their URIs
+        self.absent: list[str] = []  # names of textures
         self.refused: CaptureError | None = None  # trimesh swallows errors raised here and continues without colours
 
     def __getitem__(self, name: str) -> bytes:
@@ -38,9 +38,10 @@ class _SiblingFiles(Mapping[str, bytes]):
             raise
 
     def _read(self, name: str) -> bytes:
-        beside = self._folder.resolve(name, by=self._file, base=posixpath.dirname(self._file))
-        if not self._folder.exists(beside):
-            raise KeyError(beside)  # trimesh continues without a texture, and fails without a buffer
+        beside = find_uri(self._folder, self._file, name)
+        if beside is None:
+            self.absent.append(name)
+            raise KeyError(name)  # trimesh continues without a texture
         data = read_bytes(self._folder.path(beside), beside)
         size = header_size(data[: 2**18])
         if size is not None:
@@ -54,10 +55,11 @@ class _SiblingFiles(Mapping[str, bytes]):
         return len(self._folder.names)
 
 
-def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
+def read_mesh(folder: Folder, file: str, kind: str) -> tuple[list[SampledSurface], tuple[str, ...]]:
     """Read the triangles of a file of `kind` "off", "stl", "glb" or "gltf", in the scene's frame.
 
-    An empty list when there are no triangles. Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
+    Returns an empty list when there are no triangles, and warnings.
+    Raises CAPTURE_UNREADABLE, CAPTURE_TRUNCATED and CAPTURE_TOO_LARGE.
     """
     import trimesh
 
@@ -79,7 +81,8 @@ def read_mesh(folder: Folder, file: str, kind: str) -> list[SampledSurface]:
         if faces > MAX_FACES:
             raise too_many_faces(faces, file)
         pictures: _Pictures = {}
-        return [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
+        surfaces = [surface for node in nodes if (surface := _surface(loaded, node, pictures)) is not None]
+    return surfaces, absent_textures(file, beside.absent)
 
 
 def _check_off(data: bytes, file: str) -> None:

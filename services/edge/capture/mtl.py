@@ -6,12 +6,10 @@ the file: a file of that name is then looked for in the capture. Nothing outside
 
 from __future__ import annotations
 
-import posixpath
 import re
 from dataclasses import dataclass, replace
 
 from services.edge.capture.files import Folder, read_text
-from services.edge.errors import CaptureError
 
 _OPTION = re.compile(
     r"-(?:[ost]|mm)(?P<values>(?:\s+[-+]?[.\d][-+.\deE]*){1,3})\s+(?=\S)"
@@ -60,28 +58,6 @@ def read_mtl(folder: Folder, file: str) -> dict[str, Material]:
     return materials
 
 
-def find_named_file(folder: Folder, written: str, by: str) -> str | None:
-    """Find the file that is `written` in the file `by`: there, or else one of that name in the capture; None: nowhere.
-
-    Raises CAPTURE_UNREADABLE for a path out of the capture's folder, unless the capture has a file of that name.
-    """
-    written = written.strip().strip('"')
-    beside, outside = posixpath.dirname(by), None
-    try:
-        name = folder.resolve(written, by=by, base=beside)
-        if folder.exists(name):
-            return name
-    except CaptureError as error:
-        outside = error
-    last = posixpath.basename(written.replace("\\", "/")).lower()
-    found = [name for name in folder.names if posixpath.basename(name).lower() == last]
-    if found:
-        return min(found, key=lambda name: (posixpath.dirname(name) != beside, name))
-    if outside is not None:
-        raise outside
-    return None
-
-
 def _textured(material: Material, rest: str, folder: Folder, file: str) -> Material:
     """Return the material with the texture that is named after `map_Kd` and its options."""
     scale, offset = material.scale, material.offset
@@ -92,7 +68,7 @@ def _textured(material: Material, rest: str, folder: Folder, file: str) -> Mater
             scale = _pair(values, 1.0)
         elif option[0].startswith(("-o", "-O")):
             offset = _pair(values, 0.0)
-    found = find_named_file(folder, rest, file)
+    found = folder.find(rest, by=file)
     return replace(material, texture=found, absent="" if found else rest, scale=scale, offset=offset)
 
 

@@ -21,17 +21,16 @@ from services.edge.arrays import Bytes, Floats, Ints, Tick
 from services.edge.capture.colours import rgb8
 from services.edge.capture.files import Folder, translate_errors, unreadable
 from services.edge.capture.images import check_pixels, header_size, read_bytes
-from services.edge.capture.mtl import Material, find_named_file, read_mtl
+from services.edge.capture.mtl import Material, read_mtl
 from services.edge.capture.nouns import Cloud
 from services.edge.capture.sample_surface import MAX_FACES, SampledSurface, too_many_faces
-from services.edge.capture.surface_colours import nearest_texels, vertex_colours
+from services.edge.capture.surface_colours import absent_textures, nearest_texels, vertex_colours
 from services.edge.errors import CaptureError
 
 MAX_MATERIALS = 500  # scanners write tens; a large texture takes a second to decode
 _MAX_LINE = 2**20  # bytes: a polygon of a hundred thousand corners
 _PACKED = 200_000  # rows or faces that wait as words before they become numbers: words take ten times as much memory
 _TICK = 100_000  # lines between calls of the folder's tick
-_SOME = 3  # names in a warning
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +66,7 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     uv[:, : coordinates.shape[1]] = coordinates[:, :2]
     colours = _Colours(folder, used, material, uv, uv_faces, faces, rgb)
     surface = SampledSurface(cloud.xyz, faces, colours.colour_at if colours.there else None)
-    return ObjFile(cloud, surface, _warnings(file, used))
+    return ObjFile(cloud, surface, absent_textures(file, [each.absent for each in used if each.absent]))
 
 
 class _Rows:
@@ -230,9 +229,9 @@ def _materials(folder: Folder, file: str, libraries: Iterable[str]) -> dict[str,
     """Read the material libraries of a mesh; of one that is absent, the one that has the mesh's own name."""
     materials: dict[str, Material] = {}
     for written in libraries:
-        names = [find_named_file(folder, written, file)]
+        names = [folder.find(written, by=file)]
         if names == [None] and len(written.split()) > 1:
-            names = [find_named_file(folder, each, file) for each in written.split()]
+            names = [folder.find(each, by=file) for each in written.split()]
         own = posixpath.splitext(file)[0] + ".mtl"  # the mesh was renamed together with its materials
         for name in names:
             if name is not None or folder.exists(own):
@@ -306,12 +305,3 @@ def _diffuse(material: Material) -> Bytes:
         return np.full(3, 255, np.uint8)
     rgb: Bytes = np.rint(255 * np.clip(np.nan_to_num(np.array(material.diffuse)), 0, 1)).astype(np.uint8)
     return rgb
-
-
-def _warnings(file: str, used: Iterable[Material]) -> tuple[str, ...]:
-    """Name the textures that the capture does not have."""
-    absent = sorted({each.absent for each in used if each.absent})
-    if not absent:
-        return ()
-    names = ", ".join(name[:80] for name in absent[:_SOME]) + (", and others" if len(absent) > _SOME else "")
-    return (f"{file}: its textures {names} are not in the capture; send them with it, or it has no colours of them",)

@@ -1,12 +1,16 @@
-"""Look up the colours of points on triangles: of vertices, and of a texture."""
+"""Look up the colours of points on triangles: of vertices, and of a texture; name textures that are absent."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.capture.colours import rgb8
 from services.edge.capture.sample_surface import ColourAt
+
+_SOME = 3  # names in a warning
 
 
 def vertex_colours(rgb: Bytes, faces: Ints) -> ColourAt:
@@ -26,3 +30,13 @@ def nearest_texels(pixels: Bytes, uv: Floats) -> Bytes:
     rows = np.clip((v * height).astype(np.int64), 0, height - 1)
     texels: Bytes = pixels[rows, columns]
     return texels
+
+
+def absent_textures(file: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return the warning that a mesh's textures of these names are not in the capture, () without any."""
+    absent = sorted(set(names))
+    if not absent:
+        return ()
+    some = ", ".join(name[:80] for name in absent[:_SOME]) + (" and others" if len(absent) > _SOME else "")
+    what = f"its textures are not in the capture, so their colours are missing ({some}); send them together with it"
+    return (f"{file}: {what}",)

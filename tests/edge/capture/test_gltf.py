@@ -202,6 +202,27 @@ def test_a_gltf_with_its_buffer_beside_it_is_rewritten_too(tmp_path: Path) -> No
     assert (cloud.rgb == to_srgb(np.float32(0.5))).all()
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_files_beside_a_gltf_may_have_names_with_spaces(there: bool, tmp_path: Path) -> None:
+    """As URIs have them; a texture that is absent is named."""
+    data = captures.glb_bytes({"POSITION": SQUARE, "TEXCOORD_0": UV}, TWO, material=PAINTED, picture=RAMP)
+    length = int.from_bytes(data[12:16], "little")
+    tree, chunk = json.loads(data[20 : 20 + length]), data[28 + length :]
+    view = tree["bufferViews"][tree["images"][0].pop("bufferView")]
+    picture = chunk[view.get("byteOffset", 0) :][: view["byteLength"]]
+    tree["images"][0] = {"uri": "my%20paint.png"}
+    tree["buffers"][0]["uri"] = "my%20scan.bin"
+    (tmp_path / "scan.gltf").write_text(json.dumps(tree))
+    (tmp_path / "my scan.bin").write_bytes(chunk)
+    if there:
+        (tmp_path / "my paint.png").write_bytes(picture)
+    capture = read_capture(tmp_path)
+    assert capture.cloud is not None
+    assert capture.cloud.rgb is not None
+    assert (np.ptp(capture.cloud.rgb[:, 0]) > 200) == there
+    assert [("my%20paint.png" in warning) for warning in capture.warnings] == ([] if there else [True])
+
+
 @pytest.mark.parametrize(
     ("name", "advice"),
     [

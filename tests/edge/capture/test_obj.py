@@ -123,7 +123,7 @@ def test_a_texture_that_is_not_there_is_named(tmp_path: Path) -> None:
     capture = read(tmp_path, SQUARES["a quad"])
     assert (points(capture)[1] == (0, 255, 0)).all(), "the material's colour"
     (warning,) = capture.warnings
-    assert warning.startswith("a.obj: its textures paint.png are not in the capture; send them with it")
+    assert warning.startswith("a.obj: its textures are not in the capture, so their colours are missing (paint.png)")
 
 
 def test_a_picture_that_is_none_is_named(tmp_path: Path) -> None:
