@@ -150,6 +150,10 @@ class _Buffers:
     def is_normalised(self, index: int) -> bool:
         return bool(self._tree["accessors"][index].get("normalized", False))
 
+    def is_plain(self, index: int) -> bool:
+        """Whether trimesh reads an accessor as it is meant."""
+        return not self.is_normalised(index) and "sparse" not in self._tree["accessors"][index]
+
     def add(self, index: int, name: str, change: Callable[[NDArray[Any]], Floats]) -> int:
         """Add what `change`, called `name`, makes of an accessor's rows (N,k); return the index of the new accessor."""
         if (index, name) not in self._added:
@@ -170,22 +174,33 @@ class _Buffers:
         self._left -= count
         if self._left < 0:
             raise too_many_points(3 * MAX_POINTS - self._left, self._file)
-        if "bufferView" not in accessor:
-            return np.zeros((count, width), kind)
-        view = self._tree["bufferViews"][accessor["bufferView"]]
+        rows = (
+            self._stored(accessor, kind, count, width) if "bufferView" in accessor else np.zeros((count, width), kind)
+        )
+        if "sparse" not in accessor:
+            return rows
+        sparse, rows = accessor["sparse"], rows.copy()  # some rows replace those of the buffer, or zeros
+        places = np.dtype(_KINDS[sparse["indices"]["componentType"]])
+        replaced = self._stored(sparse["indices"], places, sparse["count"], 1)[:, 0]
+        rows[replaced] = self._stored(sparse["values"], kind, sparse["count"], width)
+        return rows
+
+    def _stored(self, place: dict[str, Any], kind: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
+        """The rows (count,width) that begin at a byte offset of a buffer view."""
+        view = self._tree["bufferViews"][place["bufferView"]]
         start, step = view.get("byteOffset", 0), view.get("byteStride", width * kind.itemsize)
         if step <= 0:
             raise ValueError("a byteStride is not positive")
         data = memoryview(self.contents[self._tree["buffers"][view["buffer"]]["uri"]])
         data = data[start : start + view["byteLength"]]
-        return np.ndarray((count, width), kind, data, accessor.get("byteOffset", 0), (step, kind.itemsize))
+        return np.ndarray((count, width), kind, data, place.get("byteOffset", 0), (step, kind.itemsize))
 
 
 def _plain_attributes(primitive: dict[str, Any], tree: dict[str, Any], buffers: _Buffers) -> dict[str, int]:
     """The attributes that are used of a primitive: POSITION, and TEXCOORD_0 and LIGHT where it has them."""
     attributes: dict[str, int] = primitive["attributes"]
     position = attributes["POSITION"]
-    plain = {"POSITION": buffers.add(position, "unit", _unit) if buffers.is_normalised(position) else position}
+    plain = {"POSITION": position if buffers.is_plain(position) else _as_meant(position, buffers)}
     material = tree["materials"][primitive["material"]] if "material" in primitive else {}
     texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
     if texture is not None:
@@ -200,11 +215,17 @@ def _plain_attributes(primitive: dict[str, Any], tree: dict[str, Any], buffers: 
 
 def _plain_uv(uv: int, transform: dict[str, Any], buffers: _Buffers) -> int:
     """The accessor of texture coordinates that need no transform: `uv` itself, or a new one."""
-    normalised = buffers.is_normalised(uv)
-    if not normalised and not transform:
+    if buffers.is_plain(uv) and not transform:
         return uv
+    normalised = buffers.is_normalised(uv)
     name = f"uv {json.dumps(transform)}"
     return buffers.add(uv, name, lambda rows: _transformed(_unit(rows) if normalised else rows, transform))
+
+
+def _as_meant(index: int, buffers: _Buffers) -> int:
+    """The accessor of an accessor's numbers as floats, normalised ones as fractions."""
+    normalised = buffers.is_normalised(index)
+    return buffers.add(index, "as meant", lambda rows: _unit(rows) if normalised else rows)
 
 
 def _unit(rows: NDArray[Any]) -> Floats:

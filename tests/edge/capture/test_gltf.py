@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,6 +48,12 @@ def colours_of(data: bytes) -> np.ndarray:
     rgb = cloud_of(data).rgb
     assert rgb is not None
     return rgb
+
+
+def parts_of(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """The tree of a GLB, and its binary chunk."""
+    length = int.from_bytes(data[12:16], "little")
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
 
 
 def stored(colour: tuple[int, int, int], kind: str, width: int) -> np.ndarray:
@@ -117,6 +124,27 @@ def test_the_least_signed_integer_is_minus_one() -> None:
 def test_whole_numbers_that_are_not_normalised_stay() -> None:
     data = captures.glb_bytes({"POSITION": (SQUARE * 100).astype(np.uint16)}, TWO, node={"scale": [0.01] * 3})
     assert np.ptp(cloud_of(data).xyz, axis=0) == pytest.approx([1, 1, 0], abs=0.01)
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_sparse_positions_replace_those_of_the_buffer(stored: bool, tmp_path: Path) -> None:
+    """A corner that is moved, or two that are not zeros."""
+    tree, chunk = parts_of(captures.glb_bytes({"POSITION": SQUARE}, TWO))
+    rows, places = (SQUARE[[2]] * 3, [2]) if stored else (SQUARE[[1, 2]] * 3, [1, 2])
+    content = np.array(places, "<u2").tobytes().ljust(4, b"\0") + rows.astype("<f4").tobytes()
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(chunk), "byteLength": len(content)})
+    view = {"bufferView": len(tree["bufferViews"]) - 1}
+    sparse = {"count": len(places), "indices": view | {"componentType": 5123}, "values": view | {"byteOffset": 4}}
+    accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    accessor["sparse"] = sparse
+    if not stored:
+        del accessor["bufferView"]
+    tree["buffers"][0] = {"uri": "scan.bin", "byteLength": len(chunk + content)}
+    (tmp_path / "scan.gltf").write_text(json.dumps(tree))
+    (tmp_path / "scan.bin").write_bytes(chunk + content)
+    cloud = read_capture(tmp_path).cloud
+    assert cloud is not None
+    assert cloud.xyz.max(axis=0) == pytest.approx([3, 3, 0], abs=0.1)
 
 
 def assert_ramp(data: bytes, place: Place) -> None:
@@ -191,11 +219,10 @@ def test_the_diffuse_texture_of_an_older_material_is_its_colour() -> None:
 
 def test_a_gltf_with_its_buffer_beside_it_is_rewritten_too(tmp_path: Path) -> None:
     data = captures.glb_bytes({"POSITION": SQUARE, "COLOR_0": np.full((4, 3), 0.5, np.float32)}, TWO)
-    length = int.from_bytes(data[12:16], "little")
-    tree = json.loads(data[20 : 20 + length])
+    tree, chunk = parts_of(data)
     tree["buffers"][0]["uri"] = "scan.bin"
     (tmp_path / "scan.gltf").write_text(json.dumps(tree))
-    (tmp_path / "scan.bin").write_bytes(data[28 + length :])
+    (tmp_path / "scan.bin").write_bytes(chunk)
     cloud = read_capture(tmp_path / "scan.gltf").cloud
     assert cloud is not None
     assert cloud.rgb is not None
@@ -206,8 +233,7 @@ def test_a_gltf_with_its_buffer_beside_it_is_rewritten_too(tmp_path: Path) -> No
 def test_files_beside_a_gltf_may_have_names_with_spaces(there: bool, tmp_path: Path) -> None:
     """As URIs have them; a texture that is absent is named."""
     data = captures.glb_bytes({"POSITION": SQUARE, "TEXCOORD_0": UV}, TWO, material=PAINTED, picture=RAMP)
-    length = int.from_bytes(data[12:16], "little")
-    tree, chunk = json.loads(data[20 : 20 + length]), data[28 + length :]
+    tree, chunk = parts_of(data)
     view = tree["bufferViews"][tree["images"][0].pop("bufferView")]
     picture = chunk[view.get("byteOffset", 0) :][: view["byteLength"]]
     tree["images"][0] = {"uri": "my%20paint.png"}
