@@ -137,8 +137,7 @@ def run_preset(
 def _read_reference(path: Path) -> Mesh:
     """Read the reference mesh from a file. Raises BadInput."""
     try:
-        with path.open("rb") as stream:
-            mesh = _read_mesh(stream, path.suffix.lstrip(".").lower())
+        mesh = _read_mesh_file(path)
     except Exception as error:  # the readers of a dozen formats raise any exception
         raise BadInput(f"{path} cannot be read as a mesh: {error}; name a mesh file with --reference") from error
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
@@ -146,6 +145,17 @@ def _read_reference(path: Path) -> Mesh:
             f"{path} has {len(mesh.faces)} faces, or coordinates that are not finite; name a mesh with --reference"
         )
     return mesh
+
+
+def _read_mesh_file(path: Path) -> Mesh:
+    from services.edge.capture.files import Folder
+    from services.edge.capture.obj import read_obj
+
+    if path.suffix.lower() == ".obj":  # trimesh takes relative indices for those of the whole file
+        found = read_obj(Folder(path.parent, (path.name,)), path.name)
+        return Mesh(found.vertices.xyz, np.zeros((0, 3), np.int64) if found.surface is None else found.surface.faces)
+    with path.open("rb") as stream:
+        return _read_mesh(stream, path.suffix.lstrip(".").lower())
 
 
 def _read_mesh(stream: IO[bytes], kind: str) -> Mesh:

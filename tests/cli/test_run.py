@@ -15,7 +15,7 @@ import trimesh
 from PIL import Image
 
 from services.cli.errors import BadInput
-from services.cli.run import RunOptions, run_capture, run_preset
+from services.cli.run import RunOptions, _read_reference, run_capture, run_preset
 from services.edge.preset import Preset
 from tests.referees.glb_reader import Glb
 from tests.support.clouds import write_ply
@@ -98,6 +98,13 @@ def test_the_report_tells_figures_seconds_and_warnings(out: Path) -> None:
     assert report["key"] == "my-bowl"
     to_asset = np.array(report["capture_to_asset"]).reshape(4, 4)
     assert (to_asset @ [10, 17, 30, 1])[1] == pytest.approx(0, abs=0.05), "the bottom of the bowl is the floor"
+
+
+def test_a_reference_may_have_polygons_and_relative_indices(tmp_path: Path) -> None:
+    squares = [f"v 0 0 {z}\nv 1 0 {z}\nv 1 1 {z}\nv 0 1 {z}\nf -4 -3 -2 -1\n" for z in (0, 5)]
+    (tmp_path / "known.obj").write_text("mtllib gone.mtl\n" + "".join(squares))
+    mesh = _read_reference(tmp_path / "known.obj")
+    assert [list(each) for each in mesh.vertices[mesh.faces][:, :, 2]] == [[0] * 3] * 2 + [[5] * 3] * 2
 
 
 def test_the_report_tells_how_far_the_reference_is(out: Path) -> None:
