@@ -1,8 +1,10 @@
-"""Find the files that an earlier `run` or `pull` has written to a folder."""
+"""Find, and remove, the files that an earlier `run` or `pull` has written to a folder."""
 
 from __future__ import annotations
 
 import json
+import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,11 @@ from services.storage.bundle import sha256_of
 
 MANIFEST, REPORT = "manifest.json", "report.json"
 """What `pull` and `run` write beside their files: it lists them."""
+
+BUNDLE, PREVIEW, PICTURES = "bundle", "preview", "pictures"
+"""Folders of a run's results, and where its report lists the pictures that are not part of the bundle."""
+
+_REFINED_PICTURE = "refined.png"
 
 
 def listed_files(document: dict[str, Any]) -> list[str]:
@@ -19,14 +26,44 @@ def listed_files(document: dict[str, Any]) -> list[str]:
     return [Path(str(each["file"])).name for each in document["files"]]
 
 
+def is_run(out: Path) -> bool:
+    """Return whether an earlier run has written to the folder."""
+    return _report(out) is not None
+
+
+def folder_of_others(out: Path) -> Path | None:
+    """Return a folder in `out` that has the name of one of a run's and is not one; None where there is none."""
+    # A run that was killed early leaves a store without a report.
+    is_store = (out / BUNDLE / ".meta").is_dir()
+    names = () if is_run(out) else (PREVIEW,) if is_store else (BUNDLE, PREVIEW)
+    return next((out / name for name in names if (out / name).exists()), None)
+
+
 def files_of_run(out: Path) -> list[Path]:
     """Return the files in `out` that the report of an earlier run lists."""
-    try:
-        report = json.loads((out / REPORT).read_bytes())
-        names = listed_files(report) if "certificates" in report else []
-    except (OSError, ValueError, KeyError, TypeError):  # no report, or not one of ours
+    report = _report(out)
+    if report is None:
         return []
-    return [out / name for name in names if (out / name).is_file()]
+    try:
+        names = [*listed_files(report), *(Path(str(name)).name for name in report.get(PICTURES) or ())]
+    except (KeyError, TypeError):
+        return []
+    return [out / name for name in (*names, _REFINED_PICTURE) if (out / name).is_file()]
+
+
+def files_of_both(out: Path) -> list[Path]:
+    """Return the files in `out` of an earlier run and of an earlier pull, which `remove_earlier` removes."""
+    pulled = files_of_pull(out)
+    return [*files_of_run(out), *pulled, *([out / MANIFEST] if pulled else [])]
+
+
+def remove_earlier(out: Path) -> None:
+    """Remove what an earlier run or pull has written to `out`, and nothing else. Raises OSError."""
+    for path in files_of_both(out):
+        with suppress(FileNotFoundError):  # listed by both
+            path.unlink()
+    for name in (BUNDLE, PREVIEW) if folder_of_others(out) is None else ():
+        shutil.rmtree(out / name, ignore_errors=True)
 
 
 def files_of_pull(out: Path) -> list[Path]:
@@ -37,3 +74,12 @@ def files_of_pull(out: Path) -> list[Path]:
     except (OSError, ValueError, KeyError, TypeError):  # no manifest, or not one of ours
         return []
     return [path for path, sha256 in files.items() if path.is_file() and sha256_of(path) == sha256]
+
+
+def _report(out: Path) -> dict[str, Any] | None:
+    """Return the report of an earlier run; None where there is none, or it is not one of ours."""
+    try:
+        report = json.loads((out / REPORT).read_bytes())
+    except (OSError, ValueError):
+        return None
+    return report if isinstance(report, dict) and "certificates" in report else None

@@ -9,7 +9,6 @@ import shutil
 import tempfile
 import uuid
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 
 from services.asset_names import AssetNames
 from services.cli.assets import check_collection
-from services.cli.earlier_results import MANIFEST, files_of_pull, files_of_run
+from services.cli.earlier_results import BUNDLE, PICTURES, PREVIEW, files_of_both, folder_of_others, remove_earlier
 from services.cli.errors import INVALID_KEY, BadInput, printable, sentence
 from services.cli.progress import StageBar, console, warn
 from services.cli.report import report_page
@@ -44,7 +43,6 @@ from services.storage.local import LocalStore
 _PICTURE = "preview.png"  # name of the picture in bundles of both states
 _READ_AS_IT_IS = (".r3d", ".usdz", ".3mf")
 """Archives that are a file to whoever reads captures: Record3D's, and models, which it names as not readable."""
-_OF_EVERY_RUN = ("bundle", "preview", "refined.png")
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,10 +122,11 @@ def run_preset(
         raise BadInput(INVALID_KEY.format(key))
     check_collection(options.collection)
     check_writable(out)
+    _check_place(out, source)
     reference = _read_reference(options.reference) if options.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
-            results = Results(out, key, options.collection, reference)
+            results = Results(out, key, options.collection, reference, capture=source)
             capture = open_source(source, Path(scratch))
             _reconstruct_into(results, capture, preset, device, options, printable(source.stem), engine, tick)
     except (EdgeError, ArchiveError) as error:
@@ -178,6 +177,14 @@ def check_writable(out: Path) -> None:
         raise BadInput(f"{existing} is a file; name a folder with -o")
     if not os.access(existing, os.W_OK):
         raise BadInput(f"{existing} is not writable; name another folder with -o")
+
+
+def _check_place(out: Path, source: Path) -> None:
+    """Raises BadInput where the results would be mixed with the capture's files, or with folders of others."""
+    if source.is_dir() and out.resolve() == source.resolve():
+        raise BadInput(f"{out} is the capture: name another folder with -o")
+    if other := folder_of_others(out):
+        raise BadInput(f"{other} exists and is no result of `capture2vr run`: name another folder with -o")
 
 
 def open_source(source: Path, scratch: Path) -> Path:
@@ -298,9 +305,16 @@ class Results:
     """
 
     def __init__(
-        self, out: Path, key: str, collection: str = DEFAULT_COLLECTION, reference: Mesh | None = None
+        self,
+        out: Path,
+        key: str,
+        collection: str = DEFAULT_COLLECTION,
+        reference: Mesh | None = None,
+        *,
+        capture: Path | None = None,
     ) -> None:
         self.out = out
+        self._capture = capture
         self._collection = collection
         self._reference = reference
         self.checkpoint = out / "fit.checkpoint"
@@ -311,9 +325,10 @@ class Results:
         self._compared: dict[str, bytes] = {}
 
     def write(self, bundle: Bundle) -> None:
-        """Write a bundle's files and update the report."""
+        """Write a bundle's files and update the report. Raises BadInput where the capture would be overwritten."""
+        self._spare_capture(bundle)
         if bundle.state == "preview":
-            self._remove_earlier()
+            remove_earlier(self.out)
         else:
             self._move_preview()
         self.out.mkdir(parents=True, exist_ok=True)
@@ -323,7 +338,7 @@ class Results:
         self._compared = dict(bundle.private)
         for name, content in bundle.private.items():
             (self.out / name).write_bytes(content)
-        store = LocalStore(self.out / "bundle")
+        store = LocalStore(self.out / BUNDLE)
         asset: PublishedAsset = publish(bundle, store, key=self._key, job=self._job, collection=self._collection)
         quality = bundle.manifest["quality"]
         self._write_report(
@@ -333,20 +348,18 @@ class Results:
                 "state": bundle.state,
                 "version": asset.version,
                 "bytes": {name: len(content) for name, content in bundle.files.items()},
+                PICTURES: sorted(bundle.private),
                 "reference": self._measure_distance(bundle.files["mesh.ply"]),
             },
             quality,
         )
 
-    def _remove_earlier(self) -> None:
-        """Remove what an earlier run or pull has written, for `convert` would take it for this one's."""
-        pulled = files_of_pull(self.out)
-        listed = (*files_of_run(self.out), *pulled, *([self.out / MANIFEST] if pulled else []))
-        pictures = (*self.out.glob("photo-*.jpg"), *self.out.glob("cut-*.jpg"))
-        for path in {*(self.out / name for name in _OF_EVERY_RUN), *listed, *pictures}:
-            shutil.rmtree(path, ignore_errors=True)
-            with suppress(FileNotFoundError, IsADirectoryError):
-                path.unlink()
+    def _spare_capture(self, bundle: Bundle) -> None:
+        """Raises BadInput where one of the results has the capture's name, in the capture's folder."""
+        names = (*bundle.files, *bundle.private, f"{bundle.state}.png")
+        replaced = (*(self.out / name for name in names), *files_of_both(self.out))
+        if self._capture and any(path.exists() and path.samefile(self._capture) for path in replaced):
+            raise BadInput(f"{self._capture} would be replaced by the result of that name: name another folder with -o")
 
     def keep_preview(self, warning: str, quality: Mapping[str, Any] | None, seconds: Mapping[str, float]) -> None:
         """Update the report of a run whose training gave no better mesh, with the rejected mesh's quality figures."""
@@ -375,10 +388,10 @@ class Results:
         return asdict(overlay(_read_mesh(BytesIO(ply), "ply"), self._reference)) if self._reference else None
 
     def _move_preview(self) -> None:
-        (self.out / "preview").mkdir()
+        (self.out / PREVIEW).mkdir()
         for name in self.report["bytes"]:
             if name != _PICTURE:
-                (self.out / name).rename(self.out / "preview" / name)
+                (self.out / name).rename(self.out / PREVIEW / name)
 
 
 def _print_result(out: Path, report: dict[str, Any]) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-import shutil
 import tarfile
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from services.cli.earlier_results import is_run, remove_earlier
 from services.cli.edge_settings import edge_settings, machine_room
 from services.cli.errors import BadInput, printable, sentence
 from services.cli.progress import StageBar, console
@@ -21,7 +21,6 @@ from services.edge.errors import EdgeError
 from services.edits import NO_EDITS
 
 _MEMORY_BYTES = 2 << 30  # of one capture: most of the bench's take less (tests/bench/results/pipeline.md)
-_REPORT = "report.json"
 
 
 def run_captures(
@@ -73,7 +72,7 @@ def _places(sources: Sequence[Path], out: Path, options: RunOptions) -> dict[str
         key = key_from(source)
         if key in places:
             raise BadInput(f"{places[key]} and {source} would both be written to {out / key}: rename one of them")
-        if (out / key).exists() and not (out / key / _REPORT).is_file():
+        if (out / key).exists() and not is_run(out / key):
             raise BadInput(f"{out / key} exists and is no result of `capture2vr run`: name another folder with -o")
         places[key] = source
     check_writable(out)
@@ -103,7 +102,7 @@ def _write(place: Path, task: Submitted[bytes]) -> bool:
     except (BadInput, EdgeError) as error:
         console.print(f"{printable(place.name)}: {printable(str(error))}", style="red", markup=False)
         return False
-    shutil.rmtree(place, ignore_errors=True)
+    remove_earlier(place)
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         archive.extractall(place, filter="data")
     console.print(f"{printable(place.name)}: report {place / 'report.html'}", markup=False)

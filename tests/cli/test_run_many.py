@@ -38,8 +38,10 @@ def test_each_has_its_folder_and_a_bad_one_is_named(leaves: list[Path], tmp_path
         report = json.loads((tmp_path / "out" / key / "report.json").read_text())
         assert (report["key"], report["state"]) == (key, "preview")
         assert (tmp_path / "out" / key / "lod0.glb").is_file()
+    (tmp_path / "out" / "b" / "scene.blend").write_text("mine")
     again = capture2vr("run", *leaves[:2], "-o", tmp_path / "out", *DRAFT)
     assert again.returncode == 0, again.stderr
+    assert (tmp_path / "out" / "b" / "scene.blend").read_text() == "mine"
 
 
 @pytest.mark.parametrize(

@@ -234,6 +234,7 @@ def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:
     (results.out / "manifest.json").write_text(json.dumps({"key": "dress", "files": records}))
     (results.out / "thumbnail.webp").write_bytes(b"mine")  # somebody has put another one in its place
     again = Results(results.out, "shirt")
+    again.write(with_photos("preview"))
     again.write(bundle("preview", 0.003))
     (results.out / "thumbnail.webp").unlink()
     assert {path.name for path in results.out.iterdir()} == {
@@ -243,6 +244,39 @@ def test_what_an_earlier_run_left_does_not_stay(results: Results) -> None:
         "report.html",
         "report.json",
     }
+
+
+@pytest.mark.parametrize("has_results", [False, True])
+def test_what_is_not_of_an_earlier_run_stays(tmp_path: Path, has_results: bool) -> None:
+    """Photos of somebody's own whose names are like those of a run's pictures."""
+    results = Results(tmp_path / "out", "shirt")
+    if has_results:
+        results.write(bundle("preview", 0.003))
+    mine = {results.out / name for name in ("photo-0001.jpg", "cut-list.jpg", "mine.txt")}
+    for path in mine:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
+    results.write(with_photos("preview"))
+    assert {path for path in mine if path.read_text() == "mine"} == mine
+
+
+@pytest.mark.parametrize("name", ["bundle", "preview"])
+def test_a_folder_of_others_stops_a_run_before_it_begins(bowl: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "mine.txt").write_text("mine")
+    with pytest.raises(BadInput, match=f"{name} exists and is no result of `capture2vr run`"):
+        run_preset(bowl, tmp_path, TINY, device="cpu")
+    assert [path.name for path in tmp_path.rglob("*")] == [name, "mine.txt"]
+
+
+def test_a_run_never_replaces_its_capture(bowl: Path, tmp_path: Path) -> None:
+    capture = tmp_path / "mesh.ply"
+    capture.write_bytes(b"the capture")
+    with pytest.raises(BadInput, match="would be replaced by the result of that name"):
+        Results(tmp_path, "shirt", capture=capture).write(bundle("preview", 0.003))
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"the capture"]
+    with pytest.raises(BadInput, match="is the capture: name another folder"):
+        run_preset(tmp_path, tmp_path, TINY, device="cpu")
 
 
 @pytest.mark.slow
