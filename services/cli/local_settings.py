@@ -29,9 +29,20 @@ def local_settings(data: Path) -> GatewaySettings:
 
 
 def local_store(data: Path) -> Store:
-    """Return the store of the STORAGE_* variables, or the one in the data folder of `up`. Raises BadInput."""
-    named = any(name.startswith("STORAGE_") for name in os.environ)
+    """Return the store that the STORAGE_* variables name, else the one of `up` in the data folder, else a gateway's.
+
+    Variables that name no place, such as STORAGE_COLLECTION or STORAGE_SIGNING_KEY, change none. Raises BadInput.
+    """
     try:
-        return open_store(StorageSettings() if named else StorageSettings(root=data / "store"))
+        settings = StorageSettings()
+        has_place = settings.kind != "local" or "root" in settings.model_fields_set
+        return open_store(settings if has_place or _is_gateway_alone(data) else StorageSettings(root=data / "store"))
     except ValueError as error:
         raise BadInput(str(error)) from error
+
+
+def _is_gateway_alone(data: Path) -> bool:
+    """Return whether a gateway was run without `up`: it has its store elsewhere than in the data folder."""
+    if (data / "gateway.db").exists():
+        return True
+    return any(os.environ.get(name) for name in _PLACES) and not (data / "store").exists()

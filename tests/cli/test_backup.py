@@ -307,6 +307,27 @@ def test_without_contents_the_store_is_compared(data: Path, tmp_path: Path) -> N
     assert (found.returncode, f"missing: {lost}" in found.stderr) == (1, True)
 
 
+@pytest.mark.parametrize("variable", ["STORAGE_COLLECTION", "STORAGE_SIGNING_KEY", "STORAGE_ROOT"])
+def test_variables_that_name_no_store_leave_that_of_up(data: Path, tmp_path: Path, variable: str) -> None:
+    """STORAGE_ROOT is empty, which is as good as none."""
+    value = "" if variable == "STORAGE_ROOT" else "ada"
+    created = backup("create", tmp_path / "b", "--with-objects", "--data", data, **{variable: value})
+    assert " 0 objects" not in created.stderr
+    assert list((tmp_path / "b" / "objects").glob("??/*"))
+
+
+def test_a_gateway_without_up_has_its_store_elsewhere(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (data / "store").rename(tmp_path / "data" / "objects")
+    (data / "gateway" / "gateway.db").rename(data / "gateway.db")
+    created = backup("create", tmp_path / "b", "--with-objects", "--data", data)
+    assert created.returncode == 0, created.stderr
+    assert list((tmp_path / "b" / "objects").glob("??/*"))
+    assert not (data / "store").exists()
+
+
 def test_a_running_gateways_folder_is_not_restored_to(backups: Path, tmp_path: Path) -> None:
     with lock_instance(tmp_path / "new" / "gateway"):
         refused = backup("restore", backups, "--data", tmp_path / "new")
