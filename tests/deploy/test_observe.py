@@ -61,6 +61,15 @@ def test_traces_go_to_a_service_of_the_profile() -> None:
         assert services[name]["environment"]["OTEL_EXPORTER_OTLP_ENDPOINT"] == "${OTEL_EXPORTER_OTLP_ENDPOINT:-}"
 
 
+def test_prometheus_can_be_given_its_key() -> None:
+    """Compose refuses a secret that is no file to a service whose file system is read-only."""
+    compose = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+    assert compose["services"]["prometheus"]["secrets"] == ["operator_key"]
+    for service in compose["services"].values():
+        for secret in service.get("secrets", ()):
+            assert "file" in compose["secrets"][secret] or not service["read_only"]
+
+
 @pytest.mark.parametrize("query", QUERIES)
 def test_a_query_asks_for_what_there_is(query: str, exported: dict[str, set[str]]) -> None:
     bare = re.sub(r'"[^"]*"|\[[^\]]*\]', "", query)
