@@ -176,6 +176,36 @@ def test_a_grace_is_longer_than_the_drain(manifests: list[dict[str, Any]]) -> No
         assert pod["terminationGracePeriodSeconds"] > float(drain)
 
 
+def test_a_gateway_answers_to_the_ingress_name_whatever_the_public_url_is() -> None:
+    manifests = render({**values_of("small"), "publicUrl": ""})
+    (ingress,) = of_kind(manifests, "Ingress")
+    (container,) = [each for each in containers(manifests) if each["name"] == "gateway"]
+    allowed = plain_variables(container)["GATEWAY_ALLOWED_HOSTS"].split(",")
+    assert {rule["host"] for rule in ingress["spec"]["rules"]} <= set(allowed)
+
+
+@pytest.mark.parametrize("scrape", [True, False])
+def test_what_is_to_be_scraped_can_be_reached(scrape: bool) -> None:
+    """Prometheus stands in a namespace of its own: the policies let it in where the pods are annotated."""
+    manifests = render({**values_of("small"), "monitoring": {"scrape": scrape}})
+    for each in of_kind(manifests, "Deployment"):
+        template = each["spec"]["template"]["metadata"]
+        port = template.get("annotations", {}).get("prometheus.io/port")
+        assert (port is not None) == scrape
+        (policy,) = [
+            each["spec"]
+            for each in of_kind(manifests, "NetworkPolicy")
+            if inner(each, "spec", "podSelector", "matchLabels").items() <= template["labels"].items()
+        ]
+        open_ports = [
+            opened["port"]
+            for rule in policy["ingress"]
+            if {"namespaceSelector": {}} in rule["from"]
+            for opened in rule["ports"]
+        ]
+        assert open_ports == ([int(port)] if port else [])
+
+
 async def test_probes_and_scalers_ask_what_a_gateway_answers(tmp_path: Path) -> None:
     manifests = render(values_of("small"))
     (scaler,) = of_kind(manifests, "ScaledObject")
