@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from services.cli.deploy_work import Address, initialise
 from services.edge.worker.settings import EdgeSettings, central_credentials, server_security
@@ -252,6 +253,22 @@ def test_every_variable_is_one_that_the_services_know(compose: list[str]) -> Non
         assert given <= known, name
     for dockerfile in (ROOT / "deploy").glob("*.Dockerfile"):
         assert set(re.findall(r"\b((?:GATEWAY|EDGE|STORAGE)_[A-Z_]+)=", dockerfile.read_text())) <= known
+
+
+# Folders of the image, what needs a folder of its own mounted, a drain that compose has a limit for, and what a store
+# that is a folder has.
+_NOT_OF_COMPOSE = {"EDGE_HOST", "EDGE_SCRATCH", "EDGE_KTX2", "EDGE_PRESETS", "EDGE_DRAIN_S", "GATEWAY_SCRUB_DAYS"}
+
+
+def test_a_setting_of_the_runbook_reaches_its_service() -> None:
+    """A variable in .env that compose does not hand on changes nothing, and nobody is told."""
+    told = (ROOT / "deploy" / "runbook.md").read_text()
+    services = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
+    for names, settings in ((("gateway",), GatewaySettings), (("edge", "edge-gpu"), EdgeSettings)):
+        named = {name for name in _variables(settings) if re.search(rf"\b{name}\b", told)}
+        limits = {name for name in _variables(settings) if "_LIMIT_" in name}
+        given = {variable for name in names for variable in services[name]["environment"]}
+        assert (named | limits) - _NOT_OF_COMPOSE <= given
 
 
 KEYED = ("gateway", "edge", "edge-gpu")
