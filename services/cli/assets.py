@@ -13,7 +13,7 @@ from rich.text import Text
 
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer, printable
 from services.cli.http import client_of
-from services.cli.progress import console
+from services.cli.progress import console, print_listing
 from services.storage.catalogue.entry import valid_key
 
 _PAGE = 100  # assets per request: the gateway's maximum
@@ -66,7 +66,7 @@ def list_assets(gateway: str, *, collection: str, wanted: AssetSearch) -> int:
         table.add_row(
             *(Text(printable(cell)) for cell in (*names, *facts))
         )  # Text, because labels may look like markup
-    console.print(table)
+    print_listing(table)
     return len(rows)
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from services.cli.http import client_of
-from services.cli.progress import console
+from services.cli.progress import print_listing
 from services.cli.required_packages import required_packages
 
 _EXTRAS = ("edge", "gateway", "storage")  # that `up` needs
@@ -39,7 +39,7 @@ def examine(gateway: str) -> int:
     styles = {"ok": "green", "note": "yellow", "bad": "red"}
     for finding in findings:
         table.add_row(Text(finding.grade, styles[finding.grade]), finding.what, finding.said)
-    console.print(table)
+    print_listing(table)
     return int(any(finding.grade == "bad" for finding in findings))
 
 

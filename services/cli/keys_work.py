@@ -20,7 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.cli.errors import BadInput, parse_answer, printable
 from services.cli.http import API_KEY_VARIABLE, client_of
 from services.cli.local_settings import local_settings
-from services.cli.progress import console, warn
+from services.cli.progress import console, print_listing, warn
 from services.gateway.access.api_key import ApiKey
 from services.gateway.access.caller import parse_scopes, scope_names
 from services.gateway.access.store import AccessStore
@@ -92,7 +92,7 @@ def list_keys(keys: KeyAdministration, tenant: str) -> None:
     for key in keys.all(tenant):
         texts = (key["id"], key["tenant"], key["label"], " ".join(key["scopes"]), _state(key), key["last_used"] or "–")
         table.add_row(*(Text(printable(str(text))) for text in texts))
-    console.print(table)
+    print_listing(table)
 
 
 def revoke_key(keys: KeyAdministration, key: str) -> None:

@@ -10,7 +10,7 @@ from rich.text import Text
 from services.asset_notes import Note, Place
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer, printable
 from services.cli.http import client_of
-from services.cli.progress import console
+from services.cli.progress import print_listing
 from services.storage.catalogue.entry import valid_key
 
 
@@ -33,7 +33,7 @@ def change_notes(key: str, gateway: str, *, add: str, at: Place | None, remove: 
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     for note in map(Note.of, found["notes"]):
-        console.print(Text(printable(_line(note, found["version"]))), soft_wrap=True)
+        print_listing(Text(printable(_line(note, found["version"]))))
 
 
 def _line(note: Note, version: int) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from services.cli.progress import console
+from services.cli.progress import print_listing
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, preset_names
 
 _LIKE_A_THING = 10_000  # points of a garment: a typical size, for the memory column
@@ -15,9 +15,11 @@ _LIKE_A_THING = 10_000  # points of a garment: a typical size, for the memory co
 def list_presets() -> None:
     """Print the presets, the automatic choice first, and behind them the methods from the literature."""
     presets = [load_preset(name) for name in preset_names()]
-    console.print(_table([load_preset(AUTOMATIC), *(preset for preset in presets if not preset.literature)]))
-    console.print("\nMethods from the literature, to compare with: each publishes its own mesh")
-    console.print(_table([preset for preset in presets if preset.literature]))
+    print_listing(
+        _table([load_preset(AUTOMATIC), *(preset for preset in presets if not preset.literature)]),
+        "\nMethods from the literature, to compare with: each publishes its own mesh",
+        _table([preset for preset in presets if preset.literature]),
+    )
 
 
 def _table(presets: Sequence[Preset]) -> Table:

@@ -6,11 +6,13 @@ import time
 from collections.abc import Mapping
 from types import TracebackType
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 console = Console(stderr=True, soft_wrap=True)
+
+_PIPE_WIDTH = 10_000  # columns where nobody looks: no line of a table is folded, so that grep finds whole names
 
 _LINE_EVERY_S = 15.0  # between lines of one stage in a log: training takes a minute, and a silent log looks dead
 
@@ -50,6 +52,14 @@ class StageBar:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.stop()
+
+
+def print_listing(*contents: RenderableType) -> None:
+    """Print what a command was asked for to standard output, where a pipe finds it; all else goes to stderr."""
+    out = Console(soft_wrap=True)
+    out = out if out.is_terminal else Console(width=_PIPE_WIDTH)
+    for content in contents:
+        out.print(content)
 
 
 def warn(text: str) -> None:

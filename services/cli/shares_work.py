@@ -17,7 +17,7 @@ from rich.text import Text
 from services.cli.assets import check_collection
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer, printable
 from services.cli.http import client_of
-from services.cli.progress import console
+from services.cli.progress import console, print_listing
 from services.cli.share_link import PASSWORD_VARIABLE
 from services.gateway.access.shares import SHARE_ID
 from services.storage.catalogue.entry import valid_key
@@ -75,7 +75,7 @@ def list_shares(client: httpx.Client) -> None:
         thing = f"{share['kind']} {share['name']}"
         texts = (share["id"], thing, share["mode"], share["label"], _state(share), share["opened"], share["url"])
         table.add_row(*(Text(printable(str(text))) for text in texts))
-    console.print(table)
+    print_listing(table)
 
 
 def revoke_share(client: httpx.Client, share: str) -> None:

@@ -78,7 +78,7 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
             patch.setattr(sys, "argv", ["capture2vr", *map(str, arguments)])
             with pytest.raises(SystemExit) as ended:
                 main()
-        return Result(int(ended.value.code or 0), capsys.readouterr().err)
+        return Result(int(ended.value.code or 0), "".join(capsys.readouterr()))
 
     return call
 

@@ -37,10 +37,10 @@ def test_notes_are_pinned_listed_and_removed(tmp_path: Path) -> None:
         done = notes("cup", "--add", "[bold]Worn\nhere", "--at", "0.5", "-0.25", "2")
         (note,) = read_entry(store_of_tenant(site.store, "ada"), "cup").notes
         assert (note.text, note.at) == ("[bold]Worn\nhere", (0.5, -0.25, 2))
-        assert (done.returncode, done.stderr.strip()) == (0, f"{note.id}  0.500 -0.250 2.000  [bold]Worn / here")
+        assert (done.returncode, done.stdout.strip()) == (0, f"{note.id}  0.500 -0.250 2.000  [bold]Worn / here")
         for arguments, said in BAD:
             done = notes(*arguments)
             assert done.returncode == 2, done.stderr
             assert said in done.stderr
         done = notes("cup", "--remove", note.id)
-        assert (done.returncode, done.stderr) == (0, "")
+        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -53,12 +53,12 @@ def test_a_link_is_made_listed_and_revoked(site: Site, shares: Shares) -> None:
     assert "opens cup until it is revoked: whoever has the link needs no login" in made.stderr
     assert opened(site, link) == 200
     id_ = made.stderr.split()[0]
-    row = next(line for line in shares("list").stderr.splitlines() if id_ in line)
+    row = next(line for line in shares("list").stdout.splitlines() if id_ in line)
     told = [cell.strip() for cell in row.strip("│").split("│")]
     assert told == [id_, "asset cup", "place", "for Bob", "until revoked", "1", link]
     assert "its link is refused within a minute" in shares("revoke", id_).stderr
     assert opened(site, link) == 410
-    assert "revoked" in shares("list").stderr
+    assert "revoked" in shares("list").stdout
 
 
 def test_a_collections_link_has_the_password_of_the_environment(site: Site, shares: Shares) -> None:

@@ -62,7 +62,7 @@ def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path
     pushed = capture2vr("push", disk, "--gateway", url, *asked)
     assert pushed.returncode == 0, pushed.stderr
     assert f"{url}/view/leaf, in collection tree" in pushed.stderr
-    assert "leaf" in capture2vr("ls", "--gateway", url, "--collection", "tree").stderr
+    assert "leaf" in capture2vr("ls", "--gateway", url, "--collection", "tree").stdout
     hostile = capture2vr("push", disk, "--gateway", url, *asked[:-1], "../wood")
     assert (hostile.returncode, "not a valid collection" in hostile.stderr, "UPLOADING" in hostile.stderr) == (
         2,
@@ -206,7 +206,7 @@ def test_what_is_no_gateway_is_said_plainly(tmp_path: Path) -> None:
 def test_doctor_finds_nothing_bad(url: str, tmp_path: Path) -> None:
     result = capture2vr("doctor", "--gateway", url, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert all(package in result.stderr for package in ("fastapi", "torch", "boto3"))
+    assert all(package in result.stdout for package in ("fastapi", "torch", "boto3"))
 
 
 # The demo as it is typed, but for 8 frames of 40, photos of 320 × 240, a coarse mesh, and any free port, because what
