@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import boto3
 from boto3.s3.transfer import TransferConfig
@@ -52,6 +52,9 @@ class S3Store:
         presign_s: int = 0,
     ) -> None:
         self._bucket = bucket
+        # AWS makes a bucket outside us-east-1 only where the request names the region; others know no regions.
+        is_named = _is_aws(endpoint) and region != "us-east-1"
+        self._place = {"CreateBucketConfiguration": {"LocationConstraint": region}} if is_named else {}
         self._presign_s = presign_s
         # A signature covers the host that clients ask.
         self._signing = _client(public_endpoint or endpoint, access_key, secret_key, region) if presign_s else None
@@ -67,7 +70,7 @@ class S3Store:
             except ClientError as error:
                 if _status(error) != 404:
                     raise
-                self._client.create_bucket(Bucket=self._bucket)
+                self._client.create_bucket(Bucket=self._bucket, **self._place)
 
     def set_policy(self, policy: str) -> None:
         """Replace the bucket's policy (JSON): who may read what without credentials."""
@@ -210,6 +213,10 @@ def _client(endpoint: str, access_key: str, secret_key: str, region: str) -> Any
             max_pool_connections=_CONNECTIONS,
         ),
     )
+
+
+def _is_aws(endpoint: str) -> bool:
+    return not endpoint or (urlsplit(endpoint).hostname or "").endswith(".amazonaws.com")
 
 
 def _condition_arguments(if_match: str | None, if_absent: bool) -> dict[str, str]:

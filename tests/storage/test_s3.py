@@ -10,6 +10,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from botocore.stub import Stubber
 
 from services.storage.bucket import main, read_policy
 from services.storage.s3 import S3Store
@@ -86,6 +87,26 @@ def assert_every_call_raises(store: Store, error: type[Exception]) -> None:
 
 def test_creating_a_bucket_twice_is_no_error(s3_server: S3Server, bucket: str) -> None:
     s3_store(s3_server, bucket).create_bucket()
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "region", "place"),
+    [
+        ("", "eu-central-1", {"LocationConstraint": "eu-central-1"}),
+        ("https://s3.eu-central-1.amazonaws.com", "eu-central-1", {"LocationConstraint": "eu-central-1"}),
+        ("", "us-east-1", None),
+        ("https://s3.example", "eu-central-1", None),
+    ],
+)
+def test_a_bucket_of_aws_is_made_in_its_region(endpoint: str, region: str, place: dict[str, str] | None) -> None:
+    """AWS refuses a request without the region, but for us-east-1, where it refuses one with it."""
+    store = S3Store(bucket="things", access_key="a", secret_key="b", endpoint=endpoint, region=region)
+    asked = {"Bucket": "things"} | ({"CreateBucketConfiguration": place} if place else {})
+    with Stubber(store._client) as aws:
+        aws.add_client_error("head_bucket", http_status_code=404)
+        aws.add_response("create_bucket", {}, asked)
+        store.create_bucket()
+        aws.assert_no_pending_responses()
 
 
 def test_a_store_that_starts_later_is_waited_for(s3_server: S3Server, bucket: str) -> None:
