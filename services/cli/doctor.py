@@ -39,7 +39,7 @@ def examine(gateway: str) -> int:
     styles = {"ok": "green", "note": "yellow", "bad": "red"}
     for finding in findings:
         table.add_row(Text(finding.grade, styles[finding.grade]), finding.what, finding.said)
-    print_listing(table)
+    print_listing(table, fold=True)
     return int(any(finding.grade == "bad" for finding in findings))
 
 

@@ -10,7 +10,8 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-console = Console(stderr=True, soft_wrap=True)
+# Names of folders and things may have brackets, which are no markup.
+console = Console(stderr=True, soft_wrap=True, markup=False)
 
 _PIPE_WIDTH = 10_000  # columns where nobody looks: no line of a table is folded, so that grep finds whole names
 
@@ -54,10 +55,13 @@ class StageBar:
         self._bar.stop()
 
 
-def print_listing(*contents: RenderableType) -> None:
-    """Print what a command was asked for to standard output, where a pipe finds it; all else goes to stderr."""
-    out = Console(soft_wrap=True)
-    out = out if out.is_terminal else Console(width=_PIPE_WIDTH)
+def print_listing(*contents: RenderableType, fold: bool = False) -> None:
+    """Print what a command was asked for to standard output, where a pipe finds it; all else goes to stderr.
+
+    fold  fold long lines where nobody looks too
+    """
+    out = Console(soft_wrap=True, markup=False)
+    out = out if fold or out.is_terminal else Console(width=_PIPE_WIDTH, markup=False)
     for content in contents:
         out.print(content)
 

@@ -56,6 +56,15 @@ def init(deployment: Path) -> Init:
     return call
 
 
+@pytest.mark.parametrize("name", ["shop [final]", "a[/b]"])
+def test_a_folder_is_named_as_it_is(deployment: Path, init: Init, name: str) -> None:
+    """What stands in brackets is markup to the library that prints."""
+    folder = deployment / name
+    folder.mkdir(parents=True)
+    shutil.copy(ROOT / "docker-compose.yml", folder)
+    assert f"{folder}/.env: new random secrets" in init("--out", str(folder)).stderr
+
+
 def variables(deployment: Path) -> dict[str, str]:
     """The variables of .env."""
     lines = (deployment / ".env").read_text().splitlines()
