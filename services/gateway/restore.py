@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,10 @@ from services.storage.tenant_store import DEFAULT_TENANT, FOLDER, store_of_tenan
 
 _BESIDE = ("", "-wal", "-shm", "-journal")  # suffixes of the files of one SQLite database
 _ROWS_AT_ONCE = 64
-_LEAST_ROW_BYTES = 40  # of any table; the numbers of rows go no higher than there is space for
+_LEAST_ROW_BYTES = 40  # of any table
+_NUMBER = "row number"  # no column is called so
+_MOST_NUMBER = 1 << 62  # SQLite counts a little farther; a damaged page may say anything
+_UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)  # the second where SQLite's message quotes damaged bytes
 _MIGRATIONS = "alembic_version"
 _COLUMNS = 'SELECT name, type, "notnull" FROM pragma_table_info(?)'
 
@@ -169,8 +173,8 @@ def _salvage(damaged: Path, database: Path) -> int:
     ):
         source.row_factory = sqlite3.Row
         target.execute("BEGIN")
-        last = damaged.stat().st_size // _LEAST_ROW_BYTES
-        count = sum(_copy(source, target, table, columns, last) for table, columns in _tables(target).items())
+        space = damaged.stat().st_size // _LEAST_ROW_BYTES
+        count = sum(_copy(source, target, table, columns, space) for table, columns in _tables(target).items())
         for table, row, *_ in target.execute("PRAGMA foreign_key_check").fetchall():
             target.execute(f'DELETE FROM "{table}" WHERE rowid = ?', (row,))  # noqa: S608 - a name from our own schema
         target.execute("COMMIT")
@@ -187,10 +191,12 @@ def _tables(database: sqlite3.Connection) -> dict[str, list[_Column]]:
     }
 
 
-def _copy(source: sqlite3.Connection, target: sqlite3.Connection, table: str, columns: list[_Column], last: int) -> int:
+def _copy(
+    source: sqlite3.Connection, target: sqlite3.Connection, table: str, columns: list[_Column], space: int
+) -> int:
     """Copy the rows of a table that are whole. They are newer than the snapshot's, which they replace."""
     count = 0
-    for row in _rows(source, table, last):
+    for row in _rows(source, table, space):
         present = [column for column in columns if column.name in row.keys()]  # noqa: SIM118 - not of a mapping
         if all(column.takes(row[column.name]) for column in present):
             names, marks = ", ".join(f'"{column.name}"' for column in present), ", ".join("?" * len(present))
@@ -200,20 +206,54 @@ def _copy(source: sqlite3.Connection, target: sqlite3.Connection, table: str, co
     return count
 
 
-def _rows(source: sqlite3.Connection, table: str, last: int) -> Iterator[sqlite3.Row]:
-    """Yield the rows of a table up to this row number that can be read; a page that cannot hides only its own."""
-    for start in range(0, last, _ROWS_AT_ONCE):
+def _rows(source: sqlite3.Connection, table: str, space: int) -> Iterator[sqlite3.Row]:
+    """Yield the rows of a table that can be read; a page that cannot hides only its own.
+
+    Row numbers begin and end anywhere: those of deleted rows are not given again.
+
+    space  most rows that the file can hold: the row numbers that are tried where nothing can be read
+    """
+    try:
+        _from(source, table, 0, 0)
+    except _UNREADABLE:
+        return  # the table's own description is damaged: no row of it can be read
+    first, left = 0, space
+    while left > 0 and first < _MOST_NUMBER:
         try:
-            yield from _between(source, table, start, start + _ROWS_AT_ONCE - 1)
-        except sqlite3.DatabaseError:
-            for number in range(start, start + _ROWS_AT_ONCE):
-                with suppress(sqlite3.DatabaseError):
-                    yield from _between(source, table, number, number)
+            found = _from(source, table, first, _ROWS_AT_ONCE)
+        except _UNREADABLE:
+            first = _next(source, table, first)
+            found = [row for number in range(first, first + _ROWS_AT_ONCE) for row in _one(source, table, number)]
+            first, left = first + _ROWS_AT_ONCE, space if found else left - _ROWS_AT_ONCE
+        else:
+            if not found:
+                return
+            first, left = found[-1][_NUMBER] + 1, space
+        yield from found
 
 
-def _between(source: sqlite3.Connection, table: str, first: int, last: int) -> list[sqlite3.Row]:
-    query = f'SELECT * FROM "{table}" WHERE rowid BETWEEN ? AND ?'  # noqa: S608 - a name from our own schema
-    return source.execute(query, (first, last)).fetchall()
+def _next(source: sqlite3.Connection, table: str, first: int) -> int:
+    """Return the number of the next row from `first` on; `first` where it cannot be read."""
+    with suppress(*_UNREADABLE):
+        if found := _from(source, table, first, 1):
+            return int(found[0][_NUMBER])
+    return first
+
+
+def _one(source: sqlite3.Connection, table: str, number: int) -> list[sqlite3.Row]:
+    with suppress(*_UNREADABLE):
+        return [row for row in _from(source, table, number, 1) if row[_NUMBER] == number]
+    return []
+
+
+def _from(source: sqlite3.Connection, table: str, first: int, most: int) -> list[sqlite3.Row]:
+    """Return at most so many rows, from this row number on. Raises one of _UNREADABLE."""
+    query = f'SELECT *, rowid AS "{_NUMBER}" FROM "{table}" WHERE rowid >= ? ORDER BY rowid LIMIT ?'  # noqa: S608 - ours
+    found = source.execute(query, (first, most)).fetchall()
+    numbers = [first - 1, *(row[_NUMBER] for row in found)]
+    if any(before >= after for before, after in pairwise(numbers)):
+        raise sqlite3.DatabaseError("a page is damaged: its rows are not in order")
+    return found
 
 
 def _complete_leases(engine: sa.Engine) -> None:

@@ -123,6 +123,20 @@ def test_what_came_after_the_snapshot_is_read_from_the_damaged_file(database: Pa
     assert done.rows >= len(found.keys() & set(after)) > 0
 
 
+@pytest.mark.parametrize("hole", [(0.0, 0.0), (0.8, 0.9)])
+def test_rows_are_read_whatever_their_numbers_are(database: Path, tmp_path: Path, hole: tuple[float, float]) -> None:
+    """As after years in which retention has deleted older jobs: more numbers were given than the file has space for."""
+    jobs = add_jobs(database, *(f"key{number}" for number in range(100)))
+    with closing(sqlite3.connect(database)) as db:
+        for table in ("jobs", "leases"):
+            db.execute(f"UPDATE {table} SET rowid = rowid + 100000000")
+        db.commit()
+    spoil(database, *hole)
+    restore(database, tmp_path / "snapshots", MemoryStore())
+    found = known_jobs(database).keys() & set(jobs)
+    assert len(found) == len(jobs) if hole == (0.0, 0.0) else len(found) > 0
+
+
 def test_a_file_that_is_no_database_any_more_is_replaced_by_the_snapshot(database: Path, tmp_path: Path) -> None:
     jobs = add_jobs(database, "a", "b")
     engine = open_engine(f"sqlite:///{database}")
