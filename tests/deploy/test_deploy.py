@@ -351,6 +351,9 @@ def test_compose_reads_the_env_of_deploy_init(compose: list[str], tmp_path: Path
     for name in ("edge", "edge-gpu"):
         worker = services[name]["environment"]
         assert worker["EDGE_TOKEN"] == gateway["GATEWAY_EDGE_TOKEN"] != ""
+        if "EDGE_CENTRAL" in worker:  # which may be the other one
+            assert worker["EDGE_CENTRAL_TOKEN"] == worker["EDGE_TOKEN"]
+            assert worker["EDGE_CENTRAL_CA"] == gateway["GATEWAY_EDGE_CA"] != ""
         assert worker["STORAGE_SIGNING_KEY"] == gateway["STORAGE_SIGNING_KEY"] != ""
         mounted = Path(_keys_of(services[name])["source"])
         for file in (worker["EDGE_TLS_CERT"], worker["EDGE_TLS_KEY"], gateway["GATEWAY_EDGE_CA"]):
