@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from services.cli.earlier_results import MANIFEST, files_of_pull
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer
 from services.cli.http import client_of
 from services.cli.progress import console, warn
-from services.cli.seen_version import SeenVersion
+from services.cli.seen_version import SeenVersion, user_folder
 from services.cli.share_link import SharedThing, open_link, split_link
 from services.storage.catalogue.collection import Row, Shard, read_index, read_shard
 from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
@@ -112,8 +111,8 @@ def pull_asset(
 
 
 def default_cache() -> Path:
-    """Return the cache folder: $XDG_CACHE_HOME/capture2vr, or ~/.cache/capture2vr."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "capture2vr"
+    """Return the cache folder: $XDG_CACHE_HOME/capture2vr, or ~/.cache/capture2vr. Raises OSError."""
+    return user_folder("XDG_CACHE_HOME", ".cache")
 
 
 def _first_collection(client: httpx.Client, key: str) -> str:

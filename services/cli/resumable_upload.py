@@ -10,6 +10,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import httpx
 
 from services.atomic_write import atomic_write
 from services.cli.errors import BadInput, parse_answer
-from services.cli.progress import StageBar
+from services.cli.progress import StageBar, warn
 from services.cli.seen_version import state_folder
 
 _PIECE_BYTES = 16 << 20  # with a checksum of its own: what a lost connection costs at most
@@ -173,24 +174,31 @@ class _Memory:
     def __init__(self, client: httpx.Client, archive: Path) -> None:
         with archive.open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
-        name = hashlib.sha256(f"{client.base_url} {content}".encode()).hexdigest()[:32]
-        self._path = state_folder() / "uploads" / f"{name}.json"
+        self._name = hashlib.sha256(f"{client.base_url} {content}".encode()).hexdigest()[:32]
+
+    @property
+    def _path(self) -> Path:
+        return state_folder() / "uploads" / f"{self._name}.json"
 
     @property
     def upload(self) -> str:
         """The upload's path; "" where none is known."""
         try:
             upload = json.loads(self._path.read_bytes())["upload"]
-        except (FileNotFoundError, ValueError, KeyError, TypeError):  # damaged: a new upload is as good
+        except (OSError, ValueError, KeyError, TypeError):  # damaged, or not to be read: a new upload is as good
             return ""
         return upload if isinstance(upload, str) and upload.startswith("/v1/uploads/") else ""
 
     def remember(self, upload: str) -> None:
-        """Write the upload down. Raises OSError."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(self._path) as part:
-            part.write_text(json.dumps({"upload": upload}))
+        """Write the upload down, or warn: the upload itself needs no folder of the user's."""
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(self._path) as part:
+                part.write_text(json.dumps({"upload": upload}))
+        except OSError as error:
+            warn(f"if this push is cut off, the next one begins anew: {error}")
 
     def forget(self) -> None:
         """Forget the upload: it has become a capture, or never will."""
-        self._path.unlink(missing_ok=True)
+        with suppress(OSError):
+            self._path.unlink()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import json
@@ -47,5 +48,21 @@ class SeenVersion:
 
 
 def state_folder() -> Path:
-    """Return $XDG_STATE_HOME/capture2vr, or ~/.local/state/capture2vr: unlike a cache, it is never emptied."""
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "capture2vr"
+    """Return $XDG_STATE_HOME/capture2vr, or ~/.local/state/capture2vr: unlike a cache, it is never emptied.
+
+    Raises OSError for a user without a home folder.
+    """
+    return user_folder("XDG_STATE_HOME", ".local/state")
+
+
+def user_folder(variable: str, below_home: str) -> Path:
+    """Return the folder capture2vr in the one that the variable names, else below the user's home folder.
+
+    Raises OSError for a user without one, such as a container's that is given by number.
+    """
+    if named := os.environ.get(variable):
+        return Path(named) / "capture2vr"
+    try:
+        return Path.home() / below_home / "capture2vr"
+    except RuntimeError:
+        raise OSError(errno.ENOENT, f"this user has no home folder: set {variable} to a folder to write to") from None

@@ -15,8 +15,8 @@ import pytest
 
 from services.cli import pull as pull_module
 from services.cli.errors import BadInput
-from services.cli.pull import pull_asset
-from services.cli.seen_version import SeenVersion
+from services.cli.pull import default_cache, pull_asset
+from services.cli.seen_version import SeenVersion, state_folder
 from services.storage.bundle import content_name, sha256_hex
 from services.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
 from services.storage.catalogue.entry import read_entry
@@ -250,6 +250,21 @@ def test_a_body_that_breaks_off_is_told_of_its_file(
     with pytest.raises(BadInput, match=r"lod0\.[0-9a-f]{64}\.glb"):
         pull()
     assert not (tmp_path / "out").exists()
+
+
+def test_a_user_without_a_home_folder_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container that runs as a number that no user has."""
+
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", no_home)
+    for variable, folder in (("XDG_CACHE_HOME", default_cache), ("XDG_STATE_HOME", state_folder)):
+        monkeypatch.delenv(variable, raising=False)
+        with pytest.raises(OSError, match=f"no home folder: set {variable}"):
+            folder()
+        monkeypatch.setenv(variable, "/x")
+        assert folder() == Path("/x/capture2vr")
 
 
 def test_a_rotten_cache_heals(pull: Pull, tmp_path: Path) -> None:

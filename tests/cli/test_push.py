@@ -89,6 +89,20 @@ def test_a_push_that_is_killed_goes_on_when_it_is_started_again(tmp_path: Path, 
 
 
 @pytest.mark.slow
+def test_a_push_without_a_folder_for_its_state_is_a_push_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "state").write_text("a file where the folder would be")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    path = tmp_path / "scan.ply"
+    path.write_bytes(cloud(20 * _MEGABYTE))
+    with running(tmp_path) as gateway, httpx.Client(base_url=gateway.url) as client, StageBar() as bar:
+        upload(client, path, bar)
+        assert gateway.the_one_file(tmp_path) == sha256(path)
+    assert "if this push is cut off, the next one begins anew" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_what_the_gateway_refuses_is_told_and_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     path = tmp_path / "broken.jpg"
