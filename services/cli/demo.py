@@ -12,7 +12,7 @@ from services.cli.progress import console
 from services.cli.pull import pull_asset
 from services.cli.push import push_capture
 from services.cli.run import key_from
-from services.cli.up import DEFAULT_PORT, Stack, is_free, run_stack
+from services.cli.up import DEFAULT_PORT, Stack, is_free, run_stack, stop_signals
 
 _KEY = "demo-garment"
 _PRESET = "draft"  # no training, so that the demo takes less than a minute
@@ -24,7 +24,9 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     capture  the user's capture; None: simulate one
     keep     whether to go on serving the viewer until interrupted
     """
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # exits the `with` below: stops the stack
+    for name in stop_signals():
+        if name != signal.SIGINT:  # raises KeyboardInterrupt
+            signal.signal(name, lambda number, _: sys.exit(128 + number))  # exits the `with` below: stops the stack
     out.mkdir(parents=True, exist_ok=True)
     key = key_from(capture) if capture else _KEY
     with run_stack("127.0.0.1", _port(), out / "data", wait=False) as stack:
@@ -58,7 +60,7 @@ def _simulate_capture(out: Path) -> Path:
 
 def _serve_until_interrupted(stack: Stack) -> None:
     stop = threading.Event()
-    for name in (signal.SIGINT, signal.SIGTERM):
+    for name in stop_signals():
         signal.signal(name, lambda *_: stop.set())
     console.print("serving the viewer; press Ctrl-C to stop")
     while not stop.wait(0.5):

@@ -28,7 +28,7 @@ _RESTARTS = 20  # of dead services in all: after so many, another restart will n
 
 
 def serve_together(host: str, port: int, data: Path, *, everybody: bool = False) -> int:
-    """Run all services until SIGINT or SIGTERM, and return the exit code.
+    """Run all services until a signal of `stop_signals`, and return the exit code.
 
     everybody  let everybody in without an access key, from other machines too
     Raises BadInput where the port is in use or a service cannot start, SettingsError where others could reach the
@@ -36,7 +36,7 @@ def serve_together(host: str, port: int, data: Path, *, everybody: bool = False)
     """
     _refuse_without_keys(host, port, data, everybody)
     stop = threading.Event()
-    for name in (signal.SIGINT, signal.SIGTERM):
+    for name in stop_signals():
         signal.signal(name, lambda *_: stop.set())
     with run_stack(host, port, data, everybody=everybody) as stack:
         console.print(f"capture page   {stack.url}/")
@@ -48,6 +48,15 @@ def serve_together(host: str, port: int, data: Path, *, everybody: bool = False)
         while not stop.wait(0.5):
             stack.restart_dead()
     return 0
+
+
+def stop_signals() -> tuple[signal.Signals, ...]:
+    """Return the signals that stop the services: Ctrl-C, SIGTERM, and the terminal's end unless nohup ignores it.
+
+    The services have sessions of their own: who does not stop them leaves them running.
+    """
+    has_hangup = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
+    return (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if has_hangup else ()))
 
 
 @contextmanager

@@ -162,6 +162,22 @@ def test_a_taken_port_is_said_plainly(url: str, tmp_path: Path) -> None:
     assert "--port" in result.stderr
 
 
+@pytest.mark.parametrize("wrapper", [[], ["nohup"]], ids=["terminal", "nohup"])
+def test_a_terminal_that_is_closed_ends_the_services_too(tmp_path: Path, wrapper: list[str]) -> None:
+    port = free_port()
+    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
+    with subprocess.Popen([*wrapper, *command], stderr=subprocess.PIPE, text=True) as product:
+        assert product.stderr is not None
+        assert any("capture page" in line for line in product.stderr)
+        product.send_signal(signal.SIGHUP)
+        if wrapper:  # which has the signal ignored
+            assert httpx.get(f"http://127.0.0.1:{port}/livez").is_success
+            product.send_signal(signal.SIGINT)
+        assert product.wait(HANG_S) == 0
+    with pytest.raises(httpx.TransportError):
+        httpx.get(f"http://127.0.0.1:{port}/livez")
+
+
 def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
     environment = {**os.environ, "EDGE_SLOT": "4"}
     command = [sys.executable, "-m", "services.cli", "edge"]
