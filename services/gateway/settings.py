@@ -73,6 +73,13 @@ class GatewaySettings(StrictSettings):
     def _check_workers(cls, workers: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(map(check_worker_address, workers))
 
+    @field_validator("database_url")
+    @classmethod
+    def _check_database_url(cls, url: str) -> str:
+        if url and not _is_database_url(url):
+            raise ValueError("must be postgresql://user:password@host/database, or sqlite:///file")
+        return url
+
     @property
     def database(self) -> str:
         """URL of the jobs database."""
@@ -92,6 +99,16 @@ class GatewaySettings(StrictSettings):
     def is_public(self) -> bool:
         """Whether other machines can connect."""
         return self.reached_host not in LOOPBACK
+
+
+def _is_database_url(url: str) -> bool:
+    from sqlalchemy.engine import make_url  # here: who has none need not wait for the import
+    from sqlalchemy.exc import ArgumentError
+
+    try:
+        return make_url(url).get_backend_name() in ("postgresql", "postgres", "sqlite")
+    except (ArgumentError, ValueError):  # the second for a port that is no number
+        return False
 
 
 def worker_credentials(settings: GatewaySettings) -> ClientCredentials:

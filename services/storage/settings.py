@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,8 +17,23 @@ from services.storage.local import LocalStore
 from services.storage.store import Store
 from services.strict_settings import CommaList, SettingsError, StrictSettings
 
+_ENDPOINT = re.compile(r"https?://[^\s/?#]+(/[^\s?#]*)?")
+_BUCKET = re.compile(r"[A-Za-z0-9._-]{1,255}|arn:[^\s]+", re.ASCII)
+
 PLACEHOLDER_SECRET = "change-me-please"  # noqa: S105 - it is refused wherever it would protect anything
 """STORAGE_SECRET_KEY of docker-compose.yml where nobody has set one. Everybody knows it."""
+
+
+def _check_endpoint(url: str) -> str:
+    if url and not _ENDPOINT.fullmatch(url):
+        raise ValueError("give a URL, such as http://minio:9000 or https://s3.example")
+    return url
+
+
+def _check_bucket(name: str) -> str:
+    if not _BUCKET.fullmatch(name):
+        raise ValueError("use letters, digits, . _ - for a bucket's name, or the ARN of an access point")
+    return name
 
 
 def _check_collection_name(name: str) -> str:
@@ -44,9 +60,9 @@ class StorageSettings(StrictSettings):
     kind: Literal["local", "s3"] = "local"
     root: Path = Path("data/objects")
     base_url: str = ""
-    endpoint: str = ""
-    public_endpoint: str = ""
-    bucket: str = "capture2vr"
+    endpoint: Annotated[str, AfterValidator(_check_endpoint)] = ""
+    public_endpoint: Annotated[str, AfterValidator(_check_endpoint)] = ""
+    bucket: Annotated[str, AfterValidator(_check_bucket)] = "capture2vr"
     region: str = "us-east-1"
     presign_s: Annotated[int, Field(ge=0, le=7 * 86_400)] = 0  # S3 signs for a week at most
     access_key: SecretStr = SecretStr("")

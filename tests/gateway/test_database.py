@@ -18,6 +18,8 @@ from services.gateway.database import SchemaNewer, metadata, open_engine, pipeli
 from services.gateway.jobs.job import Order
 from services.gateway.jobs.store import JobStore
 from services.gateway.jobs.tables import queue_turns
+from services.gateway.settings import GatewaySettings
+from services.strict_settings import SettingsError
 
 _ORDER = Order("cap_1", "draft", "dress", "Dress")
 _JOB = "job_" + "0" * 32
@@ -104,6 +106,13 @@ def test_jobs_of_before_the_tenants_are_the_default_tenants(url: str) -> None:
         assert db.exec_driver_sql("SELECT state, preset FROM jobs").all() == [("QUEUED", "draft")]
     assert not AccessStore(engine).has_keys()
     engine.dispose()
+
+
+@pytest.mark.parametrize("wrong", ["gateway.db", "mysql://u:secret@h/d", "postgresql://u:secret@h:port/d", "://"])
+def test_a_url_of_no_database_is_an_error_that_names_the_variable(wrong: str) -> None:
+    with pytest.raises(SettingsError, match=r"GATEWAY_DATABASE_URL: .*must be postgresql://") as told:
+        GatewaySettings(database_url=wrong)
+    assert "secret" not in str(told.value)
 
 
 def test_gateways_that_start_at_once_migrate_once(url: str) -> None:

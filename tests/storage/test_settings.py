@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from services.storage.bucket import main
 from services.storage.catalogue.publish import KeyElsewhere
 from services.storage.catalogue.signing import generate_key
 from services.storage.local import LocalStore
@@ -35,6 +36,20 @@ def test_s3_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(store, S3Store)
     assert store.url("assets/a") == "https://s3.example/things/assets/a"
     assert "very secret" not in str(settings.describe())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("ENDPOINT", "minio:9000"), ("PUBLIC_ENDPOINT", "s3.example"), ("BUCKET", "my things")]
+)
+def test_what_s3_cannot_be_asked_at_is_an_error_that_names_the_variable(
+    name: str, value: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable, given in {"KIND": "s3", "ENDPOINT": "http://minio:9000", name: value}.items():
+        monkeypatch.setenv(f"STORAGE_{variable}", given)
+    with pytest.raises(SettingsError, match=f"STORAGE_{name}"):
+        StorageSettings()
+    with pytest.raises(SystemExit, match=f"bucket: STORAGE_{name}"):
+        main()
 
 
 def test_half_a_pair_of_keys_is_an_error() -> None:
