@@ -27,6 +27,7 @@ _TRANSFER = TransferConfig(
 _CONNECT_S, _READ_S = 5.0, 60.0  # timeouts: a healthy endpoint accepts in ms; a slow one may need seconds to answer
 _ATTEMPTS = 5  # boto's standard mode: exponential back-off with jitter, up to 20 s each
 _CONNECTIONS = 32  # pool size: the number of simultaneous uploads that the gateway promises
+_CLOCK_CODES = {"RequestTimeTooSkewed", "RequestExpired"}  # a signature is good for a quarter of an hour
 _LIST_LIMIT = 1000  # objects per page: S3 lists no more at once
 
 
@@ -248,6 +249,10 @@ def _builtin_error(name: str, error: ClientError) -> Exception:
         return ConditionFailed(f"{name} is gone") if error.operation_name == "PutObject" else FileNotFoundError(name)
     if status == 412 or code == "ConditionalRequestConflict":
         return ConditionFailed(f"{name} has changed")
+    if code in _CLOCK_CODES:
+        return PermissionError(
+            f"the S3 service denies {error.operation_name} of {name}: {code}; this machine's clock is wrong: set it"
+        )
     if status in (401, 403):
         return PermissionError(
             f"the S3 service denies {error.operation_name} of {name}: {code}; check STORAGE_ACCESS_KEY"

@@ -109,6 +109,14 @@ def test_a_bucket_of_aws_is_made_in_its_region(endpoint: str, region: str, place
         aws.assert_no_pending_responses()
 
 
+def test_a_wrong_clock_is_not_taken_for_a_wrong_key() -> None:
+    store = S3Store(bucket="things", access_key="a", secret_key="b", endpoint="https://s3.example")
+    with Stubber(store._client) as service:
+        service.add_client_error("get_object", "RequestTimeTooSkewed", http_status_code=403)
+        with pytest.raises(PermissionError, match="this machine's clock is wrong"):
+            store.get("a")
+
+
 def test_a_store_that_starts_later_is_waited_for(s3_server: S3Server, bucket: str) -> None:
     """Nobody listens at first; the line is mended once the program says that it waits."""
     line = line_to(s3_server.endpoint)
