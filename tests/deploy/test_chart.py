@@ -260,6 +260,9 @@ def test_an_unknown_or_wrong_value_is_named(wrong: dict[str, Any], said: str) ->
         ({"gateway": {"operatorKeySecret": "key"}, "ingress": {"enabled": True}}, "ingress.enabled: name the host"),
         ({"gateway": {"operatorKeySecret": "key"}, "storage": {"presignSeconds": 0}}, "name the CDN"),
         ({"gateway": {"operatorKeySecret": "key"}, "workers": {"cpu": {"central": "gpu"}}}, "central is gpu"),
+        ({"gateway": {"operatorKeySecret": "key"}, "workers": {"cpu": {"central": "cpu"}}}, "a central of its own"),
+        ({"gateway": {"operatorKeySecret": "key"}, "workers": {"gateway": {}}}, "the gateways have that name"),
+        ({"gateway": {"operatorKeySecret": "key"}, "workers": {"cpu": {"takesJobs": False}}}, "no pool has takesJobs"),
     ],
 )  # fmt: skip
 def test_values_that_contradict_each_other_are_named(wrong: dict[str, Any], said: str) -> None:
