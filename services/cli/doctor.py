@@ -98,6 +98,9 @@ def _storage() -> Iterator[Finding]:
 
     try:
         settings = StorageSettings()
+        if settings.kind == "local" and not settings.root.exists():  # opening it would make it
+            yield Finding("storage", "note", f"local: {settings.root} is not there yet; it is made when it is needed")
+            return
         open_store(settings).list("catalog/", limit=1)
     except Exception as error:  # noqa: BLE001 - whatever is wrong is exactly what the person wants to read
         yield Finding("storage", "bad", str(error))

@@ -223,6 +223,7 @@ def test_doctor_finds_nothing_bad(url: str, tmp_path: Path) -> None:
     result = capture2vr("doctor", "--gateway", url, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert all(package in result.stdout for package in ("fastapi", "torch", "boto3"))
+    assert list(tmp_path.iterdir()) == [], "it looks, and makes nothing"
 
 
 # The demo as it is typed, but for 8 frames of 40, photos of 320 × 240, a coarse mesh, and any free port, because what
