@@ -96,12 +96,14 @@ def _posted(client: httpx.Client, path: str, request: Mapping[str, Any]) -> Any:
 
 def _followed(client: httpx.Client, job: dict[str, Any], bar: StageBar, gateway: str) -> dict[str, Any]:
     """Show a job's progress until it has ended, and return it then."""
-    key = job["asset_key"]
+    key, is_shown = job["asset_key"], False
     for state in follow(client, job["id"]):
         job = state
         bar.show(job["stage"] or job["state"], job["fraction"], job.get("message") or "", job.get("losses"))
-        if (asset := job.get("asset")) and asset["state"] == "preview":  # only in the event `published`
+        asset = job.get("asset")
+        if asset and asset["state"] == "preview" and not is_shown:  # of a draft it is the last state too
             console.print(f"preview  {gateway}/view/{key}")
+            is_shown = True
     return job
 
 

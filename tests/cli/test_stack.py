@@ -62,6 +62,7 @@ def test_what_was_pushed_can_be_pulled_by_its_key(url: str, disk: Path, tmp_path
     pushed = capture2vr("push", disk, "--gateway", url, *asked)
     assert pushed.returncode == 0, pushed.stderr
     assert f"{url}/view/leaf, in collection tree" in pushed.stderr
+    assert pushed.stderr.count(f"preview  {url}/view/leaf") == 1
     assert "leaf" in capture2vr("ls", "--gateway", url, "--collection", "tree").stdout
     hostile = capture2vr("push", disk, "--gateway", url, *asked[:-1], "../wood")
     assert (hostile.returncode, "not a valid collection" in hostile.stderr, "UPLOADING" in hostile.stderr) == (
