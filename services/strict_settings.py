@@ -73,7 +73,8 @@ def _suggestion(name: str, known: set[str]) -> str:
 
 def _sentence(prefix: str, error: ValidationError) -> str:
     """Return the error's message: each variable at fault with the reason, without values, which may be secrets."""
-    return "; ".join(f"{prefix}{'.'.join(map(str, e['loc'])).upper()}: {e['msg']}" for e in error.errors())
+    reasons = ((e["loc"], e["msg"].removeprefix("Value error, ")) for e in error.errors())
+    return "; ".join(f"{prefix}{'.'.join(map(str, place)).upper()}: {reason}" for place, reason in reasons)
 
 
 def _shown(value: object) -> Plain:

@@ -27,7 +27,7 @@ from services.cli.backup_folder import (
     write_manifest,
 )
 from services.cli.errors import BadInput
-from services.cli.local_settings import local_settings, local_store
+from services.cli.local_settings import check_data, local_settings, local_store
 from services.cli.progress import console, warn
 from services.cli.sealed_keys import KeyFile
 from services.gateway.database_copy import (
@@ -58,6 +58,7 @@ def create_backup(folder: Path, data: Path, *, with_objects: bool, keys: Path | 
     keys  folder of keys, or None: none are in the backup
     keep  the newest backups that stay; 0: all
     """
+    check_data(data)
     sealed = sealed_keys.seal(sealed_keys.read_keys(keys), sealed_keys.passphrase()) if keys else b""
     settings, store = local_settings(data), local_store(data)
     now = datetime.now(UTC)

@@ -9,7 +9,7 @@ from pathlib import Path
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.cli.errors import BadInput
-from services.cli.local_settings import local_settings, local_store
+from services.cli.local_settings import check_data, local_settings, local_store
 from services.cli.progress import console, warn
 from services.gateway.instance_lock import FolderInUse, lock_instance
 from services.gateway.restore import restore
@@ -23,6 +23,7 @@ def check_database(data: Path) -> bool:
 
     Raises BadInput.
     """
+    check_data(data)
     settings = local_settings(data)
     database = _database(settings)
     whole = _say(database, "the database")
@@ -35,6 +36,7 @@ def check_database(data: Path) -> bool:
 
 def restore_database(data: Path) -> None:
     """Restore the database, and print what it was made of. Raises BadInput."""
+    check_data(data)
     settings = local_settings(data)
     database = _database(settings)
     try:
@@ -61,6 +63,7 @@ def scrub_store(data: Path) -> bool:
 
     Raises BadInput, OSError.
     """
+    check_data(data)
     with tempfile.TemporaryDirectory(prefix="scrub-") as folder:
         scrub = Scrub(local_store(data), Path(folder) / "scrub.json", 0)
         for _ in scrub.steps():

@@ -11,6 +11,16 @@ from services.storage.settings import StorageSettings, open_store
 from services.storage.store import Store
 
 _PLACES = ("GATEWAY_DATA_DIR", "GATEWAY_DATABASE_URL")
+_STORES = ("STORAGE_ROOT", "STORAGE_KIND")
+
+
+def check_data(data: Path) -> None:
+    """Check that there is a gateway to work on: its data folder, or variables that name its database or its store.
+
+    Raises BadInput.
+    """
+    if not data.is_dir() and not any(os.environ.get(name) for name in (*_PLACES, *_STORES)):
+        raise BadInput(f"{data} does not exist: name the data folder of the gateway with --data")
 
 
 def local_settings(data: Path) -> GatewaySettings:

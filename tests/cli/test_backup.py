@@ -412,16 +412,21 @@ def test_a_full_disk_is_said_in_a_sentence(data: Path, small_disk: Path) -> None
 
 def test_what_cannot_be_done_is_said_in_a_sentence(data: Path, backups: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    (tmp_path / "empty").mkdir()
+    for name in ("empty", "none"):
+        (tmp_path / name).mkdir()
     with (backups / "lock").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         busy = backup("create", backups, "--data", data)
     for done, said in (
         (busy, "another backup is being written"),
         (backup("create", tmp_path / "file", "--data", data), "file"),
-        (backup("create", tmp_path / "b", "--data", tmp_path / "nothing"), "there is no database"),
+        (backup("create", tmp_path / "b", "--data", tmp_path / "empty"), "there is no database"),
+        (
+            backup("create", tmp_path / "b", "--data", tmp_path / "nothing"),
+            "nothing does not exist: name the data folder",
+        ),
         (backup("create", tmp_path / "b", "--keys", tmp_path / "nowhere", "--data", data), "there is no such folder"),
-        (backup("verify", tmp_path / "empty"), "has no backup"),
+        (backup("verify", tmp_path / "none"), "has no backup"),
         (backup("restore", backups, "--at", "2020", "--data", tmp_path / "new"), "has no backup 2020; it has 2"),
         (backup("restore", backups, "--only", "keys", "--data", tmp_path / "new"), "needs --keys"),
     ):

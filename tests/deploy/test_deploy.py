@@ -141,6 +141,16 @@ def test_workers_may_be_built_for_a_cluster_and_sent_to_it(compose: list[str]) -
         assert named[worker]["environment"]["EDGE_ENGINE"] == "ray://head:10001"
 
 
+@pytest.mark.docker
+def test_a_worker_has_the_cores_that_are_named(compose: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    plain = _config(compose, "gpu")["services"]
+    named = _config(compose, "gpu", OMP_NUM_THREADS="2")["services"]
+    for worker in ("edge", "edge-gpu"):
+        assert plain[worker]["environment"].get("OMP_NUM_THREADS") is None
+        assert named[worker]["environment"]["OMP_NUM_THREADS"] == "2"
+
+
 @pytest.mark.parametrize("index", [None, "", "https://example.org/cuda"])
 def test_the_worker_image_takes_torch_from_the_index_that_is_named(index: str | None) -> None:
     """None: nobody names one. pip's place is taken by a program that prints what it is asked for."""

@@ -110,7 +110,7 @@ def test_jobs_of_before_the_tenants_are_the_default_tenants(url: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["gateway.db", "mysql://u:secret@h/d", "postgresql://u:secret@h:port/d", "://"])
 def test_a_url_of_no_database_is_an_error_that_names_the_variable(wrong: str) -> None:
-    with pytest.raises(SettingsError, match=r"GATEWAY_DATABASE_URL: .*must be postgresql://") as told:
+    with pytest.raises(SettingsError, match=r"GATEWAY_DATABASE_URL: must be postgresql://") as told:
         GatewaySettings(database_url=wrong)
     assert "secret" not in str(told.value)
 

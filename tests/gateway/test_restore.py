@@ -6,13 +6,14 @@ import os
 import shutil
 import sqlite3
 import time
+from collections.abc import Callable
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
-from services.cli.database_work import check_database, restore_database
+from services.cli.database_work import check_database, restore_database, scrub_store
 from services.cli.errors import BadInput
 from services.gateway.access.caller import ALL_SCOPES
 from services.gateway.access.store import AccessStore
@@ -308,6 +309,14 @@ class TestCommands:
         with lock_instance(database.parent), pytest.raises(BadInput, match="another gateway uses"):
             restore_database(tmp_path / "data")
         check_file(database)
+
+    @pytest.mark.parametrize("command", [check_database, restore_database, scrub_store])
+    def test_a_mistyped_data_folder_is_named_and_not_made(
+        self, command: Callable[[Path], object], tmp_path: Path
+    ) -> None:
+        with pytest.raises(BadInput, match=r"dta does not exist: name the data folder of the gateway with --data"):
+            command(tmp_path / "dta")
+        assert not (tmp_path / "dta").exists()
 
     def test_a_missing_database_is_named(self, database: Path, tmp_path: Path) -> None:
         with pytest.raises(FileNotFoundError, match=r"gateway\.db"):
