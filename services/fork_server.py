@@ -74,6 +74,8 @@ class _Server:
                         for running in self._running:
                             running.kill()
                         return
+                elif key.data.process is None:
+                    continue  # its end came in this same round, and its descriptors are closed
                 elif key.fd == key.data.leash:
                     key.data.kill()
                     self._selector.unregister(key.fd)

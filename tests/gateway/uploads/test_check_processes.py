@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -148,6 +150,46 @@ async def test_a_server_that_was_killed_is_started_again(checks: Below, tmp_path
     server.send_signal(signal.SIGKILL)
     server.wait(PATIENCE_S)
     assert (await checks.check(order(tmp_path / "2", a__ply=CLOUD))).sha256
+
+
+WAITING = """
+import os, socket, sys, time
+from services import fork_server
+def work(order, send):
+    send({"begun": True})
+    while not os.path.exists(order["until"]):
+        time.sleep(0.01)
+fork_server.serve(socket.socket(fileno=int(sys.argv[1])), work)
+"""
+
+
+def test_work_that_is_called_off_as_it_ends_harms_no_other(tmp_path: Path) -> None:
+    """The server hears of both at once: it was busy, as while it starts other work."""
+    before = {each.pid for each in psutil.Process().children()}
+    with closing(ForkServer("-c", WAITING)) as server:
+        ending, other = server.fork(), server.fork()
+        for forked, name in ((ending, "ending"), (other, "other")):
+            forked.channel.sendall(json.dumps({"until": str(tmp_path / name)}).encode() + b"\n")
+            assert b"begun" in forked.channel.recv(1 << 16)
+        (process,) = (each for each in psutil.Process().children() if each.pid not in before)
+        process.suspend()
+        (tmp_path / "ending").touch()
+        until_zombie(process)
+        os.close(ending.leash)
+        process.resume()
+        (tmp_path / "other").touch()
+        with other.channel, other.channel.makefile() as said:
+            assert json.loads(said.readline()) == {"ended": 0}
+        ending.channel.close()
+        os.close(other.leash)
+
+
+def until_zombie(server: psutil.Process) -> None:
+    """Wait until work has ended that the server has not heard of."""
+    deadline = time.monotonic() + PATIENCE_S
+    while all(each.status() != psutil.STATUS_ZOMBIE for each in server.children()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 async def test_more_checks_than_run_at_once_all_end(checks: Below, tmp_path: Path) -> None:
