@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import resource
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,8 @@ def work(order: dict[str, Any], _: Send) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     box = PhotoBox.of(order["box"]) if order["box"] else None
     scratch = Path(order["scratch"])
+    # Decoders write gigabytes, and a process that is killed removes nothing: the worker removes this folder.
+    tempfile.tempdir = os.environ["TMPDIR"] = str(scratch)
     try:
         folder = unpack_capture(Path(order["archive"]), scratch)
         _limit(sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import resource
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +135,17 @@ def test_an_inspection_that_nobody_waits_for_is_killed(tmp_path: Path) -> None:
             inspector.inspect(packed(tmp_path, a__ply=b"ply"), scratch_in(tmp_path), None, leave)
         (server,) = (each for each in psutil.Process().children() if each.pid not in before)
         assert server.children() == []
+
+
+@pytest.mark.parametrize("end", ["os.abort()", "pass"])
+def test_temporary_files_lie_in_the_inspections_own_folder(tmp_path: Path, end: str) -> None:
+    """Even of one that is killed: who inspects removes that folder."""
+    write = "import tempfile, subprocess; tempfile.mkdtemp(prefix='own-')"
+    child = "subprocess.run([sys.executable, '-c', 'import tempfile; tempfile.mkdtemp(prefix=\"childs-\")'])"
+    scratch = scratch_in(tmp_path)
+    with closing(scripted(f"{write}; {child}; {end}")) as inspector, suppress(CaptureError, RuntimeError):
+        inspector.inspect(packed(tmp_path, a__ply=b"ply"), scratch, None, no_tick)
+    assert {path.name.partition("-")[0] for path in scratch.glob("*-*")} == {"own", "childs"}
 
 
 def test_a_fault_of_ours_is_an_error_with_its_traceback(tmp_path: Path) -> None:
