@@ -84,7 +84,8 @@ class _Forwarding:
         try:
             return self._follow(lambda client: client.reconstruct(header, file_chunks(archive), admit_s=admit_s))
         except StreamEnded as ended:
-            known = ended.status == grpc.StatusCode.ALREADY_EXISTS
+            # Whoever has told of the job has taken it, even where the call then reached its deadline, say.
+            known = ended.status == grpc.StatusCode.ALREADY_EXISTS or self._seq > 0
             if not known and (ended.status in _REFUSALS or not ended.delivered):
                 fault = f"did not take the points ({ended})"
                 raise CentralUnavailable(f"central at {self._central.address} {fault}") from None

@@ -15,6 +15,7 @@ import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from services.asset_names import AssetNames
 from services.edge.api import edge_pb2 as pb
 from services.edge.capture_to_points import STARTS
 from services.edge.field.device import find_device
+from services.edge.jobs import central_client
 from services.edge.jobs.available_presets import known_presets
 from services.edge.jobs.central_client import Central, CentralUnavailable, Timeouts
 from services.edge.jobs.points_archive import VERSION, write_prepared
@@ -39,6 +41,7 @@ from services.edge.worker.scratch import Scratch
 from services.edge.worker.server import EdgeServer
 from services.edge.worker.settings import EdgeSettings
 from services.edits import NO_EDITS
+from services.grpc_client import GrpcClient
 from services.storage.catalogue.entry import read_entry
 from services.storage.local import LocalStore
 from services.storage.memory import MemoryStore
@@ -562,6 +565,26 @@ async def test_a_connection_that_breaks_is_found_again(
     assert len(standing.sizes) == 1, "the points were sent once"
     said = [(event.progress.fraction, event.progress.message) for event in told if event.HasField("progress")]
     assert all(one != other for one, other in pairwise(said)), "what waits repeats nothing"
+
+
+async def test_a_run_that_outlasts_a_call_to_central_goes_on_there(
+    store: MemoryStore, tmp_path: Path, quick: Path, dome: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(central_client, "GrpcClient", partial(GrpcClient, run_s=3.0))
+    standing = Standing()
+    async with listening(standing, tmp_path / "central") as (_, address):
+        with reaching(address, replace(QUICK, lost_s=PATIENCE_S)) as central:
+            async with worker(real_work(store, quick, central), tmp_path / "edge") as edge:
+                await until(lambda: central.takes_jobs)
+                call = edge.reconstruct(dome, preset="quick")
+                await until(lambda: bool(standing.seen))
+                await asyncio.sleep(4.0)
+                standing.release.set()
+                told = [event async for event in call]
+    assert kinds(told)[-1] == "finished", told[-1]
+    assert list(told[-1].finished.warnings) == ["one"], "central's own"
+    with pytest.raises(FileNotFoundError):
+        read_entry(store, "dress")  # which only a fit on this worker would have published
 
 
 class Wire:
