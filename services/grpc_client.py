@@ -182,18 +182,21 @@ class GrpcClient:
 
         lost  called whenever the stream has broken
         Raises StreamEnded where the worker does not know the run (RUN_UNKNOWN), and where no event of it arrived for
-        `give_up_s` seconds.
+        `give_up_s` seconds after the stream broke, or from the beginning.
         """
-        pause_s, since = _FIRST_PAUSE_S, time.monotonic()
+        pause_s, lost_since = _FIRST_PAUSE_S, time.monotonic()
         while True:
+            heard = False
             try:
                 async with aclosing(self.attach(job, token, after_seq)) as events:
                     async for event in events:
-                        after_seq, pause_s, since = event.seq, _FIRST_PAUSE_S, time.monotonic()
+                        after_seq, pause_s, heard = event.seq, _FIRST_PAUSE_S, True
                         yield event
                 return
             except StreamEnded as ended:
-                if ended.status in RUN_UNKNOWN or time.monotonic() - since > give_up_s:
+                # Not since the last event: it takes `silence_s` to notice that a stream is dead, which may be longer.
+                lost_since = time.monotonic() if heard else lost_since
+                if ended.status in RUN_UNKNOWN or time.monotonic() - lost_since >= give_up_s:
                     raise
                 level = logging.WARNING if pause_s == _FIRST_PAUSE_S else logging.DEBUG  # once for every loss
                 _log.log(level, "job %s: lost the connection to %s (%s), reconnecting", job, self.address, ended)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import grpc
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from services.edge.api import edge_pb2 as pb
+from services.edge.api import edge_pb2_grpc
 from services.edits import Edits
 from services.gateway.errors import Problem
 from services.gateway.jobs.job import Job, Lease, Order
@@ -102,6 +106,36 @@ async def test_a_run_is_reported_to_its_end_and_can_be_heard_again(tmp_path: Pat
         with pytest.raises(RunKnown):
             _ = [report async for report in workers.reconstruct(address, job(), chunks(archive), len(archive))]
         assert await workers.cancel(address, job()) is False
+
+
+class Hanging(edge_pb2_grpc.EdgeReconstructionServicer):
+    """A worker whose first stream of events falls silent in its middle, as when its machine is moved."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    async def Attach(self, request: pb.AttachRequest, context: Any) -> AsyncIterator[pb.Event]:  # noqa: N802
+        self.asked.append(request.after_seq)
+        yield pb.Event(job=request.job, seq=request.after_seq + 1, heartbeat=pb.Heartbeat())
+        if len(self.asked) == 1:
+            await asyncio.sleep(600)
+        yield pb.Event(job=request.job, seq=request.after_seq + 2, finished=pb.Finished())
+
+
+@pytest.mark.slow
+async def test_a_stream_that_falls_silent_is_opened_again_however_long_that_took_to_notice() -> None:
+    server, hanging = grpc.aio.server(), Hanging()
+    edge_pb2_grpc.add_EdgeReconstructionServicer_to_server(hanging, server)
+    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
+    await server.start()
+    workers = WorkerPool((address,), silence_s=3.0)
+    try:
+        told = [report async for report in workers.follow(address, job(), 0, 2.0)]
+    finally:
+        await workers.close()
+        await server.stop(0)
+    assert isinstance(told[-1], RunFinished)
+    assert hanging.asked == [0, 1]
 
 
 def anchors_of(xyz_m: list[float], rgb: bytes) -> Report:
