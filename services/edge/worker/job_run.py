@@ -132,7 +132,12 @@ class JobRun:
             return failure_of(error, job=self.request.job, scratch=scratch)
 
     def _report(self, loop: asyncio.AbstractEventLoop, stages: StageSpans, update: Update) -> None:
-        """Post an update to the event loop, from the run's thread. Raises Cancelled or JobReturned after a stop."""
+        """Post an update to the event loop, from the run's thread. Raises Cancelled or JobReturned after a stop.
+
+        What has been published is told even then: the version is there.
+        """
+        if isinstance(update, pb.Published):
+            _post(loop, self._record, update)
         if self._stop_with is not None:
             raise JobReturned if _is_retried(self._stop_with) else Cancelled
         if isinstance(update, pb.Progress):
@@ -140,7 +145,8 @@ class JobRun:
                 stages.enter(pb.Stage.Name(update.stage))
             if self._is_redundant(update):
                 return
-        _post(loop, self._record, update)
+        if not isinstance(update, pb.Published):
+            _post(loop, self._record, update)
 
     def _record(self, update: Update) -> None:
         # A run that was given up has its ending already, but its thread may still report once.

@@ -202,6 +202,20 @@ async def test_cancel_ends_a_running_job(client: Client, scratch: Path) -> None:
     assert (await client.ended(b"ticks 1", "next"))[-1].HasField("finished")
 
 
+async def test_what_was_published_as_the_job_was_cancelled_is_told(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The version is in the catalogue, and the cancellation came too late for it."""
+    monkeypatch.setattr(runs_module, "GIVE_UP_S", PATIENCE_S)
+    call = client.reconstruct(f"until {tmp_path / 'stored'}".encode())
+    await anext(aiter(call))
+    assert await client.cancel()
+    (tmp_path / "stored").touch()
+    published, ending = [event async for event in call][-2:]
+    assert published.published.asset_key == "dress"
+    assert ending.failure.code == "CANCELLED"
+
+
 async def test_a_job_is_shown_and_stopped_by_its_token_only(client: Client) -> None:
     call = await waiting(client, token="right")
     for wrong in ("", "wrong", "right "):
