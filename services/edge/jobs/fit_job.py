@@ -89,7 +89,8 @@ class FieldFitter:
                         report(to_wire(step))
                     case Bundle():
                         began = time.perf_counter()
-                        report(_published_message(self._publish_bundle(step, request), request.collection))
+                        asset = self._publish_bundle(step, request, bar.reached, report)
+                        report(_published_message(asset, request.collection))
                         publishing += time.perf_counter() - began
                         warnings, computing = step.manifest["warnings"], step.manifest["seconds"]
                         # Only the preview tells how much memory the fit takes. A preview may come again after the fit.
@@ -104,8 +105,15 @@ class FieldFitter:
                         warnings, computing = (*warnings, step.warning), step.seconds
         return pb.Finished(warnings=warnings, seconds={"PUBLISHING": publishing, **computing})
 
-    def _publish_bundle(self, bundle: Bundle, request: ReconstructionRequest) -> PublishedAsset:
-        """Write a bundle to the store. Raises EdgeError FENCE_STALE, KEY_ELSEWHERE, STORE_UNAVAILABLE."""
+    def _publish_bundle(
+        self, bundle: Bundle, request: ReconstructionRequest, reached: float, report: Report
+    ) -> PublishedAsset:
+        """Write a bundle to the store, unless the job is cancelled meanwhile: a scene's tiles take minutes.
+
+        reached  fraction of the job that is done
+        Raises EdgeError FENCE_STALE, KEY_ELSEWHERE, STORE_UNAVAILABLE, and Cancelled when `report` does.
+        """
+        publishing = pb.Progress(stage=pb.PUBLISHING, fraction=reached, message=f"publishing the {bundle.state}")
         try:
             return self._publish(
                 bundle,
@@ -115,6 +123,7 @@ class FieldFitter:
                 fence=request.fence,
                 collection=request.collection,
                 visibility=request.visibility,
+                proceed=lambda: report(publishing),
             )
         except StaleFence:
             message = "another worker has taken over the job; the result of this one is discarded"

@@ -8,7 +8,7 @@ run completes the work.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -129,6 +129,7 @@ class Publish(Protocol):
         fence: int,
         collection: str,
         visibility: Visibility | None,
+        proceed: Callable[[], None],
     ) -> PublishedAsset: ...
 
 
@@ -143,6 +144,7 @@ def publish(
     keys: Keys = NO_KEYS,
     allow_other_collections: bool = True,
     visibility: Visibility | None = None,
+    proceed: Callable[[], None] = lambda: None,
 ) -> PublishedAsset:
     """Publish a bundle under `key`, make it the current version, and list it in `collection`, signed with `keys`.
 
@@ -150,6 +152,8 @@ def publish(
     compared instead. A new version of a removed asset restores it.
     allow_other_collections  whether an asset of another collection may be listed in this one too
     visibility               the asset's own from this version on; None: the one it has
+    proceed                  called before each file, and before the version is added; what it raises is passed on, and
+                             then nothing but files that nobody refers to has been written
     Raises StaleFence where the same job has published with a higher fence, KeyElsewhere, ValueError for an invalid key
     or collection, OSError (CatalogueFault too) where the store fails; after that, publish again.
     """
@@ -165,13 +169,19 @@ def publish(
     if existing is not None and existing["fence"] >= fence and is_done:
         asset = _published_asset(key, existing)
     else:
-        files = [_put_content(store, key, file, bundle.files[file]) for file in sorted(bundle.files)]
+        files = [_put_file(store, key, bundle, file, proceed) for file in sorted(bundle.files)]
         manifest = _put_manifest(store, key, bundle, files)
+        proceed()
         asset = _add_version(store, key, bundle, files, manifest, request)
     move_alias(store, asset)
     update_collections(store, key, keys)
     update_unity_catalogues(store, key)
     return asset
+
+
+def _put_file(store: Store, key: str, bundle: Bundle, file: str, proceed: Callable[[], None]) -> _StoredFile:
+    proceed()
+    return _put_content(store, key, file, bundle.files[file])
 
 
 def _put_content(store: Store, key: str, file: str, data: bytes) -> _StoredFile:

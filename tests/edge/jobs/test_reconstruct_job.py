@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 import zipfile
 from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import grpc
@@ -30,7 +32,7 @@ from services.storage.memory import MemoryStore
 from services.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
 from tests.support.edge_client import Client, leftovers, until, upload, worker
-from tests.support.patience import CANCEL_S
+from tests.support.patience import CANCEL_S, PATIENCE_S
 
 pytestmark = [pytest.mark.usefixtures("small_pictures"), pytest.mark.slow]
 
@@ -247,6 +249,35 @@ async def test_the_rectangle_says_which_thing_becomes_the_asset(
     manifest = json.loads(store.get(published[-1]))
     red, _, blue = np.array(manifest["anchors"]["rgb"]).reshape(-1, 3).mean(axis=0)
     assert blue > red + 50
+
+
+class SlowStore(MemoryStore):
+    """A store on whose first file somebody waits, until `release`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun, self.release = threading.Event(), threading.Event()
+
+    def put(self, *given: Any, **options: Any) -> Any:
+        self.begun.set()
+        self.release.wait(PATIENCE_S)
+        return super().put(*given, **options)
+
+
+async def test_a_job_that_is_cancelled_while_its_files_are_stored_adds_no_version(
+    scratch: Path, tmp_path: Path
+) -> None:
+    """Its slot is free before the store has answered, and the job has ended: nothing may come after that."""
+    store = SlowStore()
+    async with worker(real_work(store), scratch, slots=1) as client:
+        call = client.reconstruct(archive(tmp_path, dome_ply=hemisphere_ply(400)), asset_key="dome", preset="draft")
+        await until(store.begun.is_set)
+        assert await client.cancel()
+        assert [event async for event in call][-1].failure.code == "CANCELLED"
+        store.release.set()
+        await until(lambda: leftovers(scratch) == [])  # its thread has ended
+    with pytest.raises(FileNotFoundError):
+        read_entry(store, "dome")
 
 
 async def test_a_cancelled_job_publishes_nothing(client: Client, store: MemoryStore, tmp_path: Path) -> None:
