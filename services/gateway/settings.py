@@ -62,7 +62,7 @@ class GatewaySettings(StrictSettings):
     attach_for_s: float = Field(default=10.0, ge=0)  # try so long to reattach to a lost run, then queue the job again
     # Deadline of a whole run; a trained field takes minutes.
     job_timeout_s: float = Field(default=6 * 3600.0, gt=0)
-    # First pause before a job runs again; doubles with every attempt, 60 s at most.
+    # First pause before a job runs again; doubles with every attempt and every refusal, 60 s at most.
     retry_s: float = Field(default=1.0, gt=0)
     max_attempts: int = Field(default=5, ge=1)  # runs of one job that may end with a lost worker
     # Used until a worker has reported its presets; the first is the default.

@@ -214,9 +214,9 @@ class RunSupervisor:
         self._record_change(await self._dependencies.job_store.change(self.job.id, transition))
 
     async def _requeue_refused(self) -> None:
-        transition = partial(
-            requeue_refused, fence=self.fence, now=time.time(), pause_s=self._dependencies.retry.pause_s
-        )
+        # A longer pause each time: no worker may have room for this capture for days, and each try is an event.
+        pause_s = self._dependencies.retry.pause_after(1 + self.job.lease.refusals)
+        transition = partial(requeue_refused, fence=self.fence, now=time.time(), pause_s=pause_s)
         self._record_change(await self._dependencies.job_store.change(self.job.id, transition))
 
     def _record_change(self, job: Job) -> None:

@@ -75,6 +75,11 @@ class Lease:
     run_seq: int = 0
     cancel: bool = False
 
+    @property
+    def refusals(self) -> int:
+        """Leases that were no attempt: workers refused the job, or handed it back, or its run was taken over."""
+        return self.fence - self.attempts
+
 
 @dataclass(frozen=True, slots=True)
 class Job:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import socket
 from contextlib import AsyncExitStack
 from pathlib import Path
 
 import pytest
 
+from services.edge.worker import scratch
 from services.gateway.database import create_engine
 from services.gateway.jobs.tables import jobs
 from services.storage.catalogue.entry import read_entry
@@ -54,6 +56,29 @@ async def test_a_retryable_failure_is_tried_again_but_not_for_ever(tmp_path: Pat
     ):
         done = await ended(client, await start(client, capture(store, fail="STORE_UNAVAILABLE", retryable=True)))
     assert (done["state"], done["attempts"], len(work.runs)) == ("FAILED", 3, 3)
+
+
+async def test_a_job_that_no_worker_has_room_for_is_tried_less_and_less_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scratch, "HEADROOM", 1 << 50)
+    store, tries = memory(), 6
+    async with (
+        worker(Making(store), tmp_path / "edge") as port,
+        gateway(tmp_path / "gw", store, port, retry_s=0.1) as client,
+    ):
+        job, began = await start(client, capture(store)), list[float]()
+        async with client.stream("GET", f"/v1/jobs/{job}/events") as told:
+            async for line in told.aiter_lines():
+                said = json.loads(line.removeprefix("data: ")) if line.startswith("data: ") else {}
+                if said.get("state") == "RUNNING":
+                    began.append(said["elapsed_s"])
+                if len(began) == tries:
+                    break
+        assert began[-1] - began[0] >= 0.1 * (2 ** (tries - 1) - 1)
+        monkeypatch.setattr(scratch, "HEADROOM", 3)
+        done = await ended(client, job)
+    assert (done["state"], done["attempts"]) == ("SUCCEEDED", 1)
 
 
 async def test_cancelling_a_running_job_frees_its_worker(tmp_path: Path) -> None:
