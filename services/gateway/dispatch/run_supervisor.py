@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import time
 from collections.abc import AsyncGenerator, Callable
@@ -125,8 +126,11 @@ class RunSupervisor:
             await self._report([_refusal(self.job, missing)])
         except OSError as error:
             _log.warning("job %s: the store cannot be read: %s", self.job.id, error)
-            why = Problem(503, "STORE_UNAVAILABLE", "the capture cannot be read from the store", retryable=True)
-            await self._requeue_lost(why)
+            if error.errno == errno.EIO:  # of a disk that cannot read this very capture
+                detail = "the capture cannot be read from the store"
+                await self._requeue_lost(Problem(503, "STORE_UNAVAILABLE", detail, retryable=True))
+            else:  # No attempt: all jobs that wait would use theirs up while a store restarts.
+                await self._requeue_refused()
         except (LeaseLost, SQLAlchemyError):
             raise
         except Exception:  # noqa: BLE001 - a bug here costs an attempt, as a lost worker does: no job retries for ever

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import socket
 from contextlib import AsyncExitStack
 from pathlib import Path
+from typing import Any
 
+import httpx
 import pytest
 
 from services.edge.worker import scratch
@@ -15,6 +18,7 @@ from services.gateway.database import create_engine
 from services.gateway.jobs.tables import jobs
 from services.storage.catalogue.entry import read_entry
 from services.storage.memory import MemoryStore
+from tests.support.away_store import AwayStore
 from tests.support.in_process_gateway import Making, capture, ended, events, gateway, job_when, memory, start, worker
 
 pytestmark = pytest.mark.slow
@@ -67,18 +71,55 @@ async def test_a_job_that_no_worker_has_room_for_is_tried_less_and_less_often(
         worker(Making(store), tmp_path / "edge") as port,
         gateway(tmp_path / "gw", store, port, retry_s=0.1) as client,
     ):
-        job, began = await start(client, capture(store)), list[float]()
-        async with client.stream("GET", f"/v1/jobs/{job}/events") as told:
-            async for line in told.aiter_lines():
-                said = json.loads(line.removeprefix("data: ")) if line.startswith("data: ") else {}
-                if said.get("state") == "RUNNING":
-                    began.append(said["elapsed_s"])
-                if len(began) == tries:
-                    break
+        job = await start(client, capture(store))
+        began = await first_runs(client, job, tries)
         assert began[-1] - began[0] >= 0.1 * (2 ** (tries - 1) - 1)
         monkeypatch.setattr(scratch, "HEADROOM", 3)
         done = await ended(client, job)
     assert (done["state"], done["attempts"]) == ("SUCCEEDED", 1)
+
+
+async def first_runs(client: httpx.AsyncClient, job: str, count: int) -> list[float]:
+    """When the first runs of a job were begun, in seconds since it was created, as soon as there are so many."""
+    began: list[float] = []
+    async with client.stream("GET", f"/v1/jobs/{job}/events") as told:
+        async for line in told.aiter_lines():
+            said = json.loads(line.removeprefix("data: ")) if line.startswith("data: ") else {}
+            if said.get("state") == "RUNNING":
+                began.append(said["elapsed_s"])
+            if len(began) == count:
+                break
+    return began
+
+
+async def test_jobs_wait_for_a_store_that_is_away(tmp_path: Path, unused_tcp_port: int) -> None:
+    store = AwayStore()
+    async with gateway(tmp_path / "gw", store, unused_tcp_port, max_attempts=1) as client:
+        job = await start(client, capture(store))
+        store.is_away = True
+        async with worker(Making(store), tmp_path / "edge", port=unused_tcp_port):
+            await first_runs(client, job, 3)
+            store.is_away = False
+            done = await ended(client, job)
+    assert (done["state"], done["attempts"]) == ("SUCCEEDED", 1)
+
+
+async def test_a_capture_that_a_disk_cannot_read_fails_its_job(tmp_path: Path, unused_tcp_port: int) -> None:
+    store = BrokenDisk()
+    async with gateway(tmp_path / "gw", store, unused_tcp_port, max_attempts=2) as client:
+        job = await start(client, capture(store))
+        async with worker(Making(store), tmp_path / "edge", port=unused_tcp_port):
+            done = await ended(client, job)
+    assert (done["state"], done["attempts"], done["error"]["code"]) == ("FAILED", 2, "STORE_UNAVAILABLE")
+
+
+class BrokenDisk(MemoryStore):
+    """A store that has lost what is in its captures."""
+
+    def get(self, name: str, **part: Any) -> bytes:
+        if name.endswith(".zip"):
+            raise OSError(errno.EIO, "Input/output error")
+        return super().get(name, **part)
 
 
 async def test_cancelling_a_running_job_frees_its_worker(tmp_path: Path) -> None:
