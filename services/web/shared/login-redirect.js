@@ -15,7 +15,8 @@ export function addressAfterLogin(search) {
   const wanted = new URLSearchParams(search).get('next') ?? '/';
   try {
     const { origin, pathname, search: query, hash } = new URL(wanted, location.origin);
-    return origin === location.origin && pathname !== location.pathname ? pathname + query + hash : '/';
+    const leadsAway = origin !== location.origin || pathname.startsWith('//'); // which is another site's address by itself
+    return leadsAway || pathname === location.pathname ? '/' : pathname + query + hash;
   } catch {
     return '/';
   }

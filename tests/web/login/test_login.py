@@ -57,7 +57,9 @@ def test_an_ended_session_leads_to_the_login(page: Page, context: BrowserContext
     await_data(page, tenant="ada")
 
 
-@pytest.mark.parametrize("next_", ["//evil.example/x", "https://evil.example", "javascript:0", "/\\evil.example"])
+@pytest.mark.parametrize(
+    "next_", ["//evil.example/x", "https://evil.example", "javascript:0", "/\\evil.example", "/.//evil.example/x"]
+)
 def test_a_link_to_the_login_leads_to_no_other_site(page: Page, guarded: GuardedSite, next_: str) -> None:
     page.goto(f"{guarded.url}/login")
     page.evaluate("next => history.replaceState(null, '', '/login?' + new URLSearchParams({ next }))", next_)
