@@ -12,7 +12,7 @@ import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js
 import { registerServiceWorker } from '../shared/register-service-worker.js';
 import { withNewest } from '../shared/signed-catalogue.js';
 import { t } from '../shared/texts.js';
-import { ofShownTenant } from '../shared/whose.js';
+import { ofShownTenant, reloadForOtherTenant } from '../shared/whose.js';
 
 /** @import { SearchResult } from './search.js' */
 /** @import { CollectionRow } from '../shared/types.d.ts' */
@@ -59,6 +59,7 @@ let typingTimer = 0;
 
 /** Searches, and shows the page of results. */
 async function show() {
+  if (reloadForOtherTenant()) return;
   const request = ++lastRequest;
   document.body.setAttribute('aria-busy', 'true');
   page.retry.hidden = true;
@@ -231,7 +232,7 @@ function showDone(said) {
 
 /** Shows the collection as it is by now, when the person comes back to this page. */
 async function reloadIfChanged() {
-  if (document.hidden) return;
+  if (document.hidden || reloadForOtherTenant()) return;
   try {
     const version = await withNewest(name, async (collection) => collection.version);
     if (version !== shownVersion) show();

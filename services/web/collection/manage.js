@@ -4,6 +4,7 @@ import { element } from '../shared/dom.js';
 import { sentences } from '../shared/problems.js';
 import { onSecondPress } from '../shared/second-press.js';
 import { t } from '../shared/texts.js';
+import { reloadForOtherTenant } from '../shared/whose.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
 
@@ -30,7 +31,9 @@ const SAID = { remove: t('removed; “Show: removed ones” has them'), restore:
 export function offerManaging(session, { chosen, onDone }) {
   if (!session?.scopes.includes('manage')) return;
   removedOption.hidden = removedOption.disabled = false;
-  const act = async (/** @type {keyof typeof ACTIONS} */ name) => onDone(await doAll(chosen(), name));
+  const act = async (/** @type {keyof typeof ACTIONS} */ name) => {
+    if (!reloadForOtherTenant()) onDone(await doAll(chosen(), name));
+  };
   buttons.remove.addEventListener('click', () => act('remove'));
   buttons.restore.addEventListener('click', () => act('restore'));
   onSecondPress(buttons.delete, t('Tap again: it cannot be undone'), () => act('delete'));

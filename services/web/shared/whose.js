@@ -5,6 +5,18 @@ const TENANT_COOKIE = /(?:^|;\s*)c2v_tenant=([a-z0-9-]+)/; // beside the session
 /** The tenant that is logged in in this browser, as known without the server; '' where nobody is. */
 export const ownTenant = () => TENANT_COOKIE.exec(document.cookie)?.[1] ?? '';
 
+const tenantAtStart = ownTenant();
+
+/**
+ * Loads the page again where another tenant has logged in since, in another tab: what was shown and chosen is not of that one's things.
+ * @returns {boolean} whether it does
+ */
+export function reloadForOtherTenant() {
+  if (ownTenant() === tenantAtStart) return false;
+  location.reload();
+  return true;
+}
+
 /** The tenant in the page's address, whose things a visitor sees; '' on one's own pages, which may have that address too. */
 const shownTenant = tenantInAddress();
 

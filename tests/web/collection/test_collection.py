@@ -10,17 +10,20 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
+from services.gateway.access.caller import ALL_SCOPES, Scope
 from services.storage.catalogue.collection import Index, Row, describe_shard, index_name, shard_data, sign_index
 from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.removal import remove
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.store import IMMUTABLE, NO_CACHE
+from services.storage.tenant_store import store_of_tenant
 from tests.support.pages import await_data
 from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
+from tests.support.tenants import make_key
 from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
-from tests.web.conftest import with_a_past
+from tests.web.conftest import GuardedSite, with_a_past
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
@@ -328,6 +331,30 @@ def test_things_are_found_by_the_day_of_their_change_and_by_their_size(page: Pag
         page.locator("#until").fill("2020-02-29")
         expect(page.locator("#said")).to_have_text("Nothing matches; look at “Date and size”.")
         assert shown(page) == []
+
+
+def test_what_was_chosen_is_not_done_to_the_things_of_another_who_logs_in(page: Page, guarded: GuardedSite) -> None:
+    bob = make_key(guarded.data_dir, "bob", ALL_SCOPES - {Scope.OPERATE})
+    bobs = store_of_tenant(guarded.site.store, "bob")
+    publish(box("Ada's", RED), guarded.store, key="cup")
+    publish(box("Bob's", RED), bobs, key="cup")
+    guarded.log_in(page.context)
+    for press in ("#remove", "#order", ""):
+        page.goto(f"{guarded.url}/browse/default")
+        await_data(page, state="shown", manages="yes", tenant="ada")
+        page.get_by_role("checkbox", name="Choose Ada's").check()
+        page.context.request.post(f"{guarded.url}/v1/session", data={"key": bob})
+        if press == "#order":
+            page.locator(press).select_option("newest")
+        elif press:
+            page.locator(press).click()
+        else:
+            page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+        await_data(page, state="shown", manages="yes", tenant="bob")
+        expect(page.locator("#grid .name")).to_have_text("Bob's")
+        expect(page.locator("#chosen")).to_be_hidden()
+        guarded.log_in(page.context)
+    assert not any(read_entry(store, "cup").removed for store in (guarded.store, bobs))
 
 
 def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page, tmp_path: Path) -> None:
