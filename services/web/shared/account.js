@@ -1,5 +1,5 @@
 // The corner of every page that says who is logged in, with links to pair a device and to sign out.
-import { deleteAt, getJson } from './api.js';
+import { deleteAt, getSession } from './api.js';
 import { create, element } from './dom.js';
 import { forgetAccounts } from './forget.js';
 import { leadToLogin } from './login-redirect.js';
@@ -13,8 +13,7 @@ import { t } from './texts.js';
  */
 export async function showAccount() {
   const corner = element('account', HTMLElement);
-  /** @type {Session | null} */
-  const session = await getJson('/v1/session').catch(() => null);
+  const session = await getSession().catch(() => null);
   if (!session || session.via === 'open') return session;
   corner.replaceChildren(...(session.via === 'anonymous' ? [createLogin()] : createAccount(session)));
   corner.hidden = false;

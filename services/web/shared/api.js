@@ -5,11 +5,11 @@ import { leadToLogin } from './login-redirect.js';
 import { fetchBytes } from './network.js';
 import { isConnectionProblem, noAnswer, offline, parseAnswer } from './problems.js';
 import { captureAddress } from './upload-form.js';
-import { ownName } from './whose.js';
+import { ofShownTenant, ownName, showAsVisitor } from './whose.js';
 import { CACHED_COPY_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
 /** @import { About } from './upload-form.js' */
-/** @import { AnchorPoints, AnchorsEvent, AssetEntry, CaptureReceipt, JobProgress, PhotoOutline } from './types.d.ts' */
+/** @import { AnchorPoints, AnchorsEvent, AssetEntry, CaptureReceipt, JobProgress, PhotoOutline, Session } from './types.d.ts' */
 
 const CATALOGUE = 'catalogue-1'; // the cache of answers that a visit without the server needs
 const GATEWAY_ERRORS = [502, 503, 504]; // a proxy's word that the server behind it cannot be reached
@@ -25,7 +25,7 @@ const LOGIN_PAGES = ['/login', '/pair']; // where nobody has to be logged in
  * @throws {Problem} as `parseAnswer`
  */
 function parseNeeded({ status }, bytes) {
-  if (status === 401 && !LOGIN_PAGES.includes(location.pathname)) leadToLogin();
+  if (status === 401 && !LOGIN_PAGES.includes(location.pathname) && !showAsVisitor()) leadToLogin();
   return parseAnswer(status, decodeText(bytes));
 }
 
@@ -41,6 +41,17 @@ const decodeText = (bytes) => new TextDecoder().decode(bytes);
  */
 export async function getJson(url) {
   const { response, bytes } = await fetchBytes(url, { cache: 'no-cache' });
+  return parseNeeded(response, bytes);
+}
+
+/**
+ * Who is logged in. A session that has ended is none to a visitor, who needs none; on one's own pages it leads to the login page.
+ * @returns {Promise<Session>}
+ * @throws {Problem} as `getJson`
+ */
+export async function getSession() {
+  const { response, bytes } = await fetchBytes('/v1/session', { cache: 'no-cache' });
+  if (response.status === 401 && ofShownTenant('') !== '') return { tenant: '', scopes: [], via: 'anonymous', key: '' };
   return parseNeeded(response, bytes);
 }
 

@@ -17,12 +17,22 @@ export function reloadForOtherTenant() {
   return true;
 }
 
-/** The tenant in the page's address, whose things a visitor sees; '' on one's own pages, which may have that address too. */
-const shownTenant = tenantInAddress();
+/** The tenant in the page's address; '' in most addresses of one's own pages. */
+const tenantInAddress = new URLSearchParams(location.search).get('tenant') ?? '';
 
-function tenantInAddress() {
-  const tenant = new URLSearchParams(location.search).get('tenant') ?? '';
-  return tenant === ownTenant() ? '' : tenant;
+/** The tenant whose things a visitor sees; '' on one's own pages, whatever their address. */
+const shownTenant = tenantInAddress === ownTenant() ? '' : tenantInAddress;
+
+/**
+ * Shows a page of one's own things as a visitor sees them, where its address allows it: after the session has ended, some may still be shared.
+ * @returns {boolean} whether it does
+ */
+export function showAsVisitor() {
+  if (!tenantInAddress || shownTenant) return false;
+  document.cookie = 'c2v_tenant=; path=/; max-age=0';
+  if (ownTenant()) return false;
+  location.reload();
+  return true;
 }
 
 /**

@@ -95,6 +95,20 @@ def test_a_link_is_opened_without_a_login_until_it_is_revoked(owner: Page, visit
     expect(visitor.locator("#said")).to_contain_text("Ask whoever shared it for a new link.")
 
 
+@pytest.mark.parametrize("tenant", ["bob", "ada"])
+def test_a_session_that_has_ended_keeps_nobody_from_what_is_shared(
+    owner: Page, visitor: Page, guarded: GuardedSite, tenant: str
+) -> None:
+    make_link(owner)
+    ended = {"c2v_session": "ended", "c2v_tenant": tenant}
+    visitor.context.add_cookies([{"name": name, "value": value, "url": guarded.url} for name, value in ended.items()])
+    visitor.goto(str(owner.locator("#links a").get_attribute("href")))
+    await_data(visitor, loaded="2 1 0", tenant="")
+    expect(visitor.get_by_role("button", name="Log in")).to_be_visible()
+    assert visitor.url == f"{guarded.url}/view/bowl?tenant=ada"
+    revoke(owner)
+
+
 def test_a_password_is_typed_and_things_may_be_moved(owner: Page, visitor: Page, guarded: GuardedSite) -> None:
     owner.get_by_label("A link for somebody who may").select_option("place")
     owner.get_by_label("Password, if there is to be one").fill("open sesame")
