@@ -76,7 +76,7 @@ async function show() {
 /** @param {SearchResult} result */
 function showResult({ rows, count, exact, collection }) {
   if (rows.length === 0 && pageNumber > 1) {
-    goToPage(1); // this page is gone: assets were removed
+    goToPage(Math.max(1, Math.ceil(count / PER_PAGE))); // this page is gone, or never was: assets were removed
     return;
   }
   removeCards();
@@ -106,8 +106,17 @@ function showResult({ rows, count, exact, collection }) {
 function showPageNumber(pages) {
   page.pages.hidden = pageNumber === 1 && pages !== null && pages <= 1;
   page.pageNumber.textContent = pages ? t('Page {number} of {pages}', { number: pageNumber, pages }) : t('Page {number}', { number: pageNumber });
-  page.previous.disabled = pageNumber === 1;
-  page.next.disabled = pages !== null && pageNumber >= pages;
+  setDisabled(page.previous, pageNumber === 1);
+  setDisabled(page.next, pages !== null && pageNumber >= pages);
+}
+
+/**
+ * Not by `disabled`, which would take the focus from a button that was pressed.
+ * @param {HTMLButtonElement} button
+ * @param {boolean} disabled
+ */
+function setDisabled(button, disabled) {
+  button.setAttribute('aria-disabled', String(disabled));
 }
 
 /** Removes all cards and frees the memory of their pictures. */
@@ -157,6 +166,17 @@ function searchFor(text) {
   show();
 }
 
+/**
+ * Turns the page, unless there is none in that direction or it is being turned already.
+ * @param {HTMLButtonElement} button
+ * @param {1 | -1} by
+ */
+function turnPage(button, by) {
+  if (button.getAttribute('aria-disabled') === 'true') return;
+  for (const each of [page.previous, page.next]) setDisabled(each, true); // until it is shown
+  goToPage(pageNumber + by);
+}
+
 /** @param {number} number */
 function goToPage(number) {
   pageNumber = number;
@@ -188,8 +208,8 @@ function listenToSearch() {
     clearChoice();
     goToPage(1);
   });
-  page.previous.addEventListener('click', () => goToPage(pageNumber - 1));
-  page.next.addEventListener('click', () => goToPage(pageNumber + 1));
+  page.previous.addEventListener('click', () => turnPage(page.previous, -1));
+  page.next.addEventListener('click', () => turnPage(page.next, 1));
 }
 
 // ---- choosing ---------------------------------------------------------------------------------------------------------
@@ -225,8 +245,10 @@ function clearChoice() {
  * @param {string} said
  */
 function showDone(said) {
+  const hadFocus = page.choice.contains(document.activeElement);
   notice = said;
   clearChoice();
+  if (hadFocus) page.summary.focus(); // the button that was pressed is hidden now
   show();
 }
 

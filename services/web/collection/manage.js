@@ -31,13 +31,28 @@ const SAID = { remove: t('removed; “Show: removed ones” has them'), restore:
 export function offerManaging(session, { chosen, onDone }) {
   if (!session?.scopes.includes('manage')) return;
   removedOption.hidden = removedOption.disabled = false;
+  let busy = false;
   const act = async (/** @type {keyof typeof ACTIONS} */ name) => {
-    if (!reloadForOtherTenant()) onDone(await doAll(chosen(), name));
+    if (busy || reloadForOtherTenant()) return;
+    busy = true;
+    showBusy(true);
+    const said = await doAll(chosen(), name);
+    busy = false;
+    showBusy(false);
+    onDone(said);
   };
   buttons.remove.addEventListener('click', () => act('remove'));
   buttons.restore.addEventListener('click', () => act('restore'));
   onSecondPress(buttons.delete, t('Tap again: it cannot be undone'), () => act('delete'));
   document.body.dataset.manages = 'yes';
+}
+
+/**
+ * Not by `disabled`, which would take the focus from the button that was pressed.
+ * @param {boolean} busy
+ */
+function showBusy(busy) {
+  for (const button of Object.values(buttons)) button.setAttribute('aria-disabled', String(busy));
 }
 
 /**

@@ -18,7 +18,7 @@ from services.storage.catalogue.removal import remove
 from services.storage.catalogue.signing import Keys, generate_key, read_signer
 from services.storage.store import IMMUTABLE, NO_CACHE
 from services.storage.tenant_store import store_of_tenant
-from tests.support.pages import await_data
+from tests.support.pages import await_data, press_twice, requests_of
 from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
 from tests.support.tenants import make_key
@@ -254,6 +254,25 @@ def test_ten_thousand_things_are_read_as_far_as_they_are_looked_at(page: Page, t
         assert len(shown(page)) == 16
 
 
+def test_who_presses_twice_turns_one_page_and_keeps_the_focus(page: Page, tmp_path: Path) -> None:
+    with site_at(tmp_path) as site:
+        publish_many(site, 130)
+        visit(page, site, "?page=2")
+        number, focused = page.locator("#where"), page.locator(":focus")
+        for name, expected in (("Previous", "Page 1 of 3"), ("Next", "Page 2 of 3"), ("Next", "Page 3 of 3")):
+            button = page.get_by_role("button", name=name)
+            button.focus()
+            press_twice(button)
+            expect(number).to_have_text(expected)
+            expect(focused).to_have_text(name)
+            assert len(shown(page)) == (34 if expected.startswith("Page 3") else 48)
+        expect(page.get_by_role("button", name="Next")).to_be_disabled()
+        page.get_by_role("button", name="Next").press("Enter")
+        visit(page, site, "?page=4")
+        expect(number).to_have_text("Page 3 of 3")
+        assert page.url.endswith("?page=3"), "the last one that there is"
+
+
 def publish_many(site: Site, count: int) -> None:
     """A collection of assets that have rows and nothing else."""
     keys = [f"k{place:05}" for place in range(count)]
@@ -369,9 +388,15 @@ def test_who_manages_things_removes_restores_and_deletes_many_at_once(page: Page
                 page.get_by_role("checkbox", name=f"Choose {key}").check()
             page.get_by_role("button", name=name).click()
 
-        do("Remove", "A", "B")
+        posts = requests_of(page, "POST")
+        for key in ("A", "B"):
+            page.get_by_role("checkbox", name=f"Choose {key}").check()
+        page.get_by_role("button", name="Remove").focus()
+        press_twice(page.get_by_role("button", name="Remove"))
         expect(page.locator("#said")).to_have_text("2 removed; “Show: removed ones” has them. 1 thing")
         assert shown(page) == ["c"]
+        expect(page.locator("#said")).to_be_focused()
+        assert posts == [f"{site.url}/v1/assets/{key}/remove" for key in ("a", "b")]
         page.get_by_label("Show").select_option("removed")
         expect(page.locator("#said")).to_have_text("2 things, removed")
         expect(page.get_by_role("link", name="Download")).to_have_count(0)
