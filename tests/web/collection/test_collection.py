@@ -23,7 +23,7 @@ from tests.support.screenshots import await_frames
 from tests.support.sites import Site, site_at
 from tests.support.tenants import make_key
 from tests.support.things import BLUE, GREEN, RED, box, moving_picture, picture_of
-from tests.web.conftest import GuardedSite, with_a_past
+from tests.web.conftest import PHONE, GuardedSite, with_a_past, without_a_past
 
 pytestmark = pytest.mark.browser
 INDEX = index_name("default")
@@ -252,6 +252,28 @@ def test_ten_thousand_things_are_read_as_far_as_they_are_looked_at(page: Page, t
         page.goto(f"{site.url}/browse/default?page=209")
         expect(page.locator("#where")).to_have_text("Page 209 of 209")
         assert len(shown(page)) == 16
+
+
+def test_long_names_and_words_stay_on_a_phones_screen(browser: Browser, tmp_path: Path) -> None:
+    with site_at(tmp_path) as site, without_a_past(browser, PHONE) as context:
+        publish(box("B" * 60, RED, labels=["L" * 60]), site.store, key="k" * 100, collection="c" * 100)
+        page = context.new_page()
+        page.goto(f"{site.url}/browse/{'c' * 100}")
+        await_data(page, state="shown", manages="yes")
+        is_within = "document.documentElement.scrollWidth <= innerWidth"
+        assert page.evaluate(is_within)
+        searching = page.get_by_role("searchbox")
+        searching.fill("q" * 100)
+        expect(page.locator("#said")).to_contain_text("Nothing matches")
+        assert page.evaluate(is_within)
+        outlines = "[...document.querySelectorAll('*')].filter((each) => getComputedStyle(each).outlineStyle === 'solid')"
+        assert page.evaluate(f"{outlines}.map(({{ id }}) => id)") == ["search"], "what has the focus, and nothing else"
+        searching.fill("")
+        page.get_by_role("checkbox").check()
+        page.route("**/remove", lambda route: route.abort())
+        page.get_by_role("button", name="Remove").click()
+        expect(page.locator("#said")).to_contain_text("k" * 100)
+        assert page.evaluate(is_within)
 
 
 def test_who_presses_twice_turns_one_page_and_keeps_the_focus(page: Page, tmp_path: Path) -> None:
