@@ -1,6 +1,6 @@
 // The operator's page (/admin): the state of the service, anew every ten seconds; tenants, keys and changes.
 import { fillTable, formatBytes, formatSeconds, formatTime } from './table.js';
-import { setLimits, showChanges, showKeys, showTenants } from './tenants.js';
+import { listenToLimits, showChanges, showKeys, showTenants } from './tenants.js';
 import { showAccount } from '../shared/account.js';
 import { getJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
@@ -17,8 +17,8 @@ const page = {
   said: element('said', HTMLElement),
   service: element('service', HTMLElement),
   waiting: element('waiting', HTMLElement),
-  limits: element('limits', HTMLFormElement),
 };
+let hasLists = false; // of tenants, keys and changes, which are shown once
 
 /** @param {Service} service */
 function show(service) {
@@ -49,22 +49,21 @@ function showProblem(error) {
   page.said.textContent = sentences(error);
 }
 
-/** Loads the state of the service, and shows it. */
+/** Loads the state of the service, and shows it; at the first time with tenants, keys and changes. */
 async function refresh() {
   show(await getJson('/v1/service'));
-  document.body.dataset.state = 'shown';
-}
-
-/** Shows everything once, and the state of the service from then on. */
-async function start() {
-  await refresh();
-  await Promise.all([showTenants(), showKeys(showProblem), showChanges()]);
+  if (!hasLists) await Promise.all([showTenants(), showKeys(), showChanges()]);
+  hasLists = true;
   document.body.dataset.state = 'complete';
-  setInterval(() => refresh().catch(showProblem), PERIOD_MS);
+  delete document.body.dataset.code;
 }
 
-page.limits.addEventListener('submit', (event) => {
-  event.preventDefault();
-  setLimits(page.limits).catch(showProblem);
-});
-start().catch(showProblem).finally(showAccount);
+/** Shows everything, anew again and again: also what could not be loaded at first. */
+async function keepFresh() {
+  await refresh().catch(showProblem);
+  setTimeout(keepFresh, PERIOD_MS);
+}
+
+listenToLimits();
+keepFresh();
+showAccount();

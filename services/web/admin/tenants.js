@@ -1,7 +1,8 @@
 // Tenants with what they use, their limits, access keys, and the audit log, on the operator's page.
 import { addRows, fillTable, formatBytes, formatTime } from './table.js';
 import { getJson, postJson, putJson } from '../shared/api.js';
-import { create, element } from '../shared/dom.js';
+import { attempt } from '../shared/attempt.js';
+import { child, create, element } from '../shared/dom.js';
 import { formatCount } from '../shared/format.js';
 import { onSecondPress } from '../shared/second-press.js';
 
@@ -28,21 +29,17 @@ const LIMIT_NAMES = /** @type {const} */ ({
  */
 async function showPages(table, button, load, cells) {
   const more = element(button, HTMLButtonElement);
+  const trouble = element(`${table}-trouble`, HTMLElement);
   const { rows, next } = await load('');
   fillTable(table, rows.map(cells));
   let after = next;
   more.hidden = after === null;
-  more.onclick = async () => {
-    more.disabled = true;
-    try {
-      const page = await load(after ?? '');
-      addRows(table, page.rows.map(cells));
-      after = page.next;
-      more.hidden = after === null;
-    } finally {
-      more.disabled = false;
-    }
-  };
+  more.onclick = () => attempt(trouble, async () => {
+    const page = await load(after ?? '');
+    addRows(table, page.rows.map(cells));
+    after = page.next;
+    more.hidden = after === null;
+  }, more);
 }
 
 /** Shows tenants with what they use, and lets their limits be set. */
@@ -77,25 +74,34 @@ function describeLimits(limits) {
   return set.map((name) => `${figure(name)} ${LIMIT_NAMES[name]}`).join(', ') || 'none';
 }
 
-/**
- * Sets the limits of a tenant as the form has them.
- * @param {HTMLFormElement} form
- */
-export async function setLimits(form) {
-  const filled = Array.from(new FormData(form)).filter(([, value]) => value !== '');
-  const body = Object.fromEntries(filled.map(([name, value]) => [name, Number(value)]));
-  await putJson(`/v1/tenants/${element('limited', HTMLSelectElement).value}/limits`, body);
-  await showTenants();
+/** Lets the limits of a tenant be set, as the form has them. */
+export function listenToLimits() {
+  const form = element('limits', HTMLFormElement);
+  form.addEventListener('submit', (event) => {
+    event.preventDefault();
+    attempt(element('limits-trouble', HTMLElement), () => setLimits(form), form);
+  });
 }
 
-/**
- * Shows the access keys of all tenants, with a button that revokes each.
- * @param {(error: unknown) => void} onProblem
- */
-export async function showKeys(onProblem) {
+/** @param {HTMLFormElement} form */
+async function setLimits(form) {
+  const said = element('limits-said', HTMLElement);
+  said.textContent = '';
+  const filled = Array.from(new FormData(form)).filter(([, value]) => value !== '');
+  const body = Object.fromEntries(filled.map(([name, value]) => [name, Number(value)]));
+  const tenant = element('limited', HTMLSelectElement).value;
+  /** @type {Limits} */
+  const limits = await putJson(`/v1/tenants/${tenant}/limits`, body);
+  const row = Array.from(element('tenants', HTMLTableElement).rows).find(({ cells }) => cells[0].textContent === tenant);
+  if (row) row.cells[row.cells.length - 1].textContent = describeLimits(limits);
+  said.textContent = `The limits of ${tenant}: ${describeLimits(limits)}.`;
+}
+
+/** Shows the access keys of all tenants, with a button that revokes each. */
+export async function showKeys() {
   await showPages('keys', 'more-keys', loadKeys, (key) => [
     key.tenant, key.label || key.id, key.scopes.join(', '), formatTime(key.last_used), key.expires ? formatTime(key.expires) : 'no end',
-    key.revoked ? { bad: `revoked ${formatTime(key.revoked)}` } : createRevoke(key, onProblem),
+    key.revoked ? { bad: `revoked ${formatTime(key.revoked)}` } : createRevoke(key),
   ]);
 }
 
@@ -109,12 +115,23 @@ async function loadKeys(after) {
 /**
  * A button that revokes a key when it is pressed twice: the first press asks.
  * @param {AccessKey} key
- * @param {(error: unknown) => void} onProblem
  */
-function createRevoke(key, onProblem) {
+function createRevoke(key) {
   const button = create('button', { type: 'button', className: 'link', textContent: 'Revoke' });
-  onSecondPress(button, 'Revoke for good?', () => postJson(`/v1/api-keys/${key.id}/revoke`, {}).then(() => showKeys(onProblem)).catch(onProblem));
+  onSecondPress(button, 'Revoke for good?', () => attempt(element('keys-trouble', HTMLElement), () => revoke(key, button), button));
   return button;
+}
+
+/**
+ * Revokes a key, and says so in the place of its button: the list stays as far as it was opened.
+ * @param {AccessKey} key
+ * @param {HTMLButtonElement} button
+ */
+async function revoke({ id }, button) {
+  /** @type {AccessKey} */
+  const { revoked } = await postJson(`/v1/api-keys/${id}/revoke`, {});
+  const cell = button.parentElement;
+  if (cell) Object.assign(cell, { className: 'bad', textContent: `revoked ${formatTime(revoked)}`, tabIndex: -1 }).focus();
 }
 
 /** Shows who changed what, the newest first. */

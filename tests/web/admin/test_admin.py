@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import httpx
@@ -90,8 +91,33 @@ def test_limits_are_set(page: Page, service: tuple[Site, str, str]) -> None:
     page.get_by_role("button", name="Set the limits").click()
     row = page.locator("#tenants tbody tr", has=page.locator("td", has_text="ada")).first
     expect(row).to_contain_text("3 jobs at once, 5.0 MB stored")
+    expect(page.locator("#limits-said")).to_have_text(re.compile("^The limits of ada: .*3 jobs at once, 5.0 MB stored.$"))
     limits = httpx.get(f"{site.url}/v1/usage", headers=bearer(ada)).json()["limits"]
     assert (limits["jobs_at_once"], limits["stored_bytes"], limits["jobs_per_day"]) == (3, 5_000_000, 0)
+
+
+def test_what_fails_is_said_beside_it_and_stays(page: Page) -> None:
+    page.get_by_label("Jobs a day").fill("2" + "0" * 18)
+    page.get_by_role("button", name="Set the limits").click()
+    expect(page.locator("#limits-trouble")).to_contain_text("less than or equal to")
+    page.route("**/v1/api-keys?*", lambda route: route.abort(), times=1)
+    page.get_by_role("button", name="More keys").click()
+    expect(page.locator("#keys-trouble")).to_contain_text("cannot be reached")
+    with page.expect_response("**/v1/service"):
+        pass
+    expect(page.locator("#limits-trouble")).to_be_visible()
+    page.get_by_role("button", name="More keys").click()
+    expect(page.locator("#keys-trouble")).to_be_hidden()
+
+
+def test_the_page_fills_once_the_server_answers(page: Page) -> None:
+    page.clock.install()
+    page.route("**/v1/service", lambda route: route.abort(), times=1)
+    page.reload()
+    await_data(page, state="error", code="OFFLINE")
+    page.clock.fast_forward(10_000)
+    await_data(page, state="complete")
+    assert len(rows(page, "tenants")) == 20
 
 
 def test_a_key_is_revoked_by_two_presses(page: Page, service: tuple[Site, str, str]) -> None:
@@ -109,7 +135,10 @@ def test_a_key_is_revoked_by_two_presses(page: Page, service: tuple[Site, str, s
     row.get_by_role("button", name="Revoke").click()
     assert httpx.get(f"{site.url}/v1/session", headers=bearer(made["secret"])).status_code == 200
     row.get_by_role("button", name="Revoke for good?").click()
-    page.wait_for_function("() => !document.querySelector('#keys').textContent.includes('for good')")
+    cell = row.locator("td").last
+    expect(cell).to_contain_text("revoked")
+    expect(cell).to_be_focused()
+    assert len(rows(page, "keys")) > 20, "as many as were shown"
     assert httpx.get(f"{site.url}/v1/session", headers=bearer(made["secret"])).json()["code"] == "KEY_REVOKED"
 
 
