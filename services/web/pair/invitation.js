@@ -3,12 +3,14 @@ import { page, showState } from './page-state.js';
 import { getJson, postJson } from '../shared/api.js';
 import { element } from '../shared/dom.js';
 import { leadToLogin } from '../shared/login-redirect.js';
-import { isConnectionProblem, sentences } from '../shared/problems.js';
+import { isConnectionProblem, sentences, toProblem } from '../shared/problems.js';
 import { t } from '../shared/texts.js';
 
 /** @import { NewPairing, Pairing, Scope, Session } from '../shared/types.d.ts' */
 
 const POLL_MS = 1000;
+const TOO_MANY = 429;
+const SERVER_ERRORS = 500;
 const LOOPBACK = ['localhost', '127.0.0.1', '[::1]'];
 /** @type {[text: string, scopes: Scope[]][]} */
 const CHOICES = [
@@ -85,7 +87,7 @@ async function watch(pairing) {
 }
 
 /**
- * Whether a device has used the pairing. Not known while the server does not answer: asked again then.
+ * Whether a device has used the pairing. Not known while the server does not answer, or a proxy or a limit in its place: asked again then.
  * @param {NewPairing} pairing
  */
 async function isClaimed({ id }) {
@@ -94,7 +96,8 @@ async function isClaimed({ id }) {
     const { claimed } = await getJson(`/v1/pairings/${id}`);
     return claimed;
   } catch (error) {
-    if (isConnectionProblem(error)) return false;
+    const { status } = toProblem(error);
+    if (isConnectionProblem(error) || status === TOO_MANY || status >= SERVER_ERRORS) return false;
     throw error;
   }
 }

@@ -65,6 +65,17 @@ def test_a_phone_that_scans_the_code_is_logged_in(operator: Page, phone: Page, g
     phone.wait_for_url("**/login?next=*")
 
 
+@pytest.mark.parametrize("status", [429, 502])
+def test_a_code_stays_while_a_proxy_or_a_limit_answers(operator: Page, phone: Page, status: int) -> None:
+    operator.route("**/v1/pairings/pair_*", lambda route: route.fulfill(status=status, body="<html>"), times=1)
+    with operator.expect_response(lambda answer: answer.status == status):
+        pass
+    with operator.expect_response(lambda answer: "/v1/pairings/pair_" in answer.url and answer.ok):
+        pass
+    phone.goto(text_of(picture_of(operator.locator("#qr"))))
+    await_data(operator, state="paired")
+
+
 def test_a_headset_is_logged_in_by_six_digits(operator: Page, phone: Page, guarded: GuardedSite) -> None:
     digits = operator.locator("#code").inner_text()
     assert len(digits) == 7
