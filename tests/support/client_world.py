@@ -2,6 +2,7 @@
 
 v1/, v2/, removed/   the store before and after a new version of "bowl", and after its removal; "cup" stays beside it
 forged/              v2 whose unsigned Unity catalogue gives the bowl, as version 3, the files of the cup
+inflated/            v2 whose unsigned Unity catalogue says that the bowl is version 900
 spoilt/              v2 whose Unity catalogue offers a third version, of which every file is damaged
 partly/              v2 in which the bowl's finest file is missing
 damaged/             v2 whose Unity catalogue is none
@@ -82,10 +83,11 @@ def _snapshot(store: LocalStore, folder: Path) -> None:
 
 
 def _variants(root: Path) -> None:
-    for name in ("forged", "spoilt", "partly", "damaged"):
+    for name in ("forged", "inflated", "spoilt", "partly", "damaged"):
         shutil.copytree(root / "v2", root / name)
     bowl, cup = parse_assets(_tabulate(root / "v2"))
     _replace(root / "forged", replace(bowl, version=3, files=cup.files), replace(cup, files=bowl.files))
+    _replace(root / "inflated", replace(bowl, version=900), cup)
     _replace(root / "spoilt", replace(bowl, version=3, files=tuple(map(_renamed, bowl.files))), cup)
     for file in bowl.files:
         shutil.copy(root / "v2" / file.url, root / "spoilt" / _renamed(file).url)

@@ -83,8 +83,9 @@ namespace Capture2vr
         /// <param name="progress">is told the share that has come, from 0 to 1, on the thread of the caller</param>
         public async Task DownloadAsync(string key, IProgress<float> progress = null)
         {
-            var files = Files(Locate(key));
-            await Check(key, files);
+            var asset = Locate(key);
+            var files = Files(asset);
+            await CheckSignature(asset, files);
             var downloads = files.Select(each => Catalogue.Cache.Load(each.Url, each.Sha256, each.Size)).ToList();
             var all = Task.WhenAll(downloads.Select(each => each.Task));
             try
@@ -156,15 +157,17 @@ namespace Capture2vr
         /// <summary>Signature before version: what nobody signed must not count as seen. Throws CaptureFault.</summary>
         internal async Task Check(IResourceLocation asset, IReadOnlyList<GlbFile> files)
         {
-            await Check(AssetLocation.Key(asset), files);
+            await CheckSignature(asset, files);
             _versions.Check(asset.PrimaryKey, AssetLocation.Version(asset));
         }
 
-        private Task Check(string key, IReadOnlyList<GlbFile> files)
+        private Task CheckSignature(IResourceLocation asset, IReadOnlyList<GlbFile> files)
         {
+            var key = AssetLocation.Key(asset);
+            var version = AssetLocation.Version(asset);
             var hashes = files.Select(each => each.Sha256).ToList();
             var reader = _reader;
-            return Background.Run(() => reader.Check(key, hashes));
+            return Background.Run(() => reader.Check(key, version, hashes));
         }
 
         private async Task Load()

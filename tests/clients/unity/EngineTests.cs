@@ -287,6 +287,21 @@ public static class EngineTests
         Expect.Equal(2, (await Load()).Result.GetComponent<CapturedInfo>().Version);
     }
 
+    public static async Task WithKeysAVersionThatNobodySignedDoesNotCountAsSeen()
+    {
+        Restart("inflated");
+        await Open("live", Key);
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Lines(new[] { CaptureFault.FileNotSigned }, codes);
+        Restart("v2");
+        await Open("live", Key);
+        await asset.ShowAsync();
+        Expect.Equal(2, asset.Info.Version);
+        asset.Release();
+    }
+
     // The component.
 
     public static async Task TheComponentShowsPlacesAndFreesAnAsset()

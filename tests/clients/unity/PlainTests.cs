@@ -318,22 +318,23 @@ public static class PlainTests
         var versions = new Versions(Path.Combine(folder, "versions.txt"));
         var reader = new CollectionReader($"{Facts.Server}/www/v2", "default", new byte[0][], folder, Cache(Path.Combine(folder, "files")), versions, Fetch);
         Expect.Equal(2, (await reader.Rows()).Count);
-        await reader.Check("bowl", new[] { "no hash" });
+        await reader.Check("bowl", 2, new[] { "no hash" });
     }
 
     public static async Task FilesOfAnotherAssetAreNotSignedForThisOne()
     {
         var reader = Reader(Facts.NewFolder());
-        await reader.Check("bowl", new[] { Sha });
-        await Expect.Fault(CaptureFault.FileNotSigned, () => reader.Check("cup", new[] { Sha }));
-        await Expect.Fault(CaptureFault.AssetUnknown, () => reader.Check("nobody", new[] { Sha }));
+        await reader.Check("bowl", 2, new[] { Sha });
+        await Expect.Fault(CaptureFault.FileNotSigned, () => reader.Check("cup", 1, new[] { Sha }));
+        await Expect.Fault(CaptureFault.FileNotSigned, () => reader.Check("bowl", 900, new[] { Sha }));
+        await Expect.Fault(CaptureFault.AssetUnknown, () => reader.Check("nobody", 1, new[] { Sha }));
     }
 
     public static async Task ARemovedAssetIsNotSignedAnyMore()
     {
         var folder = Facts.NewFolder();
-        await Reader(folder).Check("bowl", new[] { Sha });
-        await Expect.Fault(CaptureFault.AssetRemoved, () => Reader(folder, "www/removed").Check("bowl", new[] { Sha }));
+        await Reader(folder).Check("bowl", 2, new[] { Sha });
+        await Expect.Fault(CaptureFault.AssetRemoved, () => Reader(folder, "www/removed").Check("bowl", 2, new[] { Sha }));
     }
 
     public static async Task EveryChangeOfTheTextIsNoticed()

@@ -39,7 +39,7 @@ namespace Capture2vr
         public const string AssetUnknown = "ASSET_UNKNOWN";
         /// <summary>The asset was taken out of sight.</summary>
         public const string AssetRemoved = "ASSET_REMOVED";
-        /// <summary>A file that the signed catalogue does not list for the asset.</summary>
+        /// <summary>A file or a version that the signed catalogue does not list for the asset.</summary>
         public const string FileNotSigned = "FILE_NOT_SIGNED";
 
         public string Code { get; }

@@ -39,18 +39,21 @@ namespace Capture2vr
         }
 
         /// <summary>
-        /// Throws CaptureFault unless all files, by their SHA-256, belong to the current version of the asset. Does nothing
-        /// without keys: what anybody may change proves nothing.
+        /// Throws CaptureFault unless this is the current version of the asset, and all files, by their SHA-256, belong to it. Does
+        /// nothing without keys: what anybody may change proves nothing.
         /// </summary>
-        public async Task Check(string key, IEnumerable<string> files)
+        public async Task Check(string key, long version, IEnumerable<string> files)
         {
             if (_keys.Count == 0) return;
-            var manifest = await ManifestOf(key).ConfigureAwait(Background.ComesBack);
+            var row = await Retried(() => RowOnce(key)).ConfigureAwait(Background.ComesBack);
+            // A number that nobody has signed would count as seen, and lock out all versions that come.
+            if (row.Version != version)
+            {
+                throw NotSigned($"version {version} of asset {key} is not the one that the signed catalogue lists, {row.Version}");
+            }
+            var manifest = await ManifestOf(row).ConfigureAwait(Background.ComesBack);
             var signed = new HashSet<string>(manifest.Lods.Select(lod => lod.Sha256));
-            if (files.All(signed.Contains)) return;
-            throw new CaptureFault(CaptureFault.FileNotSigned,
-                $"a file of asset {key} is not among those that the signed catalogue lists",
-                "The Addressables catalogue is older or newer than it, or was tampered with; update the catalogues");
+            if (!files.All(signed.Contains)) throw NotSigned($"a file of asset {key} is not among those that the signed catalogue lists");
         }
 
         /// <summary>All assets of the collection that are not removed, in the order of their keys.</summary>
@@ -98,13 +101,23 @@ namespace Capture2vr
 
         private async Task<Manifest> ManifestOnce(string key)
         {
+            return await ManifestOf(await RowOnce(key).ConfigureAwait(Background.ComesBack)).ConfigureAwait(Background.ComesBack);
+        }
+
+        private async Task<Manifest> ManifestOf(AssetRow row)
+        {
+            var manifest = await Content(row.ManifestName, row.ManifestSha256, -1).ConfigureAwait(Background.ComesBack);
+            return Manifest.Read(manifest, row.ManifestName);
+        }
+
+        private async Task<AssetRow> RowOnce(string key)
+        {
             var index = await Index().ConfigureAwait(Background.ComesBack);
             var shard = index.ShardOf(key) ?? throw Unknown(key);
             var rows = await RowsOf(shard).ConfigureAwait(Background.ComesBack);
             var row = rows.FirstOrDefault(each => each.Key == key) ?? throw Unknown(key);
             if (row.Removed) throw new CaptureFault(CaptureFault.AssetRemoved, $"asset {key} was removed");
-            var manifest = await Content(row.ManifestName, row.ManifestSha256, -1).ConfigureAwait(Background.ComesBack);
-            return Manifest.Read(manifest, row.ManifestName);
+            return row;
         }
 
         /// <summary>From the network; without one the last that was good, which is checked just the same.</summary>
@@ -167,6 +180,12 @@ namespace Capture2vr
             {
                 _cache.Release(sha256);
             }
+        }
+
+        private static CaptureFault NotSigned(string reason)
+        {
+            return new CaptureFault(CaptureFault.FileNotSigned, reason,
+                "The Addressables catalogue is older or newer than it, or was tampered with; update the catalogues");
         }
 
         private CaptureFault Unknown(string key)
