@@ -23,6 +23,7 @@ namespace Capture2vr
         private static readonly object Gate = new object();
         private static readonly List<AccessHeaders> Servers = new List<AccessHeaders>();
         private static readonly List<OpenCollection> Collections = new List<OpenCollection>();
+        private static readonly List<OpenCollection> Opening = new List<OpenCollection>(); // for the first time
         private static FileCache _cache;
 
         /// <summary>
@@ -101,11 +102,19 @@ namespace Capture2vr
             Addressables.WebRequestOverride = SetHeaders;
             AddressablesRuntimeProperties.SetPropertyValue(BaseUrlProperty, BaseUrl);
             var address = baseUrl.TrimEnd('/');
-            var known = Collections.FirstOrDefault(each => each.BaseUrl == address && each.Name == name);
+            var known = Collections.Concat(Opening).FirstOrDefault(each => each.BaseUrl == address && each.Name == name);
             var collection = known ?? new OpenCollection(AccessTo(address), name);
             collection.Believe(keys.Select(Convert.FromBase64String));
-            await collection.OpenAsync();
-            if (!Collections.Contains(collection)) Collections.Add(collection);
+            if (known == null) Opening.Add(collection); // who opens it meanwhile gets the same one
+            try
+            {
+                await collection.OpenAsync();
+                if (!Collections.Contains(collection)) Collections.Add(collection);
+            }
+            finally
+            {
+                Opening.Remove(collection);
+            }
             return collection;
         }
 
@@ -157,6 +166,7 @@ namespace Capture2vr
         {
             _cache = null;
             Collections.Clear();
+            Opening.Clear();
             lock (Gate) Servers.Clear();
             SharedLevel.Forget();
         }

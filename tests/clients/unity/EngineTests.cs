@@ -661,6 +661,17 @@ public static class EngineTests
         Expect.Equal(CaptureFault.FileNotSigned, Catalogue.FaultOf(handle.OperationException).Code);
     }
 
+    public static async Task OpeningTwiceAtOnceIsOneCollectionWithTheKeysOfBoth()
+    {
+        Restart("forged");
+        var both = await Task.WhenAll(Open("live"), Open("live", Key));
+        Expect.True(both[0] == both[1] && Catalogue.Opened.Count == 1, "one collection");
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Lines(new[] { CaptureFault.FileNotSigned }, codes);
+    }
+
     public static async Task OnlyItsOwnCatalogueIsUpdatedAndOnlyWhenItHasChanged()
     {
         Restart("v1");
