@@ -93,18 +93,20 @@ namespace Capture2vr
         /// Open a collection: its assets are then loadable, by CapturedAsset or as captures/&lt;key&gt;. One that is open
         /// already is looked through for newer versions instead, and believes the new keys too. Throws CaptureFault
         /// UNREACHABLE where its catalogue cannot be had and this device does not have it from an earlier visit,
-        /// FILE_MISSING where the server has no such collection, ACCESS_REFUSED, and CATALOGUE_UNREADABLE.
+        /// FILE_MISSING where the server has no such collection, ACCESS_REFUSED, and CATALOGUE_UNREADABLE; ArgumentException for
+        /// a key that is none.
         /// </summary>
         /// <param name="baseUrl">of the bucket or CDN</param>
         /// <param name="keys">public keys in base64, as GET /v1/keys gives them; with none no signature is asked for</param>
         public static async Task<OpenCollection> OpenAsync(string baseUrl, string name = "default", params string[] keys)
         {
+            var believed = keys.Select(PublicKey).ToList(); // before anything is changed
             Addressables.WebRequestOverride = SetHeaders;
             AddressablesRuntimeProperties.SetPropertyValue(BaseUrlProperty, BaseUrl);
             var address = baseUrl.TrimEnd('/');
             var known = Collections.Concat(Opening).FirstOrDefault(each => each.BaseUrl == address && each.Name == name);
             var collection = known ?? new OpenCollection(AccessTo(address), name);
-            collection.Believe(keys.Select(Convert.FromBase64String));
+            collection.Believe(believed);
             if (known == null) Opening.Add(collection); // who opens it meanwhile gets the same one
             try
             {
@@ -116,6 +118,20 @@ namespace Capture2vr
                 Opening.Remove(collection);
             }
             return collection;
+        }
+
+        private static byte[] PublicKey(string text)
+        {
+            try
+            {
+                var key = Convert.FromBase64String(text);
+                if (key.Length == Ed25519.KeyBytes) return key;
+            }
+            catch (FormatException)
+            {
+                // No base64: told below.
+            }
+            throw new ArgumentException($"\"{text}\" is no public key: take one of {Ed25519.KeyBytes} bytes in base64, as GET /v1/keys gives it");
         }
 
         /// <summary>Take the newer catalogues of all open collections. Without a network, what there is stays.</summary>

@@ -661,6 +661,25 @@ public static class EngineTests
         Expect.Equal(CaptureFault.FileNotSigned, Catalogue.FaultOf(handle.OperationException).Code);
     }
 
+    public static async Task AKeyThatIsNoneIsNamedAndSpoilsNothing()
+    {
+        await Open("live", Key);
+        foreach (var each in new[] { "no base64!", "AAAA" })
+        {
+            var told = "";
+            try
+            {
+                await Open("live", each);
+            }
+            catch (ArgumentException fault)
+            {
+                told = fault.Message;
+            }
+            Expect.True(told.Contains($"\"{each}\" is no public key"), told);
+            await Open("live", Key);
+        }
+    }
+
     public static async Task OpeningTwiceAtOnceIsOneCollectionWithTheKeysOfBoth()
     {
         Restart("forged");

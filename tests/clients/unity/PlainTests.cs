@@ -101,6 +101,15 @@ public static class PlainTests
         Expect.Equal(0, new AccessHeaders("nowhere", Web) { Current = Shown("Bearer good") }.For("https://vr.example/a").Count);
     }
 
+    public static async Task WhatIsNoAddressIsNamed()
+    {
+        foreach (var each in new[] { "cdn.example/a", "/a", "ftp://cdn.example/a", "http:///a", "http://[::1", "" })
+        {
+            var fault = await Expect.Fault(CaptureFault.Unreachable, () => Http.Fetch(each, new MemoryStream()));
+            Expect.True(fault.Message.StartsWith(each + " is no address"), fault.Message);
+        }
+    }
+
     // The cache.
 
     public static async Task WhatNobodyUsesMayBeRemoved()

@@ -31,6 +31,7 @@ namespace Capture2vr
         /// <summary>Fetch with these headers.</summary>
         public static async Task Fetch(string url, Stream into, IReadOnlyDictionary<string, string> headers)
         {
+            HttpFaults.CheckAddress(url);
             using (var patience = new CancellationTokenSource(HttpFaults.Patience))
             {
                 try

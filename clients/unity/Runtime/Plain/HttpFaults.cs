@@ -8,6 +8,14 @@ namespace Capture2vr
         /// <summary>A server that sends nothing for so long has gone. The whole of a download may take any time.</summary>
         public static TimeSpan Patience = TimeSpan.FromSeconds(15);
 
+        /// <summary>Throws CaptureFault UNREACHABLE for what is no address of a web server.</summary>
+        public static void CheckAddress(string url)
+        {
+            if (Uri.TryCreate(url, UriKind.Absolute, out var address) && address.Host != ""
+                && (address.Scheme == Uri.UriSchemeHttp || address.Scheme == Uri.UriSchemeHttps)) return;
+            throw new CaptureFault(CaptureFault.Unreachable, $"{url} is no address of a web server", "Begin it with https:// and the host's name");
+        }
+
         /// <summary>Throws CaptureFault ACCESS_REFUSED, FILE_MISSING or UNREACHABLE for a status that is no success.</summary>
         public static void Check(string url, long status)
         {
