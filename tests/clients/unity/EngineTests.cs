@@ -484,6 +484,24 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task ADeviceThatCannotNoteTheVersionShowsTheAssetAllTheSame()
+    {
+        await Open("live", Key);
+        foreach (var folder in Directory.GetDirectories(Path.Combine(Application.persistentDataPath, "capture2vr"), "collection-*"))
+        {
+            Directory.CreateDirectory(Path.Combine(folder, "versions.txt.part")); // no file can be written there
+        }
+        var asset = Asset();
+        var codes = Codes(asset);
+        await asset.ShowAsync();
+        Expect.Lines(new string[0], codes);
+        Expect.Equal(2, asset.Info.Version);
+        Facts.Ask("turn/v1");
+        await asset.FollowAsync();
+        Expect.Lines(new[] { CaptureFault.CatalogueOlder }, codes);
+        asset.Release();
+    }
+
     public static async Task PrivateAssetsAreShownWithHeadersThatAreRenewed()
     {
         await Expect.Fault(CaptureFault.AccessRefused, () => Open("keyed"));

@@ -163,7 +163,7 @@ namespace Capture2vr
                 File.WriteAllBytes(part, data);
                 Storage.Replace(part, _kept);
             }
-            catch (IOException)
+            catch (Exception fault) when (fault is IOException || fault is UnauthorizedAccessException)
             {
                 // A full disk, or another check that was faster: only a start without a network would miss it.
             }

@@ -40,12 +40,22 @@ namespace Capture2vr
             }
         }
 
-        /// <summary>Replaced as a whole: a crash leaves the old file or the new one.</summary>
+        /// <summary>
+        /// Replaced as a whole: a crash leaves the old file or the new one. A full disk is no fault: what the device has can be shown,
+        /// and this run remembers.
+        /// </summary>
         private void Write()
         {
             var part = _path + ".part";
-            File.WriteAllLines(part, _highest.Select(each => $"{each.Value} {each.Key}"));
-            Storage.Replace(part, _path);
+            try
+            {
+                File.WriteAllLines(part, _highest.Select(each => $"{each.Value} {each.Key}"));
+                Storage.Replace(part, _path);
+            }
+            catch (Exception fault) when (fault is IOException || fault is UnauthorizedAccessException)
+            {
+                // The next version that is seen writes all of them.
+            }
         }
 
         /// <summary>Lines that make no sense are left out: better to forget one version than to show nothing at all.</summary>
