@@ -163,7 +163,7 @@ namespace Capture2vr
                 var levels = _files.Select(each => each.Level).Where(each => !_missing.Contains(each)).ToList();
                 if (levels.Count > 0) await RefineTo(levels, ShareOfView());
             }
-            catch (CaptureFault fault)
+            catch (Exception fault)
             {
                 if (turn == _turn) Tell(fault);
             }
@@ -222,7 +222,7 @@ namespace Capture2vr
                 await prepare();
                 if (turn == _turn) await TakeAsync(turn, Info == null ? 0 : Info.Version);
             }
-            catch (CaptureFault fault)
+            catch (Exception fault)
             {
                 if (turn == _turn) Tell(fault);
             }
@@ -328,7 +328,7 @@ namespace Capture2vr
             _missing.Clear();
         }
 
-        private void Tell(CaptureFault fault)
+        private void Tell(Exception fault)
         {
             _pause = Mathf.Min(LongestPause, 2 * _pause);
             if (Failed == null) Debug.LogError($"{key} cannot be shown: {fault}", this);

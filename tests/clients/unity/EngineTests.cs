@@ -517,6 +517,24 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task WhatTheAppsOwnRenewalThrowsIsToldAsAFault()
+    {
+        await Open("live");
+        var asset = Asset();
+        var faults = new List<Exception>();
+        asset.Failed += faults.Add;
+        Catalogue.AccessTo($"{Facts.Server}/keyed").Current = new Dictionary<string, string> { { "Authorization", "Bearer good" } };
+        var keyed = await Open("keyed");
+        var access = Catalogue.AccessTo($"{Facts.Server}/keyed");
+        access.Current = null;
+        access.Renewal = () => throw new InvalidOperationException("the login server is down");
+        asset.Collection = keyed;
+        await asset.ShowAsync();
+        Expect.Lines(new[] { "the login server is down" }, faults.Select(each => each.Message));
+        asset.Release();
+        NothingIsLeft();
+    }
+
     public static async Task AnUnknownKeyAndACatalogueOutOfReachAreNamed()
     {
         await Open();
