@@ -8,6 +8,8 @@ import { t } from '../shared/texts.js';
 
 /** @import { Session } from '../shared/types.d.ts' */
 
+const CODE_DIGITS = 6;
+
 document.body.dataset.started = 'yes';
 const page = {
   present: element('present', HTMLElement),
@@ -24,6 +26,7 @@ const page = {
  * @param {{ key: string } | { code: string }} body
  */
 async function logIn(url, body) {
+  if (document.body.dataset.state === 'sending') return; // a code works once: a second press would be told that it was used
   page.said.hidden = true;
   document.body.dataset.state = 'sending';
   try {
@@ -34,9 +37,25 @@ async function logIn(url, body) {
     location.replace(addressAfterLogin(location.search));
   } catch (error) {
     Object.assign(document.body.dataset, { state: 'asking', code: toProblem(error).code });
-    page.said.textContent = sentences(error);
-    page.said.hidden = false;
+    say(sentences(error));
   }
+}
+
+/** @param {string} sentence */
+function say(sentence) {
+  page.said.textContent = sentence;
+  page.said.hidden = false;
+}
+
+/** @param {string} digits */
+async function logInByCode(digits) {
+  const code = digits.replace(/\D/g, '');
+  if (code.length === CODE_DIGITS) {
+    await logIn('/v1/pairings/claim', { code });
+    return;
+  }
+  say(t('A code has six digits.'));
+  page.code.focus();
 }
 
 /** Says who is logged in already: logging in again takes that one's place. */
@@ -64,6 +83,6 @@ function listen(form, field, send) {
   });
 }
 
-listen(page.codeForm, page.code, (code) => logIn('/v1/pairings/claim', { code }));
+listen(page.codeForm, page.code, logInByCode);
 listen(page.keyForm, page.key, (key) => logIn('/v1/session', { key }));
 showPresent();

@@ -18,6 +18,8 @@ const token = decodeURIComponent(location.pathname.split('/')[2] ?? '');
 
 /** @param {string} password '' where none was typed yet */
 async function open(password) {
+  if (document.body.dataset.state === 'sending') return; // a password may be tried a few times a minute only
+  document.body.dataset.state = 'sending';
   page.again.hidden = true;
   try {
     /** @type {OpenedShare} */

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import httpx
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
 from services.storage.catalogue.publish import publish
-from tests.support.pages import await_data
+from tests.support.pages import await_data, press_twice, requests_of
 from tests.support.sites import Site
+from tests.support.tenants import bearer
 from tests.support.things import RED, box
 from tests.web.conftest import GuardedSite
 
@@ -46,6 +48,21 @@ def test_a_wrong_key_is_told(page: Page, guarded: GuardedSite, key: str) -> None
     log_in(page, key)
     await_data(page, state="asking", code="KEY_MALFORMED" if key == "nonsense" else "KEY_UNKNOWN")
     expect(page.get_by_role("alert")).to_contain_text("key")
+
+
+def test_a_code_is_sent_once_and_only_when_it_is_whole(page: Page, guarded: GuardedSite) -> None:
+    made = httpx.post(f"{guarded.url}/v1/pairings", json={"scopes": ["read"]}, headers=bearer(guarded.key)).json()
+    page.goto(f"{guarded.url}/login?next=/browse/default")
+    posts = requests_of(page, "POST")
+    digits, button = page.get_by_label("Six digits"), page.get_by_role("button", name="Log in with the digits")
+    digits.fill(made["code"][:5])
+    button.click()
+    expect(page.get_by_role("alert")).to_have_text("A code has six digits.")
+    expect(digits).to_be_focused()
+    digits.fill(f"  {made['code'][:3]} - {made['code'][3:]} ")
+    press_twice(button)
+    page.wait_for_url("**/browse/default")
+    assert posts == [f"{guarded.url}/v1/pairings/claim"]
 
 
 def test_an_ended_session_leads_to_the_login(page: Page, context: BrowserContext, guarded: GuardedSite) -> None:

@@ -117,9 +117,13 @@ def test_a_password_is_typed_and_things_may_be_moved(owner: Page, visitor: Page,
     for password, code in (("", "SHARE_PASSWORD_MISSING"), ("sesame", "SHARE_PASSWORD_WRONG"), ("open sesame", "")):
         if password:
             visitor.get_by_label("The password").fill(password)
-            visitor.get_by_role("button", name="Open").click()
+            tried = requests_of(visitor, "POST")
+            press_twice(visitor.get_by_role("button", name="Open"))
         if code:
             await_data(visitor, state="asking", code=code)
+        if password:
+            visitor.wait_for_function("() => document.body?.dataset.state !== 'sending'")
+            assert len(tried) == 1
     await_data(visitor, loaded="2 1 0")
     expect(visitor.get_by_role("button", name="Move")).to_be_visible()
     revoke(owner)
