@@ -36,6 +36,7 @@ namespace Capture2vr
 
         private OpenCollection _collection;
         private LodRoot _shown;
+        private BoxCollider _box;
         private IReadOnlyList<GlbFile> _files = new GlbFile[0];
         private readonly HashSet<int> _missing = new HashSet<int>(); // levels that the server does not have
         private int _turn; // of showing and releasing: what comes late must see that it is not wanted any more
@@ -119,7 +120,7 @@ namespace Capture2vr
         public void Release()
         {
             _wanted = false;
-            Free();
+            Hide();
         }
 
         /// <summary>Stand it on the floor ahead of a viewer, or at a comfortable height where it is small.</summary>
@@ -253,7 +254,7 @@ namespace Capture2vr
             catch (CaptureFault fault) when (fault.Code == CaptureFault.AssetUnknown || fault.Code == CaptureFault.AssetRemoved)
             {
                 if (turn != _turn) return;
-                Free(); // taken out of the collection, so out of sight
+                Hide(); // taken out of the collection, so out of sight
                 Tell(fault);
             }
         }
@@ -313,10 +314,18 @@ namespace Capture2vr
 
         private void Enclose()
         {
-            var collider = gameObject.GetComponent<BoxCollider>();
-            if (collider == null) collider = gameObject.AddComponent<BoxCollider>();
-            collider.center = Info.Box.center;
-            collider.size = Info.Box.size;
+            if (_box == null) _box = gameObject.GetComponent<BoxCollider>();
+            if (_box == null) _box = gameObject.AddComponent<BoxCollider>();
+            _box.center = Info.Box.center;
+            _box.size = Info.Box.size;
+            _box.enabled = true;
+        }
+
+        /// <summary>Free what is shown, with nothing in its place: what is not seen must not be touched either.</summary>
+        private void Hide()
+        {
+            Free();
+            if (_box != null) _box.enabled = false;
         }
 
         private void Free()

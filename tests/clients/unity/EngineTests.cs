@@ -654,6 +654,24 @@ public static class EngineTests
         asset.Release();
     }
 
+    public static async Task WhatIsGoneCannotBeTouched()
+    {
+        await Open();
+        var asset = Asset();
+        asset.HasBoxCollider = true;
+        await asset.ShowAsync();
+        var box = asset.gameObject.GetComponent<BoxCollider>();
+        Expect.True(box.enabled, "it can be touched");
+        Facts.Ask("turn/removed");
+        await asset.FollowAsync();
+        Expect.True(!box.enabled, "it was removed");
+        Facts.Ask("turn/v2");
+        await asset.FollowAsync();
+        Expect.True(box.enabled && box == asset.gameObject.GetComponent<BoxCollider>(), "it is there again");
+        asset.Release();
+        Expect.True(!box.enabled, "it was released");
+    }
+
     // Several collections, and what of them is on the device.
 
     public static async Task TwoServersMayHaveTheSameKeys()

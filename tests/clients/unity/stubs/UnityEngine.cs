@@ -255,6 +255,7 @@ namespace UnityEngine
 
     public class Collider : Component
     {
+        public bool enabled { get; set; } = true;
     }
 
     public sealed class BoxCollider : Collider
