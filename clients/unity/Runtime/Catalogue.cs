@@ -101,7 +101,8 @@ namespace Capture2vr
         public static async Task<OpenCollection> OpenAsync(string baseUrl, string name = "default", params string[] keys)
         {
             var believed = keys.Select(PublicKey).ToList(); // before anything is changed
-            Addressables.WebRequestOverride = SetHeaders;
+            Addressables.WebRequestOverride -= SetHeaders; // once, beside what the app itself does to requests
+            Addressables.WebRequestOverride += SetHeaders;
             AddressablesRuntimeProperties.SetPropertyValue(BaseUrlProperty, BaseUrl);
             var address = baseUrl.TrimEnd('/');
             var known = Collections.Concat(Opening).FirstOrDefault(each => each.BaseUrl == address && each.Name == name);

@@ -517,6 +517,16 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task TheAppsOwnRequestsOfAddressablesStayAsTheyWere()
+    {
+        var own = 0;
+        Addressables.WebRequestOverride = request => own++;
+        await Open();
+        await Open("www/v1");
+        Expect.True(own >= 2, "what the app does to requests is done");
+        Addressables.WebRequestOverride = null;
+    }
+
     public static async Task WhatTheAppsOwnRenewalThrowsIsToldAsAFault()
     {
         await Open("live");
