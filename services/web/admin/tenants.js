@@ -2,7 +2,7 @@
 import { addRows, fillTable, formatBytes, formatTime } from './table.js';
 import { getJson, postJson, putJson } from '../shared/api.js';
 import { attempt } from '../shared/attempt.js';
-import { child, create, element } from '../shared/dom.js';
+import { create, element } from '../shared/dom.js';
 import { formatCount } from '../shared/format.js';
 import { onSecondPress } from '../shared/second-press.js';
 

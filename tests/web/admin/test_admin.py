@@ -91,7 +91,8 @@ def test_limits_are_set(page: Page, service: tuple[Site, str, str]) -> None:
     page.get_by_role("button", name="Set the limits").click()
     row = page.locator("#tenants tbody tr", has=page.locator("td", has_text="ada")).first
     expect(row).to_contain_text("3 jobs at once, 5.0 MB stored")
-    expect(page.locator("#limits-said")).to_have_text(re.compile("^The limits of ada: .*3 jobs at once, 5.0 MB stored.$"))
+    said = re.compile("^The limits of ada: .*3 jobs at once, 5.0 MB stored.$")
+    expect(page.locator("#limits-said")).to_have_text(said)
     limits = httpx.get(f"{site.url}/v1/usage", headers=bearer(ada)).json()["limits"]
     assert (limits["jobs_at_once"], limits["stored_bytes"], limits["jobs_per_day"]) == (3, 5_000_000, 0)
 

@@ -266,8 +266,9 @@ def test_long_names_and_words_stay_on_a_phones_screen(browser: Browser, tmp_path
         searching.fill("q" * 100)
         expect(page.locator("#said")).to_contain_text("Nothing matches")
         assert page.evaluate(is_within)
-        outlines = "[...document.querySelectorAll('*')].filter((each) => getComputedStyle(each).outlineStyle === 'solid')"
-        assert page.evaluate(f"{outlines}.map(({{ id }}) => id)") == ["search"], "what has the focus, and nothing else"
+        has_outline = "(each) => getComputedStyle(each).outlineStyle === 'solid'"
+        outlined = f"[...document.querySelectorAll('*')].filter({has_outline}).map(({{ id }}) => id)"
+        assert page.evaluate(outlined) == ["search"], "what has the focus, and nothing else"
         searching.fill("")
         page.get_by_role("checkbox").check()
         page.route("**/remove", lambda route: route.abort())
