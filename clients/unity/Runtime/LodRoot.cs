@@ -52,12 +52,12 @@ namespace Capture2vr
             try
             {
                 await level.Shared.InstantiateAsync(level.Root.transform);
+                if (_disposed) return false;
                 if (level.Root.GetComponentsInChildren<MeshFilter>(true).Length == 0)
                 {
                     throw new CaptureFault(CaptureFault.MeshInvalid, $"{file.Url}: it has no mesh");
                 }
-                kept = !_disposed;
-                if (!kept) return false;
+                kept = true;
                 level.Root.SetActive(true);
                 _levels[file.Level] = level;
                 Tell();

@@ -577,6 +577,21 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task WhatIsReleasedWhileALevelIsDecodedStandsNowhere()
+    {
+        await Open();
+        var asset = Asset();
+        var before = Object.Alive.OfType<GameObject>().Count();
+        await asset.ShowAsync();
+        var refining = asset.RefineAsync();
+        await Expect.Comes(() => GltfImport.Alive.Count > 1);
+        asset.Release();
+        await refining;
+        await Expect.Comes(() => GltfImport.Alive.Count == 0);
+        Expect.Equal(before, Object.Alive.OfType<GameObject>().Count());
+        NothingIsLeft();
+    }
+
     public static async Task TheLastOfTwoCallsCounts()
     {
         await Open("slow/v2");

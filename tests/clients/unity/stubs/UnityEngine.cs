@@ -156,8 +156,8 @@ namespace UnityEngine
         {
             OnMainThread();
             if ((object)this.parent != null) this.parent.Children.Remove(this);
-            this.parent = parent;
-            if ((object)parent != null) parent.Children.Add(this);
+            this.parent = parent == null ? null : parent; // one that was destroyed is none: this then stands in the scene itself
+            if ((object)this.parent != null) this.parent.Children.Add(this);
         }
 
         public Vector3 TransformPoint(Vector3 point)
