@@ -129,10 +129,14 @@ class AccessStore:
             upsert(db, usage, {"tenant": tenant}, {"stored_bytes": stored_bytes, "measured": measured})
 
     def add_usage(self, tenant: str, stored_bytes: int) -> None:
-        """Add bytes to a tenant's count, or subtract them; nothing before the first count."""
+        """Add bytes to a tenant's count, or subtract them; nothing before the first count.
+
+        It never falls below 0: what is deleted may have been published since the last count.
+        """
         with self._writer.begin() as db:
             total = usage.c.stored_bytes + stored_bytes
-            db.execute(usage.update().where(usage.c.tenant == tenant).values(stored_bytes=total))
+            positive = sa.case((total > 0, total), else_=0)
+            db.execute(usage.update().where(usage.c.tenant == tenant).values(stored_bytes=positive))
 
     def ensure_key(self, secret: str, label: str) -> ApiKey:
         """Store this key with every scope, unless it is stored; return what is stored, which may be revoked.

@@ -157,6 +157,14 @@ class TestBytes:
             assert now == usage.count_bytes(store, "ada") == usage.count_bytes(store, "bob")
             assert usage.count_bytes(store, "default") == 0
 
+    async def test_what_was_never_counted_is_not_subtracted_below_nothing(self, tmp_path: Path) -> None:
+        store = memory()
+        async with two_tenants(tmp_path, store) as site:
+            assert (await site.ada.get("/v1/usage")).json()["stored_bytes"] == 0
+            publish_for(store, "ada", "dress")
+            assert (await site.ada.delete("/v1/assets/dress")).status_code == 200
+            assert (await site.ada.get("/v1/usage")).json()["stored_bytes"] == 0
+
 
 class TestJobs:
     async def test_at_once(self, tmp_path: Path) -> None:
