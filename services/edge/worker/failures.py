@@ -37,19 +37,28 @@ def failure_of(error: BaseException, *, job: str, scratch: Path) -> pb.Failure:
             )
         case _:
             _log.error("job %s: unexpected %s", job, type(error).__name__, exc_info=error)
-            return pb.Failure(code="INTERNAL", message=f"the worker failed; its log has the reason under job {job}")
+            return internal(job)
+
+
+def internal(job: str) -> pb.Failure:
+    """Return the failure of a job that a fault of the worker itself has ended, which its log tells."""
+    return pb.Failure(code="INTERNAL", message=f"the worker failed; its log has the reason under job {job}")
 
 
 def _from_edge_error(error: EdgeError, scratch: Path) -> pb.Failure:
     return pb.Failure(
         code=error.code,
-        message=_hide_scratch(scratch, error.message),
-        file=_hide_scratch(scratch, error.file or ""),
-        hints=[_hide_scratch(scratch, hint) for hint in error.hints],
+        message=_printable(scratch, error.message),
+        file=_printable(scratch, error.file or ""),
+        hints=[_printable(scratch, hint) for hint in error.hints],
         retryable=error.retryable,
     )
 
 
-def _hide_scratch(scratch: Path, text: str) -> str:
-    """Remove the scratch folder from a text: the caller knows files by their path in the capture."""
-    return text.replace(f"{scratch}/", "").replace(str(scratch), "the capture")
+def _printable(scratch: Path, text: str) -> str:
+    """Remove the scratch folder from a text for the caller, who knows files by their path in the capture.
+
+    A capture's JSON can name files by half a surrogate pair, which no message can hold: a question mark replaces it.
+    """
+    plain = text.replace(f"{scratch}/", "").replace(str(scratch), "the capture")
+    return plain.encode("utf-8", "replace").decode()

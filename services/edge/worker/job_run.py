@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -16,12 +17,14 @@ from services.edge.errors import Cancelled
 from services.edge.worker.capabilities import Capabilities
 from services.edge.worker.checkpoint_files import CheckpointFiles
 from services.edge.worker.event_log import Ending, EventLog, Update
-from services.edge.worker.failures import failure_of
+from services.edge.worker.failures import failure_of, internal
 from services.edge.worker.job_request import ReconstructionRequest
 from services.logs import log_fields
 from services.photo_box import PhotoBox
 from services.storage.catalogue.downloads import DownloadOrder, StoredDownload
 from services.traces import StageSpans, capture_span, stage_spans
+
+_log = logging.getLogger(__name__)
 
 Report = Callable[[Update], None]
 """Callback with which the work reports progress, anchor points and published bundles, several times a second. Raises
@@ -95,10 +98,15 @@ class JobRun:
         self.log.start_clock()
 
         def compute() -> None:
-            ending = self._run(work, loop)
-            self.release_checkpoint(ending)
-            cleanup()
-            _post(loop, on_end, ending)
+            ending: Ending = internal(self.request.job)
+            try:
+                ending = self._run(work, loop)
+                self.release_checkpoint(ending)
+            except BaseException:  # noqa: BLE001 - a run without an ending would hold its slot for ever
+                _log.exception("job %s: its thread failed", self.request.job)
+            finally:
+                cleanup()
+                _post(loop, on_end, ending)
 
         threading.Thread(target=compute, name=f"job {self.request.job}", daemon=True).start()
 

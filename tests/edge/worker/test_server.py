@@ -16,6 +16,7 @@ from services.edge.api import edge_pb2 as pb
 from services.edge.errors import CaptureError, EdgeError
 from services.edge.worker import event_log
 from services.edge.worker import job_queue as runs_module
+from services.edge.worker.checkpoint_files import CheckpointFiles
 from services.edge.worker.job_request import RefusedError
 from services.edge.worker.server import SERVICE
 from tests.support.edge_client import Client, Scripted, leftovers, until, upload, worker
@@ -37,6 +38,7 @@ def work() -> Scripted:
         memory=raising(MemoryError()),
         full=raising(OSError(28, "No space left on device")),
         bug=raising(KeyError("/secret/path")),
+        half=raising(CaptureError("CAPTURE_EMPTY", "has no \ud800.png", file="\ud800.json", hints=("send \udfff",))),
         exit=raising(SystemExit(3)),
     )
 
@@ -132,6 +134,29 @@ async def test_every_failure_has_a_name(client: Client, scratch: Path, act: str,
 async def test_a_failure_says_where_and_what_to_do(client: Client) -> None:
     ending = (await client.ended(b"empty"))[-1].failure
     assert ending == pb.Failure(code="CAPTURE_EMPTY", message="no points", file="a.ply", hints=["send points"])
+
+
+async def test_a_name_that_no_message_can_hold_is_told_as_far_as_possible(client: Client) -> None:
+    """Half a surrogate pair, which JSON can encode: protobuf refuses it."""
+    async with asyncio.timeout(PATIENCE_S):
+        failed = (await client.ended(b"half"))[-1].failure
+        inspected = (await client.stub.Inspect(upload(b"half"))).failure
+    for each in (failed, inspected):
+        assert (each.message, each.file, list(each.hints)) == ("has no ?.png", "?.json", ["send ?"])
+
+
+async def test_a_run_ends_though_its_files_cannot_be_removed(
+    client: Client, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(CheckpointFiles, "drop", refuse)
+    async with asyncio.timeout(PATIENCE_S):
+        assert (await client.ended(b"ticks 1"))[-1].HasField("finished")
+    assert any(record.exc_info and "job_1" in record.getMessage() for record in caplog.records)
+    monkeypatch.undo()
+    assert (await client.ended(b"ticks 1", "next"))[-1].HasField("finished"), "its slot is free"
 
 
 async def test_an_unforeseen_error_is_logged_with_its_traceback(
