@@ -85,8 +85,8 @@ class JobQueue:
 
     @property
     def live_jobs(self) -> list[str]:
-        """Ids of the jobs that wait or run; uploads are not among them."""
-        return sorted(run.request.job for run in (*self._waiting, *self._busy))
+        """Ids of the jobs that take a place: they are being uploaded, wait or run."""
+        return sorted({*self._uploads, *(run.request.job for run in (*self._waiting, *self._busy))})
 
     async def take(self, request: ReconstructionRequest, chunks: AsyncIterator[pb.Chunk], capture_bytes: int) -> JobRun:
         """Receive a job's archive and queue the job. Once this returns, the job no longer depends on its caller.
