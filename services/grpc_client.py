@@ -53,7 +53,7 @@ SILENCE_S = 15.0
 """Seconds without a message after which a stream counts as dead: three heartbeats were missed."""
 
 RUN_S = 6 * 3600.0
-"""Deadline of a whole run, in seconds."""
+"""Deadline of the call that starts a run, in seconds; what still runs then is followed on."""
 
 # Exponential backoff between attempts to attach to a lost run: a worker that restarts needs a second or two.
 _FIRST_PAUSE_S = 0.1

@@ -60,7 +60,7 @@ class GatewaySettings(StrictSettings):
     lease_s: float = Field(default=10.0, gt=0)  # after so long without renewal another gateway takes the job over
     silence_s: float = Field(default=15.0, gt=0)  # three of the worker's heartbeats missed: the stream is dead
     attach_for_s: float = Field(default=10.0, ge=0)  # try so long to reattach to a lost run, then queue the job again
-    # Deadline of a whole run; a trained field takes minutes.
+    # Deadline of the call that starts a run; what still runs then is followed on, until it ends or is cancelled.
     job_timeout_s: float = Field(default=6 * 3600.0, gt=0)
     # First pause before a job runs again; doubles with every attempt and every refusal, 60 s at most.
     retry_s: float = Field(default=1.0, gt=0)

@@ -91,7 +91,7 @@ class WorkerPool:
         job_timeout_s: float = RUN_S,
         credentials: ClientCredentials = NO_CREDENTIALS,
     ) -> None:
-        """silence_s: a stream without a message for so long counts as dead; job_timeout_s: deadline of a whole run"""
+        """silence_s: a stream without a message for so long is dead; job_timeout_s: deadline of a run's first call"""
         self._addresses = WorkerAddresses(addresses)
         self._presets_by_worker: dict[str, tuple[WorkerPreset, ...]] = {}
         self._statuses: dict[str, WorkerStatus] = {}  # of those that answered when they were asked last
