@@ -47,17 +47,18 @@ namespace Capture2vr
         {
             var level = new Level { Root = new GameObject("lod" + file.Level), Shared = SharedLevel.Take(file) };
             level.Root.SetActive(false); // not seen before it is in the group
-            level.Root.transform.SetParent(Root.transform, false);
             var kept = false;
             try
             {
                 await level.Shared.InstantiateAsync(level.Root.transform);
-                if (_disposed) return false;
                 if (level.Root.GetComponentsInChildren<MeshFilter>(true).Length == 0)
                 {
                     throw new CaptureFault(CaptureFault.MeshInvalid, $"{file.Url}: it has no mesh");
                 }
-                kept = true;
+                kept = !_disposed;
+                if (!kept) return false;
+                // Only now: below an object that is destroyed meanwhile, what comes late would be put into the scene itself.
+                level.Root.transform.SetParent(Root.transform, false);
                 level.Root.SetActive(true);
                 _levels[file.Level] = level;
                 Tell();

@@ -37,14 +37,10 @@ namespace Capture2vr
             return level;
         }
 
-        /// <summary>
-        /// Put a copy below an object, unless that is destroyed meanwhile. Throws CaptureFault where the file cannot be had or
-        /// no mesh be made of it.
-        /// </summary>
+        /// <summary>Put a copy below an object. Throws CaptureFault where the file cannot be had or no mesh be made of it.</summary>
         public async Task InstantiateAsync(Transform parent)
         {
             var import = await _import;
-            if (parent == null) return; // the copy would stand in the scene by itself, and nobody would remove it
             if (!await import.InstantiateMainSceneAsync(parent)) throw Invalid(_file, "its scene cannot be made");
         }
 
