@@ -5,6 +5,7 @@ forged/              v2 whose unsigned Unity catalogue gives the bowl, as versio
 inflated/            v2 whose unsigned Unity catalogue says that the bowl is version 900
 spoilt/              v2 whose Unity catalogue offers a third version, of which every file is damaged
 partly/              v2 in which the bowl's finest file is missing
+flawed/              v2 in which the bowl's finest file has other bytes
 damaged/             v2 whose Unity catalogue is none
 """
 
@@ -83,7 +84,7 @@ def _snapshot(store: LocalStore, folder: Path) -> None:
 
 
 def _variants(root: Path) -> None:
-    for name in ("forged", "inflated", "spoilt", "partly", "damaged"):
+    for name in ("forged", "inflated", "spoilt", "partly", "flawed", "damaged"):
         shutil.copytree(root / "v2", root / name)
     bowl, cup = parse_assets(_tabulate(root / "v2"))
     _replace(root / "forged", replace(bowl, version=3, files=cup.files), replace(cup, files=bowl.files))
@@ -92,6 +93,8 @@ def _variants(root: Path) -> None:
     for file in bowl.files:
         shutil.copy(root / "v2" / file.url, root / "spoilt" / _renamed(file).url)
     (root / "partly" / bowl.files[0].url).unlink()
+    finest = root / "flawed" / bowl.files[0].url
+    finest.write_bytes(finest.read_bytes()[:-1] + b"?")
     (root / "damaged" / _table_of("default")).write_text("{")
 
 

@@ -339,7 +339,7 @@ namespace Capture2vr
 
         private void Tell(Exception fault)
         {
-            _pause = Mathf.Min(LongestPause, 2 * _pause);
+            _pause = Mathf.Min(LongestPause, 2 * Mathf.Max(LevelPause, _pause)); // 0 where nobody looks for newer versions
             if (Failed == null) Debug.LogError($"{key} cannot be shown: {fault}", this);
             Failed?.Invoke(fault);
         }

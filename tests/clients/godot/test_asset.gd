@@ -106,6 +106,15 @@ func test_a_level_that_is_missing_leaves_its_range_to_the_next() -> void:
 	expect(made._shown[1].visible, "the finest that there is")
 
 
+func test_a_damaged_level_is_asked_for_less_and_less_often() -> void:
+	await turn_to("flawed")
+	var made := await shown(await opened())
+	await comes(func() -> bool: return made.levels() == PackedInt32Array([1, 2]))
+	await comes(func() -> bool: return _codes.size() == 4)
+	expect_equal([CaptureFault.FILE_CHANGED], Array(_codes).slice(3))
+	expect(made._pause > 3.0, "after four failures it waits for %s s" % made._pause)
+
+
 func test_what_was_released_meanwhile_does_not_come() -> void:
 	var found := await opened()
 	var made := asset(found)

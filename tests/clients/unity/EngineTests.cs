@@ -668,6 +668,25 @@ public static class EngineTests
         NothingIsLeft();
     }
 
+    public static async Task ADamagedLevelIsAskedForLessAndLessOftenAlsoWhereNobodyLooksForNewerVersions()
+    {
+        await Open("www/flawed");
+        var asset = Asset();
+        var codes = Codes(asset);
+        typeof(CapturedAsset).GetField("followSeconds", BindingFlags.Instance | BindingFlags.NonPublic).SetValue(asset, 0f);
+        await asset.ShowAsync();
+        for (var step = 0; step < 120; step++)
+        {
+            Time.unscaledTime += 0.25f;
+            Invoke(typeof(CapturedAsset), asset, "Update");
+            await Expect.Comes(() => ((Task)Field(asset, "_refining")).IsCompleted);
+            await Task.Yield();
+        }
+        Expect.True(codes.All(each => each == CaptureFault.FileChanged), string.Join(" ", codes));
+        Expect.True(codes.Count > 1 && codes.Count < 10, $"{codes.Count} times in half a minute");
+        asset.Release();
+    }
+
     public static async Task ItMayHaveABoxToBeGrabbedBy()
     {
         await Open();

@@ -300,7 +300,7 @@ static func _discard(level: Variant) -> void:
 
 
 func _tell(fault: CaptureFault) -> void:
-	_pause = minf(LONGEST_PAUSE_S, 2.0 * _pause)
+	_pause = minf(LONGEST_PAUSE_S, 2.0 * maxf(LEVEL_PAUSE_S, _pause))  # 0 where nobody looks for newer versions
 	if failed.get_connections().is_empty():
 		push_error("%s cannot be shown: %s" % [key, fault])
 	failed.emit(fault)
