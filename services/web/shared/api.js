@@ -3,9 +3,9 @@ import { deleteEntry, openCache, readEntry, writeEntry } from './cache-storage.j
 import { followEvents } from './event-stream.js';
 import { leadToLogin } from './login-redirect.js';
 import { fetchBytes } from './network.js';
-import { isConnectionProblem, noAnswer, offline, parseAnswer } from './problems.js';
+import { isConnectionProblem, noAnswer, offline, otherLogin, parseAnswer } from './problems.js';
 import { captureAddress } from './upload-form.js';
-import { ofShownTenant, ownName, showAsVisitor } from './whose.js';
+import { hasOtherTenant, ofShownTenant, ownName, showAsVisitor } from './whose.js';
 import { CACHED_COPY_MS, NETWORK_SILENCE_MS, UPLOAD_CHECK_MS } from './time-limits.js';
 
 /** @import { About } from './upload-form.js' */
@@ -139,6 +139,7 @@ export const patchJson = (url, body) => sendJson('PATCH', url, body, {});
  * @returns {Promise<T>}
  */
 async function sendJson(method, url, body, headers) {
+  refuseForOtherTenant();
   const { response, bytes } = await fetchBytes(url, {
     method,
     headers: { 'Content-Type': 'application/json', ...headers },
@@ -147,12 +148,18 @@ async function sendJson(method, url, body, headers) {
   return parseAnswer(response.status, decodeText(bytes));
 }
 
+/** Throws where a change would be one of another tenant's things; to log in is none. */
+function refuseForOtherTenant() {
+  if (hasOtherTenant() && !LOGIN_PAGES.includes(location.pathname)) throw otherLogin();
+}
+
 /**
  * DELETE what is at an address.
  * @param {string} url
  * @throws {Problem} as `getJson`
  */
 export async function deleteAt(url) {
+  refuseForOtherTenant();
   const { response, bytes } = await fetchBytes(url, { method: 'DELETE' });
   if (!response.ok) parseAnswer(response.status, decodeText(bytes));
 }

@@ -23,6 +23,13 @@ export const offline = () => new Problem({ code: 'OFFLINE', detail: t('The serve
 /** The server was silent for too long. */
 export const noAnswer = () => new Problem({ code: 'NO_ANSWER', detail: t('The server does not answer.'), hints: CHECK_CONNECTION });
 
+/** Somebody else has logged in meanwhile: what a page shows is not theirs, and what it would change is. */
+export const otherLogin = () => new Problem({
+  code: 'OTHER_LOGIN',
+  detail: t('Nothing was changed: in another tab of this browser, somebody else has logged in.'),
+  hints: [t('Log in again, or load this page anew.')],
+});
+
 const NO_CONTENT = 204;
 
 /** A file was loaded, but cannot be decoded. */

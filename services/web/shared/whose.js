@@ -17,6 +17,12 @@ export function reloadForOtherTenant() {
   return true;
 }
 
+/**
+ * Whether another tenant has logged in since, in another tab: what this page shows is not of that one's things.
+ * @returns {boolean}
+ */
+export const hasOtherTenant = () => tenantAtStart !== '' && ownTenant() !== '' && ownTenant() !== tenantAtStart;
+
 /** The tenant in the page's address; '' in most addresses of one's own pages. */
 const tenantInAddress = new URLSearchParams(location.search).get('tenant') ?? '';
 

@@ -8,13 +8,16 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from services.asset_names import AssetNames
+from services.gateway.access.caller import ALL_SCOPES, Scope
 from services.storage.bundle import Bundle
 from services.storage.catalogue.entry import read_entry
 from services.storage.catalogue.names_update import change_names
 from services.storage.catalogue.publish import publish
 from services.storage.catalogue.visibility import Visibility
+from services.storage.tenant_store import store_of_tenant
 from tests.support.pages import await_data, open_panel
 from tests.support.sites import Site
+from tests.support.tenants import make_key
 from tests.support.things import GREEN, box
 from tests.web.conftest import PHONE, GuardedSite, without_a_past
 
@@ -87,6 +90,31 @@ def test_what_does_not_come_at_first_comes_at_the_next_opening_and_nothing_is_wi
     assert sent == [{"label": "Wedding dress"}], "once, and nothing that somebody else may have changed meanwhile"
     assert read_entry(site.store, "torn").names == AssetNames("Wedding dress", "Mended.", ("silk",))
     expect(page.get_by_label("Description")).to_have_value("Mended.")
+
+
+def test_nothing_of_another_who_logs_in_is_renamed(page: Page, guarded: GuardedSite) -> None:
+    """In another tab of the same browser; the things of both have the same key."""
+    bob = make_key(guarded.data_dir, "bob", ALL_SCOPES - {Scope.OPERATE})
+    bobs = store_of_tenant(guarded.site.store, "bob")
+    for store in (guarded.store, bobs):
+        publish(box("Mug", GREEN), store, key="mug")
+    guarded.log_in(page.context)
+    page.goto(f"{guarded.url}/view/mug")
+    await_data(page, loaded="2 1 0", tenant="ada")
+    open_names(page)
+    page.get_by_label("Name", exact=True).fill("Ada's mug")
+    page.context.request.post(f"{guarded.url}/v1/session", data={"key": bob})
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("#names-trouble")).to_have_text(
+        "Nothing was changed: in another tab of this browser, somebody else has logged in. "
+        "Log in again, or load this page anew."
+    )
+    expect(page.get_by_label("Name", exact=True)).to_have_value("Ada's mug")
+    assert read_entry(bobs, "mug").names.label == "Mug"
+    guarded.log_in(page.context)
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("#names-saved")).to_have_text("Saved.")
+    assert read_entry(guarded.store, "mug").names.label == "Ada's mug"
 
 
 def test_only_who_manages_it_sees_the_panel(context: BrowserContext, browser: Browser, guarded: GuardedSite) -> None:
