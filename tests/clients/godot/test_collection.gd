@@ -42,6 +42,35 @@ func test_what_was_downloaded_is_there_without_a_network() -> void:
 	expect_equal(whole, await later.remaining_bytes("bowl"))
 
 
+func test_a_collection_that_is_freed_while_it_loads_holds_up_no_other() -> void:
+	var found := await opened()
+	var level: Variant = (await found.levels("bowl"))[0]
+	found.base_url = "%s/drip/v2" % facts["server"]
+	found.level_bytes(level)
+	for frame in 5:
+		await get_tree().process_frame
+	var waiting := await opened()
+	var got := []
+	(func() -> void: got.append(await waiting.level_bytes(level))).call()
+	found.queue_free()
+	var later := await opened()
+	(func() -> void: got.append(await later.level_bytes(level))).call()
+	await comes(func() -> bool: return got.size() == 2)
+	for each: Variant in got:
+		expect_ok(each)
+
+
+func test_what_leaves_the_tree_while_it_loads_is_loaded_all_the_same() -> void:
+	var found := collection()
+	var got := []
+	(func() -> void: got.append(await found.open())).call()
+	remove_child(found)
+	await comes(func() -> bool: return got.size() == 1)
+	expect(got == [null] or got[0] is CaptureFault, "it ends, with %s" % [got])
+	add_child(found)
+	expect_ok(await found.open())
+
+
 func test_files_are_loaded_once() -> void:
 	var found := await opened("www/once")
 	await found.download("bowl")

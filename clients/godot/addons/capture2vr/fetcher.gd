@@ -24,12 +24,17 @@ func to_file(url: String, path: String, most: int, told := Callable()) -> Captur
 	return _fault(url, await _ask(url, path, most, told), most)
 
 
+## The app's next frame, for nodes that have left the tree too.
+static func next_frame() -> void:
+	await (Engine.get_main_loop() as SceneTree).process_frame
+
+
 ## What a function returns, which runs on another thread; it is waited for, and the app goes on meanwhile.
 func in_background(work: Callable) -> Variant:
 	var results := []
 	var task := WorkerThreadPool.add_task(func() -> void: results.append(work.call()))
 	while not WorkerThreadPool.is_task_completed(task):
-		await get_tree().process_frame
+		await next_frame()
 	WorkerThreadPool.wait_for_task_completion(task)
 	return results[0]
 
@@ -60,7 +65,7 @@ func _ended(request: HTTPRequest, answer: Answer, told: Callable) -> void:
 	var come := 0
 	var heard := Time.get_ticks_msec()
 	while not answer.ended:
-		await get_tree().process_frame
+		await next_frame()
 		var now := request.get_downloaded_bytes()
 		if now != come:
 			come = now

@@ -4,6 +4,8 @@ extends RefCounted
 ## Every load hashes the file anew and fetches it again where it is damaged. When the limit is passed, those that were not
 ## used for the longest time go first.
 
+const Fetcher := preload("fetcher.gd")
+
 const PART := ".part"
 ## Most bytes of a file whose size nobody has told.
 const UNTOLD_BYTES := 64 << 20
@@ -51,15 +53,20 @@ func bytes() -> int:
 func read(fetch: Node, url: String, sha256: String, size: int, told := Callable()) -> Variant:
 	if not is_hash(sha256):
 		return CaptureFault.new(CaptureFault.CATALOGUE_TRUNCATED, "%s is no SHA-256" % sha256)
-	if _under_way.has(sha256):
+	while _under_way.has(sha256):
 		var other: Load = _under_way[sha256]
-		await other.ended
-		return other.result
+		while not other.ended and is_instance_valid(other.fetch):
+			await Fetcher.next_frame()
+		if other.ended:
+			return other.result
+		if _under_way.get(sha256) == other:
+			_under_way.erase(sha256)  # its collection was freed, and nothing of it goes on
 	var mine := Load.new()
+	mine.fetch = fetch
 	_under_way[sha256] = mine
 	mine.result = await _read(fetch, url, sha256, size, told)
+	mine.ended = true
 	_under_way.erase(sha256)
-	mine.ended.emit()
 	return mine.result
 
 
@@ -159,7 +166,8 @@ class Stored:
 		used = FileAccess.get_modified_time(path)
 
 
-## A file on its way, and who waits for it.
+## A file on its way, and the node that fetches it.
 class Load:
-	signal ended
+	var fetch: Node
+	var ended := false
 	var result: Variant
