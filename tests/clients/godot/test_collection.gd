@@ -1,6 +1,7 @@
 # Collections: what is trusted, what is kept, what goes wrong.
 extends "res://tests/suite.gd"
 
+const CollectionIndex := preload("res://addons/capture2vr/collection_index.gd")
 const Ed25519 := preload("res://addons/capture2vr/ed25519.gd")
 
 
@@ -69,6 +70,11 @@ func test_what_leaves_the_tree_while_it_loads_is_loaded_all_the_same() -> void:
 	expect(got == [null] or got[0] is CaptureFault, "it ends, with %s" % [got])
 	add_child(found)
 	expect_ok(await found.open())
+
+
+func test_a_manifest_names_no_files_of_the_app() -> void:
+	var told := {"lods": [{"level": 0, "name": "assets/bowl/lod0.glb", "sha256": "../../save.dat", "bytes": 3}]}
+	expect_fault(CaptureFault.CATALOGUE_TRUNCATED, CollectionIndex.levels(JSON.stringify(told).to_utf8_buffer(), "manifest"))
 
 
 func test_files_are_loaded_once() -> void:

@@ -148,6 +148,9 @@ class Level:
 		for name: String in types:
 			if typeof(told.get(name)) != types[name]:
 				return null
+		# It becomes the name of a file, which may be removed.
+		if not FileCache.is_hash(told["sha256"]):
+			return null
 		var level := Level.new()
 		level.number = int(told["level"])
 		level.object_name = told["name"]
