@@ -139,6 +139,21 @@ func test_it_can_be_touched() -> void:
 	expect(not hit.is_empty() and absf(made.to_local(hit["position"]).y - 0.6) < 2e-3, "a ray hits its top: %s" % hit)
 
 
+func test_nothing_is_left_of_what_is_freed_while_it_loads() -> void:
+	var found := await opened()
+	expect_ok(await found.download("bowl"))
+	var before := Performance.get_monitor(Performance.OBJECT_ORPHAN_NODE_COUNT)
+	for frames in 40:
+		var made := asset(found)
+		add_child(made)
+		for frame in frames:
+			await get_tree().process_frame
+		made.free()
+	for frame in 60:
+		await get_tree().process_frame
+	await comes(func() -> bool: return Performance.get_monitor(Performance.OBJECT_ORPHAN_NODE_COUNT) == before)
+
+
 func test_nothing_is_left_behind() -> void:
 	var found := await opened()
 	await get_tree().process_frame

@@ -229,7 +229,8 @@ func _made(file: CollectionIndex.Level) -> Variant:
 	if data is CaptureFault:
 		return data
 	GltfExtension.register()  # here, since other threads may read files meanwhile
-	return await collection.in_background(LevelOfDetail.made.bind(data, file.object_name))
+	var held: LevelOfDetail.Held = await collection.in_background(LevelOfDetail.held.bind(data, file.object_name))
+	return held.taken()
 
 
 func _add(number: int, level: Node3D) -> void:

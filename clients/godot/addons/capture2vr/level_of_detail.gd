@@ -26,6 +26,11 @@ static func made(data: PackedByteArray, name: String) -> Variant:
 	return CaptureFault.new(CaptureFault.MESH_INVALID, "%s: no mesh can be made of it (%s)" % [name, error_string(error)])
 
 
+## The same in a hand that frees the node where nobody takes it: who asked for it may be gone by then.
+static func held(data: PackedByteArray, name: String) -> Held:
+	return Held.new(made(data, name))
+
+
 static func meshes_of(node: Node) -> Array[MeshInstance3D]:
 	var found: Array[MeshInstance3D] = []
 	if node is MeshInstance3D:
@@ -76,3 +81,21 @@ static func place_ahead(viewer: Transform3D, size: Vector3, floor_height: float,
 	var origin := eye + away * gaze
 	origin.y = lifted if size.y < SMALL_M else floor_height
 	return Transform3D(Basis(Vector3.UP, atan2(-gaze.x, -gaze.z)).scaled_local(scale), origin)
+
+
+## A node that is freed with this, or a fault.
+class Held:
+	var _content: Variant
+
+	func _init(content: Variant) -> void:
+		_content = content
+
+	## The content, which is the caller's to free from now on.
+	func taken() -> Variant:
+		var content: Variant = _content
+		_content = null
+		return content
+
+	func _notification(what: int) -> void:
+		if what == NOTIFICATION_PREDELETE and _content is Node:
+			_content.free()
