@@ -85,6 +85,21 @@ func test_files_are_loaded_once() -> void:
 	expect_equal(1, await count("www/once/" + level.object_name))
 
 
+func test_a_full_disk_leaves_the_last_good_catalogue() -> void:
+	await turn_to("v1")
+	await opened()
+	var folder := ProjectSettings.globalize_path("user://capture2vr")
+	var below: String = Array(DirAccess.get_directories_at(folder)).filter(func(each: String) -> bool: return each != "files")[0]
+	# A file of the system that can be opened and takes nothing.
+	for part: String in ["index.json.part", "versions.txt.part"]:
+		expect_equal(0, OS.execute("ln", ["-s", "/proc/self/oom_score_adj", folder.path_join(below).path_join(part)]))
+	await turn_to("v2")
+	await opened()
+	await turn_to("off")
+	var later := await opened()
+	expect_equal(1, later.row_of("bowl").version if later.is_open() else 0)
+
+
 func test_without_a_network_a_first_start_fails() -> void:
 	await turn_to("off")
 	expect_fault(CaptureFault.UNREACHABLE, await collection().open())

@@ -229,12 +229,7 @@ func _accepted(data: PackedByteArray) -> Variant:
 
 ## A full disk is no fault: only a start without a network would miss it.
 func _keep(data: PackedByteArray) -> void:
-	var part := _kept + ".part"
-	var file := FileAccess.open(part, FileAccess.WRITE)
-	if file != null:
-		file.store_buffer(data)
-		file.close()
-		DirAccess.rename_absolute(part, _kept)
+	FileCache.replace(_kept, data)
 
 
 func _content(object_name: String, sha256: String, size: int, told := Callable()) -> Variant:

@@ -70,6 +70,22 @@ func read(fetch: Node, url: String, sha256: String, size: int, told := Callable(
 	return mine.result
 
 
+## Put bytes in the place of a file: a crash or a full disk leaves the old file or the new one. Whether there was room for it.
+static func replace(path: String, content: PackedByteArray) -> bool:
+	var part := path + PART
+	var file := FileAccess.open(part, FileAccess.WRITE)
+	if file == null:
+		return false
+	file.store_buffer(content)
+	file.close()
+	# On a full disk the file is shorter, which nothing above is sure to tell.
+	var is_whole := FileAccess.get_file_as_bytes(part) == content
+	if is_whole and DirAccess.rename_absolute(part, path) == OK:
+		return true
+	DirAccess.remove_absolute(part)
+	return false
+
+
 static func is_hash(text: String) -> bool:
 	return text.length() == 64 and text.is_valid_hex_number() and text == text.to_lower()
 

@@ -2,6 +2,8 @@ extends RefCounted
 ## The highest version that this device has seen of each thing, in a file of lines "version name". Whoever serves an older
 ## one, a stale cache or an attacker, is refused.
 
+const FileCache := preload("file_cache.gd")
+
 var _path: String
 var _highest := {}
 
@@ -29,15 +31,9 @@ func check(name: String, version: int) -> CaptureFault:
 	return null
 
 
-## Replaced as a whole: a crash leaves the old file or the new one.
+## A full disk is no fault: this run remembers, and the next version that is seen writes all of them.
 func _write() -> void:
 	var lines := PackedStringArray()
 	for name: String in _highest:
 		lines.append("%d %s" % [_highest[name], name])
-	var part := _path + ".part"
-	var file := FileAccess.open(part, FileAccess.WRITE)
-	if file == null:
-		return
-	file.store_string("\n".join(lines))
-	file.close()
-	DirAccess.rename_absolute(part, _path)
+	FileCache.replace(_path, "\n".join(lines).to_utf8_buffer())
