@@ -154,6 +154,31 @@ func test_nothing_is_left_of_what_is_freed_while_it_loads() -> void:
 	await comes(func() -> bool: return Performance.get_monitor(Performance.OBJECT_ORPHAN_NODE_COUNT) == before)
 
 
+func test_what_is_outside_the_tree_when_it_comes_is_shown_all_the_same() -> void:
+	var made := asset(await opened())
+	var told := []
+	made.shown.connect(func() -> void: told.append(made.levels()))
+	add_child(made)
+	remove_child(made)
+	await comes(func() -> bool: return not told.is_empty())
+	add_child(made)
+	await comes(func() -> bool: return made.levels() == PackedInt32Array([0, 1, 2]))
+	made.queue_free()
+
+
+func test_an_asset_whose_collection_is_freed_says_so_and_takes_another() -> void:
+	var found := collection("drip/v2")
+	var made := asset(found)
+	made.follow_seconds = 0.1
+	add_child(made)
+	for frame in 5:
+		await get_tree().process_frame
+	found.free()
+	await comes(func() -> bool: return CaptureFault.COLLECTION_CLOSED in _codes)
+	made.collection = await opened()
+	await comes(func() -> bool: return made.version() == 2)
+
+
 func test_nothing_is_left_behind() -> void:
 	var found := await opened()
 	await get_tree().process_frame

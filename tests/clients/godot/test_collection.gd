@@ -61,6 +61,13 @@ func test_a_collection_that_is_freed_while_it_loads_holds_up_no_other() -> void:
 		expect_ok(each)
 
 
+func test_a_collection_outside_the_tree_says_so() -> void:
+	var found := CaptureCollection.new()
+	found.base_url = "%s/live" % facts["server"]
+	expect_fault(CaptureFault.COLLECTION_CLOSED, await found.open())
+	found.free()
+
+
 func test_what_leaves_the_tree_while_it_loads_is_loaded_all_the_same() -> void:
 	var found := collection()
 	var got := []

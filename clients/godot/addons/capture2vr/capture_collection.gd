@@ -43,6 +43,9 @@ func _enter_tree() -> void:
 ## Read the catalogue, so that its assets can be shown; one that is open is looked through for newer versions. Without a
 ## network, the last one that was good. Null, or the CaptureFault.
 func open() -> CaptureFault:
+	if _fetch == null:
+		var what := "collection %s is not in the scene tree" % collection
+		return CaptureFault.new(CaptureFault.COLLECTION_CLOSED, what, "Call add_child() with it first")
 	while _working:
 		await _worked
 	_working = true

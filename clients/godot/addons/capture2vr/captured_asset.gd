@@ -38,6 +38,7 @@ var _turn := 0  # of showing and releasing: what comes late must see that it is 
 var _wanted := false
 var _placed := false
 var _looking := false
+var _asked: CaptureCollection
 var _refining := false
 var _pause := 0.0
 var _next_look := 0.0
@@ -52,7 +53,8 @@ func _ready() -> void:
 
 func _process(_delta: float) -> void:
 	var now := _now()
-	if _wanted and follow_seconds > 0.0 and not _looking and now >= _next_look:
+	var may_look := not _looking or not is_instance_valid(_asked)  # a collection that was freed does not answer
+	if _wanted and follow_seconds > 0.0 and may_look and now >= _next_look:
 		follow()
 	if not _shown.is_empty():
 		_choose_level()
@@ -123,6 +125,7 @@ func place_ahead_of(viewer: Node3D, floor_height := 0.0) -> void:
 func _look(for_newer: bool) -> void:
 	var turn := _turn
 	_looking = true
+	_asked = collection if is_instance_valid(collection) else null
 	var fault := await _take(turn, for_newer)
 	if turn == _turn and fault != null:
 		if fault.code in [CaptureFault.ASSET_UNKNOWN, CaptureFault.ASSET_REMOVED]:
@@ -133,7 +136,7 @@ func _look(for_newer: bool) -> void:
 
 
 func _take(turn: int, for_newer: bool) -> CaptureFault:
-	if collection == null:
+	if not is_instance_valid(collection):
 		return CaptureFault.new(CaptureFault.COLLECTION_CLOSED, "no collection is set for %s" % key)
 	if for_newer or not collection.is_open():
 		var fault := await collection.open()
@@ -181,7 +184,7 @@ func _show(
 	_next_levels = _now()
 	_far_since = _now()
 	_add(number, level)
-	var viewer := get_viewport().get_camera_3d()
+	var viewer := _viewer()
 	if place_ahead and not _placed and viewer != null:
 		place_ahead_of(viewer)
 	_placed = true  # a newer version comes where the old one was, wherever it has been carried
@@ -262,12 +265,16 @@ func _choose_level() -> void:
 
 ## The share of the view's height that it takes; more than all without a camera.
 func _share_of_view() -> float:
-	var viewer := get_viewport().get_camera_3d()
+	var viewer := _viewer()
 	if viewer == null or viewer.projection != Camera3D.PROJECTION_PERSPECTIVE:
 		return INF
 	var away := maxf(1e-3, viewer.global_position.distance_to(global_transform * _box.get_center()))
 	var height := _box.get_longest_axis_size() * global_basis.get_scale().x
 	return height / (2.0 * away * tan(deg_to_rad(viewer.fov) / 2.0))
+
+
+func _viewer() -> Camera3D:
+	return get_viewport().get_camera_3d() if is_inside_tree() else null
 
 
 func _enclose() -> void:

@@ -79,6 +79,9 @@ func _ended(request: HTTPRequest, answer: Answer, told: Callable) -> void:
 
 
 func _fault(url: String, answer: Answer, most: int) -> CaptureFault:
+	if answer.error == ERR_UNCONFIGURED:
+		var what := "%s cannot be asked for: its collection has left the scene tree" % url
+		return CaptureFault.new(CaptureFault.COLLECTION_CLOSED, what, "Call add_child() with it first")
 	if answer.error != OK:
 		return CaptureFault.new(CaptureFault.UNREACHABLE, "%s is no address to ask" % url)
 	match answer.result:
