@@ -2,6 +2,7 @@
 extends "res://tests/suite.gd"
 
 const CollectionIndex := preload("res://addons/capture2vr/collection_index.gd")
+const Fetcher := preload("res://addons/capture2vr/fetcher.gd")
 const Ed25519 := preload("res://addons/capture2vr/ed25519.gd")
 
 
@@ -188,6 +189,22 @@ func test_files_that_are_not_what_was_signed_are_not_kept() -> void:
 		expect_fault(wanted, fault)
 		expect_equal([], Array(DirAccess.get_files_at("user://capture2vr/files")).filter(_is_partial))
 		await prepare()
+
+
+func test_a_server_that_falls_silent_is_left_and_holds_up_nothing() -> void:
+	Fetcher.silence_s = 0.5
+	var found := collection("stall/v2")
+	var longest := [0, Time.get_ticks_msec()]
+	var watch := func() -> void:
+		longest[0] = maxi(longest[0], Time.get_ticks_msec() - longest[1])
+		longest[1] = Time.get_ticks_msec()
+	get_tree().process_frame.connect(watch)
+	expect_fault(CaptureFault.UNREACHABLE, await found.open())
+	found.free()
+	await get_tree().process_frame
+	get_tree().process_frame.disconnect(watch)
+	expect(longest[0] < 5000, "a frame took %d ms" % longest[0])
+	Fetcher.silence_s = 15.0
 
 
 func test_a_damaged_file_on_the_device_is_healed() -> void:
