@@ -28,6 +28,8 @@ class Site:
     busy     not at all: 503
     live     as it is, below the folder that `turn/<folder>` named last; `turn/off` is 503
     keyed    as `live`, to whom shows the key "Bearer good"; others get 401
+    away     by a redirection to `bare` at another host's name, as to a private bucket
+    bare     as `live`, to whom shows no key; others get 400, as from presigned URLs
     count    how often the rest was asked for, with the way in front
 
     What is refused is answered with a page that is longer than the files.
@@ -54,7 +56,11 @@ class Site:
         self.counts[f"{way}/{rest}"] += 1
         if way == "keyed" and key != "Bearer good":
             return _page(401)
-        is_live = way in ("live", "keyed")
+        if way == "away":
+            return 307, b"", 0
+        if way == "bare" and key:
+            return _page(400)
+        is_live = way in ("live", "keyed", "bare")
         data = self.content(f"{self.live}/{rest}" if is_live else rest)
         if way == "busy" or (is_live and self.live == "off"):
             return _page(503)
@@ -96,8 +102,11 @@ def serving(root: Path) -> Iterator[str]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             _, way, rest = self.path.split("/", 2)
-            status, body, length = site.answer(way, rest, self.headers.get("Authorization", ""))
+            key = self.headers.get("Authorization", "") + self.headers.get("X-Key", "")
+            status, body, length = site.answer(way, rest, key)
             self.send_response(status)
+            if status == 307:
+                self.send_header("Location", f"http://localhost:{server.server_address[1]}/bare/{rest}")
             if length is not None:
                 self.send_header("Content-Length", str(length))
             self.end_headers()

@@ -180,6 +180,15 @@ func test_private_assets_need_the_headers() -> void:
 	expect_ok(await found.download("bowl"))
 
 
+func test_private_assets_may_lie_where_the_server_redirects_to() -> void:
+	for shown: PackedStringArray in [PackedStringArray(["Authorization: Bearer good"]), PackedStringArray()]:
+		var found := collection("away")
+		found.headers = shown
+		expect_ok(await found.open())
+		expect_ok(await found.download("bowl"))
+		await prepare()
+
+
 func test_files_that_are_not_what_was_signed_are_not_kept() -> void:
 	for way: String in ["flip", "endless", "cut", "busy"]:
 		var found := await opened()

@@ -2,6 +2,8 @@ extends Node
 ## Downloads files a few at a time, and runs work beside the main thread.
 
 const TOGETHER := 4
+const REDIRECTIONS: Array[int] = [301, 302, 303, 307, 308]
+const MOST_REDIRECTS := 5
 ## At most, of each download in a frame: 12 MB/s at 90 frames a second.
 const CHUNK_BYTES := 128 << 10
 ## A server that sends nothing for so long has gone. The whole of a download may take any time.
@@ -45,23 +47,50 @@ func _ask(url: String, path: String, most: int, told: Callable) -> Answer:
 	while _free == 0:
 		await _freed
 	_free -= 1
+	var answer := await _answer(url, headers, path, most, told)
+	var asked := url
+	for redirect in MOST_REDIRECTS:
+		if answer.target.is_empty():
+			break
+		asked = _resolved(asked, answer.target)
+		# The headers are for this server alone, and a secure address leads to no other kind.
+		if url.begins_with("https:") and not asked.begins_with("https:"):
+			break
+		var shown := headers if _origin(asked) == _origin(url) else PackedStringArray()
+		answer = await _answer(asked, shown, path, most, told)
+	_free += 1
+	_freed.emit()
+	return answer
+
+
+func _answer(url: String, shown: PackedStringArray, path: String, most: int, told: Callable) -> Answer:
 	var request := HTTPRequest.new()
 	request.download_file = path
 	request.body_size_limit = most
 	# Not on a thread: to end one that waits for a silent server, HTTPRequest would hold the main thread until it speaks.
 	request.download_chunk_size = CHUNK_BYTES
-	if not headers.is_empty():
-		request.max_redirects = 0  # they are for this server alone
+	request.max_redirects = 0  # it would show the headers to any server, and does not follow 307 and 308
 	add_child(request)
 	var answer := Answer.new()
 	request.request_completed.connect(answer.take)
-	answer.error = request.request(url, headers)
+	answer.error = request.request(url, shown)
 	if answer.error == OK:
 		await _ended(request, answer, told)
 	request.queue_free()
-	_free += 1
-	_freed.emit()
 	return answer
+
+
+static func _origin(url: String) -> String:
+	return "/".join(url.split("/").slice(0, 3))
+
+
+## The address that a Location header names, which may be relative to the one that was asked for.
+static func _resolved(url: String, target: String) -> String:
+	if target.contains("://"):
+		return target
+	if target.begins_with("//"):
+		return url.get_slice("//", 0) + target
+	return _origin(url) + target if target.begins_with("/") else "%s/%s" % [url.get_slice("?", 0).get_base_dir(), target]
 
 
 func _ended(request: HTTPRequest, answer: Answer, told: Callable) -> void:
@@ -126,8 +155,14 @@ class Answer:
 	var result := 0
 	var status := 0
 	var body := PackedByteArray()
+	## Where a redirection leads to, or "".
+	var target := ""
 
-	func take(new_result: int, code: int, _headers: PackedStringArray, content: PackedByteArray) -> void:
+	func take(new_result: int, code: int, headers: PackedStringArray, content: PackedByteArray) -> void:
+		if code in REDIRECTIONS:
+			for header in headers:
+				if header.to_lower().begins_with("location:"):
+					target = header.substr("location:".length()).strip_edges()
 		ended = true
 		result = new_result
 		status = code
