@@ -110,6 +110,21 @@ public static class PlainTests
         }
     }
 
+    public static async Task WhoIsRedirectedElsewhereShowsNoHeadersThere()
+    {
+#if UNITY_WEBGL // where the browser follows
+        await Task.Yield();
+#else
+        Facts.Ask("turn/v2");
+        var shown = new Dictionary<string, string> { { "Authorization", "Bearer good" }, { "X-Key", "good" } };
+        using (var memory = new MemoryStream())
+        {
+            await Http.Fetch($"{Facts.Server}/away/{Name}", memory, shown);
+            Expect.Equal(Sha, Sha256.Of(memory.ToArray()));
+        }
+#endif
+    }
+
     // The cache.
 
     public static async Task WhatNobodyUsesMayBeRemoved()

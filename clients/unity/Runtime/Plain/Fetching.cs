@@ -24,7 +24,10 @@ namespace Capture2vr
 
         private static readonly IReadOnlyDictionary<string, string> NoHeaders = new Dictionary<string, string>();
 
-        private static readonly HttpClient Client = new HttpClient { Timeout = Timeout.InfiniteTimeSpan };
+        private const int MostRedirects = 5;
+
+        // Its own way to follow redirections would show headers to any server.
+        private static readonly HttpClient Client = new HttpClient(new HttpClientHandler { AllowAutoRedirect = false }) { Timeout = Timeout.InfiniteTimeSpan };
 
         public static Task Fetch(string url, Stream into) => Fetch(url, into, NoHeaders);
 
@@ -55,18 +58,42 @@ namespace Capture2vr
 
         private static async Task Copy(string url, Stream into, IReadOnlyDictionary<string, string> headers, CancellationTokenSource patience)
         {
-            var request = new HttpRequestMessage(HttpMethod.Get, url);
-            foreach (var header in headers) request.Headers.TryAddWithoutValidation(header.Key, header.Value);
-            var whole = HttpCompletionOption.ResponseHeadersRead;
-            using (request)
-            using (var response = await Client.SendAsync(request, whole, patience.Token).ConfigureAwait(false))
+            var first = new Uri(url);
+            var asked = first;
+            for (var redirects = 0; asked != null; redirects++)
             {
-                HttpFaults.Check(url, (long)response.StatusCode);
-                using (var body = await response.Content.ReadAsStreamAsync().ConfigureAwait(false))
+                using (var request = Request(asked, IsOfOneServer(asked, first) ? headers : NoHeaders))
+                using (var response = await Client.SendAsync(request, HttpCompletionOption.ResponseHeadersRead, patience.Token).ConfigureAwait(false))
                 {
-                    await Drain(url, body, into, patience).ConfigureAwait(false);
+                    asked = redirects < MostRedirects ? Target(response, asked) : null;
+                    if (asked != null) continue;
+                    HttpFaults.Check(url, (long)response.StatusCode);
+                    using (var body = await response.Content.ReadAsStreamAsync().ConfigureAwait(false))
+                    {
+                        await Drain(url, body, into, patience).ConfigureAwait(false);
+                    }
                 }
             }
+        }
+
+        private static HttpRequestMessage Request(Uri address, IReadOnlyDictionary<string, string> headers)
+        {
+            var request = new HttpRequestMessage(HttpMethod.Get, address);
+            foreach (var header in headers) request.Headers.TryAddWithoutValidation(header.Key, header.Value);
+            return request;
+        }
+
+        private static bool IsOfOneServer(Uri a, Uri b) => a.GetLeftPart(UriPartial.Authority) == b.GetLeftPart(UriPartial.Authority);
+
+        /// <summary>Where a redirection leads to, or null; a secure address leads to no other kind.</summary>
+        private static Uri Target(HttpResponseMessage response, Uri asked)
+        {
+            var status = (int)response.StatusCode;
+            var leadsOn = status == 301 || status == 302 || status == 303 || status == 307 || status == 308;
+            if (!leadsOn || response.Headers.Location == null) return null;
+            var target = new Uri(asked, response.Headers.Location);
+            var isWeb = target.Scheme == Uri.UriSchemeHttps || (target.Scheme == Uri.UriSchemeHttp && asked.Scheme == Uri.UriSchemeHttp);
+            return isWeb ? target : null;
         }
 
         private static async Task Drain(string url, Stream body, Stream into, CancellationTokenSource patience)
