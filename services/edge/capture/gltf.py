@@ -147,18 +147,22 @@ class _Buffers:
         self.contents[uri] = content
         return uri
 
-    def is_normalised(self, index: int) -> bool:
-        return bool(self._tree["accessors"][index].get("normalized", False))
-
     def is_plain(self, index: int) -> bool:
         """Whether trimesh reads an accessor as it is meant."""
-        return not self.is_normalised(index) and "sparse" not in self._tree["accessors"][index]
+        accessor = self._tree["accessors"][index]
+        return not accessor.get("normalized", False) and "sparse" not in accessor
 
-    def add(self, index: int, name: str, change: Callable[[NDArray[Any]], Floats]) -> int:
-        """Add what `change`, called `name`, makes of an accessor's rows (N,k); return the index of the new accessor."""
+    def add(self, index: int, name: str, change: Callable[[NDArray[Any]], NDArray[Any]]) -> int:
+        """Add what `change`, called `name`, makes of an accessor's rows (N,k); return the index of the new accessor.
+
+        Normalised integers come to it as the fractions that they mean.
+        """
         if (index, name) not in self._added:
             with np.errstate(over="ignore", invalid="ignore"):
-                rows = np.ascontiguousarray(change(self._rows(index)), "<f4")
+                rows = self._rows(index)
+                if self._tree["accessors"][index].get("normalized", False):
+                    rows = _unit(rows)
+                rows = np.ascontiguousarray(change(rows), "<f4")
             view = {"buffer": len(self._tree["buffers"]), "byteLength": rows.nbytes}
             place = {"bufferView": len(self._tree["bufferViews"]), "count": len(rows), "componentType": _FLOAT}
             self._added[index, name] = len(self._tree["accessors"])
@@ -200,7 +204,8 @@ def _plain_attributes(primitive: dict[str, Any], tree: dict[str, Any], buffers: 
     """The attributes that are used of a primitive: POSITION, and TEXCOORD_0 and LIGHT where it has them."""
     attributes: dict[str, int] = primitive["attributes"]
     position = attributes["POSITION"]
-    plain = {"POSITION": position if buffers.is_plain(position) else _as_meant(position, buffers)}
+    is_plain = buffers.is_plain(position)
+    plain = {"POSITION": position if is_plain else buffers.add(position, "as meant", lambda rows: rows)}
     material = tree["materials"][primitive["material"]] if "material" in primitive else {}
     texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
     if texture is not None:
@@ -217,15 +222,7 @@ def _plain_uv(uv: int, transform: dict[str, Any], buffers: _Buffers) -> int:
     """The accessor of texture coordinates that need no transform: `uv` itself, or a new one."""
     if buffers.is_plain(uv) and not transform:
         return uv
-    normalised = buffers.is_normalised(uv)
-    name = f"uv {json.dumps(transform)}"
-    return buffers.add(uv, name, lambda rows: _transformed(_unit(rows) if normalised else rows, transform))
-
-
-def _as_meant(index: int, buffers: _Buffers) -> int:
-    """The accessor of an accessor's numbers as floats, normalised ones as fractions."""
-    normalised = buffers.is_normalised(index)
-    return buffers.add(index, "as meant", lambda rows: _unit(rows) if normalised else rows)
+    return buffers.add(uv, f"uv {json.dumps(transform)}", lambda rows: _transformed(rows, transform))
 
 
 def _unit(rows: NDArray[Any]) -> Floats:

@@ -20,7 +20,7 @@ from services.edge.errors import CaptureError
 MAX_PIXELS = 100_000_000  # the largest phone sensors give 200 MP raw and 50 MP pictures; 100 MP is 300 MB decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
-_HEADER_BYTES = 2**18  # read of a file; a JPEG's size comes after its EXIF thumbnail and its colour profile
+HEADER_BYTES = 2**18  # read of a file; a JPEG's size comes after its EXIF thumbnail and its colour profile
 
 
 def broken_image(file: str, reason: str) -> CaptureError:
@@ -48,7 +48,7 @@ def _head_and_tail(path: Path, file: str) -> tuple[bytes, bytes]:
         with path.open("rb") as stream:
             head = stream.read(64)
             if head.startswith(_JPEG) or head[:4] in _TIFF_ORDER:
-                head += stream.read(_HEADER_BYTES)
+                head += stream.read(HEADER_BYTES)
             stream.seek(max(0, stream.seek(0, os.SEEK_END) - 64))
             return head, stream.read()
     except OSError as error:
@@ -74,6 +74,16 @@ def header_size(head: bytes) -> tuple[int, int] | None:
     if head.startswith(_JPEG):
         return _jpeg_size(head)
     return _tiff_size(head) if head[:4] in _TIFF_ORDER else None
+
+
+def check_header(head: bytes, file: str) -> None:
+    """Check the size in a picture's first bytes, where they tell it, before anything is decoded.
+
+    Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE as `check_pixels`.
+    """
+    size = header_size(head[:HEADER_BYTES])
+    if size is not None:
+        check_pixels(size, file)
 
 
 def _jpeg_size(head: bytes) -> tuple[int, int] | None:
@@ -155,7 +165,7 @@ def _decode(data: bytes, file: str, flags: int) -> NDArray[Any]:
     """Decode with OpenCV, after checking format and size. Raises IMAGE_UNREADABLE and IMAGE_TOO_LARGE."""
     import cv2
 
-    size = header_size(data[:_HEADER_BYTES])
+    size = header_size(data[:HEADER_BYTES])
     if size is None:
         raise broken_image(file, "is not a PNG, JPEG or TIFF image")
     check_pixels(size, file)

@@ -11,7 +11,7 @@ import numpy as np
 from services.edge.arrays import Bytes, Floats, Ints
 from services.edge.capture.files import Folder, translate_errors
 from services.edge.capture.gltf import LIGHT, find_uri, plain_gltf
-from services.edge.capture.images import check_pixels, header_size, read_bytes
+from services.edge.capture.images import check_header, check_pixels, read_bytes
 from services.edge.capture.sample_surface import MAX_FACES, ColourAt, SampledSurface, too_many_faces
 from services.edge.capture.surface_colours import absent_textures, nearest_texels, vertex_colours
 from services.edge.capture.tables import truncated
@@ -43,9 +43,7 @@ class _SiblingFiles(Mapping[str, bytes]):
             self.absent.append(name)
             raise KeyError(name)  # trimesh continues without a texture
         data = read_bytes(self._folder.path(beside), beside)
-        size = header_size(data[: 2**18])
-        if size is not None:
-            check_pixels(size, beside)
+        check_header(data, beside)
         return data
 
     def __iter__(self) -> Iterator[str]:

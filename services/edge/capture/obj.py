@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from services.edge.arrays import Bytes, Floats, Ints, Tick
 from services.edge.capture.colours import rgb8
 from services.edge.capture.files import Folder, translate_errors, unreadable
-from services.edge.capture.images import check_pixels, header_size, read_bytes
+from services.edge.capture.images import HEADER_BYTES, check_header, check_pixels, read_bytes
 from services.edge.capture.mtl import Material, read_mtl
 from services.edge.capture.nouns import Cloud
 from services.edge.capture.sample_surface import MAX_FACES, SampledSurface, too_many_faces
@@ -61,7 +61,8 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     known = _materials(folder, file, reader.libraries)
     used = [known.get(name, Material()) for name in reader.materials]
     for name in {each.texture for each in used if each.texture}:
-        _check_texture(folder, name)
+        with translate_errors(name, "file"), folder.path(name).open("rb") as stream:
+            check_header(stream.read(HEADER_BYTES), name)
     uv = np.zeros((len(coordinates), 2))
     uv[:, : coordinates.shape[1]] = coordinates[:, :2]
     colours = _Colours(folder, used, material, uv, uv_faces, faces, rgb)
@@ -237,14 +238,6 @@ def _materials(folder: Folder, file: str, libraries: Iterable[str]) -> dict[str,
             if name is not None or folder.exists(own):
                 materials = read_mtl(folder, name or own) | materials
     return materials
-
-
-def _check_texture(folder: Folder, name: str) -> None:
-    """Judge a texture by its header. Raises IMAGE_TOO_LARGE and CAPTURE_UNREADABLE."""
-    with folder.path(name).open("rb") as stream:
-        size = header_size(stream.read(2**18))
-    if size is not None:
-        check_pixels(size, name)
 
 
 def _decode(folder: Folder, name: str) -> Bytes:
