@@ -6,6 +6,7 @@ const LONGEST_PX = 1024; // as photos are sent
 const ROUNDING_S = 0.005; // a key frame's name has two decimals: the frame itself may begin so much later
 const QUALITY = 0.9;
 const PATIENCE_MS = 30_000; // a film without an index is searched from its beginning
+const PRESENTED_MS = 3_000; // a page that is hidden is presented no frame
 
 /** @typedef {{ name: string, url: string, seconds?: number }} Picture a photo, or with `seconds` a frame of the film at `url` */
 
@@ -55,8 +56,10 @@ export class FilmFrames {
       video.src = url;
       await this.#until('loadedmetadata');
     }
+    const presented = this.#presented();
     video.currentTime = seconds + ROUNDING_S;
     await this.#until('seeked');
+    await presented;
     const scale = Math.min(1, LONGEST_PX / Math.max(video.videoWidth, video.videoHeight));
     [this.#canvas.width, this.#canvas.height] = [Math.round(scale * video.videoWidth), Math.round(scale * video.videoHeight)];
     this.#canvas.getContext('2d')?.drawImage(video, 0, 0, this.#canvas.width, this.#canvas.height);
@@ -64,6 +67,15 @@ export class FilmFrames {
     const picture = await new Promise((resolve) => this.#canvas.toBlob(resolve, 'image/jpeg', QUALITY));
     if (!picture) throw this.#unreadable();
     return picture;
+  }
+
+  /** The next frame is what is drawn from now on: on a busy phone `seeked` comes earlier, while the frame before it is still drawn. */
+  async #presented() {
+    if (!('requestVideoFrameCallback' in this.#video)) return;
+    await new Promise((resolve) => {
+      this.#video.requestVideoFrameCallback(resolve);
+      setTimeout(resolve, PRESENTED_MS);
+    });
   }
 
   /** @param {'loadedmetadata' | 'seeked'} event */
