@@ -13,6 +13,7 @@ from pathlib import Path
 from tests.support.patience import HANG_S
 
 _DELAY_S = 0.25  # of a slow answer: enough for other loads to begin meanwhile
+_DRIP_S = 0.5  # between pieces: six of them take longer than a client waits for any one of them
 
 
 class Site:
@@ -91,7 +92,7 @@ def _pieces(body: bytes) -> Iterator[bytes]:
     step = len(body) // 6
     for start in range(0, len(body), step):
         yield body[start : start + step]
-        time.sleep(_DELAY_S)
+        time.sleep(_DRIP_S)
 
 
 @contextmanager

@@ -171,7 +171,7 @@ public static class UnityHttpTests
 
     public static async Task ASlowServerMayTakeAnyTime()
     {
-        await WithPatience(1, async () => Expect.Equal(Lod.In("bytes").Whole(), (await Fetched(Url("drip/v2"))).Length));
+        await WithPatience(2, async () => Expect.Equal(Lod.In("bytes").Whole(), (await Fetched(Url("drip/v2"))).Length));
     }
 
     public static async Task AHiddenPageIsNoSilentServer()
