@@ -75,10 +75,14 @@ class LimitsRequest(StrictBody):
 
 
 class UsageView(BaseModel):
-    """What a tenant uses, beside its limits. `jobs` have not ended; `stored_bytes` is right to within ten minutes."""
+    """What a tenant uses, beside its limits. `jobs` have not ended; `stored_bytes` is right to within ten minutes.
+
+    `own_limits` has those of `limits` that were set for this tenant alone.
+    """
 
     tenant: str
     limits: LimitsView
+    own_limits: dict[str, int]
     jobs: int
     jobs_today: int
     stored_bytes: int
@@ -152,8 +156,15 @@ async def get_usage(request: Request) -> UsageView:
 async def _usage(tenant: str, limits: TenantLimits, request: Request) -> UsageView:
     stored = await request.app.state.usage.stored_bytes(tenant)
     active, today = await request.app.state.job_store.read(JobStore.load, tenant)
+    authentication = authentication_of(request)
+    own = await authentication.run(lambda: authentication.store.own_limits(tenant))
     return UsageView(
-        tenant=tenant, limits=LimitsView(**limits.document()), jobs=active, jobs_today=today, stored_bytes=stored
+        tenant=tenant,
+        limits=LimitsView(**limits.document()),
+        own_limits=own or {},
+        jobs=active,
+        jobs_today=today,
+        stored_bytes=stored,
     )
 
 

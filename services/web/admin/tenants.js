@@ -63,6 +63,7 @@ async function loadTenants(after) {
   const choice = element('limited', HTMLSelectElement);
   const known = new Set(Array.from(choice.options, ({ value }) => value));
   choice.append(...tenants.filter(({ name }) => !known.has(name)).map(({ name }) => new Option(name)));
+  if (!known.size) fillLimits(usages[0]);
   return { rows: tenants.map((tenant, index) => ({ tenant, usage: /** @type {Usage} */ (usages[index]) })), next };
 }
 
@@ -74,12 +75,34 @@ function describeLimits(limits) {
   return set.map((name) => `${figure(name)} ${LIMIT_NAMES[name]}`).join(', ') || 'none';
 }
 
+/**
+ * Shows a tenant's own limits in the form. What is sent takes the place of all of them, so it is sent for that tenant alone.
+ * @param {Usage | undefined} usage none while it is loaded
+ */
+function fillLimits(usage) {
+  const form = element('limits', HTMLFormElement);
+  form.dataset.tenant = usage?.tenant ?? '';
+  for (const field of form.querySelectorAll('input')) {
+    const name = /** @type {keyof Limits} */ (field.name);
+    field.value = usage?.own_limits[name]?.toString() ?? '';
+  }
+}
+
 /** Lets the limits of a tenant be set, as the form has them. */
 export function listenToLimits() {
-  const form = element('limits', HTMLFormElement);
+  const [form, choice] = [element('limits', HTMLFormElement), element('limited', HTMLSelectElement)];
+  const trouble = element('limits-trouble', HTMLElement);
+  choice.addEventListener('change', () => {
+    fillLimits(undefined);
+    attempt(trouble, async () => {
+      /** @type {Usage} */
+      const usage = await getJson(`/v1/tenants/${choice.value}/usage`);
+      if (usage.tenant === choice.value) fillLimits(usage);
+    });
+  });
   form.addEventListener('submit', (event) => {
     event.preventDefault();
-    attempt(element('limits-trouble', HTMLElement), () => setLimits(form), form);
+    if (form.dataset.tenant === choice.value) attempt(trouble, () => setLimits(form), form);
   });
 }
 

@@ -485,6 +485,7 @@ export interface Limits {
 export interface Usage {
   tenant: string;
   limits: Limits;
+  own_limits: Partial<Limits>; // set for this tenant alone
   jobs: number;
   jobs_today: number;
   stored_bytes: number;

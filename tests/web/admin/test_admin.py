@@ -95,6 +95,15 @@ def test_limits_are_set(page: Page, service: tuple[Site, str, str]) -> None:
     expect(page.locator("#limits-said")).to_have_text(said)
     limits = httpx.get(f"{site.url}/v1/usage", headers=bearer(ada)).json()["limits"]
     assert (limits["jobs_at_once"], limits["stored_bytes"], limits["jobs_per_day"]) == (3, 5_000_000, 0)
+    page.reload()
+    page.locator("#limited").select_option("ada")
+    expect(page.get_by_label("Jobs at once")).to_have_value("3")
+    page.get_by_label("Stored bytes").fill("")
+    page.get_by_label("Jobs a day").fill("40")
+    page.get_by_role("button", name="Set the limits").click()
+    expect(page.locator("#limits-said")).to_contain_text("40 jobs a day")
+    told = httpx.get(f"{site.url}/v1/usage", headers=bearer(ada)).json()
+    assert told["own_limits"] == {"jobs_at_once": 3, "jobs_per_day": 40}, "the others stay, an empty one is removed"
 
 
 def test_what_fails_is_said_beside_it_and_stays(page: Page) -> None:
