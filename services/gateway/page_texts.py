@@ -1,4 +1,8 @@
-"""Pages in the reader's language: English as their files have it, German by the table services/web/texts.json."""
+"""Pages in the reader's language: English as their files have it, German by two tables.
+
+services/web/texts.json has the sentences of the pages, services/web/server-texts.json those of gateway and worker which
+the pages show: what is wrong with a capture, what to do about it, how a thing was made.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 TEXTS = Path(__file__).parents[1] / "web" / "texts.json"
+SERVER_TEXTS = TEXTS.with_name("server-texts.json")
 LANGUAGES = ("en", "de")
 
 _ELEMENT = re.compile(
@@ -43,19 +48,38 @@ def _parse_range(text: str) -> tuple[float, str]:
 @lru_cache(maxsize=1)
 def german_texts() -> Translations:
     """Read the table of German texts by their English ones."""
-    table: dict[str, str] = json.loads(TEXTS.read_text(encoding="utf-8"))
+    return _read_table(TEXTS)
+
+
+@lru_cache(maxsize=1)
+def german_server_texts() -> Translations:
+    """Read the table of the German sentences of gateway and worker by their English ones."""
+    return _read_table(SERVER_TEXTS)
+
+
+def _read_table(path: Path) -> Translations:
+    table: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
     return table
+
+
+def _table_element(name: str, table: Translations) -> str:
+    """Return an element that hands a table to the scripts of a page."""
+    content = json.dumps(table, ensure_ascii=False).replace("<", "\\u003c")
+    return f'<script id="{name}" type="application/json">{content}</script>'
 
 
 @lru_cache(maxsize=32)  # more than there are pages
 def translate_page(html: str, language: str) -> str:
-    """Return a page in a language, with the table that its scripts translate by, in an element with the id "texts"."""
+    """Return a page in a language, with the tables that its scripts translate by, in the elements "texts" and, where it
+    delays nothing that is seen, "server-texts".
+    """
     if language == LANGUAGES[0]:
         return html
-    table = json.dumps(german_texts(), ensure_ascii=False).replace("<", "\\u003c")
-    head = f'<html lang="{language}">\n<head>\n  <script id="texts" type="application/json">{table}</script>'
+    head = f'<html lang="{language}">\n<head>\n  {_table_element("texts", german_texts())}'
     before, separator, body = html.partition("<title>")
-    return _HEAD.sub(lambda _: head, before) + translate_markup(separator + body, german_texts().get)
+    page = _HEAD.sub(lambda _: head, before) + translate_markup(separator + body, german_texts().get)
+    seen, end, rest = page.rpartition("</body>")
+    return f"{seen}{_table_element('server-texts', german_server_texts())}\n{end}{rest}"
 
 
 def translate_markup(html: str, find: Callable[[str], str | None]) -> str:

@@ -19,7 +19,7 @@ from starlette.types import Scope
 from services.gateway.browser_permissions import CAMERA_PAGE
 from services.gateway.errors import Problem
 from services.gateway.page_modules import name_modules
-from services.gateway.page_texts import LANGUAGES, TEXTS, preferred_language, translate_page
+from services.gateway.page_texts import LANGUAGES, SERVER_TEXTS, TEXTS, preferred_language, translate_page
 from services.gateway.routes.access_rules import ANYONE
 from services.gateway.schemas import problems
 from services.gateway.settings import GatewaySettings
@@ -156,7 +156,7 @@ def list_shell(response: Response) -> Shell:
     files = [path for path in sorted(WEB.rglob("*")) if path.suffix in _SHELL_SUFFIXES]
     files = [path for path in files if path.parent not in _ONLINE and not path.name.startswith(_ONLINE_LIBRARY)]
     digest = hashlib.sha256(b"".join(hashlib.sha256(_html(name).encode()).digest() for name in _SHELL_PAGES.values()))
-    for path in [*files, TEXTS]:
+    for path in [*files, TEXTS, SERVER_TEXTS]:
         found = path.stat()
         digest.update(_file_digest(path, found.st_mtime_ns, found.st_size))
     response.headers["Cache-Control"] = "no-cache"

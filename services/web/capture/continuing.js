@@ -4,6 +4,7 @@ import { keepContinued } from './keeping.js';
 import { getJson } from '../shared/api.js';
 import { element, fillList } from '../shared/dom.js';
 import { Problem } from '../shared/problems.js';
+import { told } from '../shared/server-texts.js';
 import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Job, Manifest } from '../shared/types.d.ts' */
@@ -92,7 +93,7 @@ async function unseenSides(key) {
     const entry = await getJson(`/v1/assets/${encodeURIComponent(key)}`);
     /** @type {Manifest} */
     const { capture } = await getJson(entry.manifest.url);
-    return (capture?.unseen ?? []).map(({ advice }) => advice);
+    return (capture?.unseen ?? []).map(({ advice }) => told(advice));
   } catch {
     return []; // nothing published yet, or no connection
   }

@@ -1,5 +1,6 @@
 // The lists of the result: which photos were used, why others were left out, and which sides need more photos.
 import { child, create, fillList } from '../shared/dom.js';
+import { told } from '../shared/server-texts.js';
 import { t } from '../shared/texts.js';
 
 /** @import { CaptureSummary, PhotoVerdict } from '../shared/types.d.ts' */
@@ -33,7 +34,7 @@ export function showVerdicts(details, { photos: verdicts = [], format } = {}) {
 function verdictItem({ name, verdict, advice }) {
   const item = create('li');
   item.dataset.verdict = verdict;
-  item.append(create('strong', { textContent: name }), ` ${REASONS[verdict] ?? verdict}${advice ? `. ${advice}` : ''}`);
+  item.append(create('strong', { textContent: name }), ` ${REASONS[verdict] ?? verdict}${advice ? `. ${told(advice)}` : ''}`);
   return item;
 }
 
@@ -44,5 +45,5 @@ function verdictItem({ name, verdict, advice }) {
  */
 export function showUnseenSides(details, { unseen: sides = [] } = {}) {
   details.hidden = sides.length === 0;
-  fillList(child(details, 'ul', HTMLUListElement), sides.map(({ advice }) => advice));
+  fillList(child(details, 'ul', HTMLUListElement), sides.map(({ advice }) => told(advice)));
 }

@@ -1,5 +1,6 @@
 // Progress of an upload and of a job: the bar, the list of stages, the time left, and the curve of the training's loss.
 import { create, element } from './dom.js';
+import { told } from './server-texts.js';
 import { t } from './texts.js';
 
 /** @import { JobProgress } from './types.d.ts' */
@@ -71,7 +72,7 @@ export function showJobProgress({ stage, fraction, message, eta_s: eta = 0, loss
   const current = STAGES.findIndex(([name]) => name === stage);
   page.title.textContent = current < 0 ? t('Waiting for a worker') : STAGES[current][1];
   const timeLeft = eta >= LEAST_ETA_S && !message?.endsWith(' left') ? t('about {time} left', { time: durationText(eta) }) : '';
-  page.detail.textContent = [message, timeLeft].filter(Boolean).join(' · ');
+  page.detail.textContent = [told(message ?? ''), timeLeft].filter(Boolean).join(' · ');
   stageItems.forEach((item, place) => showStage(item, place - current));
   if (losses?.total) showLoss(losses.total);
 }

@@ -1,4 +1,5 @@
 // Problems as exceptions, and the sentences of those that arise on the device. Modules that a worker loads need them too, which has no page.
+import { told } from './server-texts.js';
 import { t } from './texts.js';
 
 /** @import { ProblemDocument } from './types.d.ts' */
@@ -7,10 +8,10 @@ import { t } from './texts.js';
 export class Problem extends Error {
   /** @param {ProblemDocument} document */
   constructor(document) {
-    super(document.detail || document.title || t('Something went wrong.'));
+    super(told(document.detail || document.title || '') || t('Something went wrong.'));
     this.code = document.code || 'UNKNOWN';
     this.file = document.file || '';
-    this.hints = document.hints || [];
+    this.hints = (document.hints || []).map(told);
     this.status = document.status || 0;
   }
 }

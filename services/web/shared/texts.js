@@ -7,8 +7,14 @@ const page = /** @type {{ document?: PageDocument }} */ (/** @type {unknown} */ 
 /** The language of the page: the gateway has chosen it among those that the browser prefers. */
 export const language = page?.documentElement.lang || 'en';
 
-/** @type {Record<string, string>} */
-const translations = JSON.parse(page?.getElementById('texts')?.textContent || '{}'); // of texts.json; none in an English page
+/**
+ * A table of translations that the gateway has put into the page; none in an English page.
+ * @param {string} id of its element
+ * @returns {Record<string, string>}
+ */
+export const readTable = (id) => JSON.parse(page?.getElementById(id)?.textContent || '{}');
+
+const translations = readTable('texts'); // of texts.json
 
 /**
  * Translates a sentence of a page.

@@ -1,6 +1,7 @@
 // The panel of the viewer's page that says in plain words how good a thing is, what to mind, what to shoot again, and how it was made.
 import { create, element } from '../shared/dom.js';
 import { formatCount, formatNumber, stateText } from '../shared/format.js';
+import { told } from '../shared/server-texts.js';
 import { t } from '../shared/texts.js';
 
 /** @import { AssetEntry, CaptureSummary, Manifest, QualityFigures } from '../shared/types.d.ts' */
@@ -58,8 +59,8 @@ function sectionsOf(entry, manifest) {
   const { quality, warnings = [], capture = {} } = manifest;
   return [
     [t('How good it is'), quality ? qualityLines(quality, entry) : []],
-    [t('Warnings'), warnings],
-    [t('To see more of it'), (capture.unseen ?? []).map(({ advice }) => advice)],
+    [t('Warnings'), warnings.map(told)],
+    [t('To see more of it'), (capture.unseen ?? []).map(({ advice }) => told(advice))],
     [t('How it was made'), originLines(entry, manifest)],
   ];
 }
@@ -106,10 +107,10 @@ function originLines(entry, { capture = {}, preset, preset_because: because, tar
   const { cut, up } = capture;
   return [
     captureText(capture),
-    cut ? t('Kept: {what}; {because}.', { what: KEPT[cut.kept] ?? cut.kept, because: cut.because }) : '',
+    cut ? t('Kept: {what}; {because}.', { what: KEPT[cut.kept] ?? cut.kept, because: told(cut.because) }) : '',
     SCALES[entry.scale_confidence] ?? '',
     up ? t('Which way is up was told {how}, with {percent} confidence.', { how: UP_TELLERS[up.source] ?? up.source, percent: percent(up.confidence) }) : '',
-    preset ? `${[t('Preset {preset}', { preset }), because && t('as {because}', { because }), target && t('for {target}', { target })].filter(Boolean).join(', ')}.` : '',
+    preset ? `${[t('Preset {preset}', { preset }), because && t('as {because}', { because: told(because) }), target && t('for {target}', { target })].filter(Boolean).join(', ')}.` : '',
     `${[
       t('Version {version}', { version: entry.version }),
       stateText(entry.state),

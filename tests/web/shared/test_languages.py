@@ -66,6 +66,57 @@ def test_the_other_pages_speak_german(german: Page, site: Site) -> None:
         assert english_left(german) == [], path
 
 
+ALIGNED = (
+    "the photos form separate groups of 5 and 4 without overlap; only the largest was used, "
+    "without a.jpg, b.jpg and 3 more"
+)
+NOT_BETTER = (
+    "training did not improve on the preview: the refined surface covers fewer points, has more separate pieces: "
+    "mean distance to 1,000 held-out points 0.00200, was 0.00100 (± 0.00010); coverage 0.980, was 0.990; "
+    "pieces 3, was 1"
+)
+SIDE = "Shoot from behind on the left, higher up, as seen in the first picture: 12% of the thing is seen too little."
+
+
+def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> None:
+    """What it quotes too; a file's name and what is not known stay as they are."""
+    told = box(
+        "Schale",
+        GREEN,
+        warnings=["schale.ply: has no points", NOT_BETTER, ALIGNED, "It is cracked and has no name."],
+        capture={"unseen": [{"advice": SIDE, "share": 0.12, "direction": [0, 0, 1]}]},
+        preset="standard",
+        preset_because="1,200 points are too few to train on",
+    )
+    publish(told, site.store, key="german-told")
+    german.goto(f"{site.url}/view/german-told")
+    await_data(german, loaded="2 1 0")
+    german.get_by_text("Über das Ding", exact=True).click()
+    about = german.locator("#about-text")
+    expect(about).to_contain_text("schale.ply: hat keine Punkte")
+    expect(about).to_contain_text(
+        "das Training hat die Vorschau nicht verbessert: die verfeinerte Oberfläche bedeckt weniger Punkte, hat mehr "
+        "einzelne Teile: mittlerer Abstand zu 1,000 zurückgehaltenen Punkten 0.00200, vorher 0.00100 (± 0.00010)"
+    )
+    expect(about).to_contain_text(
+        "getrennte Gruppen von 5 und 4 ohne Überlappung; nur die größte wurde verwendet, ohne"
+    )
+    expect(about).to_contain_text("a.jpg, b.jpg und 3 weitere")
+    expect(about).to_contain_text("It is cracked and has no name.")
+    expect(about).to_contain_text("Nimm hinten links, von höher oben auf, gesehen wie im ersten Bild")
+    expect(about).to_contain_text("1,200 Punkte sind zu wenige zum Trainieren")
+
+
+def test_what_is_wrong_with_a_capture_is_said_in_german(german: Page, site: Site) -> None:
+    german.goto(f"{site.url}/")
+    await_data(german, started="yes")
+    german.locator("#files").set_input_files({"name": "bild.png", "mimeType": "image/png", "buffer": b"GIF89a" * 99})
+    german.get_by_role("button", name="Senden", exact=True).click()
+    trouble = german.locator("#trouble")
+    expect(trouble).to_contain_text("bild.png: das ist kein lesbares Bild, obwohl der Name es sagt")
+    assert english_left(german) == []
+
+
 def test_a_page_that_does_not_start_says_so_in_german(german: Page, site: Site) -> None:
     german.route("**/web/collection/collection.js", lambda route: route.abort())
     german.goto(f"{site.url}/browse/default", wait_until="commit")  # the guard stops the page, which never ends loading
