@@ -1,4 +1,4 @@
-"""Limit how often six-digit codes, and passwords of shares, may be tried: per address, and in all."""
+"""Limit tries of six-digit codes, and of passwords of shares: per address, and in all, of each share for itself."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ class Guesses:
         self._what = what
         self._limiter = SlidingWindowCounterRateLimiter(MemoryStorage())
 
-    def spend(self, request: Request) -> None:
-        """Count a try. Raises Problem CODE_GUESSES_LIMITED, PASSWORD_GUESSES_LIMITED: too many within a minute."""
+    def spend(self, request: Request, of: str = "") -> None:
+        """Count a try. Raises Problem CODE_GUESSES_LIMITED, PASSWORD_GUESSES_LIMITED: too many within a minute.
+
+        of  id of the share whose password is tried, so that who tries those of one keeps nobody from the others
+        """
         address = request.client.host if request.client else ""
-        if self._limiter.hit(_OF_ADDRESS, self._what, address) and self._limiter.hit(_OF_ALL, self._what):
+        if self._limiter.hit(_OF_ADDRESS, self._what, address) and self._limiter.hit(_OF_ALL, self._what, of):
             return
         detail = f"too many {self._what}s were tried within a minute"
         hints = ("wait a minute",)

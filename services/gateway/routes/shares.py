@@ -173,9 +173,10 @@ async def revoke_share(share: ShareId, request: Request) -> ShareView:
 )
 async def open_share(body: OpenRequest, request: Request, response: Response) -> OpenedShareView:
     """Open a share link: the browser gets a cookie for what it shares."""
+    sharing = _sharing(request)
     if body.password:
-        request.app.state.password_guesses.spend(request)
-    share, cookie, seconds = await _sharing(request).open(body.token, body.password)
+        request.app.state.password_guesses.spend(request, (await sharing.share_of(body.token)).id)
+    share, cookie, seconds = await sharing.open(body.token, body.password)
     response.set_cookie(
         COOKIE_PREFIX + share.id,
         cookie,

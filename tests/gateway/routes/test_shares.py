@@ -159,6 +159,19 @@ async def test_passwords_cannot_be_guessed_at_will(site: TwoTenants, monkeypatch
     assert await code_of(answer) == (429, "PASSWORD_GUESSES_LIMITED")
 
 
+@pytest.mark.usefixtures("still_limits")
+async def test_who_guesses_one_password_keeps_nobody_from_the_others(
+    site: TwoTenants, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guesses, "_OF_ADDRESS", guesses.RateLimitItemPerMinute(99))
+    monkeypatch.setattr(guesses, "_OF_ALL", guesses.RateLimitItemPerMinute(2))
+    tried, other = await share(site, password="open sesame"), await share(site, password="open barley")
+    for password in ("a", "b"):
+        await open_link(site.anonymous, tried, password)
+    assert await code_of(await open_link(site.anonymous, tried, "c")) == (429, "PASSWORD_GUESSES_LIMITED")
+    assert (await open_link(site.anonymous, other, "open barley")).status_code == 200
+
+
 async def test_a_program_shows_the_token_in_a_header(site: TwoTenants) -> None:
     made = await share(site)
     good = {"Authorization": f"Share {token_of(made)}"}
