@@ -93,7 +93,7 @@ def _by_text(head: bytes) -> str | None:
         return "gltf" if re.search(r'"asset"\s*:', text) and '"version"' in text else None
     if re.match(r"(ST)?C?N?4?OFF\b", start):
         return "off"
-    if start.startswith("solid") and "facet" in text:
+    if re.match("solid", start, re.I) and re.search("facet", text, re.I):
         return "stl"
     if re.search(r"^[ \t]*v[ \t]+[-+.\d]\S*[ \t]+[-+.\d]\S*[ \t]+[-+.\dna]", text, re.M | re.I):
         return "obj"

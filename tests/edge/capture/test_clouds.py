@@ -263,6 +263,14 @@ def test_a_mesh_is_sampled_evenly_on_its_surface(kind: str, tmp_path: Path) -> N
     assert (capture.scale_confidence, None if capture.up is None else capture.up.tolist()) == metric
 
 
+@pytest.mark.parametrize("spelt", [str.lower, str.upper, str.title])
+def test_an_stl_of_text_may_be_spelt_in_any_case(spelt: Callable[[str], str], tmp_path: Path) -> None:
+    text = str(captures.hemisphere().export(file_type="stl_ascii"))
+    (tmp_path / "upload.bin").write_text(spelt(text))
+    capture = read_capture(tmp_path)
+    assert (capture.format, capture.cloud is not None) == ("stl", True)
+
+
 def test_sampling_is_repeatable(tmp_path: Path) -> None:
     (tmp_path / "a.glb").write_bytes(captures.as_bytes(captures.hemisphere().export(file_type="glb")))
     first, second = read_capture(tmp_path).cloud, read_capture(tmp_path).cloud
