@@ -56,10 +56,19 @@ function filled(text) {
   for (const { letters, pattern, names, german } of templates) {
     const values = pattern.exec(text)?.slice(1);
     if (!values || (letters < LEAST_LETTERS && values.some((value) => isSentence(value) && !find(value)))) continue;
-    const by = new Map(names.map((name, place) => [name, told(values[place])]));
+    const by = new Map(names.map((name, place) => [name, germanNumber(values[place]) ?? told(values[place])]));
     return german.replace(/\{(\w+)\}/g, (whole, name) => by.get(name) ?? whole);
   }
   return undefined;
+}
+
+/**
+ * 1,000.5 as 1.000,5; undefined where it is no number.
+ * @param {string} value
+ */
+function germanNumber(value) {
+  const separators = /** @type {Record<string, string>} */ ({ ',': '.', '.': ',' });
+  return /^\d+(,\d{3})*(\.\d+)?%?$/.test(value) ? value.replace(/[,.]/g, (each) => separators[each]) : undefined;
 }
 
 /** @param {string} value */

@@ -96,7 +96,7 @@ def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> Non
     expect(about).to_contain_text("schale.ply: hat keine Punkte")
     expect(about).to_contain_text(
         "das Training hat die Vorschau nicht verbessert: die verfeinerte Oberfläche bedeckt weniger Punkte, hat mehr "
-        "einzelne Teile: mittlerer Abstand zu 1,000 zurückgehaltenen Punkten 0.00200, vorher 0.00100 (± 0.00010)"
+        "einzelne Teile: mittlerer Abstand zu 1.000 zurückgehaltenen Punkten 0,00200, vorher 0,00100 (± 0,00010)"
     )
     expect(about).to_contain_text(
         "getrennte Gruppen von 5 und 4 ohne Überlappung; nur die größte wurde verwendet, ohne"
@@ -104,7 +104,7 @@ def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> Non
     expect(about).to_contain_text("a.jpg, b.jpg und 3 weitere")
     expect(about).to_contain_text("It is cracked and has no name.")
     expect(about).to_contain_text("Nimm hinten links, von höher oben auf, gesehen wie im ersten Bild")
-    expect(about).to_contain_text("1,200 Punkte sind zu wenige zum Trainieren")
+    expect(about).to_contain_text("1.200 Punkte sind zu wenige zum Trainieren")
 
 
 def test_what_is_wrong_with_a_capture_is_said_in_german(german: Page, site: Site) -> None:
