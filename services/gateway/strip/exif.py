@@ -34,7 +34,7 @@ _ALLOWED_IMAGE_TAGS = {
     0x0213,
 }
 # Exposure (order and brightness of a series), times without time zone, focal lengths, sizes, lens type.
-_ALLOWED_EXIF_TAGS = (
+ALLOWED_EXIF_TAGS = (
     {0x829A, 0x829D, 0x8822, 0x8827, 0x9000, 0x9003, 0x9004, 0x9101, 0xA000, 0xA001, 0xA002, 0xA003}
     | set(range(0x9201, 0x920B))  # shutter, aperture, brightness, bias, distance, metering, light, flash, focal length
     | {_ELEVATION, _MAKER_NOTE, 0x9290, 0x9291, 0x9292, 0xA20E, 0xA20F, 0xA210, 0xA217}
@@ -42,15 +42,22 @@ _ALLOWED_EXIF_TAGS = (
     | {0xA432, 0xA433, 0xA434}
 )
 _NAMES = {
+    0x010D: "DocumentName",
     0x010E: "ImageDescription",
     0x0131: "Software",
     0x013B: "Artist",
     0x013C: "HostComputer",
     0x02BC: "XMP",
     0x8298: "Copyright",
+    0x830E: "ModelPixelScale",
     0x83BB: "IPTC",
+    0x8482: "ModelTiepoint",
+    0x85D8: "ModelTransformation",
     0x8649: "Photoshop",
     0x8769: "Exif",
+    0x87AF: "GeoKeyDirectory",
+    0x87B0: "GeoDoubleParams",
+    0x87B1: "GeoAsciiParams",
     0x8825: "GPSInfo",
     0x9010: "OffsetTime",
     0x9011: "OffsetTimeOriginal",
@@ -132,7 +139,7 @@ def _rebuild(block: bytes) -> tuple[bytes, tuple[str, ...]]:
     fields = []
     for each in image.fields:
         if each.tag == _EXIF_IFD:
-            exif = _directory(block, order, struct.unpack(order + "I", each.value)[0], _ALLOWED_EXIF_TAGS)
+            exif = _directory(block, order, struct.unpack(order + "I", each.value)[0], ALLOWED_EXIF_TAGS)
         else:
             fields.append(each)
     removed = image.removed + exif.removed + (["Thumbnail"] if image.next_offset else [])

@@ -4,80 +4,115 @@ from __future__ import annotations
 
 import itertools
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from services.gateway.strip.exif import BrokenExifError, byte_order, field_bytes, tag_name
+from services.gateway.strip.exif import ALLOWED_EXIF_TAGS, BrokenExifError, byte_order, field_bytes, tag_name
 from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError, blank_all, unique_names
 
-# A deny list here: a TIFF's directory also says where its pixels are, in more ways than an allow list would cover.
-_REMOVED_TAGS = {
-    0x010E,
-    0x013B,
-    0x013C,
-    0x02BC,
-    0x8298,
-    0x83BB,
-    0x8649,
-    0x8769,
-    0x8825,
-    0xA420,
-    0xA430,
-    0xA431,
-    0xA435,
-    0xC62F,
-}
-_REMOVED_TAGS |= {0x9C9B, 0x9C9C, 0x9C9D, 0x9C9E, 0x9C9F, 0x927C, 0x9286}
-_DIRECTORIES = {0x8769, 0x8825}  # tags whose value is a directory of its own: Exif, GPS
+# A deny list for the tags of the standard: they also say where the pixels are, in more ways than an allow list would
+# cover. Description, names of document, page and printer, artist, computer, XMP.
+_REMOVED_TAGS = {0x010D, 0x010E, 0x011D, 0x013B, 0x013C, 0x0151, 0x02BC}
+# An allow list for private tags, from 0x8000 on, so that a maker's new ones are removed too, and places of maps
+# (GeoTIFF). Matte, type and depth of samples; raw patterns; TIFF/IT; ICC profile; units; LERC; the mark of a raw photo.
+_PRIVATE = 0x8000
+_ALLOWED_PRIVATE_TAGS = {0x80E3, 0x80E4, 0x80E5, 0x80E6, 0x828D, 0x828E, 0x8773, 0x923F, 0xC5F2, 0xC612, 0xC613}
+_ALLOWED_PRIVATE_TAGS |= set(range(0x84E0, 0x84F2))
+_SUB_IMAGES, _EXIF = 0x014A, 0x8769  # tags whose values are directories that stay
+_DIRECTORIES = {0x8825}  # a tag whose value is a directory that goes: GPS
+_ALLOWED_PRIVATE_TAGS |= {_EXIF} | ALLOWED_EXIF_TAGS
+_MAKER_NOTE = 0x927C
 _MOST_ENTRIES = 1_000  # of a nested directory
 _MOST_VALUES = 10_000  # metadata values; real files have a few hundred
-_MOST_PAGES = 64  # directories: ends a hostile loop of them
+_MOST_DIRECTORIES = 1_000  # pages, sub-images and Exif together
+
+Keeps = Callable[[int], bool]
+"""Whether a directory's entry with this tag stays."""
 
 
 @dataclass(slots=True)
-class _RemovedEntries:
-    """Names of the removed entries, byte ranges of their values, and offsets of nested directories visited so far."""
+class _CleanedTiff:
+    """State while a file is stripped.
+
+    removed      names of the removed entries
+    ranges       byte ranges of their values
+    nested       offsets of directories of removed entries, visited so far
+    directories  offsets of directories that stay and are still to be stripped, and what stays in them
+    """
 
     removed: list[str] = field(default_factory=list)
     ranges: list[tuple[int, int]] = field(default_factory=list)
-    visited: set[int] = field(default_factory=set)
+    nested: set[int] = field(default_factory=set)
+    directories: list[tuple[int, Keeps]] = field(default_factory=list)
 
 
 def clean(data: Buffer) -> CleanResult:
-    """Strip the metadata in place. Raises UnreadableError for a damaged file."""
-    found = _RemovedEntries()
+    """Strip the metadata in place, of every page and sub-image. Raises UnreadableError for a damaged file."""
+    tiff, visited = _CleanedTiff(), {0}
     try:
         order = byte_order(bytes(data[:4]))
-        offset = struct.unpack_from(order + "I", data, 4)[0]
-        for _ in range(_MOST_PAGES):
-            if offset == 0:
-                break
-            offset = _clean_directory(data, order, offset, found)
+        tiff.directories.append((struct.unpack_from(order + "I", data, 4)[0], _stays_in_image))
+        while tiff.directories:
+            offset, keeps = tiff.directories.pop()
+            if offset in visited:
+                continue
+            visited.add(offset)
+            if len(visited) > _MOST_DIRECTORIES:
+                raise UnreadableError(f"the TIFF has too many pages: more than {_MOST_DIRECTORIES:,}")
+            _clean_directory(data, order, offset, keeps, tiff)
     except (struct.error, BrokenExifError) as error:
         raise UnreadableError(f"the TIFF is damaged or cut short: {error}") from None
-    blank_all(data, found.ranges)
-    return CleanResult(unique_names(found.removed), len(data))
+    blank_all(data, tiff.ranges)
+    return CleanResult(unique_names(tiff.removed), len(data))
 
 
-def _clean_directory(data: Buffer, order: str, offset: int, found: _RemovedEntries) -> int:
-    """Remove entries from a directory, record the ranges of their values, and return the next directory's offset."""
-    count = struct.unpack_from(order + "H", data, offset)[0]
-    end = offset + 2 + 12 * count
+def _stays_in_image(tag: int) -> bool:
+    if tag >= _PRIVATE:
+        return tag in _ALLOWED_PRIVATE_TAGS and tag != _MAKER_NOTE
+    return tag not in _REMOVED_TAGS
+
+
+def _stays_in_exif(tag: int) -> bool:
+    return tag in ALLOWED_EXIF_TAGS and tag != _MAKER_NOTE
+
+
+def _clean_directory(data: Buffer, order: str, offset: int, keeps: Keeps, tiff: _CleanedTiff) -> None:
+    """Remove entries from a directory, record the ranges of their values, and the directories that it leads to."""
+    end = offset + 2 + 12 * _count(data, order, offset)
     next_offset = int(struct.unpack_from(order + "I", data, end)[0])
+    tiff.directories.append((next_offset, keeps))
     remaining = []
     for at in range(offset + 2, end, 12):
         tag = struct.unpack_from(order + "H", data, at)[0]
-        if tag not in _REMOVED_TAGS:
+        if keeps(tag):
             remaining.append(bytes(data[at : at + 12]))
+            if tag in (_SUB_IMAGES, _EXIF):
+                inner = _stays_in_exif if tag == _EXIF else _stays_in_image
+                tiff.directories += ((each, inner) for each in _pointers(data, order, at))
             continue
-        found.removed.append(tag_name(tag))
-        found.ranges += itertools.islice(_value_ranges(data, order, at, found.visited), _MOST_VALUES + 1)
-        if len(found.ranges) > _MOST_VALUES:
+        tiff.removed.append(tag_name(tag))
+        tiff.ranges += itertools.islice(_value_ranges(data, order, at, tiff.nested), _MOST_VALUES + 1)
+        if len(tiff.ranges) > _MOST_VALUES:
             raise UnreadableError(f"the TIFF has too many metadata values: more than {_MOST_VALUES:,}")
     struct.pack_into(order + "H", data, offset, len(remaining))
     rest = b"".join(remaining) + struct.pack(order + "I", next_offset)
     data[offset + 2 : end + 4] = rest.ljust(end + 2 - offset, b"\0")
-    return next_offset
+
+
+def _count(data: Buffer, order: str, offset: int) -> int:
+    """Read the number of a directory's entries. Raises UnreadableError for more than any has."""
+    count = int(struct.unpack_from(order + "H", data, offset)[0])
+    if count > _MOST_ENTRIES:
+        raise UnreadableError(f"the TIFF is damaged: one of its directories has {count:,} entries")
+    return count
+
+
+def _pointers(data: Buffer, order: str, at: int) -> tuple[int, ...]:
+    """Read the offsets of the directories that an entry leads to. Raises UnreadableError, BrokenExifError."""
+    _, kind, number, pointer = struct.unpack_from(order + "HHII", data, at)
+    if field_bytes(kind, number) != 4 * number or number > _MOST_DIRECTORIES:
+        raise UnreadableError("the TIFF is damaged: an entry that should lead to a directory leads to none")
+    return (pointer,) if number == 1 else struct.unpack_from(f"{order}{number}I", data, pointer)
 
 
 def _value_ranges(data: Buffer, order: str, at: int, visited: set[int]) -> Iterator[tuple[int, int]]:
@@ -88,8 +123,8 @@ def _value_ranges(data: Buffer, order: str, at: int, visited: set[int]) -> Itera
         yield _within(data, pointer, size)
     elif tag in _DIRECTORIES and pointer not in visited:
         visited.add(pointer)
-        count = struct.unpack_from(order + "H", data, pointer)[0]
-        if count > _MOST_ENTRIES or len(visited) > _MOST_PAGES:
+        count = _count(data, order, pointer)
+        if len(visited) > _MOST_DIRECTORIES:
             raise UnreadableError("the TIFF is damaged: its directories do not end")
         yield _within(data, pointer, 2 + 12 * count)
         for inner in range(pointer + 2, pointer + 2 + 12 * count, 12):

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from PIL.TiffImagePlugin import IFDRational
+from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from services.apple_maker_note import read_acceleration
 from services.gateway.strip import e57, exr, heif, jpeg, matroska, mp4, png, tiff, webp
@@ -172,6 +172,40 @@ def test_a_jpeg_keeps_its_colour_profile() -> None:
     profile = b"profile " * 100
     before = private_pictures.jpeg(icc_profile=profile)
     assert opened(cleaned(jpeg.clean, before)[0]).info["icc_profile"] == profile
+
+
+def test_every_page_and_sub_image_of_a_tiff_loses_its_place() -> None:
+    buffer = io.BytesIO()
+    info = ImageFileDirectory_v2()
+    info[0x010E] = PLACE.decode()
+    pages = [picture(8, 8)] * 70
+    pages[0].save(buffer, "TIFF", save_all=True, append_images=pages[1:], tiffinfo=info)
+    after, _ = cleaned(tiff.clean, buffer.getvalue())
+    assert buffer.getvalue().count(PLACE) >= 70
+    assert PLACE not in after
+    assert opened(after).n_frames == 70  # type: ignore[attr-defined]
+    places = 8 + 3 * 18 + 8  # where the offsets of the sub-images are: behind three directories
+    entries = struct.pack("<HHHIII", 1, 0x014A, 13, 2, places, 0)  # a page, and two sub-images
+    sub = [struct.pack("<HHHIII", 1, 0x010E, 2, len(PLACE), places + 8 + at, 0) for at in (0, len(PLACE))]
+    file = b"II*\0\x08\0\0\0" + entries + b"".join(sub) + bytes(8) + struct.pack("<II", 26, 44) + PLACE * 2
+    assert cleaned(tiff.clean, file)[1] == ("ImageDescription",)
+    assert PLACE not in cleaned(tiff.clean, file)[0]
+
+
+def test_a_tiff_keeps_its_focal_length_and_loses_the_places_of_maps() -> None:
+    info = ImageFileDirectory_v2()
+    info[EXIF_IFD] = {FOCAL_LENGTH: IFDRational(57, 10), FOCAL_35MM: 26, 0xA430: OWNER.decode(), 0x927C: SERIAL}
+    info[GPS_IFD] = {27: PLACE}
+    info.tagtype[0x87B1], info[0x87B1] = 2, PLACE.decode()  # GeoAsciiParams
+    info.tagtype[0xC634], info[0xC634] = 7, PLACE  # a maker's own
+    buffer = io.BytesIO()
+    picture().save(buffer, "TIFF", tiffinfo=info)
+    after, removed = cleaned(tiff.clean, buffer.getvalue())
+    camera = opened(after).getexif().get_ifd(EXIF_IFD)
+    assert (float(camera[FOCAL_LENGTH]), camera[FOCAL_35MM]) == (pytest.approx(5.7), 26)
+    assert {"GPSInfo", "MakerNote", "CameraOwnerName", "GeoAsciiParams"} <= set(removed)
+    assert not any(secret in after for secret in (PLACE, SERIAL, OWNER))
+    assert opened(after).tobytes() == opened(buffer.getvalue()).tobytes()
 
 
 def test_a_second_picture_behind_the_first_is_cut_off() -> None:
