@@ -74,6 +74,27 @@ def heic(image: Image.Image | None = None) -> bytes:
     return buffer.getvalue()
 
 
+def add_to_heic_index(data: bytes, path: tuple[bytes, ...], added: bytes) -> bytes:
+    """A HEIC of `heic` with one more box at the end of the index, or of the box at a path in it."""
+    index = bytearray(data)
+    parents, start, end = [], 0, len(index)
+    for kind in (b"meta", *path):
+        while index[start + 4 : start + 8] != kind:
+            start += int.from_bytes(index[start : start + 4], "big")
+        parents.append(start)
+        end = start + int.from_bytes(index[start : start + 4], "big")
+        start += 12 if kind == b"meta" else 8
+    index[end:end] = added
+    for at in parents:
+        struct.pack_into(">I", index, at, int.from_bytes(index[at : at + 4], "big") + len(added))
+    at = index.index(b"iloc") + 12
+    (items,) = struct.unpack_from(">H", index, at - 2)
+    for item in range(at, at + 18 * items, 18):  # number, file, place; pieces, offset and length of the one piece
+        (place,) = struct.unpack_from(">I", index, item + 4)
+        struct.pack_into(">I", index, item + 4, place + len(added))
+    return bytes(index)
+
+
 def webp(image: Image.Image | None = None) -> bytes:
     buffer = io.BytesIO()
     (image or picture()).save(buffer, "WEBP", exif=telling_exif(), xmp=XMP, lossless=True)

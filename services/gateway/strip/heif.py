@@ -20,6 +20,10 @@ from services.gateway.strip.in_place import (
 from services.gateway.strip.iso_boxes import Box, boxes, find, free_box
 
 _ALLOWED_BOXES = {b"ftyp", b"meta", b"mdat", b"moov"}
+_ALLOWED_IN_META = {b"hdlr", b"pitm", b"iinf", b"iloc", b"iref", b"iprp", b"ipro", b"idat", b"dinf", b"grpl"}
+# A deny list: a decoder refuses a picture that lacks a property marked as essential. Descriptions, and a maker's own.
+_REMOVED_PROPERTIES = {b"udes", b"altt", b"uuid"}
+_EXIF = b"Exif\0\0"  # what most writers put before the TIFF header
 _MOST_ITEMS = 10_000  # a 100-megapixel photo has about 400 (tiles)
 _MOST_METADATA = 64  # metadata items: two per picture of a short burst
 _MOST_EXTENTS = 64  # pieces of one item: usually one, rarely some
@@ -45,14 +49,31 @@ def clean(data: Buffer) -> CleanResult:
                 free_box(data, box)
         if meta is None:
             raise UnreadableError("the HEIF file has no index (meta box)")
-        removed += _clean_items(data, meta)
+        removed += _clean_items(data, meta) + _clean_index(data, meta)
     except struct.error:
         raise UnreadableError("the HEIF file's index is damaged or cut short") from None
     return CleanResult(unique_names(removed), len(data))
 
 
+def _children(meta: Box) -> Box:
+    """Return where the boxes in the index are: behind its version and flags."""
+    return Box(b"meta", meta.start, meta.body + 4, meta.end)
+
+
+def _clean_index(data: Buffer, meta: Box) -> list[str]:
+    """Remove boxes of the index, and properties of pictures, that describe; return their names."""
+    inner = _children(meta)
+    found = [box for box in boxes(data, inner.body, inner.end) if box.kind not in _ALLOWED_IN_META]
+    if (properties := find(data, inner, b"iprp", b"ipco")) is not None:  # they are told by their number: none may go
+        found += (box for box in boxes(data, properties.body, properties.end) if box.kind in _REMOVED_PROPERTIES)
+    removed = [box.kind.decode("latin-1") for box in found if not is_blank(data, box.body, box.end)]
+    for box in found:
+        free_box(data, box)
+    return removed
+
+
 def _clean_items(data: Buffer, meta: Box) -> list[str]:
-    inner = Box(b"meta", meta.start, meta.body + 4, meta.end)  # behind version and flags
+    inner = _children(meta)
     kinds = _item_kinds(data, inner)
     extents_of = _item_extents(data, inner)
     exif = [extents for item, extents in extents_of.items() if kinds.get(item) == b"Exif"]
@@ -72,7 +93,8 @@ def _clean_exif(data: Buffer, extents: Sequence[Extent]) -> Sequence[str]:
     content = b"".join(read_metadata(data, start, end) for start, end in extents[:_MOST_EXTENTS])
     if len(content) < 4:
         return ()
-    header = 4 + struct.unpack_from(">I", content)[0]  # the item begins with the offset of the TIFF header
+    # The item begins with the offset of the TIFF header, which may be wrong: readers look for that header themselves.
+    header = 4 + len(_EXIF) if content[4:].startswith(_EXIF) else 4
     cleaned, removed = clean_exif(content[header:])
     block = content[:header] + cleaned
     for start, end in extents:

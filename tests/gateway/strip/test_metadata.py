@@ -208,6 +208,32 @@ def test_a_tiff_keeps_its_focal_length_and_loses_the_places_of_maps() -> None:
     assert opened(after).tobytes() == opened(buffer.getvalue()).tobytes()
 
 
+@pytest.mark.parametrize("path", [(), (b"iprp", b"ipco")])
+@pytest.mark.parametrize("kind", [b"uuid", b"udes"])
+def test_descriptions_in_the_index_of_a_heic_go(path: tuple[bytes, ...], kind: bytes) -> None:
+    before = private_pictures.add_to_heic_index(
+        private_pictures.heic(), path, private_pictures.box(kind, bytes(16), PLACE)
+    )
+    assert opened(before).size == opened(private_pictures.heic()).size
+    after, removed = cleaned(heif.clean, before)
+    assert kind.decode() in removed
+    assert PLACE not in after
+    assert opened(after).tobytes() == opened(before).tobytes()
+    assert cleaned(heif.clean, after) == (after, ())
+
+
+@pytest.mark.parametrize("offset", [0, 5_000])
+def test_exif_of_a_heic_goes_whatever_its_offset_says(offset: int) -> None:
+    """Decoders find the place where the offset before it is wrong."""
+    content = bytearray(private_pictures.heic())
+    at = content.index(b"Exif\0\0MM")
+    content[at - 4 : at] = struct.pack(">I", offset)
+    assert opened(bytes(content)).getexif()[0x0110] == "Phone 9"
+    after, removed = cleaned(heif.clean, bytes(content))
+    assert "GPSInfo" in removed
+    assert not any(secret in after for secret in (PLACE, SERIAL, OWNER))
+
+
 def test_a_second_picture_behind_the_first_is_cut_off() -> None:
     """A gain map or a portrait's depth, with Exif of its own."""
     buffer = io.BytesIO()
