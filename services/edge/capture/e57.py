@@ -76,7 +76,7 @@ def _record_counts(path: Path, file: str) -> list[int]:
         pages = stream.read((xml_length // _PAYLOAD + 2) * _PAGE)
     payload = b"".join(pages[at : at + _PAYLOAD] for at in range(0, len(pages), _PAGE))
     xml = payload[offset % _PAGE :][:xml_length]
-    scans = re.findall(rb'<points\b[^>]*\brecordCount="(\d{1,18})"', xml)
+    scans = re.findall(rb"<points\b[^>]*\brecordCount\s*=\s*[\"'](\d{1,18})[\"']", xml)
     return [int(count) for count in scans]
 
 

@@ -18,9 +18,13 @@ _MOST_XML = 16 << 20  # bytes; a thousand scans take one megabyte
 _SECTION_HEADER = 16  # bytes of a blob before its content
 # What readers need of the texts. The others are names, descriptions, serial numbers, and where on earth it is.
 _ALLOWED_TEXTS = {b"formatName", b"guid"}
-_TEXT = re.compile(rb"<([\w:.-]+)[^>]*\btype=\"String\"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>", re.DOTALL)
-_BLOB = re.compile(rb"<([\w:.-]+)[^>]*\btype=\"Blob\"[^>]*>")
-_NUMBER = {name: re.compile(rb"\b" + name + rb"=\"(\d{1,18})\"") for name in (b"fileOffset", b"length")}
+# XML has texts as they are, in CDATA sections, or as both, and takes either kind of quotes.
+_TEXT = re.compile(
+    rb"<([\w:.-]+)[^>]*\btype\s*=\s*[\"']String[\"'][^>]*>((?:[^<]|<!\[CDATA\[.*?\]\]>|<!--.*?-->)*+)", re.DOTALL
+)
+_MARKS = re.compile(rb"<!\[CDATA\[|\]\]>|<!--|-->")  # what is no text in a match of _TEXT
+_BLOB = re.compile(rb"<([\w:.-]+)[^>]*\btype\s*=\s*[\"']Blob[\"'][^>]*>")
+_NUMBER = {name: re.compile(rb"\b" + name + rb"\s*=\s*[\"'](\d{1,18})[\"']") for name in (b"fileOffset", b"length")}
 
 
 def clean(data: Buffer) -> CleanResult:
@@ -36,7 +40,7 @@ def clean(data: Buffer) -> CleanResult:
     for number, match in enumerate(_TEXT.finditer(xml)):
         if number >= MOST_PARTS:
             raise UnreadableError("the E57 has too many texts")
-        if match[1] not in _ALLOWED_TEXTS and match[2].strip():
+        if match[1] not in _ALLOWED_TEXTS and _MARKS.sub(b"", match[2]).strip():
             _write(data, start + match.start(2), b" " * len(match[2]))
             removed.append(match[1].decode())
     removed += _blank_photos(data, xml)

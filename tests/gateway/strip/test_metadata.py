@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -159,6 +160,30 @@ def test_a_cleaned_e57_has_the_same_points_and_whole_pages(tmp_path: Path) -> No
             pixels = photo.read_buffer()
     assert all(np.array_equal(scans[0][axis], scans[1][axis]) for axis in scans[0])
     assert not any(pixels)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (rb"<!\[CDATA\[(.*?)\]\]>", rb"\1"),
+        (rb'"String"', rb"'String'"),
+        (rb"Jane Roe, 48", rb"]]><![CDATA[48"),
+    ],
+)
+def test_texts_of_an_e57_go_however_its_xml_is_written(old: bytes, new: bytes, tmp_path: Path) -> None:
+    content = bytearray(private_pictures.e57())
+    offset, length = struct.unpack_from("<2Q", content, 24)
+    start = offset // 1024 * 1020 + offset % 1024
+    xml = b"".join(content[at : at + 1020] for at in range(0, len(content), 1024))[start : start + length]
+    edited = re.sub(old, new, re.sub(rb">\s+<", b"><", xml))  # without blanks there is space for longer texts
+    assert len(edited) <= length
+    e57._write(content, start, edited.ljust(length))
+    after, removed = cleaned(e57.clean, bytes(content))
+    assert {"name", "sensorSerialNumber", "jpegImage"} <= set(removed)
+    assert not any(secret in after for secret in (PLACE, SERIAL, OWNER))
+    (tmp_path / "scan.e57").write_bytes(after)
+    with pye57.E57(str(tmp_path / "scan.e57")) as reader:
+        assert len(reader.read_scan_raw(0)["cartesianX"]) == 300
 
 
 def test_a_picture_without_metadata_is_left_as_it_is() -> None:
