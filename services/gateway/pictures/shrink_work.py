@@ -71,7 +71,22 @@ def shrink(path: Path) -> Image.Image:
             raise ValueError(f"it has more than {MAX_PIXELS // 1_000_000} megapixels")
         if image.format == "JPEG":
             image.draft("RGB", (2 * LONGEST_PX, 2 * LONGEST_PX))
-        turn = _TURNS.get(image.getexif().get(_ORIENTATION, 1)) if image.format in _TURNED_BY_TAG else None
+        turn = _TURNS.get(_orientation(image)) if image.format in _TURNED_BY_TAG else None
         image.thumbnail((LONGEST_PX, LONGEST_PX))
-        upright: Image.Image = image.convert("RGB")
+        upright: Image.Image = _eight_bits(image).convert("RGB")
     return upright if turn is None else upright.transpose(turn)
+
+
+def _orientation(image: Image.Image) -> int:
+    """Return the EXIF orientation; 1 where EXIF is missing or damaged, as it is taken to be for the reconstruction."""
+    try:
+        return int(image.getexif().get(_ORIENTATION, 1))
+    except Exception:  # noqa: BLE001 - damaged tags raise anything at all; the picture is usable without them
+        return 1
+
+
+def _eight_bits(image: Image.Image) -> Image.Image:
+    """Return a grey image of 16 bits as one of 8: Pillow's own conversion makes all but the darkest parts white."""
+    if not image.mode.startswith("I;16"):
+        return image
+    return image.convert("I").point(lambda value: value * (1 / 256)).convert("L")

@@ -53,3 +53,20 @@ def test_a_large_one_is_shrunk_and_a_small_one_is_not(tmp_path: Path, kind: str)
 def test_pictures_of_other_modes_are_shown(tmp_path: Path, mode: str) -> None:
     Image.new(mode, (20, 10)).save(tmp_path / "a.png")
     assert (shrink(tmp_path / "a.png").mode, shrink(tmp_path / "a.png").size) == ("RGB", (20, 10))
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+def test_a_grey_picture_of_16_bits_has_its_shades(tmp_path: Path, name: str) -> None:
+    shades = np.linspace(0, 65_535, 48 * 64).reshape(48, 64).astype(np.uint16)
+    Image.fromarray(shades).save(tmp_path / name)
+    expected = read_photo(Folder(tmp_path, (name,)), name).load().astype(int)
+    assert np.abs(np.asarray(shrink(tmp_path / name), int) - expected).max() <= 1
+    Image.fromarray(shades.repeat(40, axis=0).repeat(40, axis=1)).save(tmp_path / name)
+    assert np.asarray(shrink(tmp_path / name)).std() > 60
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP"])
+def test_a_picture_with_damaged_exif_is_shown(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"a{FORMATS[kind][0]}"
+    Image.fromarray(RGB).save(path, kind, exif=b"Exif\0\0" + bytes(40))
+    assert shrink(path).size == (64, 48)
