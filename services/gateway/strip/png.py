@@ -12,7 +12,9 @@ from services.gateway.strip.in_place import (
     Buffer,
     CleanResult,
     UnreadableError,
+    blank,
     checksum,
+    is_blank,
     read_metadata,
     unique_names,
 )
@@ -33,10 +35,13 @@ def clean(data: Buffer) -> CleanResult:
         end = stop + 4
         if kind == b"eXIf":
             block, names = clean_exif(read_metadata(data, start, stop))
-            _rewrite(data, kind, start, block)
+            data[start:stop] = block
+            _write_checksum(data, start, stop)
             removed += names
-        elif kind not in _ALLOWED_CHUNKS and kind != _BLANK_CHUNK:
-            _rewrite(data, _BLANK_CHUNK, start, bytes(len(read_metadata(data, start, stop))))
+        elif kind not in _ALLOWED_CHUNKS and not (kind == _BLANK_CHUNK and is_blank(data, start, stop)):
+            blank(data, start, stop)
+            data[start - 4 : start] = _BLANK_CHUNK
+            _write_checksum(data, start, stop)
             removed.append(_NAMES.get(kind, kind.decode("latin-1")))
     if end < len(data):
         removed.append("Trailer")
@@ -92,7 +97,5 @@ def _chunks(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
     raise UnreadableError("the PNG is cut short: it has no IEND chunk")
 
 
-def _rewrite(data: Buffer, kind: bytes, start: int, content: bytes) -> None:
-    data[start - 4 : start] = kind
-    data[start : start + len(content)] = content
-    data[start + len(content) : start + len(content) + 4] = struct.pack(">I", zlib.crc32(kind + content))
+def _write_checksum(data: Buffer, start: int, stop: int) -> None:
+    struct.pack_into(">I", data, stop, checksum(data, start - 4, stop))

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from services.apple_maker_note import read_acceleration
@@ -257,6 +258,18 @@ def test_exif_of_a_heic_goes_whatever_its_offset_says(offset: int) -> None:
     after, removed = cleaned(heif.clean, bytes(content))
     assert "GPSInfo" in removed
     assert not any(secret in after for secret in (PLACE, SERIAL, OWNER))
+
+
+def test_metadata_of_any_size_go_from_a_png() -> None:
+    """Some programs write a history of megabytes into every copy of a picture."""
+    told = PngInfo()
+    told.add_itxt("XML:com.adobe.xmp", PLACE.decode() * 600_000)
+    buffer = io.BytesIO()
+    picture().save(buffer, "PNG", pnginfo=told)
+    after, removed = cleaned(png.clean, buffer.getvalue())
+    assert removed == ("Text",)
+    assert PLACE not in after
+    assert opened(after).tobytes() == picture().tobytes()
 
 
 def test_a_second_picture_behind_the_first_is_cut_off() -> None:
