@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from services.gateway.strip.in_place import (
+    MOST_PARTS,
     Buffer,
     CleanResult,
     UnreadableError,
@@ -61,7 +62,7 @@ class _Mp4Film:
 
 
 def clean(data: Buffer) -> CleanResult:
-    """Strip the metadata in place. Raises UnreadableError."""
+    """Strip the metadata in place. Data behind the last box are to be cut off. Raises UnreadableError."""
     top = _top_boxes(data)
     if not any(box.kind == b"moov" for box in top):
         raise UnreadableError("the video has no index: it is cut short, or its recording was interrupted")
@@ -73,7 +74,9 @@ def clean(data: Buffer) -> CleanResult:
         raise UnreadableError("the video's index is damaged") from None
     if not film.pictures:
         raise UnreadableError("the file has no video track")
-    return CleanResult(unique_names(film.removed), len(data))
+    if top[-1].end < len(data):
+        film.removed.append("Trailer")
+    return CleanResult(unique_names(film.removed), top[-1].end)
 
 
 def clean_sequence(data: Buffer, index: Box, media: Sequence[Range]) -> list[str]:
@@ -87,16 +90,22 @@ def clean_sequence(data: Buffer, index: Box, media: Sequence[Range]) -> list[str
 
 
 def _top_boxes(data: Buffer) -> list[Box]:
-    """Return the file's top-level boxes. A file whose media data are cut short is accepted, being partly playable."""
+    """Return the file's top-level boxes.
+
+    A file whose media data are cut short is accepted, being partly playable. What follows index and media and is no
+    box is left out, as players do: some cameras write their own data behind the film, and a recording may break off.
+    """
     found: list[Box] = []
     try:
         for box in boxes(data, 0, len(data)):
             found.append(box)  # noqa: PERF402 - the boxes before a broken one are needed
     except UnreadableError:
+        kinds = {box.kind for box in found}
         at = found[-1].end if found else 0
-        if data[at + 4 : at + 8] != b"mdat" or not any(box.kind == b"moov" for box in found):
+        if b"moov" in kinds and data[at + 4 : at + 8] == b"mdat":
+            found.append(Box(b"mdat", at, at + 8, len(data)))
+        elif not {b"moov", b"mdat"} <= kinds or len(found) > MOST_PARTS:
             raise
-        found.append(Box(b"mdat", at, at + 8, len(data)))
     return found
 
 
@@ -172,9 +181,9 @@ def _samples(data: Buffer, track: Box) -> Iterator[Range]:
     if table is None:
         return
     children = {box.kind: box.body for box in boxes(data, table.body, table.end)}
-    if not {b"stsc", b"stsz"} <= children.keys() or not children.keys() & {b"stco", b"co64"}:
+    if not (b"stsc" in children and children.keys() & {b"stsz", b"stz2"} and children.keys() & {b"stco", b"co64"}):
         return
-    sizes = _sizes(data, children[b"stsz"])
+    sizes = _sizes(data, children[b"stsz"]) if b"stsz" in children else _compact_sizes(data, children[b"stz2"])
     offsets = (
         _integers(data, children[b"stco"] + 4, "I")
         if b"stco" in children
@@ -192,6 +201,18 @@ def _sizes(data: Buffer, body: int) -> tuple[int, ...]:
     if common:
         return (int(common),) * min(int(count), _MOST_ENTRIES)
     return _integers(data, body + 8, "I")
+
+
+def _compact_sizes(data: Buffer, body: int) -> tuple[int, ...]:
+    """Read the table of sample sizes whose entries have 4, 8 or 16 bits."""
+    bits = data[body + 7]
+    if bits not in (4, 8, 16):
+        raise UnreadableError(f"the video's index is damaged: sample sizes of {bits} bits")
+    count = _count(data, body + 8, 1)
+    packed = data[body + 12 : body + 12 + (count * bits + 7) // 8]
+    if bits == 16:
+        return struct.unpack_from(f">{count}H", packed)
+    return tuple(packed)[:count] if bits == 8 else tuple(half for byte in packed for half in (byte >> 4, byte & 15))
 
 
 def _samples_per_chunk(data: Buffer, body: int, chunks: int) -> list[int]:

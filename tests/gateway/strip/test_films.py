@@ -40,12 +40,12 @@ def filmed(*extra: bytes, media: bytes = FRAMES) -> bytes:
     return box(b"ftyp", b"isom", bytes(4)) + moov + box(b"mdat", media)
 
 
-def places(chunk: int, size: int = len(PLACE), kind: bytes = b"meta") -> bytes:
-    """A metadata track, number 7, of one sample at the byte `chunk`."""
+def places(chunk: int, size: int = len(PLACE), kind: bytes = b"meta", sizes: bytes = b"") -> bytes:
+    """A metadata track, number 7, of one sample at the byte `chunk`. sizes: another table of sample sizes"""
     table = box(
         b"stbl",
         box(b"stsc", bytes(4), struct.pack(">I3I", 1, 1, 1, 1)),
-        box(b"stsz", bytes(4), struct.pack(">III", 0, 1, size)),
+        sizes or box(b"stsz", bytes(4), struct.pack(">III", 0, 1, size)),
         box(b"stco", bytes(4), struct.pack(">II", 1, chunk)),
     )
     header = box(b"tkhd", bytes(12), struct.pack(">I", 7), bytes(68))
@@ -90,6 +90,21 @@ def test_only_the_samples_of_the_removed_track_are_blanked() -> None:
     assert removed == ("track meta",)
 
 
+@pytest.mark.parametrize(("bits", "entry"), [(4, b"\x90"), (8, b"\x09"), (16, b"\0\x09")])
+def test_a_compact_table_of_sample_sizes_is_read(bits: int, entry: bytes) -> None:
+    sizes = box(b"stz2", bytes(7), bytes((bits,)), struct.pack(">I", 1), entry)
+    film = filmed(places(0, sizes=sizes), media=FRAMES + PLACE + FRAMES)
+    film = filmed(places(film.index(PLACE), sizes=sizes), media=FRAMES + PLACE + FRAMES)
+    assert cleaned(mp4.clean, film)[0].endswith(FRAMES + bytes(len(PLACE)) + FRAMES)
+
+
+@pytest.mark.parametrize("behind", [b'vivo{"place":"' + PLACE + b'"}', PLACE[-3:], box(b"moof", PLACE * 9)[:-1]])
+def test_what_is_no_box_behind_a_film_is_cut_off(behind: bytes) -> None:
+    film = bytearray(filmed() + behind)
+    assert mp4.clean(film) == CleanResult(("Trailer",), len(filmed()))
+    assert film[: len(filmed())] == filmed()
+
+
 def test_a_removed_track_may_have_empty_tables() -> None:
     tables = (box(kind, bytes(4 + length)) for kind, length in ((b"stsc", 4), (b"stsz", 8), (b"stco", 4)))
     media = box(b"mdia", box(b"hdlr", bytes(8), b"meta", bytes(12)), box(b"minf", box(b"stbl", *tables)))
@@ -129,6 +144,7 @@ def hostile() -> Iterator[tuple[str, Clean, bytes]]:
     yield "huge", mp4.clean, index + struct.pack(">I4sQ", 1, b"udta", 1 << 63)
     yield "wraps", mp4.clean, index + struct.pack(">I4sQ", 1, b"udta", (1 << 64) - 8)
     yield "negative", mp4.clean, index + struct.pack(">I4s", 4, b"udta")
+    yield "many boxes", mp4.clean, filmed() + box(b"free") * 100_001
     yield "inside", mp4.clean, filmed(struct.pack(">I4s", 9999, b"udta"))
     yield "no pictures", mp4.clean, box(b"moov", places(0))
     yield "no index", mp4.clean, box(b"mdat", FRAMES)
