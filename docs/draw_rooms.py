@@ -44,7 +44,7 @@ LEFT_OUT = ("api", "presets")  # generated code; settings
 WAY = (
     ("web", "capture", "The phone's page guides, checks and uploads photos, a film or a scan."),
     ("gateway", "uploads", "Streamed to disk, unpacked, every file checked."),
-    ("gateway", "strip", "Places, names and serial numbers are removed from every file."),
+    ("gateway", "strip", "Places, names and serial numbers are removed from photos, films and scans."),
     ("gateway", "jobs", "The capture is on the store, the job a row with a lease."),
     ("gateway", "dispatch", "A free worker is found; the run is followed, and found again when lost."),
     ("edge", "worker", "The archive arrives over gRPC, waits for a slot and for memory."),

@@ -185,10 +185,11 @@ _BODY = {
 async def upload_capture(request: Request, box: BoxQuery = "", continues: Continues = "") -> CaptureView:
     """Upload a capture: photos, a video, a point cloud, or the export of a scanner app, as files or as one zip.
 
-    Every file is checked, and locations, serial numbers and names of persons are removed from it. The answer is sent
-    after the capture has been stored. `box` is only for the inspection of a single photo; a job names it again. With
-    `continues` the photos are added to those of an earlier capture, as a new one: a job again with it makes the next
-    version of the same asset.
+    Every file is checked. Locations, serial numbers and names of persons are removed from photos, films and E57 scans;
+    files that only tell such things of others (tracks of a way, subtitles, XMP) are left out; other files are stored as
+    they are. The answer is sent after the capture has been stored. `box` is only for the inspection of a single photo;
+    a job names it again. With `continues` the photos are added to those of an earlier capture, as a new one: a job
+    again with it makes the next version of the same asset.
     """
     caller, limits, usage = caller_of(request), await limits_of(request), request.app.state.usage
     tenant = caller.tenant

@@ -9,7 +9,10 @@ HEAD_BYTES = 64  # enough for every magic number below
 
 
 class Kind(Enum):
-    """Type of an uploaded file. DATA is checked by the worker only; UNKNOWN does not belong to a capture."""
+    """Type of an uploaded file. DATA is checked by the worker only.
+
+    SIDECAR and UNKNOWN do not belong to a capture. A sidecar says where, when and by whom other files were made.
+    """
 
     JPEG = "jpeg"
     PNG = "png"
@@ -22,6 +25,7 @@ class Kind(Enum):
     ARCHIVE = "archive"
     E57 = "e57"
     DATA = "data"
+    SIDECAR = "sidecar"
     UNKNOWN = "unknown"
 
 
@@ -68,6 +72,8 @@ _DATA_SUFFIXES |= {
     ".xml",
     ".md",
 }
+# Tracks of a way, the subtitles in which drones write theirs, and what programs know about a photo.
+_SIDECAR_SUFFIXES = {".gpx", ".kml", ".nmea", ".igc", ".srt", ".vtt", ".xmp", ".aae"}
 
 
 def sniff(name: str, head: bytes) -> Kind:
@@ -83,6 +89,8 @@ def sniff(name: str, head: bytes) -> Kind:
         return Kind.WEBP
     if head[4:8] == b"ftyp":
         return Kind.HEIF if head[8:12] in _HEIF_BRANDS else Kind.VIDEO
+    if _is_sidecar(name):
+        return Kind.SIDECAR
     suffix = PurePosixPath(name).suffix.lower()
     if suffix in _VIDEO_SUFFIXES or (head[4:8] in _OLD_MOVIE and suffix not in _DATA_SUFFIXES):
         return Kind.VIDEO
@@ -91,6 +99,15 @@ def sniff(name: str, head: bytes) -> Kind:
     if suffix in _IMAGE_SUFFIXES:
         return {".exr": Kind.EXR, ".png": Kind.PNG}.get(suffix, Kind.JPEG)
     return Kind.DATA if suffix in _DATA_SUFFIXES or _is_text(head) else Kind.UNKNOWN
+
+
+def _is_sidecar(name: str) -> bool:
+    """Return whether a name is that of a sidecar: also of a JSON named after a picture or a film, as photo services
+    export them."""
+    *others, suffix = ("", *PurePosixPath(name.lower()).suffixes)
+    return suffix in _SIDECAR_SUFFIXES or (
+        suffix == ".json" and not (_IMAGE_SUFFIXES | _VIDEO_SUFFIXES | _MATROSKA_SUFFIXES).isdisjoint(others)
+    )
 
 
 def _is_text(head: bytes) -> bool:

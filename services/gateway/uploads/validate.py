@@ -26,6 +26,10 @@ _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
     Kind.VIDEO: mp4.clean,
     Kind.MATROSKA: matroska.clean,
 }
+_LEFT_OUT = {
+    Kind.UNKNOWN: "of no known format",
+    Kind.SIDECAR: "it only says where, when and by whom other files were made",
+}
 _SIGNATURES = {Kind.JPEG: b"\xff\xd8\xff", Kind.PNG: b"\x89PNG\r\n\x1a\n"}
 
 
@@ -44,7 +48,7 @@ class FileReport:
 
 
 def validate(folder: Path, names: Iterable[str], begin: Callable[[str], None]) -> list[FileReport]:
-    """Check the files and strip their metadata in place; delete those of unknown format.
+    """Check the files and strip their metadata in place; delete those that belong to no capture.
 
     begin  is called with the name of each file before it is checked
 
@@ -79,9 +83,9 @@ def _check_file(folder: Path, name: str, begin: Callable[[str], None]) -> FileRe
         hints = ("send the archive by itself", "or unpack it and send the files")
         raise Refused("ARCHIVE_NESTED", "the upload has an archive among other files", name, hints)
     size = path.stat().st_size
-    if kind is Kind.UNKNOWN:
+    if kind in _LEFT_OUT:
         path.unlink()
-        return FileReport(name, size, "", "left out: of no known format", ())
+        return FileReport(name, size, "", f"left out: {_LEFT_OUT[kind]}", ())
     stripped = _clean_file(kind, path, name) if kind in _CLEANERS else ()
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()

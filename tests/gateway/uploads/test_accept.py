@@ -184,6 +184,20 @@ async def test_files_that_no_capture_has_are_left_out_and_named(gateway: Gateway
 
 
 @pytest.mark.parametrize(
+    "name", ["film.SRT", "way.gpx", "a.xmp", "a.jpg.json", "IMG 1.HEIC.supplemental-metadata.json", "a.aae"]
+)
+async def test_what_tells_the_places_of_other_files_is_left_out(gateway: Gateway, name: str, tmp_path: Path) -> None:
+    place = b'{"latitude": ' + private_pictures.PLACE + b"}"
+    answer = await gateway.send((name, place), ("transforms.json", b"{}"), ("a.1.jpg", private_pictures.jpeg()))
+    verdicts = {file["file"]: file["verdict"] for file in answer.json()["files"]}
+    assert verdicts.pop(name) == "left out: it only says where, when and by whom other files were made"
+    assert verdicts == {"transforms.json": "ok", "a.1.jpg": "ok"}
+    stored = gateway.stored(answer.json()["capture"], tmp_path)
+    assert set(stored) == {"transforms.json", "a.1.jpg"}
+    assert not any(private_pictures.PLACE in content for content in stored.values())
+
+
+@pytest.mark.parametrize(
     ("file", "content", "code"),
     [
         ("a.jpg", private_pictures.jpeg()[:1500], "IMAGE_UNREADABLE"),
