@@ -99,16 +99,15 @@ class _Directory:
 def clean_exif(block: bytes) -> tuple[bytes, tuple[str, ...]]:
     """Remove all tags that are not allowed. Returns a block of the same length, and the names of the removed tags.
 
-    A damaged block is replaced by zeros.
+    Bytes to which no tag leads go too: programs may remove a tag and leave its value. A damaged block is replaced by
+    zeros.
     """
     try:
         clean, removed = _rebuild(block)
     except (BrokenExifError, struct.error):
         return bytes(len(block)), ("Exif",)
-    if not removed:
-        return block, ()
     if len(clean) > len(block):  # happens if values shared bytes, which they no longer do
-        return bytes(len(block)), (*removed, "Exif")
+        return (bytes(len(block)), (*removed, "Exif")) if removed else (block, ())
     return clean.ljust(len(block), b"\0"), removed
 
 

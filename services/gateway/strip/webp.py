@@ -16,7 +16,9 @@ from services.gateway.strip.in_place import (
     unique_names,
 )
 
-_ALLOWED_CHUNKS = {b"VP8 ", b"VP8L", b"VP8X", b"ALPH", b"ANIM", b"ANMF", b"ICCP"}
+_ALLOWED_IN_FRAME = {b"VP8 ", b"VP8L", b"ALPH"}
+_ALLOWED_CHUNKS = _ALLOWED_IN_FRAME | {b"VP8X", b"ANIM", b"ANMF", b"ICCP", b"EXIF"}
+_FRAME_HEADER = 16  # bytes of a frame of an animation before its chunks
 
 
 def clean(data: Buffer) -> CleanResult:
@@ -24,8 +26,15 @@ def clean(data: Buffer) -> CleanResult:
     end = 8 + struct.unpack_from("<I", data, 4)[0]
     if end > len(data):
         raise UnreadableError(f"the WebP is cut short: it has {len(data):,} of {end:,} bytes")
+    removed = _clean_chunks(data, 12, end, _ALLOWED_CHUNKS)
+    if end < len(data):
+        removed.append("Trailer")
+    return CleanResult(unique_names(removed), end)
+
+
+def _clean_chunks(data: Buffer, at: int, end: int, allowed: set[bytes]) -> list[str]:
+    """Strip consecutive chunks, and those in the frames of an animation; return the names of what was removed."""
     removed: list[str] = []
-    at = 12
     for _ in range(MOST_PARTS):
         if at + 8 > end:
             break
@@ -33,15 +42,15 @@ def clean(data: Buffer) -> CleanResult:
         start, stop = at + 8, at + 8 + length
         if stop > end:
             raise UnreadableError(f"the WebP's chunk {kind!r} ends outside of the file")
-        if kind == b"EXIF":
+        if kind == b"EXIF" and kind in allowed:
             removed += _clean_exif(data, start, stop)
-        elif kind not in _ALLOWED_CHUNKS and not is_blank(data, start, stop):
+        elif kind == b"ANMF" and kind in allowed:
+            removed += _clean_chunks(data, start + _FRAME_HEADER, stop, _ALLOWED_IN_FRAME)
+        elif kind not in allowed and not is_blank(data, start, stop):
             blank(data, start, stop)
             removed.append(kind.decode("latin-1").strip())
         at = stop + length % 2
-    if end < len(data):
-        removed.append("Trailer")
-    return CleanResult(unique_names(removed), end)
+    return removed
 
 
 def _clean_exif(data: Buffer, start: int, stop: int) -> tuple[str, ...]:

@@ -272,6 +272,35 @@ def test_metadata_of_any_size_go_from_a_png() -> None:
     assert opened(after).tobytes() == picture().tobytes()
 
 
+def test_values_to_which_no_tag_leads_go_too() -> None:
+    """Programs that remove the place may leave its value in the block."""
+    exif = Image.Exif()
+    exif[ORIENTATION], exif[0x0110] = 6, "Phone 9"
+    block = exif.tobytes()[6:] + PLACE
+    after, _ = clean_exif(block)
+    assert PLACE not in after
+    kept = Image.Exif()
+    kept.load(b"Exif\0\0" + after)
+    assert dict(kept) == {ORIENTATION: 6, 0x0110: "Phone 9"}
+
+
+def test_metadata_in_the_frames_of_an_animated_webp_go() -> None:
+    buffer = io.BytesIO()
+    pictures = [picture(), picture().rotate(180)]
+    pictures[0].save(buffer, "WEBP", save_all=True, append_images=pictures[1:], lossless=True)
+    content = bytearray(buffer.getvalue())
+    at = content.index(b"ANMF")
+    end = at + 8 + int.from_bytes(content[at + 4 : at + 8], "little")
+    added = b"XMP " + struct.pack("<I", 10) + PLACE + b" "
+    content[end:end] = added
+    for size in (at + 4, 4):
+        struct.pack_into("<I", content, size, int.from_bytes(content[size : size + 4], "little") + len(added))
+    after, removed = cleaned(webp.clean, bytes(content))
+    assert (removed, PLACE in after) == (("XMP",), False)
+    assert opened(after).n_frames == 2  # type: ignore[attr-defined]
+    assert opened(after).tobytes() == opened(buffer.getvalue()).tobytes()
+
+
 def test_a_second_picture_behind_the_first_is_cut_off() -> None:
     """A gain map or a portrait's depth, with Exif of its own."""
     buffer = io.BytesIO()
