@@ -5,8 +5,10 @@ The size is checked before anything is decoded, so that a picture of 60,000 x 60
 
 from __future__ import annotations
 
-import os
+import mmap
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from services.edge.errors import CaptureError
 MAX_PIXELS = 100_000_000  # the largest phone sensors give 200 MP raw and 50 MP pictures; 100 MP is 300 MB decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
-HEADER_BYTES = 2**18  # read of a file; a JPEG's size comes after its EXIF thumbnail and its colour profile
+_MOST_SEGMENTS = 10_000  # of a JPEG before its size; phones write about ten, or a hundred with a map of depths
 
 
 def broken_image(file: str, reason: str) -> CaptureError:
@@ -33,26 +35,27 @@ def image_size(path: Path, file: str) -> tuple[int, int]:
 
     Raises IMAGE_TOO_LARGE above MAX_PIXELS, and IMAGE_UNREADABLE for other formats or for a PNG that is cut off.
     """
-    head, tail = _head_and_tail(path, file)
-    size = header_size(head)
-    if size is None:
-        raise broken_image(file, "is not a PNG, JPEG or TIFF image" if head else "is empty")
-    if head.startswith(_PNG) and b"IEND" not in tail:
-        raise broken_image(file, "is cut off: the end of the PNG is missing")
+    with _mapped(path, file) as data:
+        size = header_size(data)
+        if size is None:
+            raise broken_image(file, "is not a PNG, JPEG or TIFF image")
+        if data[:8] == _PNG and data.find(b"IEND", max(0, len(data) - 64)) < 0:
+            raise broken_image(file, "is cut off: the end of the PNG is missing")
     return check_pixels(size, file)
 
 
-def _head_and_tail(path: Path, file: str) -> tuple[bytes, bytes]:
-    """Read the first bytes of a file, enough for its image header, and its last 64."""
+@contextmanager
+def _mapped(path: Path, file: str) -> Iterator[mmap.mmap]:
+    """Map a file into memory, of which only what is looked at is read: a TIFF's size may be behind its pixels."""
     try:
         with path.open("rb") as stream:
-            head = stream.read(64)
-            if head.startswith(_JPEG) or head[:4] in _TIFF_ORDER:
-                head += stream.read(HEADER_BYTES)
-            stream.seek(max(0, stream.seek(0, os.SEEK_END) - 64))
-            return head, stream.read()
+            data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
         raise broken_image(file, f"cannot be opened ({error.strerror})") from None
+    except ValueError:
+        raise broken_image(file, "is empty") from None
+    with data:
+        yield data
 
 
 def check_pixels(size: tuple[int, int], file: str, most: int = MAX_PIXELS) -> tuple[int, int]:
@@ -66,30 +69,35 @@ def check_pixels(size: tuple[int, int], file: str, most: int = MAX_PIXELS) -> tu
     return size
 
 
-def header_size(head: bytes) -> tuple[int, int] | None:
-    """Return (width, height) from the first bytes of a PNG, JPEG or TIFF, None for any other format."""
-    if head.startswith(_PNG) and len(head) >= 24 and head[12:16] == b"IHDR":
+def header_size(head: bytes | mmap.mmap) -> tuple[int, int] | None:
+    """Return (width, height) from the bytes of a PNG, JPEG or TIFF, None for any other format.
+
+    The first 24 of a PNG suffice; a JPEG's size comes after its metadata, a TIFF's may be at its end.
+    """
+    if head[:8] == _PNG and len(head) >= 24 and head[12:16] == b"IHDR":
         width, height = struct.unpack(">II", head[16:24])
         return width, height
-    if head.startswith(_JPEG):
+    if head[:2] == _JPEG:
         return _jpeg_size(head)
     return _tiff_size(head) if head[:4] in _TIFF_ORDER else None
 
 
-def check_header(head: bytes, file: str) -> None:
-    """Check the size in a picture's first bytes, where they tell it, before anything is decoded.
+def check_header(data: bytes, file: str) -> None:
+    """Check the size in a picture's header, where it tells it, before anything is decoded.
 
     Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE as `check_pixels`.
     """
-    size = header_size(head[:HEADER_BYTES])
+    size = header_size(data)
     if size is not None:
         check_pixels(size, file)
 
 
-def _jpeg_size(head: bytes) -> tuple[int, int] | None:
+def _jpeg_size(head: bytes | mmap.mmap) -> tuple[int, int] | None:
     """Return (width, height) from the start-of-frame segment of a JPEG, or None when it is not in `head`."""
     at = 2
-    while at + 9 <= len(head) and head[at] == 0xFF:
+    for _ in range(_MOST_SEGMENTS):
+        if at + 9 > len(head) or head[at] != 0xFF:
+            break
         marker = head[at + 1]
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack(">HH", head[at + 5 : at + 9])
@@ -101,7 +109,7 @@ def _jpeg_size(head: bytes) -> tuple[int, int] | None:
 _TIFF_ORDER = {b"II*\0": "<", b"MM\0*": ">"}
 
 
-def _tiff_size(head: bytes) -> tuple[int, int] | None:
+def _tiff_size(head: bytes | mmap.mmap) -> tuple[int, int] | None:
     """Return width (tag 256) and height (tag 257) of a TIFF's first directory, or None when it is not in `head`."""
     order = _TIFF_ORDER[head[:4]]
     sides = {256: 0, 257: 0}
@@ -165,7 +173,7 @@ def _decode(data: bytes, file: str, flags: int) -> NDArray[Any]:
     """Decode with OpenCV, after checking format and size. Raises IMAGE_UNREADABLE and IMAGE_TOO_LARGE."""
     import cv2
 
-    size = header_size(data[:HEADER_BYTES])
+    size = header_size(data)
     if size is None:
         raise broken_image(file, "is not a PNG, JPEG or TIFF image")
     check_pixels(size, file)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from services.edge.arrays import Bytes, Floats, Ints, Tick
 from services.edge.capture.colours import rgb8
 from services.edge.capture.files import Folder, translate_errors, unreadable
-from services.edge.capture.images import HEADER_BYTES, check_header, check_pixels, read_bytes
+from services.edge.capture.images import check_header, check_pixels, read_bytes
 from services.edge.capture.mtl import Material, read_mtl
 from services.edge.capture.nouns import Cloud
 from services.edge.capture.sample_surface import MAX_FACES, SampledSurface, too_many_faces
@@ -61,8 +61,7 @@ def read_obj(folder: Folder, file: str) -> ObjFile:
     known = _materials(folder, file, reader.libraries)
     used = [known.get(name, Material()) for name in reader.materials]
     for name in {each.texture for each in used if each.texture}:
-        with translate_errors(name, "file"), folder.path(name).open("rb") as stream:
-            check_header(stream.read(HEADER_BYTES), name)
+        check_header(read_bytes(folder.path(name), name), name)
     uv = np.zeros((len(coordinates), 2))
     uv[:, : coordinates.shape[1]] = coordinates[:, :2]
     colours = _Colours(folder, used, material, uv, uv_faces, faces, rgb)

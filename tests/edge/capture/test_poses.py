@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from services.edge.capture.colours import rgb8, unpack_rgb
 from services.edge.capture.depth import zero_invalid_depth
 from services.edge.capture.files import number_order
 from services.edge.capture.frame_records import checked_intrinsics
-from services.edge.capture.images import header_size
+from services.edge.capture.images import decode_depth, decode_rgb, header_size, image_size
 from services.edge.capture.nouns import Intrinsics
 from services.edge.capture.poses import checked_pose, pose_from_quaternion
 from services.edge.errors import CaptureError
@@ -82,6 +83,22 @@ def test_cameras_that_cannot_be_are_named(change: dict[str, float]) -> None:
 def test_headers_tell_the_size(width: int, height: int, suffix: str) -> None:
     data = cv2.imencode(suffix, np.zeros((height, width), np.uint8))[1].tobytes()
     assert header_size(data) == (width, height)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".jpg"])
+def test_a_size_behind_much_else_is_found(suffix: str, tmp_path: Path) -> None:
+    """OpenCV writes a TIFF's header behind its pixels; a phone writes a map of depths before a JPEG's size."""
+    pixels = np.random.default_rng(0).integers(1, 60_000, (480, 640)).astype(np.uint16)
+    data = cv2.imencode(suffix, pixels if suffix == ".tif" else np.zeros((480, 640), np.uint8))[1].tobytes()
+    if suffix == ".jpg":
+        data = data[:2] + (b"\xff\xe1\xff\xff" + bytes(65_533)) * 20 + data[2:]
+    (tmp_path / f"0{suffix}").write_bytes(data)
+    assert image_size(tmp_path / f"0{suffix}", "0") == (640, 480)
+    assert header_size(data) == (640, 480)
+    if suffix == ".tif":
+        np.testing.assert_array_equal(decode_depth(data, "0"), pixels)
+    else:
+        assert decode_rgb(data, "0").shape == (480, 640, 3)
 
 
 @given(
