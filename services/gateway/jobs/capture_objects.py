@@ -99,6 +99,8 @@ def read_receipt(store: Store, parse: Callable[[dict[str, Any]], _T], capture: s
         raise unknown_capture(capture) from None
     try:
         return parse(_read_receipt(store, capture))
+    except FileNotFoundError:  # deleted meanwhile
+        raise unknown_capture(capture) from None
     except ValueError:
         hints = ("delete the capture, and upload it again",)
         raise Problem(503, "CAPTURE_DAMAGED", f"the receipt of '{capture}' is damaged", hints=hints) from None

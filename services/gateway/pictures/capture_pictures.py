@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import PurePosixPath
 from typing import Any, TypeVar
@@ -17,6 +18,8 @@ T = TypeVar("T")
 _BLOCK_BYTES = 1 << 18  # of a read: the archive's list of files comes in one or two requests to the store
 MOST_PICTURE_BYTES = 128 << 20
 """Most bytes of a photo that is shown: 48 megapixels take 15 MB, as a TIFF 144."""
+# What `zipfile` raises for an archive with damaged bytes: they may ask for a method, a version or a password.
+_DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error)
 _PHOTOS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic", ".heif", ".avif"}
 _COLOURS = {".jpg", ".jpeg"}
 """Suffixes of the pictures beside depth images: PNGs there are the depth itself."""
@@ -62,21 +65,29 @@ def with_archive(store: Store, capture: str, read: Callable[[zipfile.ZipFile], T
         size = store.head(name).size
     except (FileNotFoundError, ValueError):
         raise unknown_capture(capture) from None
-    with io.BufferedReader(_StoredFile(store, name, size), _BLOCK_BYTES) as file:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                return read(archive)
-        except zipfile.BadZipFile:
-            hints = ("delete the capture, and upload it again",)
-            raise Problem(503, "CAPTURE_DAMAGED", f"the files of '{capture}' are damaged", hints=hints) from None
+    stored = _StoredFile(store, name, size)
+    try:
+        with io.BufferedReader(stored, _BLOCK_BYTES) as file, zipfile.ZipFile(file) as archive:
+            return read(archive)
+    except FileNotFoundError:  # deleted meanwhile
+        raise unknown_capture(capture) from None
+    except _DAMAGED:
+        # `ZipFile` says of a file that it cannot read that it is no archive.
+        if isinstance(stored.fault, FileNotFoundError):
+            raise unknown_capture(capture) from None
+        if stored.fault is not None:
+            raise stored.fault from None
+        hints = ("delete the capture, and upload it again",)
+        raise Problem(503, "CAPTURE_DAMAGED", f"the files of '{capture}' are damaged", hints=hints) from None
 
 
 class _StoredFile(io.RawIOBase):
-    """An object of a store as a file that is read in parts."""
+    """An object of a store as a file that is read in parts. fault: the store's last error"""
 
     def __init__(self, store: Store, name: str, size: int) -> None:
         super().__init__()
         self._store, self._name, self._size, self._at = store, name, size, 0
+        self.fault: OSError | None = None
 
     def readable(self) -> bool:
         return True
@@ -88,11 +99,18 @@ class _StoredFile(io.RawIOBase):
         return self._at
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        self._at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
-        return self._at
+        at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
+        if at < 0:
+            raise zipfile.BadZipFile("an offset lies before the beginning of the file")
+        self._at = at
+        return at
 
     def readinto(self, buffer: Any) -> int:
-        data = self._store.get(self._name, start=self._at, length=len(buffer))
+        try:
+            data = self._store.get(self._name, start=self._at, length=len(buffer))
+        except OSError as error:
+            self.fault = error
+            raise
         buffer[: len(data)] = data
         self._at += len(data)
         return len(data)

@@ -14,6 +14,7 @@ from PIL import Image
 
 from services.gateway.jobs.capture_objects import capture_name, receipt_name
 from services.gateway.uploads.image_checks import load_pillow
+from services.storage.memory import MemoryStore
 from services.storage.store import Store
 from tests.support.in_process_gateway import gateway, memory
 
@@ -149,3 +150,48 @@ async def test_a_damaged_archive_of_a_film_is_told(tmp_path: Path) -> None:
     async with gateway(tmp_path, store) as client:
         assert problem_of(await client.get(f"/v1/captures/{capture}/films/0")) == (503, "CAPTURE_DAMAGED")
         assert problem_of(await client.get("/v1/captures/cap_2/films/0")) == (404, "CAPTURE_UNKNOWN")
+
+
+class FailingStore(MemoryStore):
+    """A store in memory that fails to give a capture's files. fault: with what; after: so many reads of one"""
+
+    fault: OSError
+    suffix = ".zip"
+    after = 0
+
+    def get(self, name: str, **options: Any) -> bytes:
+        if name.endswith(self.suffix):
+            self.after -= 1
+            if self.after < 0:
+                raise self.fault
+        return super().get(name, **options)
+
+
+@pytest.mark.parametrize("suffix", [".zip", ".json"])
+@pytest.mark.parametrize("path", ["pictures", "pictures/0", "films/0"])
+async def test_a_store_that_fails_is_no_damaged_capture(tmp_path: Path, path: str, suffix: str) -> None:
+    """Who deletes the capture, as is advised for a damaged one, loses it."""
+    store = FailingStore()
+    store.suffix = suffix
+    capture = stored(store, "photos", {"a.jpg": photo((9, 9, 9)), "b.mp4": b"x" * 600_000})
+    for fault, problem in (
+        (ConnectionError("no answer"), (503, "STORE_UNAVAILABLE")),
+        (FileNotFoundError("deleted meanwhile"), (404, "CAPTURE_UNKNOWN")),
+    ):
+        store.fault = fault
+        async with gateway(tmp_path, store) as client:
+            for after in range(2 if suffix == ".zip" else 1):
+                store.after = after
+                assert problem_of(await client.get(f"/v1/captures/{capture}/{path}")) == problem, after
+
+
+@pytest.mark.parametrize(("at", "byte"), [(6, 200), (8, 1), (10, 9), (42, 255), (45, 255)])
+async def test_a_rotten_list_of_an_archives_files_is_told(tmp_path: Path, at: int, byte: int) -> None:
+    """They seem to ask for another version, a password or a method, or to lie before the archive."""
+    store = memory()
+    capture = stored(store, "photos", {"a.jpg": photo((9, 9, 9))})
+    data = bytearray(store.get(capture_name(capture)))
+    data[data.index(b"PK\1\2") + at] = byte
+    store.put(capture_name(capture), bytes(data), content_type="application/zip")
+    async with gateway(tmp_path, store) as client:
+        assert problem_of(await client.get(f"/v1/captures/{capture}/pictures/0")) == (503, "CAPTURE_DAMAGED")
