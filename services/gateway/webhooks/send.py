@@ -23,6 +23,8 @@ from services.gateway.webhooks.outbox import Delivery
 TIMEOUT_S = 15.0
 """Seconds for a whole attempt, from the look-up to the answer."""
 _ANSWER_BYTES = 1_000  # of an answer that are read: they are only shown to the tenant
+_NAT64 = ipaddress.IPv6Network("64:ff9b::/96")  # RFC 6052
+_UNICAST = ipaddress.IPv6Network("2000::/3")  # all that IANA has assigned to the internet; not old local addresses
 _LONGEST_WAIT_S = 86_400.0  # that a receiver may ask for
 
 
@@ -98,7 +100,11 @@ class Sender:
         """Return the address to connect to. Raises Refused, OSError where the host has none."""
         if url.scheme != "https" and not (url.scheme == "http" and self._allow_private):
             raise Refused("the URL must begin with https://")
-        if url.userinfo or not url.host:
+        try:
+            named = bool(url.host) and not url.userinfo
+        except UnicodeError:  # of a label that begins as encoded letters, and is none
+            raise Refused("the URL's host is not a host's name") from None
+        if not named:
             raise Refused("the URL must name a host, and no user")
         port = url.port or {"http": 80, "https": 443}[url.scheme]
         loop = asyncio.get_running_loop()
@@ -117,9 +123,11 @@ def is_public(address: str) -> bool:
     """Return whether an address is one of the internet: not private, loopback, link-local, shared or reserved."""
     parsed = ipaddress.ip_address(address.partition("%")[0])
     if isinstance(parsed, ipaddress.IPv6Address):
-        inner = parsed.ipv4_mapped or parsed.sixtofour or (parsed.teredo[1] if parsed.teredo else None)
-        if inner is not None:
-            return is_public(str(inner)) and parsed.ipv4_mapped is None
+        if parsed in _NAT64:  # how a network without IPv4 reaches an address of it
+            return is_public(str(ipaddress.IPv4Address(int(parsed) & 0xFFFFFFFF)))
+        inner = parsed.sixtofour or (parsed.teredo[1] if parsed.teredo else None)
+        if parsed not in _UNICAST or (inner is not None and not is_public(str(inner))):
+            return False
     return parsed.is_global and not parsed.is_multicast
 
 

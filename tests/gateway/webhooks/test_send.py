@@ -98,12 +98,18 @@ async def test_nobody_there() -> None:
         "https://0.0.0.0/",
         "https://[fe80::1]/",
         "https://[fd00::1]/",
+        "https://[fec0::1]/",
+        "https://[::10.0.0.1]/",
+        "https://[64:ff9b::10.0.0.1]/",
+        "https://[64:ff9b:1::10.0.0.1]/",
         "https://2130706433/",
         "https://0x7f000001/",
         "http://93.184.216.34/",
         "https://user:password@93.184.216.34/",
         "ftp://93.184.216.34/",
         "https:///nothing",
+        "https://xn--/",
+        "https://xn--zzzz----.com/",
     ],
 )
 async def test_addresses_that_are_not_of_the_internet_are_refused(url: str) -> None:
@@ -180,6 +186,11 @@ def test_an_address_in_another_form_is_as_private(address: ipaddress.IPv4Address
         mapped, sixtofour = f"::ffff:{address}", ipaddress.IPv6Address((0x2002 << 112) | (int(address) << 80))
         assert not is_public(mapped)
         assert not is_public(str(sixtofour))
+
+
+def test_an_address_that_a_network_without_ipv4_reaches_is_of_the_internet() -> None:
+    assert is_public("64:ff9b::93.184.216.34")
+    assert is_public("2606:2800:21f:cb07:6820:80da:af6b:8b2c")
 
 
 @given(st.ip_addresses(v=6))
