@@ -17,6 +17,9 @@ from services.gateway.strip.in_place import (
 
 _REMOVED_ATTRIBUTES = {b"owner", b"comments", b"longitude", b"latitude", b"altitude", b"utcOffset", b"xmp"}
 _REMOVED_ATTRIBUTES |= {b"cameraSerialNumber", b"lensSerialNumber", b"cameraUuid", b"cameraLabel"}
+# How programs name tags of EXIF and IPTC that they copy from a photo.
+_REMOVED_BEGINNINGS = (b"GPS:", b"Exif:", b"IPTC:", b"Artist", b"Copyright", b"ImageDescription", b"HostComputer")
+_MULTI_PART = 0x10  # bit of the third byte of the version
 _LONGEST_NAME = 256  # 255 bytes and the terminating zero
 
 
@@ -24,14 +27,14 @@ def clean(data: Buffer) -> CleanResult:
     """Strip the metadata in place. Raises UnreadableError."""
     removed: list[str] = []
     for name, start, stop in _attributes(data):
-        if name in _REMOVED_ATTRIBUTES and not is_blank(data, start, stop):
+        if (name in _REMOVED_ATTRIBUTES or name.startswith(_REMOVED_BEGINNINGS)) and not is_blank(data, start, stop):
             blank(data, start, stop)
-            removed.append(name.decode())
+            removed.append(name.decode("latin-1"))
     return CleanResult(unique_names(removed), len(data))
 
 
 def size(data: Buffer) -> tuple[int, int]:
-    """Return (width, height) in pixels, from the data window. Raises UnreadableError."""
+    """Return (width, height) in pixels, from the first data window. Raises UnreadableError."""
     for name, start, stop in _attributes(data):
         if name == b"dataWindow" and stop - start == 16:
             x_min, y_min, x_max, y_max = struct.unpack_from("<4i", data, start)
@@ -40,12 +43,15 @@ def size(data: Buffer) -> tuple[int, int]:
 
 
 def _attributes(data: Buffer) -> Iterator[tuple[bytes, int, int]]:
-    """Yield (name, first byte, end byte of the value) of each attribute in the first part's header."""
-    at = 8
+    """Yield (name, first byte, end byte of the value) of each attribute in the headers of all parts."""
+    at, first, parts = 8, 8, len(data) > 5 and bool(data[5] & _MULTI_PART)
     for _ in range(MOST_PARTS):
         name, at = _read_string(data, at)
         if not name:
-            return
+            if not parts or at == first + 1:  # an empty header ends those of several parts
+                return
+            first = at
+            continue
         _, at = _read_string(data, at)  # the type
         if at + 4 > len(data):
             raise UnreadableError("the EXR image is cut short")

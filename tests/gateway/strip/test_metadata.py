@@ -301,6 +301,19 @@ def test_metadata_in_the_frames_of_an_animated_webp_go() -> None:
     assert opened(after).tobytes() == opened(buffer.getvalue()).tobytes()
 
 
+def test_every_part_of_an_exr_loses_its_place() -> None:
+    def header(name: bytes, kind: bytes, value: bytes) -> bytes:
+        return name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value + b"\0"
+
+    window = header(b"dataWindow", b"box2i", struct.pack("<4i", 0, 0, 3, 1))
+    places = [header(name, b"string", PLACE) for name in (b"comments", b"GPS:Latitude")]
+    file = b"v/1\x01\x02\x10\0\0" + window + b"".join(places) + b"\0" + b"PIXELS"
+    after, removed = cleaned(exr.clean, file)
+    assert (removed, PLACE in after) == (("comments", "GPS:Latitude"), False)
+    assert after.endswith(b"PIXELS")
+    assert exr.size(bytearray(after)) == (4, 2)
+
+
 def test_a_second_picture_behind_the_first_is_cut_off() -> None:
     """A gain map or a portrait's depth, with Exif of its own."""
     buffer = io.BytesIO()
