@@ -76,8 +76,9 @@ def _record_counts(path: Path, file: str) -> list[int]:
         pages = stream.read((xml_length // _PAYLOAD + 2) * _PAGE)
     payload = b"".join(pages[at : at + _PAYLOAD] for at in range(0, len(pages), _PAGE))
     xml = payload[offset % _PAGE :][:xml_length]
-    scans = re.findall(rb"<points\b[^>]*\brecordCount\s*=\s*[\"'](\d{1,18})[\"']", xml)
-    return [int(count) for count in scans]
+    tags = re.findall(rb"<points\b[^<>]*+", xml)
+    counts = (re.search(rb"\brecordCount\s*=\s*[\"'](\d{1,18})[\"']", tag) for tag in tags)
+    return [int(count[1]) for count in counts if count is not None]
 
 
 def iter_points(path: Path) -> Iterator[tuple[Floats, NDArray[Any] | None]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
 from services.gateway.strip.in_place import MOST_PARTS, Buffer, CleanResult, UnreadableError, unique_names
@@ -18,13 +19,13 @@ _MOST_XML = 16 << 20  # bytes; a thousand scans take one megabyte
 _SECTION_HEADER = 16  # bytes of a blob before its content
 # What readers need of the texts. The others are names, descriptions, serial numbers, and where on earth it is.
 _ALLOWED_TEXTS = {b"formatName", b"guid"}
-# XML has texts as they are, in CDATA sections, or as both, and takes either kind of quotes.
-_TEXT = re.compile(
-    rb"<([\w:.-]+)[^>]*\btype\s*=\s*[\"']String[\"'][^>]*>((?:[^<]|<!\[CDATA\[.*?\]\]>|<!--.*?-->)*+)", re.DOTALL
-)
-_MARKS = re.compile(rb"<!\[CDATA\[|\]\]>|<!--|-->")  # what is no text in a match of _TEXT
-_BLOB = re.compile(rb"<([\w:.-]+)[^>]*\btype\s*=\s*[\"']Blob[\"'][^>]*>")
+# Possessive, so that a hostile text costs no more than its length.
+_TAG = re.compile(rb"<([\w:.-]++)([^<>]*+)>")
+_TYPE = re.compile(rb"\btype\s*=\s*[\"'](String|Blob)[\"']")
 _NUMBER = {name: re.compile(rb"\b" + name + rb"\s*=\s*[\"'](\d{1,18})[\"']") for name in (b"fileOffset", b"length")}
+# XML has texts as they are, in CDATA sections, or as both; and comments.
+_SECTIONS = ((b"<![CDATA[", b"]]>"), (b"<!--", b"-->"))
+_MARKS = re.compile(rb"<!\[CDATA\[|\]\]>|<!--|-->")  # what is no text in these
 
 
 def clean(data: Buffer) -> CleanResult:
@@ -37,21 +38,54 @@ def clean(data: Buffer) -> CleanResult:
     start = _logical(offset)
     xml = _read(data, start, xml_length)
     removed = []
-    for number, match in enumerate(_TEXT.finditer(xml)):
+    photos: dict[bytes, str] = {}
+    for number, (tag, text, end) in enumerate(_elements(xml)):
         if number >= MOST_PARTS:
             raise UnreadableError("the E57 has too many texts")
-        if match[1] not in _ALLOWED_TEXTS and _MARKS.sub(b"", match[2]).strip():
-            _write(data, start + match.start(2), b" " * len(match[2]))
-            removed.append(match[1].decode())
-    removed += _blank_photos(data, xml)
+        name = tag[1].decode()
+        if text is None:
+            photos[tag[0]] = name
+        elif tag[1] not in _ALLOWED_TEXTS and _MARKS.sub(b"", xml[text:end]).strip():
+            _write(data, start + text, b" " * (end - text))
+            removed.append(name)
+    removed += _blank_photos(data, photos)
     return CleanResult(unique_names(removed), len(data))
 
 
-def _blank_photos(data: Buffer, xml: bytes) -> list[str]:
-    """Overwrite the content of all blobs, which are photos and their masks; return their names."""
+def _elements(xml: bytes) -> Iterator[tuple[re.Match[bytes], int | None, int]]:
+    """Yield the tag of each text and each blob; of a text also its first and end byte, of a blob None and 0."""
+    at = 0
+    while (tag := _TAG.search(xml, at)) is not None:
+        at = tag.end()
+        kind = _TYPE.search(tag[2])
+        if kind is None:
+            continue
+        if kind[1] == b"Blob":
+            yield tag, None, 0
+        elif not tag[2].endswith(b"/"):
+            at = _text_end(xml, tag.end())
+            yield tag, tag.end(), at
+
+
+def _text_end(xml: bytes, at: int) -> int:
+    """Return where a text that begins at `at` ends: at the next tag that is in no CDATA section and no comment."""
+    while (at := xml.find(b"<", at)) >= 0:
+        ends = [end for begin, end in _SECTIONS if xml.startswith(begin, at)]
+        if not ends:
+            return at
+        at = xml.find(ends[0], at)
+        if at < 0:
+            break
+    return len(xml)
+
+
+def _blank_photos(data: Buffer, photos: Mapping[bytes, str]) -> list[str]:
+    """Overwrite the content of all blobs, which are photos and their masks; return their names.
+
+    photos  tag of each blob -> its name
+    """
     removed, done = [], 0
-    places = {match[0]: match[1].decode() for match in _BLOB.finditer(xml)}
-    for tag, name in places.items():
+    for tag, name in photos.items():
         at, length = (_NUMBER[key].search(tag) for key in (b"fileOffset", b"length"))
         if at is None or length is None:
             raise UnreadableError("the E57 has a photo without a place")

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import re
 import struct
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +187,21 @@ def test_texts_of_an_e57_go_however_its_xml_is_written(old: bytes, new: bytes, t
     (tmp_path / "scan.e57").write_bytes(after)
     with pye57.E57(str(tmp_path / "scan.e57")) as reader:
         assert len(reader.read_scan_raw(0)["cartesianX"]) == 300
+
+
+@pytest.mark.parametrize(
+    "unit", [b"<a ", b"<a" * 3, b'<a type="String" ', b'<a type="String"><![CDATA[', b'<a type="Blob"']
+)
+def test_a_hostile_e57_costs_no_more_than_its_length(unit: bytes) -> None:
+    xml = unit * (1_000_000 // len(unit))
+    logical = bytes(48) + xml
+    pages = (logical[at : at + 1020].ljust(1020, b"\0") + bytes(4) for at in range(0, len(logical), 1020))
+    content = bytearray(b"".join(pages))
+    struct.pack_into("<8s2I4Q", content, 0, b"ASTM-E57", 1, 0, len(content), 48, len(xml), 1024)
+    began = time.process_time()
+    with suppress(UnreadableError):
+        e57.clean(content)
+    assert time.process_time() - began < 10  # less than a second; an hour where each tag is searched to the end
 
 
 def test_a_picture_without_metadata_is_left_as_it_is() -> None:
