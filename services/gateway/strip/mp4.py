@@ -141,11 +141,20 @@ def _remove_track(film: _Mp4Film, track: Box) -> None:
 
 
 def _clip_to_media(ranges: Iterable[Range], media: Sequence[Range]) -> Iterator[Range]:
-    """Intersect ranges with the media data, so that a hostile index cannot have other parts overwritten."""
-    for start, end in ranges:
-        for first, last in media:
-            if max(start, first) < min(end, last):
-                yield max(start, first), min(end, last)
+    """Intersect ranges with the media data, so that a hostile index cannot have other parts overwritten.
+
+    media  in the order of the file
+    """
+    number, done = 0, 0
+    for first, last in sorted(ranges):
+        start, done = max(first, done), max(last, done)
+        while number < len(media) and start < last:
+            begin, end = max(start, media[number][0]), min(last, media[number][1])
+            if begin < end:
+                yield begin, end
+            if media[number][1] >= last:
+                break
+            number += 1  # no later range begins before its end
 
 
 def _names(data: Buffer, box: Box) -> list[str]:
