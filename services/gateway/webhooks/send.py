@@ -25,6 +25,7 @@ TIMEOUT_S = 15.0
 _ANSWER_BYTES = 1_000  # of an answer that are read: they are only shown to the tenant
 _NAT64 = ipaddress.IPv6Network("64:ff9b::/96")  # RFC 6052
 _UNICAST = ipaddress.IPv6Network("2000::/3")  # all that IANA has assigned to the internet; not old local addresses
+_LAST_PORT = 65_535
 _LONGEST_WAIT_S = 86_400.0  # that a receiver may ask for
 
 
@@ -106,7 +107,9 @@ class Sender:
             raise Refused("the URL's host is not a host's name") from None
         if not named:
             raise Refused("the URL must name a host, and no user")
-        port = url.port or {"http": 80, "https": 443}[url.scheme]
+        port = {"http": 80, "https": 443}[url.scheme] if url.port is None else url.port
+        if not 0 < port <= _LAST_PORT:  # the look-up of an address takes any number, the connection does not
+            raise Refused(f"the URL's port must be 1 to {_LAST_PORT}")
         loop = asyncio.get_running_loop()
         try:
             found = await loop.getaddrinfo(url.host, port, type=socket.SOCK_STREAM)

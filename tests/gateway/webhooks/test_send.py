@@ -108,6 +108,8 @@ async def test_nobody_there() -> None:
         "https://user:password@93.184.216.34/",
         "ftp://93.184.216.34/",
         "https:///nothing",
+        "https://93.184.216.34:99999/",
+        "https://93.184.216.34:0/",
         "https://xn--/",
         "https://xn--zzzz----.com/",
     ],
