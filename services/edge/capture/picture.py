@@ -21,6 +21,7 @@ from services.edge.arrays import Bytes
 from services.edge.capture.files import translate_errors
 from services.edge.capture.images import broken_image, check_pixels, read_bytes
 from services.edge.errors import CaptureError
+from services.raw_photos import is_raw_photo
 
 _HEAD_BYTES = 16
 _PILLOW_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF")
@@ -47,6 +48,8 @@ _Decoder = Literal["opencv", "pillow", "heif"]
 
 def read_header(path: Path, file: str) -> Header:
     """Read the size and the EXIF tags of a photo file. Raises IMAGE_TOO_LARGE and IMAGE_UNREADABLE."""
+    if is_raw_photo(file):
+        raise broken_image(file, "is a raw picture, which is not read")
     return _heif_header(path, file) if first_bytes(path, file)[4:8] == b"ftyp" else _plain_header(path, file)
 
 

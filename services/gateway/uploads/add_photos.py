@@ -9,7 +9,7 @@ from services.gateway.uploads.file_names import unique_name
 from services.gateway.uploads.refusal import Refused, too_many_files
 from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
 
-_ALLOWED = IMAGES | {Kind.UNKNOWN, Kind.SIDECAR}  # both are left out, as in any upload
+_ALLOWED = IMAGES | {Kind.UNKNOWN, Kind.RAW, Kind.SIDECAR}  # these are left out, as in any upload
 
 
 def add_photos(source: Path, names: Sequence[str], earlier: Path, earlier_names: Sequence[str], most: int) -> list[str]:

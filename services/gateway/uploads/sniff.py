@@ -5,13 +5,16 @@ from __future__ import annotations
 from enum import Enum
 from pathlib import PurePosixPath
 
+from services.raw_photos import is_raw_photo
+
 HEAD_BYTES = 64  # enough for every magic number below
 
 
 class Kind(Enum):
     """Type of an uploaded file. DATA is checked by the worker only.
 
-    SIDECAR and UNKNOWN do not belong to a capture. A sidecar says where, when and by whom other files were made.
+    RAW, SIDECAR and UNKNOWN do not belong to a capture. RAW: a raw photo, as cameras write beside a JPEG. A sidecar
+    says where, when and by whom other files were made.
     """
 
     JPEG = "jpeg"
@@ -25,6 +28,7 @@ class Kind(Enum):
     ARCHIVE = "archive"
     E57 = "e57"
     DATA = "data"
+    RAW = "raw"
     SIDECAR = "sidecar"
     UNKNOWN = "unknown"
 
@@ -79,9 +83,11 @@ _SIDECAR_SUFFIXES = {".gpx", ".kml", ".nmea", ".igc", ".srt", ".vtt", ".xmp", ".
 def sniff(name: str, head: bytes) -> Kind:
     """Return the type of a file. name: its path in the upload; head: its first HEAD_BYTES
 
-    A file with the extension of an image or a video has that type whatever its bytes are: the check of that type then
-    reports what is wrong.
+    A file with the extension of a raw photo, an image or a video has that type whatever its bytes are: the check of
+    that type then reports what is wrong.
     """
+    if is_raw_photo(name):
+        return Kind.RAW
     for magic, kind in _MAGIC:
         if head.startswith(magic):
             return kind

@@ -14,6 +14,7 @@ from services.gateway.strip.in_place import Buffer, CleanResult, UnreadableError
 from services.gateway.uploads.image_checks import MAX_PIXELS, TooLargeError, check_image, map_file
 from services.gateway.uploads.refusal import Refused
 from services.gateway.uploads.sniff import HEAD_BYTES, IMAGES, Kind, sniff
+from services.raw_photos import is_raw_photo
 
 _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
     Kind.JPEG: jpeg.clean,
@@ -28,6 +29,7 @@ _CLEANERS: dict[Kind, Callable[[Buffer], CleanResult]] = {
 }
 _LEFT_OUT = {
     Kind.UNKNOWN: "of no known format",
+    Kind.RAW: "raw photos are not read",
     Kind.SIDECAR: "it only says where, when and by whom other files were made",
 }
 _SIGNATURES = {Kind.JPEG: b"\xff\xd8\xff", Kind.PNG: b"\x89PNG\r\n\x1a\n"}
@@ -66,6 +68,9 @@ def validate(folder: Path, names: Iterable[str], begin: Callable[[str], None]) -
         detail = "the file is empty" if only else "all files of the upload are empty"
         raise Refused("CAPTURE_EMPTY", detail, only, ("choose other files",))
     if not any(verdict.verdict == "ok" for verdict in verdicts):
+        if raw := next((verdict for verdict in verdicts if is_raw_photo(verdict.file)), None):
+            hints = ("send the same photos as JPEG or HEIC",)
+            raise Refused("CAPTURE_UNKNOWN_FORMAT", _LEFT_OUT[Kind.RAW], raw.file, hints)
         raise Refused(
             "CAPTURE_UNKNOWN_FORMAT",
             "no file of the upload is a photo, a video, a point cloud or a scan",

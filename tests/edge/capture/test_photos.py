@@ -259,7 +259,9 @@ def test_a_raw_picture_is_not_its_preview(photo_of: Any) -> None:
     raw = exif()
     raw[0xC612] = b"\1\4\0\0"
     with pytest.raises(CaptureError, match="raw picture"):
-        photo_of(encoded(kind="TIFF", exif=raw), "IMG_1.dng")
+        photo_of(encoded(kind="TIFF", exif=raw), "IMG_1.tif")
+    with pytest.raises(CaptureError, match="raw picture"):
+        photo_of(encoded(kind="TIFF"), "DSC_1.NEF")
 
 
 def test_two_photos_are_too_few_and_three_a_capture(tmp_path: Path) -> None:

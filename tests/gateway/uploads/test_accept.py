@@ -183,6 +183,16 @@ async def test_files_that_no_capture_has_are_left_out_and_named(gateway: Gateway
     assert set(gateway.stored(receipt["capture"], tmp_path)) == {"a.ply"}
 
 
+async def test_raw_photos_beside_others_are_left_out_and_alone_are_named(gateway: Gateway, tmp_path: Path) -> None:
+    """Many begin as a TIFF does, with a small preview, which is no photo of the thing."""
+    answer = await gateway.send(("IMG_1.DNG", b"II*\0" + bytes(90)), ("IMG_1.jpg", private_pictures.jpeg()))
+    assert [file["verdict"] for file in answer.json()["files"]] == ["left out: raw photos are not read", "ok"]
+    assert set(gateway.stored(answer.json()["capture"], tmp_path)) == {"IMG_1.jpg"}
+    alone = await gateway.send(("DSC_1.NEF", private_pictures.tiff()))
+    assert_problem(alone, 422, "CAPTURE_UNKNOWN_FORMAT", "DSC_1.NEF")
+    assert alone.json()["detail"] == "raw photos are not read"
+
+
 @pytest.mark.parametrize(
     "name", ["film.SRT", "way.gpx", "a.xmp", "a.jpg.json", "IMG 1.HEIC.supplemental-metadata.json", "a.aae"]
 )
