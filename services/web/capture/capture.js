@@ -181,11 +181,12 @@ async function showFields(capture) {
 }
 
 /**
- * Lists which metadata the server has removed from the files.
+ * Lists which files the server has left out, and which metadata it has removed from the others.
  * @param {CaptureReceipt} receipt
  */
 function showReceipt({ files = [] }) {
-  const lines = files.flatMap(({ file, stripped = [] }) => (stripped.length ? [`${file}: ${stripped.join(', ')}`] : []));
+  const lines = files.map(({ file, verdict, stripped = [] }) => [file, verdict === 'ok' ? stripped.join(', ') : told(verdict)])
+    .filter(([, what]) => what).map(([file, what]) => `${file}: ${what}`);
   page.receipt.hidden = lines.length === 0;
   fillList(page.stripped, lines);
 }

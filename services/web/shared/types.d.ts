@@ -388,10 +388,10 @@ export interface ProblemDocument {
   hints?: string[];
 }
 
-/** What was stored of an upload: POST /v1/captures. `stripped`: metadata that were removed from a file. */
+/** What was stored of an upload: POST /v1/captures. `verdict`: "ok", or why a file was left out; `stripped`: metadata that were removed from it. */
 export interface CaptureReceipt {
   capture: string;
-  files?: { file: string; stripped?: string[] }[];
+  files?: { file: string; verdict: string; stripped?: string[] }[];
 }
 
 /** What to keep of a capture: the object without its surroundings, everything, or the object if photos were taken around one. */

@@ -261,6 +261,18 @@ def test_a_film_goes_through_gateway_and_worker(page: Page, stack: Stack, tmp_pa
     cancel_job(page)
 
 
+def test_files_that_were_left_out_are_named_with_the_reason(
+    page: Page, stack: Stack, photos: list[Path], tmp_path: Path
+) -> None:
+    (tmp_path / "1.nef").write_bytes(b"II*\0" + bytes(400))
+    page.goto(stack.url)
+    choose(page, *photos[:3], tmp_path / "1.nef")
+    page.get_by_role("button", name="Send").click()
+    page.get_by_text("What was removed from your files, or left out").click()
+    expect(page.locator("#stripped")).to_contain_text("1.nef: left out: raw photos are not read")
+    cancel_job(page)
+
+
 @pytest.mark.data
 def test_twenty_real_photos_are_guided_and_sent(page: Page, stack: Stack, data_dir: Path) -> None:
     page.goto(stack.url)
