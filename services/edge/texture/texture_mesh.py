@@ -18,11 +18,12 @@ from services.edge.parallel import in_threads, shared_ticks, slices
 from services.edge.srgb import to_linear, to_srgb
 from services.edge.texture.bake import bake, interpolate, jpeg_of, random_places
 from services.edge.texture.nearest_colour import ColouredPoints
-from services.edge.texture.unwrap import MOST_FACES, UnwrapError, unwrap
+from services.edge.texture.unwrap import UnwrapError, unwrap
 
 SMALLEST_PX = 64
 """Side of the smallest texture, in texels."""
 
+_FACES = 50_000  # of a textured level, or half as many again where openings forbid fewer: the texture holds the detail
 _TEXELS_PER_POINT = 2.0  # on the surface: points lie on no grid, and one texel each would blur them
 _FILLED = 0.6  # of a texture lies on the surface: there are gaps between charts and a strip at a side
 _NEIGHBOURS = 4  # of a texel: of a print on a truck 4 keep more than the 6 of a vertex (mean error 4.0 against 4.3)
@@ -92,9 +93,7 @@ def texture_side(mesh: Mesh, palette: Palette, most: int) -> int:
 
 def needs_texture(mesh: Mesh, palette: Palette) -> bool:
     """Whether a texture would show more than a mesh's vertex colours: more colours are known, and they differ."""
-    if len(mesh.faces) > MOST_FACES or mesh.rgb is None:
-        return False
-    if palette.samples_on(area(mesh)) < _SAMPLES_PER_VERTEX * len(mesh.vertices):
+    if mesh.rgb is None or palette.samples_on(area(mesh)) < _SAMPLES_PER_VERTEX * len(mesh.vertices):
         return False
     # Photos are sharper than the points. They are not compared, because all of them would have to be loaded.
     return palette.pictures is not None or colour_gain(mesh, palette.points) >= _LEAST_GAIN
@@ -148,14 +147,14 @@ def texture_levels(
     fits     whether the coarsest level is small enough; its texture is halved until it is
     encode   encoder of KTX2 textures; None: they are JPEG
 
-    A level with more triangles than can be unwrapped is simplified first: 50,000 triangles with the texture of a dense
-    capture show more than 100,000 with vertex colours.
+    A level of more than 50,000 triangles is simplified first: with the texture of a dense capture they show more than
+    100,000 with vertex colours.
     """
     ticks = shared_ticks(tick, len(levels))
 
     def texture(number: int) -> tuple[Mesh | TexturedMesh, tuple[str, ...]]:
         level, level_tick = levels[number], ticks[number]
-        coarse = simplify(level, MOST_FACES, tick=part_of(level_tick, 0, 0))
+        coarse = simplify(level, _FACES, tick=part_of(level_tick, 0, 0))
         if not needs_texture(coarse, palette):
             return level, ()
         widest = texture_side(coarse, palette, most_px)

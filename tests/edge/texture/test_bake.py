@@ -15,9 +15,11 @@ from PIL import Image
 from services.edge.errors import Cancelled
 from services.edge.export.glb import to_glb
 from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.mesh.simplify import simplify
 from services.edge.render.rays import Scene
 from services.edge.srgb import to_linear
 from services.edge.texture import texture_mesh
+from services.edge.texture import unwrap as unwrapping
 from services.edge.texture.bake import bake, find_texels, jpeg_of
 from services.edge.texture.nearest_colour import ColouredPoints
 from services.edge.texture.texture_mesh import Palette, needs_texture, texture_levels, texture_side, unwrap_and_bake
@@ -215,6 +217,25 @@ def test_a_level_that_cannot_be_unwrapped_keeps_its_colours_and_says_why(monkeyp
     levels, warnings = texture_levels([coloured(SHEET)], palette(SHEET), most_px=1024)
     assert isinstance(levels[0], Mesh)
     assert warnings == ("LOD 0 has no texture: xatlas took more than 90 s. It keeps its vertex colours.",)
+
+
+def test_openings_that_forbid_fewer_triangles_cost_a_level_no_texture(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(9 * u) * np.cos(8 * v)], 80, 80)
+    row, column = np.divmod(np.arange(80 * 80), 80)
+    lace = coloured(replace(whole, faces=whole.faces[np.tile((row % 3 > 0) | (column % 3 > 0), 2)]))
+    monkeypatch.setattr(texture_mesh, "_FACES", 3_000)
+    assert len(simplify(lace, 3_000).faces) > 3_000
+    (made,), warnings = texture_levels([lace], palette(lace, 100_000), most_px=1024)
+    assert isinstance(made, TexturedMesh)
+    assert not warnings
+
+
+def test_a_level_of_too_many_triangles_says_that_it_has_no_texture(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unwrapping, "MOST_FACES", 199)
+    level = coloured(SHEET)
+    levels, warnings = texture_levels([level], palette(SHEET), most_px=1024)
+    assert levels == (level,)
+    assert "200 triangles are more than the 199 that can be unwrapped" in warnings[0]
 
 
 def test_a_triangle_between_texels_shows_its_own_colour_all_the_same() -> None:

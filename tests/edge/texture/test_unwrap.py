@@ -135,8 +135,8 @@ def test_no_faces_at_all_are_refused() -> None:
 
 
 def test_too_many_triangles_are_refused_with_both_numbers() -> None:
-    with pytest.raises(UnwrapError, match="51,200 triangles are more than the 50,000"):
-        unwrap(surfaces.patch(lambda u, v: [u, v, 0 * u], 160, 160), side=64)
+    with pytest.raises(UnwrapError, match="80,000 triangles are more than the 75,000"):
+        unwrap(surfaces.patch(lambda u, v: [u, v, 0 * u], 200, 200), side=64)
 
 
 def test_it_ends_when_it_takes_too_long() -> None:
