@@ -13,7 +13,7 @@ from services.edge.arrays import Floats, Ints, Tick, no_tick, part_of
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.sampling import area
-from services.edge.mesh.simplify import simplify
+from services.edge.mesh.simplify import Hold, simplify
 from services.edge.parallel import in_threads, shared_ticks, slices
 from services.edge.srgb import to_linear, to_srgb
 from services.edge.texture.bake import bake, interpolate, jpeg_of, random_places
@@ -139,6 +139,7 @@ def texture_levels(
     most_px: int,
     fits: Callable[[TexturedMesh], bool] = lambda _: True,
     encode: EncodeKtx2 | None = None,
+    hold: Hold | None = None,
     tick: Tick = no_tick,
 ) -> tuple[tuple[Mesh | TexturedMesh, ...], tuple[str, ...]]:
     """Texture the levels of detail, finest first, where that shows more than vertex colours; also return warnings.
@@ -146,6 +147,7 @@ def texture_levels(
     most_px  side of the largest texture; coarser levels get smaller ones
     fits     whether the coarsest level is small enough; its texture is halved until it is
     encode   encoder of KTX2 textures; None: they are JPEG
+    hold     vertices of a level that stay where they are, as in `simplify`
 
     A level of more than 50,000 triangles is simplified first: with the texture of a dense capture they show more than
     100,000 with vertex colours.
@@ -154,7 +156,7 @@ def texture_levels(
 
     def texture(number: int) -> tuple[Mesh | TexturedMesh, tuple[str, ...]]:
         level, level_tick = levels[number], ticks[number]
-        coarse = simplify(level, _FACES, tick=part_of(level_tick, 0, 0))
+        coarse = simplify(level, _FACES, hold=hold, tick=part_of(level_tick, 0, 0))
         if not needs_texture(coarse, palette):
             return level, ()
         widest = texture_side(coarse, palette, most_px)

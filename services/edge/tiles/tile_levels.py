@@ -99,7 +99,8 @@ def tile_level(
     mesh = mesh if rgb is None else transfer_colours(mesh, xyz, rgb)
     tick(0.2)
     budget = max(len(mesh.faces) // _KEPT, _FEWEST)
-    coarse = simplify(mesh, budget, hold=partial(_shared_border, grid, node), tick=part_of(tick, 0.2, 0.6))
+    hold = partial(_shared_border, grid, node)
+    coarse = simplify(mesh, budget, hold=hold, tick=part_of(tick, 0.2, 0.6))
     if rgb is None or not pictures:
         return _level(coarse, coarse, target, 0.0)
     known = ColouredPoints.of(xyz, rgb)
@@ -107,7 +108,7 @@ def tile_level(
     tick(0.7)
     palette = Palette(known, photos, photos.pixel)
     ktx2 = encode if target.ktx2 else None
-    textured = texture_levels([coarse], palette, most_px=target.texture_px, encode=ktx2)[0][0]
+    (textured,), _ = texture_levels([coarse], palette, most_px=target.texture_px, encode=ktx2, hold=hold)
     return _level(coarse, textured, target, 0.0)
 
 

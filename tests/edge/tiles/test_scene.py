@@ -29,6 +29,7 @@ from services.edge.points.nouns import Points
 from services.edge.preset import load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
 from services.edge.render.posed_picture import PosedPicture
+from services.edge.texture import texture_mesh
 from services.edge.tiles.folder import SceneFolder
 from services.edge.tiles.level_files import LevelFiles
 from services.edge.tiles.parts import Span, run_parts
@@ -93,29 +94,60 @@ def test_an_ancestor_is_coarser_and_says_by_how_much(made: Made) -> None:
 
 def test_tiles_as_delivered_share_their_border_vertices(made: Made) -> None:
     scene = made[0]
-    left, right = (Glb.of(scene.files[child.name].read_bytes()) for child in scene.root.children)
-    rims = [file.positions[np.unique(border_edges(file.faces.astype(np.int64)))].round(6) for file in (left, right)]
+    assert_they_meet(*(Glb.of(scene.files[child.name].read_bytes()) for child in scene.root.children))
+
+
+def assert_they_meet(left: Glb, right: Glb) -> None:
+    """Assert that border vertices of one tile near those of the other are vertices of both."""
+    rims = [rim(file) for file in (left, right)]
     near = rims[0][cKDTree(rims[1]).query(rims[0])[0] < 0.3 * CELL_M]
     assert len(near) > 50
     assert {tuple(place) for place in near} <= {tuple(place) for place in rims[1]}
 
 
-def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: Path) -> None:
-    """A red picture from above, where all points are grey."""
-    shutil.copytree(made[2], tmp_path / "scene")
+def rim(file: Glb) -> np.ndarray:
+    """Border vertices of a tile, metres; those of a texture's seams are inside."""
+    places, number = np.unique(file.positions.round(6), axis=0, return_inverse=True)
+    return np.asarray(places[np.unique(border_edges(number.ravel()[file.faces.astype(np.int64)]))])
+
+
+def red_picture() -> PosedPicture:
+    """A red picture of the hall from above; its points have other colours."""
     down = np.array([[1.0, 0, 0, -0.95], [0, 0, 1, -0.3], [0, -1, 0, 3], [0, 0, 0, 1]])
     red = np.broadcast_to(np.array([200, 10, 10], np.uint8), (64, 64, 3))
-    picture = PosedPicture(down, np.array([1.0, 1]), np.array([0.5, 0.5]), lambda: red)
-    files = LevelFiles(SceneFolder(tmp_path / "scene"), made[0].grid, TileViews([picture]), NO_TARGET)
-    (tmp_path / "scene" / "level" / "0-0-0-0.json").unlink()
+    return PosedPicture(down, np.array([1.0, 1]), np.array([0.5, 0.5]), lambda: red)
+
+
+def made_again(made: Made, folder: Path, nodes: list[Node], engine: Engine | None = None) -> list[Glb]:
+    """Make tiles of a scene again, in a copy of its folder, with a picture that shows them."""
+    shutil.copytree(made[2], folder)
+    files = LevelFiles(SceneFolder(folder), made[0].grid, TileViews([red_picture()]), NO_TARGET)
+    for node in nodes:
+        (folder / "level" / f"{node.name}.json").unlink()
     bar = Bar(ignore_progress)
     bar.set_range(TILE_STARTS, 0.0, 1.0)
+    list(run_parts(engine, nodes, files.work_of_tiles(), Span(bar, "TEXTURING")))
+    return [Glb.of((folder / "level" / f"{node.name}.glb").read_bytes()) for node in nodes]
+
+
+def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: Path) -> None:
     with open_engine("local", ROOM) as engine:
-        list(run_parts(engine, [Node(0, (0, 0, 0))], files.work_of_tiles(), Span(bar, "TEXTURING")))
-    content = Glb.of((tmp_path / "scene" / "level" / "0-0-0-0.glb").read_bytes())
+        (content,) = made_again(made, tmp_path / "scene", [Node(0, (0, 0, 0))], engine)
     with Image.open(io.BytesIO(content.image)) as texture:
-        colours = np.asarray(texture.convert("RGB")).reshape(-1, 3)
-    assert (np.abs(colours - red[0, 0].astype(int)).max(axis=1) < 20).mean() > 0.3
+        colours = np.asarray(texture.convert("RGB")).reshape(-1, 3).astype(int)
+    assert (np.abs(colours - (200, 10, 10)).max(axis=1) < 20).mean() > 0.3
+
+
+def test_tiles_still_meet_where_a_texture_needs_fewer_triangles(
+    made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(texture_mesh, "_FACES", 2_000)
+    nodes = [Node(0, (0, 0, 0)), Node(0, (1, 0, 0))]
+    left, right = made_again(made, tmp_path / "scene", nodes)
+    assert left.image
+    assert right.image
+    assert len(left.faces) <= 2_000 < made[0].triangles / 2
+    assert_they_meet(left, right)
 
 
 def test_progress_counts_tiles(made: Made) -> None:
