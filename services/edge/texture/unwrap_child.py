@@ -16,7 +16,8 @@ import numpy as np
 import xatlas
 
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl(2)
-_MOST_BYTES = 4 << 30  # of address space, most of it reserved by threads: 50,000 triangles take 250 MB
+_MOST_BYTES = 4 << 30  # of address space, without that of threads: 50,000 triangles take 250 MB
+_THREAD_BYTES = 80 << 20  # that a thread reserves for its stack and its heap; there is one for each processor
 # Larger charts than with the default of 2: a chart then ends where it bends too far; they are a tenth fewer.
 _MAX_COST = 8.0
 
@@ -27,7 +28,8 @@ def main(folder: Path) -> None:
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_AS, (_MOST_BYTES, _MOST_BYTES))
+    most_bytes = _MOST_BYTES + _THREAD_BYTES * (os.cpu_count() or 1)
+    resource.setrlimit(resource.RLIMIT_AS, (most_bytes, most_bytes))
     with np.load(folder / "problem.npz") as problem:
         arrays = {name: problem[name] for name in problem.files}
     atlas = xatlas.Atlas()

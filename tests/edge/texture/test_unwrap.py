@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import shutil
+import subprocess
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +39,25 @@ KINDS = {
     "twice the same face": Mesh(np.eye(3), np.array([[0, 1, 2], [0, 1, 2], [2, 1, 0]])),
     "tiny and far away": surfaces.patch(lambda u, v: [1e3 + 1e-4 * u, 1e3 + 1e-4 * v, 0 * u], 9, 9),
 }
+
+MANY = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <sched.h>
+#include <string.h>
+#include <unistd.h>
+int get_nprocs(void) { return 192; }
+long sysconf(int name) {
+    if (name == _SC_NPROCESSORS_ONLN || name == _SC_NPROCESSORS_CONF) return 192;
+    return ((long (*)(int))dlsym(RTLD_NEXT, "sysconf"))(name);
+}
+int sched_getaffinity(pid_t process, size_t size, cpu_set_t *set) {
+    memset(set, 255, size < 24 ? size : 24);
+    memset((char *)set + 24, 0, size > 24 ? size - 24 : 0);
+    return 0;
+}
+"""
+"""A library that pretends there are 192 processors."""
 
 
 def crowded(found: Unwrapped, side: int) -> float:
@@ -169,6 +190,17 @@ def test_a_process_that_dies_is_a_reason_not_a_crash(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(module, "__file__", str(tmp_path / "unwrap.py"))
     with pytest.raises(UnwrapError, match="status -6"):
         unwrap(KINDS["one triangle"], side=64)
+
+
+def test_a_machine_of_many_processors_has_room_for_its_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """xatlas starts a thread for each processor, which reserves address space."""
+    if not shutil.which("gcc"):
+        pytest.skip("a C compiler is missing")
+    library = tmp_path / "many.so"
+    subprocess.run(["gcc", "-xc", "-", "-shared", "-fPIC", "-o", library], input=MANY, text=True, check=True)
+    monkeypatch.setenv("LD_PRELOAD", str(library))
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    assert unwrap(surfaces.patch(lambda u, v: [u, v, 0.1 * np.sin(9 * u)], 100, 100), side=SIDE).charts
 
 
 @settings(max_examples=8)
