@@ -108,11 +108,13 @@ def _cut_axis(extent: float, side: int, places: Floats) -> tuple[int, int]:
     Of several ways the one with the fewest of the places (N,) beside the inner borders is chosen.
     """
     count = int(np.ceil(extent / (_WIDEST * side)))
+    places = np.sort(places)
     best, fewest = (0, 0), np.inf
     for shift in _SHIFTS if count > 1 else (0,):
         wide = _EVEN * int(np.ceil((extent + shift) / count / _EVEN))
         borders = wide * np.arange(1, count) - shift
-        beside = float((np.abs(places[:, None] - borders) < _BESIDE).sum())
+        before, after = np.searchsorted(places, borders - _BESIDE, "right"), np.searchsorted(places, borders + _BESIDE)
+        beside = float((after - before).sum())
         if beside < fewest:
             best, fewest = (shift, wide), beside
     return best

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,17 @@ def test_a_border_keeps_away_from_a_wall() -> None:
     places = grid.to_cells(wall)[:, 0]
     borders = grid.sides[0] * np.arange(1, 4)
     assert np.abs(places[:, None] - borders).min() > 2
+
+
+def test_a_street_of_kilometres_takes_no_more_memory() -> None:
+    low, high = np.zeros(3), np.array([10_000.0, 20, 20])
+    some = np.random.default_rng(4).uniform(low, high, (20_000, 3))
+    tracemalloc.start()
+    grid = TileGrid.over(low, high, CELL, some=some)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (grid.sides > 0.4 * SIDE).all()
+    assert most < 20e6
 
 
 def test_there_and_back_again() -> None:
