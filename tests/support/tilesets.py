@@ -45,7 +45,7 @@ def hill_tree(
 ) -> TilesetNode:
     """The tree of tiles of a square; their contents go into `files`, after `dress` has given them textures, say."""
     mesh = hill_tile(low, size_m, cells)
-    glb = to_glb(dress(mesh), "meshopt", common_grid=True)
+    glb = to_glb(dress(mesh), "meshopt", common_step_m=1e-4)
     half = size_m / 2
     children = tuple(
         hill_tree(

@@ -16,8 +16,9 @@ from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.render.sample_image import bilinear
 from services.edge.texture.nearest_colour import transfer_colours
 
-_SAME_M = 1e-5
-"""Vertices in the same cell of this size are one: a tenth of the grid on which all tiles have theirs."""
+_SAME_M, _SAME = 1e-5, 1e-6
+"""Vertices in the same cell of this size are one: a tenth of the grid on which all tiles have theirs, or this share of
+the longest side of small scenes, whose grid is finer."""
 
 
 def join_tiles(read: Callable[[str], bytes], whole: Callable[[], Mesh]) -> Mesh:
@@ -57,6 +58,7 @@ def _sampled(textured: TexturedMesh) -> Mesh:
 def _welded(meshes: Sequence[Mesh]) -> Mesh:
     """Put meshes together; vertices at the same place become one, with the colour of the first."""
     mesh = concatenate(meshes)
-    cells = np.rint(mesh.vertices / _SAME_M).astype(np.int64)
+    same = min(_SAME_M, _SAME * float(np.ptp(mesh.vertices, axis=0).max())) or _SAME_M
+    cells = np.rint(mesh.vertices / same).astype(np.int64)
     _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     return mesh.with_vertices(first, number.reshape(-1)[mesh.faces])

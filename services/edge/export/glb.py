@@ -42,18 +42,20 @@ _BITS = (12, 16)  # fewest and most of a position
 
 
 def to_glb(
-    asset: Mesh | TexturedMesh, packing: Packing = "float", *, unlit: bool = False, common_grid: bool = False
+    asset: Mesh | TexturedMesh, packing: Packing = "float", *, unlit: bool = False, common_step_m: float = 0.0
 ) -> bytes:
     """Encode a mesh in the asset frame (metres, Y up) as .glb, with vertex colours or with its texture.
 
-    unlit        whether colours are shown as they were captured, whatever the light of the scene (KHR_materials_unlit)
-    common_grid  whether positions are rounded to a grid that all meshes share, so that neighbouring tiles still meet at
-                 the vertices of their border
+    unlit          whether colours are shown as they were captured, whatever the light of the scene
+                   (KHR_materials_unlit)
+    common_step_m  step of the grid that positions are rounded to, or of a power of two times it where the mesh is too
+                   large: that of all tiles of a scene, so that neighbours still meet at the vertices of their border;
+                   0: the mesh has a grid of its own
 
     Degenerate triangles and unused vertices are left out. Raises ValueError where no triangle with area is left.
     """
     drawn = _kept(_Drawn.of(asset, unlit))
-    return _floats(drawn) if packing == "float" else _compressed(drawn, common_grid=common_grid)
+    return _floats(drawn) if packing == "float" else _compressed(drawn, common_step_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +109,9 @@ def _floats(drawn: _Drawn) -> bytes:
     return _file(drawn, TRUE, buffer, attributes, {"mesh": 0})
 
 
-def _compressed(drawn: _Drawn, *, common_grid: bool) -> bytes:
-    grid = (_Grid.common if common_grid else _Grid.of)(drawn.mesh.vertices.astype(np.float64))
+def _compressed(drawn: _Drawn, common_step_m: float) -> bytes:
+    vertices = drawn.mesh.vertices.astype(np.float64)
+    grid = _Grid.common(vertices, common_step_m) if common_step_m else _Grid.of(vertices)
     drawn = _drawable(drawn.with_positions(grid.whole(drawn.mesh.vertices)))
     faces, was = meshopt.sent_order(drawn.mesh.faces)
     drawn = drawn.with_vertices(was, faces)
@@ -190,13 +193,13 @@ class _Grid:
         return cls._through(vertices, max(side / _places(bits), 1e-30))
 
     @classmethod
-    def common(cls, vertices: Floats) -> _Grid:
-        """The grid of step 0.1 mm for all meshes up to 6.5 m, and of 0.2, 0.4, 0.8 … mm for larger ones.
+    def common(cls, vertices: Floats, step: float) -> _Grid:
+        """The grid of that step for all meshes of up to 65,533 steps, and of 2, 4, 8 … times the step for larger ones.
 
         Of two such grids, the finer one has all places of the other.
         """
         needed = float(np.ptp(vertices, axis=0).max()) / _places(_BITS[1])
-        return cls._through(vertices, _STEP_M * 2.0 ** max(0, math.ceil(math.log2(max(needed, 1e-30) / _STEP_M))))
+        return cls._through(vertices, step * 2.0 ** max(0, math.ceil(math.log2(max(needed, 1e-30) / step))))
 
     @classmethod
     def _through(cls, vertices: Floats, step: float) -> _Grid:

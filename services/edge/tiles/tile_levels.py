@@ -33,6 +33,7 @@ from services.edge.tiles.weld import SEAM
 _KEPT = 6  # of so many extracted triangles one stays: on flat walls the others show nothing
 _COARSER = 4  # times fewer triangles of an ancestor than of its children together: as many for each as for a tile
 _FEWEST = 200  # triangles that are not made fewer
+_STEP_M, _STEPS = 1e-4, 16  # of the grid of all tiles' positions: 0.1 mm, or so many to a cell where that is finer
 _SAMPLES, _PROBES = 100_000, 5_000  # of a surface, and of the finer one's vertices, for the distance between the two
 _HIGH = 0.95  # quantile of those distances that is the error: the highest few are cut corners
 
@@ -94,7 +95,7 @@ def tile_level(
     node = Node(0, tile)
     mesh = replace(welded, vertices=grid.to_metres(welded.vertices))
     if len(mesh.faces) == 0:
-        return _level(mesh, None, target, 0.0)
+        return _level(mesh, None, grid, target, 0.0)
     xyz = grid.to_metres(cells)
     mesh = mesh if rgb is None else transfer_colours(mesh, xyz, rgb)
     tick(0.2)
@@ -102,14 +103,14 @@ def tile_level(
     hold = partial(_shared_border, grid, node)
     coarse = simplify(mesh, budget, hold=hold, tick=part_of(tick, 0.2, 0.6))
     if rgb is None or not pictures:
-        return _level(coarse, coarse, target, 0.0)
+        return _level(coarse, coarse, grid, target, 0.0)
     known = ColouredPoints.of(xyz, rgb)
     photos = PhotoProjection(coarse, pictures, known)
     tick(0.7)
     palette = Palette(known, photos, photos.pixel)
     ktx2 = encode if target.ktx2 else None
     (textured,), _ = texture_levels([coarse], palette, most_px=target.texture_px, encode=ktx2, hold=hold)
-    return _level(coarse, textured, target, 0.0)
+    return _level(coarse, textured, grid, target, 0.0)
 
 
 def ancestor_level(
@@ -119,7 +120,8 @@ def ancestor_level(
     fine = orient(joined([mesh for mesh in children if len(mesh.faces)]))
     budget = max(len(fine.faces) // _COARSER, _FEWEST)
     coarse = simplify(fine, budget, hold=partial(_shared_border, grid, node), tick=part_of(tick, 0.2, 0.9))
-    return _level(coarse, coarse if len(coarse.faces) else None, target, error_m + _distance(fine, coarse))
+    error_m += _distance(fine, coarse)
+    return _level(coarse, coarse if len(coarse.faces) else None, grid, target, error_m)
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
@@ -132,8 +134,9 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     return replace(mesh, faces=number[mesh.faces])
 
 
-def _level(mesh: Mesh, asset: Mesh | TexturedMesh | None, target: Target, error_m: float) -> Level:
-    content = b"" if asset is None else to_glb(asset, target.packing, unlit=target.unlit, common_grid=True)
+def _level(mesh: Mesh, asset: Mesh | TexturedMesh | None, grid: TileGrid, target: Target, error_m: float) -> Level:
+    step_m = min(_STEP_M, grid.cell / _STEPS)
+    content = b"" if asset is None else to_glb(asset, target.packing, unlit=target.unlit, common_step_m=step_m)
     return Level(mesh, content, error_m)
 
 

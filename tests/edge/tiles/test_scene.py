@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +22,11 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import no_tick
 from services.edge.asset.target import NO_TARGET
 from services.edge.capture.nouns import Cloud, CloudParts
+from services.edge.convert.join_tiles import join_tiles
 from services.edge.engine.address import open_engine
 from services.edge.engine.nouns import Engine, Needs, OpenEngine
 from services.edge.errors import Cancelled, EdgeError
+from services.edge.export.tileset import TILESET_FILE
 from services.edge.mesh.edges import border_edges
 from services.edge.points.nouns import Points
 from services.edge.preset import load_preset
@@ -55,12 +58,13 @@ def points() -> Points:
 
 
 def run(
-    folder: Path, watch: Watch = ignore_progress, engine: OpenEngine | None = None
+    folder: Path, watch: Watch = ignore_progress, engine: OpenEngine | None = None, some: Points | None = None
 ) -> tuple[TiledScene, list[Progress]]:
-    """Make the scene, in tiles of some 100 cells."""
+    """Make the scene, in tiles of some 100 cells. some: its points; None: the hall"""
     bar = Bar(watch)
     bar.set_range(TILE_STARTS, 0.0, 1.0)
-    steps = reconstruct_tiles(points(), np.eye(4), PRESET, NO_TARGET, folder, Clock(), bar, engine=engine, side=100)
+    parts = (some or points(), np.eye(4), PRESET, NO_TARGET, folder, Clock(), bar)
+    steps = reconstruct_tiles(*parts, engine=engine, side=100)
     said = []
     while True:
         try:
@@ -148,6 +152,19 @@ def test_tiles_still_meet_where_a_texture_needs_fewer_triangles(
     assert right.image
     assert len(left.faces) <= 2_000 < made[0].triangles / 2
     assert_they_meet(left, right)
+
+
+def test_a_scene_of_millimetres_keeps_its_triangles(tmp_path: Path) -> None:
+    """As scanners of small things make it: steps of 0.1 mm are coarser than its cells."""
+    hall_m = points()
+    scene, _ = run(tmp_path / "scene", some=replace(hall_m, xyz=hall_m.xyz * 0.005, scale_confidence="unknown"))
+    assert scene.grid.cell < 1e-4
+    tiles = [Glb.of(scene.files[node.name].read_bytes()) for node in scene.root if not node.children]
+    assert sum(len(tile.faces) for tile in tiles) > 0.99 * scene.triangles
+    files = {TILESET_FILE: scene.document} | {name: path.read_bytes() for name, path in scene.files.items()}
+    whole = join_tiles(files.__getitem__, lambda: scene.mesh)
+    assert len(np.unique(whole.faces)) == len(whole.vertices) > 0.45 * scene.triangles
+    assert (np.diff(np.sort(whole.faces, axis=1), axis=1) > 0).all()
 
 
 def test_progress_counts_tiles(made: Made) -> None:
