@@ -33,6 +33,7 @@ from services.edge.mesh.nouns import Mesh
 from services.edge.mesh.spacing import point_spacing
 from services.edge.points.nouns import Points
 from services.edge.preset import Preset
+from services.edge.preset_choice import ROOM_M
 from services.edge.progress import Bar, Clock, Progress
 from services.edge.tiles.folder import SceneFolder
 from services.edge.tiles.grid import HALO, SIDE, Tile, TileGrid, name_of, neighbours, tile_of
@@ -49,7 +50,7 @@ TILE_STARTS = {"FITTING": 0.0, "EXTRACTING": 0.1, "TEXTURING": 0.75, "PACKING": 
 FINEST_M = 0.01
 """Least side of a cell in metres: a hand-held scan of a room is no more exact."""
 
-_MOST_CELLS = 2_000  # along the longest side of a scene whose size in metres is unknown
+_MOST_CELLS = 2_000  # along the longest side of a scene whose size in metres is unknown, and of an object
 _SOME = 100_000  # points by which borders are chosen
 _PROBES = 5_000  # points whose spacing is measured
 _TILES_SHARE = 0.9  # of the time of all levels, for that of the tiles
@@ -134,13 +135,15 @@ def choose_grid(
 
     low, high (3,) of all points, in the asset frame.
 
-    A scene of known scale gets none finer than FINEST_M. A resolution that was asked for decides alone.
+    A room or street of known scale gets none finer than FINEST_M; an object does, which a scanner shows more exactly. A
+    resolution that was asked for decides alone.
     """
     longest = float((high - low).max())
     some = points.xyz[np.random.default_rng(0).permutation(len(points))[:_PROBES]]
     spacing = float(np.median(point_spacing(some, cKDTree(points.xyz)))) * points.metres_per_unit
     spacing *= min(len(points) / count, 1.0) ** 0.5
-    least = longest / _MOST_CELLS if points.scale_confidence == "unknown" else FINEST_M
+    is_room = points.scale_confidence != "unknown" and longest > ROOM_M
+    least = FINEST_M if is_room else longest / _MOST_CELLS
     cell = longest / preset.resolution if preset.resolution else max(spacing / preset.cells_per_spacing, least)
     chosen = points.xyz[:: max(1, len(points) // _SOME)]
     return TileGrid.over(low, high, cell, side, chosen @ to_asset[:3, :3].T + to_asset[:3, 3])

@@ -47,7 +47,7 @@ from tests.support.patience import PATIENCE_S
 CELL_M = 0.01
 ROOM = Needs(2, 0, 4 << 30)
 Made = tuple[TiledScene, list[Progress], Path]
-PRESET = load_preset("scene-tiles")
+PRESET = replace(load_preset("scene-tiles"), resolution=184)  # cells along the hall's floor
 
 
 def points() -> Points:
@@ -152,6 +152,15 @@ def test_tiles_still_meet_where_a_texture_needs_fewer_triangles(
     assert right.image
     assert len(left.faces) <= 2_000 < made[0].triangles / 2
     assert_they_meet(left, right)
+
+
+@pytest.mark.parametrize(("size", "cell"), [(0.1, 5e-5), (2.0, 1e-3), (4.0, 0.01)])
+def test_a_thing_gets_finer_cells_than_a_room(size: float, cell: float) -> None:
+    xyz = np.random.default_rng(0).uniform(0, size, (20_000, 3)) * (1, 1, 0)
+    cloud = Points(xyz, None, np.ones(len(xyz), np.float32), 1.0, "metric", np.array([0.0, 1, 0]))
+    preset = load_preset("scene-tiles")
+    grid = choose_grid(cloud, 50_000_000, np.eye(4), xyz.min(axis=0), xyz.max(axis=0), preset)
+    assert grid.cell == pytest.approx(cell, rel=0.01)
 
 
 def test_a_scene_of_millimetres_keeps_its_triangles(tmp_path: Path) -> None:
