@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from services.edge.arrays import Bytes, Floats, Tick
+from services.edge.arrays import Bytes, Floats, Ints, Tick
 from services.edge.capture.nouns import Cloud, CloudParts
 from services.edge.errors import EdgeError
 from services.edge.field.noise import noise_level
@@ -56,15 +58,27 @@ def thin_tile(folder: SceneFolder, grid: TileGrid, tile: Tile, *, coloured: bool
 
     The means are rounded to 1/1024 of a cell and sorted by their cells, so that they are the same whoever reads them.
     """
-    raw = np.fromfile(folder.path("raw", name_of(tile), ".bin"), RAW)
-    xyz = np.clip(raw["xyz"].astype(np.float64), 0, np.nextafter(grid.sides.astype(np.float64), 0))
-    light = to_linear(raw["rgb"]) if coloured else np.empty((len(raw), 0))
-    columns = np.concatenate([np.ones((len(raw), 1)), xyz, light], axis=1)
-    _, sums = sum_groups(cell_keys(np.floor(xyz).astype(np.int64)), columns)
+    path = folder.path("raw", name_of(tile), ".bin")
+    keys: Ints = np.empty(0, np.int64)
+    sums: Floats = np.empty((0, 7 if coloured else 4))
+    size = RAW.itemsize * _PART
+    for begin in range(0, path.stat().st_size, size):  # beside a scanner one tile may have a hundred million points
+        raw = np.fromfile(path, RAW, _PART, offset=begin)
+        own_keys, own_sums = _sum_cells(raw, grid, coloured=coloured)
+        keys, sums = sum_groups(np.concatenate([keys, own_keys]), np.concatenate([sums, own_sums]))
     means = sums[:, 1:] / sums[:, :1]
     cells = np.rint(means[:, :3] * STEPS) / STEPS + grid.corner_of(tile)
     rgb = to_srgb(means[:, 3:]) if coloured else np.empty((0, 3), np.uint8)
     folder.save_points(name_of(tile), cells, rgb)
+
+
+def _sum_cells(raw: NDArray[Any], grid: TileGrid, *, coloured: bool) -> tuple[Ints, Floats]:
+    """Sum captured points, records (N,), that lie in one cell: the cells' keys (C,), and (C,4 or 7) the number of their
+    points, the sum of their places and of their linear light."""
+    xyz = np.clip(raw["xyz"].astype(np.float64), 0, np.nextafter(grid.sides.astype(np.float64), 0))
+    light = to_linear(raw["rgb"]) if coloured else np.empty((len(raw), 0))
+    columns = np.concatenate([np.ones((len(raw), 1)), xyz, light], axis=1)
+    return sum_groups(cell_keys(np.floor(xyz).astype(np.int64)), columns)
 
 
 def points_around(folder: SceneFolder, grid: TileGrid, tile: Tile, margin: float) -> tuple[Floats, Bytes | None]:

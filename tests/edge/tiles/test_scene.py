@@ -33,12 +33,14 @@ from services.edge.preset import load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.texture import texture_mesh
+from services.edge.tiles import tile_points
 from services.edge.tiles.folder import SceneFolder
+from services.edge.tiles.grid import name_of
 from services.edge.tiles.level_files import LevelFiles
 from services.edge.tiles.parts import Span, run_parts
 from services.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles
 from services.edge.tiles.tile_levels import Node
-from services.edge.tiles.tile_points import bounds_of, sort_into_tiles
+from services.edge.tiles.tile_points import bounds_of, sort_into_tiles, thin_tile
 from services.edge.tiles.tile_views import TileViews
 from tests.edge.tiles.hall import hall
 from tests.referees.glb_reader import Glb
@@ -197,6 +199,28 @@ def test_points_may_come_in_parts(made: Made, tmp_path: Path) -> None:
     files.begin({})
     sort_into_tiles(some, np.eye(4), choose_grid(whole, len(whole), np.eye(4), low, high, PRESET, 100), files, no_tick)
     assert files.tiles == SceneFolder(made[2]).tiles
+
+
+def test_a_crowded_tile_is_thinned_in_parts(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a tile beside a scanner must be; the points are the same."""
+    shutil.copytree(made[2], tmp_path / "scene")
+    files, tile = SceneFolder(tmp_path / "scene"), (0, 0, 0)
+    cells, rgb = files.load_points(name_of(tile))
+    read, counts = np.fromfile, list[int]()
+
+    def count(*args: object, **named: object) -> np.ndarray:
+        part = read(*args, **named)  # type: ignore[call-overload]
+        counts.append(len(part))
+        return np.asarray(part)
+
+    monkeypatch.setattr(tile_points, "_PART", 1_000)
+    monkeypatch.setattr(np, "fromfile", count)
+    thin_tile(files, made[0].grid, tile, coloured=True)
+    again, colours = files.load_points(name_of(tile))
+    assert again.tobytes() == cells.tobytes()
+    assert colours.tobytes() == rgb.tobytes()
+    assert sum(counts) == (files.tiles or {})[name_of(tile)]
+    assert max(counts) <= 1_000
 
 
 def test_an_engine_makes_the_same_meshes(made: Made, tmp_path: Path) -> None:
