@@ -19,10 +19,11 @@ from services.edge.export.glb import to_glb
 from services.edge.export.ktx2 import EncodeKtx2
 from services.edge.mesh.concatenate import concatenate
 from services.edge.mesh.edges import border_edges
+from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.mesh.sampling import sample
 from services.edge.mesh.simplify import simplify
-from services.edge.mesh.topology import orient
+from services.edge.mesh.topology import compact, orient
 from services.edge.render.posed_picture import PosedPicture
 from services.edge.texture.bake_photos import PhotoProjection
 from services.edge.texture.nearest_colour import ColouredPoints, transfer_colours
@@ -102,6 +103,8 @@ def tile_level(
     budget = max(len(mesh.faces) // _KEPT, _FEWEST)
     hold = partial(_shared_border, grid, node)
     coarse = simplify(mesh, budget, hold=hold, tick=part_of(tick, 0.2, 0.6))
+    if not _drawable(coarse, _step_m(grid)):
+        return _level(compact(coarse, np.empty(0, np.int64)), None, grid, target, 0.0)
     if rgb is None or not pictures:
         return _level(coarse, coarse, grid, target, 0.0)
     known = ColouredPoints.of(xyz, rgb)
@@ -134,9 +137,20 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     return replace(mesh, faces=number[mesh.faces])
 
 
+def _drawable(mesh: Mesh, step_m: float) -> bool:
+    """Whether any triangle has an area once positions are rounded: a tile that a surface hardly reaches into may have a
+    single sliver."""
+    rounded = np.rint(mesh.vertices / step_m)
+    return bool((face_normals(rounded, mesh.faces) != 0).any())
+
+
+def _step_m(grid: TileGrid) -> float:
+    """Step of the grid that all tiles' positions are rounded to."""
+    return min(_STEP_M, grid.cell / _STEPS)
+
+
 def _level(mesh: Mesh, asset: Mesh | TexturedMesh | None, grid: TileGrid, target: Target, error_m: float) -> Level:
-    step_m = min(_STEP_M, grid.cell / _STEPS)
-    content = b"" if asset is None else to_glb(asset, target.packing, unlit=target.unlit, common_step_m=step_m)
+    content = b"" if asset is None else to_glb(asset, target.packing, unlit=target.unlit, common_step_m=_step_m(grid))
     return Level(mesh, content, error_m)
 
 

@@ -28,6 +28,7 @@ from services.edge.engine.nouns import Engine, Needs, OpenEngine
 from services.edge.errors import Cancelled, EdgeError
 from services.edge.export.tileset import TILESET_FILE
 from services.edge.mesh.edges import border_edges
+from services.edge.mesh.nouns import Mesh
 from services.edge.points.nouns import Points
 from services.edge.preset import load_preset
 from services.edge.progress import Bar, Clock, Progress, Watch, ignore_progress
@@ -39,7 +40,7 @@ from services.edge.tiles.grid import name_of
 from services.edge.tiles.level_files import LevelFiles
 from services.edge.tiles.parts import Span, run_parts
 from services.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles
-from services.edge.tiles.tile_levels import Node
+from services.edge.tiles.tile_levels import Node, tile_level
 from services.edge.tiles.tile_points import bounds_of, sort_into_tiles, thin_tile
 from services.edge.tiles.tile_views import TileViews
 from tests.edge.tiles.hall import hall
@@ -88,6 +89,15 @@ def test_every_tile_and_ancestor_is_a_file(made: Made) -> None:
     assert {node.name for node in nodes} == set(scene.files)
     assert all(path.read_bytes().startswith(b"glTF") for path in scene.files.values())
     assert json.loads(scene.document)["asset"]["version"] == "1.1"
+
+
+def test_a_tile_of_slivers_alone_is_empty(made: Made) -> None:
+    """A surface may reach into a tile by less than what positions are rounded to."""
+    corner = made[0].grid.corner_of((1, 0, 0)) + 5
+    sliver = Mesh(corner + np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-4, 0]]), np.array([[0, 1, 2]]))
+    rgb = np.full((3, 3), 90, np.uint8)
+    level = tile_level(no_tick, sliver, sliver.vertices, rgb, [red_picture()], made[0].grid, (1, 0, 0), NO_TARGET)
+    assert (len(level.mesh.faces), level.content) == (0, b"")
 
 
 def test_an_ancestor_is_coarser_and_says_by_how_much(made: Made) -> None:
