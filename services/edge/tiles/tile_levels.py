@@ -32,7 +32,9 @@ from services.edge.tiles.grid import Tile, TileGrid
 from services.edge.tiles.weld import SEAM
 
 _KEPT = 6  # of so many extracted triangles one stays: on flat walls the others show nothing
-_COARSER = 4  # times fewer triangles of an ancestor than of its children together: as many for each as for a tile
+# Times fewer triangles of an ancestor than of its children together, as many for each as for a tile; but no fewer than
+# its largest child has: along a street only two are merged, and after a few levels next to nothing would be left.
+_COARSER = 4
 _FEWEST = 200  # triangles that are not made fewer
 _STEP_M, _STEPS = 1e-4, 16  # of the grid of all tiles' positions: 0.1 mm, or so many to a cell where that is finer
 _SAMPLES, _PROBES = 100_000, 5_000  # of a surface, and of the finer one's vertices, for the distance between the two
@@ -121,7 +123,7 @@ def ancestor_level(
 ) -> Level:
     """Merge the meshes of an ancestor's children, and simplify them. error_m: the largest of the children's"""
     fine = orient(joined([mesh for mesh in children if len(mesh.faces)]))
-    budget = max(len(fine.faces) // _COARSER, _FEWEST)
+    budget = max(len(fine.faces) // _COARSER, *(len(mesh.faces) for mesh in children), _FEWEST)
     coarse = simplify(fine, budget, hold=partial(_shared_border, grid, node), tick=part_of(tick, 0.2, 0.9))
     error_m += _distance(fine, coarse)
     return _level(coarse, coarse if len(coarse.faces) else None, grid, target, error_m)

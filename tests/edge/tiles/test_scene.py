@@ -36,15 +36,16 @@ from services.edge.render.posed_picture import PosedPicture
 from services.edge.texture import texture_mesh
 from services.edge.tiles import tile_points
 from services.edge.tiles.folder import SceneFolder
-from services.edge.tiles.grid import name_of
+from services.edge.tiles.grid import TileGrid, name_of
 from services.edge.tiles.level_files import LevelFiles
 from services.edge.tiles.parts import Span, run_parts
 from services.edge.tiles.scene import TILE_STARTS, TiledScene, choose_grid, reconstruct_tiles
-from services.edge.tiles.tile_levels import Node, tile_level
+from services.edge.tiles.tile_levels import Node, ancestor_level, tile_level
 from services.edge.tiles.tile_points import bounds_of, sort_into_tiles, thin_tile
 from services.edge.tiles.tile_views import TileViews
 from tests.edge.tiles.hall import hall
 from tests.referees.glb_reader import Glb
+from tests.support import surfaces
 from tests.support.patience import PATIENCE_S
 
 CELL_M = 0.01
@@ -105,7 +106,29 @@ def test_an_ancestor_is_coarser_and_says_by_how_much(made: Made) -> None:
     assert root.children
     assert all(child.error_m == 0 for child in root.children)
     assert 0 < root.error_m < CELL_M
-    assert len(made[0].mesh.faces) < made[0].triangles / 2
+    assert len(made[0].mesh.faces) < 0.8 * made[0].triangles
+
+
+def test_the_whole_of_a_street_keeps_as_many_triangles_as_a_tile() -> None:
+    """Its tiles lie in a row, so two are merged at a time, where on a floor it is four."""
+    grid = TileGrid(np.zeros(3), CELL_M, np.array([64, 64, 64]))
+    nodes = {Node(0, (number, 0, 0)): wavy_tile(number) for number in range(8)}
+    while len(nodes) > 1:
+        children: dict[Node, list[Mesh]] = {}
+        for node, mesh in nodes.items():
+            children.setdefault(node.parent, []).append(mesh)
+        nodes = {node: ancestor_level(no_tick, below, 0.0, grid, node, NO_TARGET).mesh
+                 for node, below in children.items()}  # fmt: skip
+    (whole,) = nodes.values()
+    assert 0.9 * len(wavy_tile(0).faces) < len(whole.faces) <= len(wavy_tile(0).faces)
+
+
+def wavy_tile(number: int) -> Mesh:
+    """A tile of 64 cells in a row of them, metres."""
+    sheet = surfaces.patch(lambda u, v: [u, v, 0 * u], 64, 64)
+    x, z, _ = ((sheet.vertices + 0.5) * 64).T
+    x = x + 64 * number
+    return Mesh(CELL_M * np.stack([x, 20 + 3 * np.sin(x / 5) * np.cos(z / 6), z], axis=1), sheet.faces)
 
 
 def test_tiles_as_delivered_share_their_border_vertices(made: Made) -> None:
