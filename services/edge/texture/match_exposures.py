@@ -35,7 +35,20 @@ def match_exposures(shown: Floats, quality: Floats, known: Floats) -> Floats:
     shown    (P,N,3) linear light of the photos at places
     quality  (P,N) how well they see them, 0 where they do not
     known    (P,3) linear light of the points there
+
+    A photo that shows nothing but deep colours, a channel of which is too dark to be compared, is matched by the mean
+    of its channels: that tells its exposure, though not its white balance.
     """
+    gains, matched = _gains_of_channels(shown, quality, known)
+    if not matched.all():
+        grey, known_grey = (each.mean(axis=-1, keepdims=True) for each in (shown, known))
+        gains[~matched] = _gains_of_channels(grey, quality, known_grey)[0][~matched]
+    return gains
+
+
+def _gains_of_channels(shown: Floats, quality: Floats, known: Floats) -> tuple[Floats, Bools]:
+    """Gains (N,C) float32 of each of the C channels, and a mask (N,) of the photos that could be compared; the others
+    have gain 1."""
     seen = (quality > 0) & _unclipped(shown) & _unclipped(known)[:, None]
     seen[:, seen.sum(axis=0) < _FEWEST_PLACES] = False
     chosen = np.flatnonzero(seen.any(axis=1))
@@ -43,11 +56,12 @@ def match_exposures(shown: Floats, quality: Floats, known: Floats) -> Floats:
     shown, quality, known = (each[chosen] for each in (shown, quality, known))
     seen = seen[chosen]
     if not len(chosen):
-        return np.ones(shown.shape[1:], np.float32)
+        return np.ones(shown.shape[1:], np.float32), np.zeros(shown.shape[1], bool)
     weight = np.column_stack([np.where(seen, quality, 0), np.full(len(seen), _TIE)])
     y = np.log(np.maximum(np.concatenate([shown, known[:, None]], axis=1), _DARK)).astype(np.float64)
     gains = np.stack([_log_gains(y[..., band], weight, seen) for band in range(shown.shape[2])], axis=1)
-    return np.exp(np.clip(gains, -np.log(_MOST_GAIN), np.log(_MOST_GAIN))).astype(np.float32)
+    clipped = np.clip(gains, -np.log(_MOST_GAIN), np.log(_MOST_GAIN))
+    return np.exp(clipped).astype(np.float32), np.asarray(seen.any(axis=0))
 
 
 def _unclipped(light: Floats) -> Bools:

@@ -33,6 +33,15 @@ def test_photos_that_differ_by_gains_alone_get_these(seed: int) -> None:
     np.testing.assert_allclose(found, gains, rtol=1e-3)
 
 
+def test_photos_of_a_thing_in_one_deep_colour_get_the_gains_of_their_exposure() -> None:
+    """Of a red car green and blue are too dark to be compared everywhere."""
+    light, quality = around(np.random.default_rng(0))
+    light = light * (1, 0.01, 0.02)
+    gains = np.linspace(0.7, 1.4, PHOTOS)[:, None] * np.ones(3)
+    found = match_exposures(seen_with(gains, light, quality), quality, light)
+    np.testing.assert_allclose(found, gains, rtol=1e-3)
+
+
 def test_photos_agree_where_the_points_have_the_steps_too() -> None:
     """The points of one half were captured brighter: matched to them alone, photos would differ by a factor of 1.5."""
     light, quality = around(np.random.default_rng(0))

@@ -174,7 +174,8 @@ def test_a_tile_that_pictures_show_gets_a_texture_of_them(made: Made, tmp_path: 
         (content,) = made_again(made, tmp_path / "scene", [Node(0, (0, 0, 0))], engine)
     with Image.open(io.BytesIO(content.image)) as texture:
         colours = np.asarray(texture.convert("RGB")).reshape(-1, 3).astype(int)
-    assert (np.abs(colours - (200, 10, 10)).max(axis=1) < 20).mean() > 0.3
+    red, green, blue = colours.T  # in the brightness of the points, whose green and blue are 60 at least
+    assert ((red > 80) & (green < 30) & (blue < 30)).mean() > 0.3
 
 
 def test_tiles_still_meet_where_a_texture_needs_fewer_triangles(
