@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from services.edge.arrays import Bytes, Floats, Tick, no_tick, pick
+from services.edge.arrays import Bools, Bytes, Floats, Tick, no_tick, pick
 from services.edge.capture.nouns import Capture, Cloud, CloudParts, ScaleConfidence
 from services.edge.errors import CaptureError
 from services.edge.points.downsample import voxel_downsample, voxel_downsample_to
@@ -18,6 +18,9 @@ MIN_POINTS = 100
 """Least number of distinct points; fewer do not describe a surface."""
 _SAME = 1e-6
 """Points closer than this share of the cloud's size are one point: float32 files have no better resolution."""
+_FEW, _FAR = 0.01, 100.0
+"""Share of points at either end of each axis that do not tell the cloud's size, and how many such sizes from the middle
+a point may lie."""
 _REPORTED = 0.001
 """Share of outliers from which on the report mentions them."""
 _SMALLEST_M, _LARGEST_M = 0.05, 30.0
@@ -37,6 +40,8 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
     finite = np.asarray(np.isfinite(capture.cloud.xyz).all(axis=1))
     xyz: Floats = np.asarray(capture.cloud.xyz, np.float64)[finite]
     rgb = pick(capture.cloud.rgb, finite)
+    near = _near_the_others(xyz)
+    xyz, rgb = xyz[near], pick(rgb, near)
     origin = xyz.min(axis=0) if len(xyz) else np.zeros(3)
     xyz, rgb = _remove_duplicates(xyz - origin, rgb)
     if voxel is not None:
@@ -48,7 +53,7 @@ def cloud_points(capture: Capture, *, voxel: float | None = None, tick: Tick = n
     _require_points(read, int(keep.sum()))
     xyz, rgb = xyz[keep] + origin, pick(rgb, keep)
     metres_per_unit, scale_confidence, warnings = _scale(capture, xyz)
-    strays = int(len(keep) - keep.sum())
+    strays = int(len(keep) - keep.sum() + len(near) - near.sum())
     if strays > _REPORTED * len(keep):
         warnings += (f"{strays} stray points (outliers, {strays / len(keep):.1%}) were removed.",)
     return Points(
@@ -69,6 +74,15 @@ def _whole(cloud: Cloud) -> CloudParts | None:
     if len(cloud.xyz) <= MAX_POINTS:
         return None
     return CloudParts(len(cloud.xyz), lambda: iter((Cloud(cloud.xyz, cloud.rgb),)))
+
+
+def _near_the_others(xyz: Floats) -> Bools:
+    """Return a mask (N,): False for points so far from nearly all others that these would coincide: see `_SAME`."""
+    if not len(xyz):
+        return np.ones(0, bool)
+    low, middle, high = np.quantile(xyz, (_FEW, 0.5, 1 - _FEW), axis=0)
+    farthest = _FAR * float((high - low).max())
+    return np.asarray((np.abs(xyz - middle) <= farthest).all(axis=1)) if farthest else np.ones(len(xyz), bool)
 
 
 def _remove_duplicates(xyz: Floats, rgb: Bytes | None) -> tuple[Floats, Bytes | None]:

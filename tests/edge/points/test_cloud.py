@@ -226,6 +226,13 @@ def test_components_are_numbered_by_size() -> None:
     assert set(label[100:]) == {0}
 
 
+@pytest.mark.parametrize("far", [50.0, 1e3, 1e6])
+def test_strays_far_away_cost_no_other_point(far: float) -> None:
+    """At 1,000 km, a millionth of the extent is the size of the thing."""
+    xyz = np.vstack([sphere(14_000), [[far, 0, 0], [0, -far, far]]])
+    assert 13_900 < len(to_points(cloud(xyz))) <= 14_000
+
+
 def test_a_handful_of_points_has_no_strays() -> None:
     assert inliers(sphere(5)).all()
 
