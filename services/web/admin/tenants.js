@@ -76,7 +76,7 @@ function describeLimits(limits) {
 }
 
 /**
- * Shows a tenant's own limits in the form. What is sent takes the place of all of them, so it is sent for that tenant alone.
+ * Shows a tenant's own limits in the form. What is sent takes the place of all of them, so nothing can be typed before they are there.
  * @param {Usage | undefined} usage none while it is loaded
  */
 function fillLimits(usage) {
@@ -85,24 +85,27 @@ function fillLimits(usage) {
   for (const field of form.querySelectorAll('input')) {
     const name = /** @type {keyof Limits} */ (field.name);
     field.value = usage?.own_limits[name]?.toString() ?? '';
+    field.disabled = !usage;
   }
+}
+
+async function loadLimits() {
+  const choice = element('limited', HTMLSelectElement);
+  fillLimits(undefined);
+  /** @type {Usage} */
+  const usage = await getJson(`/v1/tenants/${choice.value}/usage`);
+  if (usage.tenant === choice.value) fillLimits(usage);
 }
 
 /** Lets the limits of a tenant be set, as the form has them. */
 export function listenToLimits() {
   const [form, choice] = [element('limits', HTMLFormElement), element('limited', HTMLSelectElement)];
   const trouble = element('limits-trouble', HTMLElement);
-  choice.addEventListener('change', () => {
-    fillLimits(undefined);
-    attempt(trouble, async () => {
-      /** @type {Usage} */
-      const usage = await getJson(`/v1/tenants/${choice.value}/usage`);
-      if (usage.tenant === choice.value) fillLimits(usage);
-    });
-  });
+  choice.addEventListener('change', () => attempt(trouble, loadLimits));
   form.addEventListener('submit', (event) => {
     event.preventDefault();
-    if (form.dataset.tenant === choice.value) attempt(trouble, () => setLimits(form), form);
+    const isLoaded = form.dataset.tenant === choice.value; // else the network failed: it is tried again
+    attempt(trouble, () => (isLoaded ? setLimits(form) : loadLimits()), form);
   });
 }
 

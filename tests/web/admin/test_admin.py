@@ -104,6 +104,13 @@ def test_limits_are_set(page: Page, service: tuple[Site, str, str]) -> None:
     expect(page.locator("#limits-said")).to_contain_text("40 jobs a day")
     told = httpx.get(f"{site.url}/v1/usage", headers=bearer(ada)).json()
     assert told["own_limits"] == {"jobs_at_once": 3, "jobs_per_day": 40}, "the others stay, an empty one is removed"
+    page.route("**/v1/tenants/ada/usage", lambda route: route.abort(), times=1)
+    page.locator("#limited").select_option(TENANTS[0])
+    page.locator("#limited").select_option("ada")
+    expect(page.locator("#limits-trouble")).to_contain_text("cannot be reached")
+    expect(page.get_by_label("Jobs at once")).to_be_disabled()
+    page.get_by_role("button", name="Set the limits").click()
+    expect(page.get_by_label("Jobs at once")).to_have_value("3")
 
 
 def test_what_fails_is_said_beside_it_and_stays(page: Page) -> None:
