@@ -2,6 +2,8 @@
 // Modules that a worker loads may use it too: there, sentences are English.
 import { language, readTable } from './texts.js';
 
+const LONGEST = 1_000; // characters of a text that is translated: names in it are other people's, and each place of a value is tried
+const MOST_KEPT = 1_000; // texts whose translations are remembered
 const LEAST_LETTERS = 12; // of a sentence beside its values: what has fewer only joins others, and would fit by chance
 
 /** @typedef {{ letters: number, pattern: RegExp, names: string[], german: string }} Template a sentence with values in it */
@@ -10,6 +12,8 @@ const LEAST_LETTERS = 12; // of a sentence beside its values: what has fewer onl
 let table; // of server-texts.json; read when the first sentence is to be shown
 /** @type {Template[]} */
 let templates = [];
+/** @type {Map<string, string | undefined>} */
+const known = new Map(); // by text: a value is looked for by every sentence that may quote it
 
 /**
  * Translates a sentence of the server, and what it quotes. What is not known stays as it is.
@@ -17,7 +21,9 @@ let templates = [];
  * @returns {string}
  */
 export function told(text) {
-  return language === 'en' ? text : find(text) ?? text;
+  if (language === 'en' || text.length > LONGEST) return text;
+  if (known.size > MOST_KEPT) known.clear();
+  return find(text) ?? text;
 }
 
 /**
@@ -25,17 +31,23 @@ export function told(text) {
  * @returns {string | undefined}
  */
 function find(text) {
+  if (!known.has(text)) known.set(text, translate(text));
+  return known.get(text);
+}
+
+/** @param {string} text */
+function translate(text) {
   if (!table) {
     table = readTable('server-texts');
     templates = Object.entries(table).filter(([english]) => english.includes('{')).map(createTemplate)
       .toSorted((a, b) => b.letters - a.letters); // the one that says most fits best
   }
-  return exact(text) ?? otherCase(text) ?? filled(text) ?? about(text)
+  return about(text) ?? byTable(text) ?? otherCase(text)
     ?? listed(text, /(?<=[.!?]) (?=[A-Z])/, ' ') ?? listed(text, '; ', '; ') ?? listed(text, ', ', ', ');
 }
 
 /** @param {string} text */
-const exact = (text) => (table && Object.hasOwn(table, text) ? table[text] : undefined);
+const byTable = (text) => (table && Object.hasOwn(table, text) ? table[text] : filled(text));
 
 /**
  * The same sentence, begun with the other kind of letter.
@@ -43,8 +55,9 @@ const exact = (text) => (table && Object.hasOwn(table, text) ? table[text] : und
  */
 function otherCase(text) {
   const first = text.charAt(0);
-  const isUpper = first === first.toUpperCase();
-  const german = exact((isUpper ? first.toLowerCase() : first.toUpperCase()) + text.slice(1));
+  const isUpper = first !== first.toLowerCase();
+  const other = isUpper ? first.toLowerCase() : first.toUpperCase();
+  const german = other === first ? undefined : byTable(other + text.slice(1));
   return german && (isUpper ? german.charAt(0).toUpperCase() + german.slice(1) : german);
 }
 
@@ -56,7 +69,7 @@ function filled(text) {
   for (const { letters, pattern, names, german } of templates) {
     const values = pattern.exec(text)?.slice(1);
     if (!values || (letters < LEAST_LETTERS && values.some((value) => isSentence(value) && !find(value)))) continue;
-    const by = new Map(names.map((name, place) => [name, germanNumber(values[place]) ?? told(values[place])]));
+    const by = new Map(names.map((name, place) => [name, germanNumber(values[place]) ?? find(values[place]) ?? values[place]]));
     return german.replace(/\{(\w+)\}/g, (whole, name) => by.get(name) ?? whole);
   }
   return undefined;
@@ -75,13 +88,13 @@ function germanNumber(value) {
 const isSentence = (value) => /[a-z] [a-z]/i.test(value);
 
 /**
- * A sentence about a file, whose name stands before it.
+ * A sentence about a file, whose name stands before it and is not translated, whatever words it has.
  * @param {string} text
  */
 function about(text) {
-  const end = text.indexOf(': ');
-  const german = end < 0 ? undefined : find(text.slice(end + 2));
-  return german && text.slice(0, end + 2) + german;
+  const [, name = '', said = ''] = /^(\S+: |[^:]*\.[^:]*: )(.+)$/s.exec(text) ?? [];
+  const german = said && find(said);
+  return german ? name + german : undefined;
 }
 
 /**

@@ -75,6 +75,12 @@ NOT_BETTER = (
     "mean distance to 1,000 held-out points 0.00200, was 0.00100 (± 0.00010); coverage 0.980, was 0.990; "
     "pieces 3, was 1"
 )
+CONTRADICTED = (
+    "The camera poses contradict the depth images: by these poses, the cameras see through 45% of what their "
+    "neighbours saw. They were not used: the camera's way was computed from the images."
+)
+OF_MANY = " and ".join(["code"] * 60) + ".jpg: has no points"
+"""A file may be named so: each of its words is one that a sentence may quote."""
 SIDE = "Shoot from behind on the left, higher up, as seen in the first picture: 12% of the thing is seen too little."
 
 
@@ -83,7 +89,14 @@ def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> Non
     told = box(
         "Schale",
         GREEN,
-        warnings=["schale.ply: has no points", NOT_BETTER, ALIGNED, "It is cracked and has no name."],
+        warnings=[
+            "schale.ply: has no points",
+            NOT_BETTER,
+            ALIGNED,
+            CONTRADICTED,
+            OF_MANY,
+            "It is cracked and has no name.",
+        ],
         capture={"unseen": [{"advice": SIDE, "share": 0.12, "direction": [0, 0, 1]}]},
         preset="standard",
         preset_because="1,200 points are too few to train on",
@@ -102,6 +115,10 @@ def test_what_the_server_says_is_said_in_german(german: Page, site: Site) -> Non
         "getrennte Gruppen von 5 und 4 ohne Überlappung; nur die größte wurde verwendet, ohne"
     )
     expect(about).to_contain_text("a.jpg, b.jpg und 3 weitere")
+    expect(about).to_contain_text(
+        "Die Kamerastellungen widersprechen den Tiefenbildern: danach sehen die Kameras durch 45%"
+    )
+    expect(about).to_contain_text("code and code.jpg: hat keine Punkte")
     expect(about).to_contain_text("It is cracked and has no name.")
     expect(about).to_contain_text("Nimm hinten links, von höher oben auf, gesehen wie im ersten Bild")
     expect(about).to_contain_text("1.200 Punkte sind zu wenige zum Trainieren")
