@@ -216,7 +216,7 @@ def _activation(product: Tensor, bias: Tensor, *, rounded: bool) -> tuple[Tensor
     """a(z), a'(z) of z = product + bias; the product is overwritten."""
     if not rounded:
         value = product.add_(bias).relu_()
-        return value, (value > 0).to(value.dtype)
+        return value, value.sign()
     slope = torch.add(bias * BEND + 0.5, product, alpha=BEND).clamp_(0, 1)
     # r·s² on the parabola; above it s = 1 and z − r is left.
     return product.add_(bias - ROUNDING).relu_().addcmul_(slope, slope, value=ROUNDING), slope

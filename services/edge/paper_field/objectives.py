@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import torch
 from torch import Tensor
 
 from services.edge.field.compute import nearest, nearest_in, rows
@@ -50,11 +51,20 @@ def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: N
     nearest_point = nearest_in(pool.points)
     far_count = min(far_batch(config, batch), len(pool.far))
     growth = config.decay if config.sign == "printed" else -config.decay
+    ways = "self_consistency" in wanted and config.pairs == "pull"
 
     def terms(j: Tensor) -> Mapping[str, Tensor]:
+        with network.hold_weights():
+            return of_batch(j)
+
+    def of_batch(j: Tensor) -> Mapping[str, Tensor]:
         q, near_q = pool.strong_queries(j), pool.points[pool.nearest[j]]
         known = losses.certainty(memory[j])
-        f, g = network.value_and_gradient(q, known)
+        if ways:  # both queries of a pair in one pass, which has half the kernels of two
+            both = network.value_and_gradient(torch.cat([q, pool.weak_queries(j)]), known.repeat(2))
+        else:
+            both = network.value_and_gradient(q, known)
+        f, g = both[0][: len(j)], both[1][: len(j)]
         moved = losses.pull(q, f, g)
         found = {}
         if "chamfer" in wanted:
@@ -68,24 +78,22 @@ def paper_objective(network: FieldNetwork, pool: Pool, memory: Tensor, config: N
         if "surface" in wanted:
             found["surface"] = losses.surface_loss(network(near_q))
         if "self_consistency" in wanted:
-            found["self_consistency"] = of_pairs(j, f, g, known)
+            found["self_consistency"] = of_pairs(j, *both, known)
         if "far" in wanted:
             far = j[:far_count] % len(pool.far)  # j is random, so this is a random choice among the far queries too
             found["far"] = losses.far_loss(network(pool.far[far]), pool.far_distance[far])
         return found
 
     def of_pairs(j: Tensor, f: Tensor, g: Tensor, known: Tensor) -> Tensor:
-        """L_sc, which updates ω on the way."""
-        q = pool.weak_queries(j)
-        if config.pairs == "pull":
-            weak, slope = network.value_and_gradient(q, known)
-            both = losses.pull_vector(f, g), losses.pull_vector(weak, slope)
+        """L_sc, which updates ω on the way; f, g of the strong queries, then of the weak ones where `ways` count."""
+        if ways:
+            weak_distance, (strong, weak) = f[len(j) :], losses.pull_vector(f, g).chunk(2)
         else:
-            weak = network(q, known)
-            both = f[:, None], weak[:, None]
-        omega = losses.update_memory(memory[j], weak, keep=config.memory)
+            weak_distance = network(pool.weak_queries(j), known)
+            strong, weak = f[:, None], weak_distance[:, None]
+        omega = losses.update_memory(memory[j], weak_distance, keep=config.memory)
         memory[j] = omega
         weight = losses.certainty(omega) if config.certainty == "weight" else None
-        return losses.self_consistency_loss(*both, weight)
+        return losses.self_consistency_loss(strong, weak, weight)
 
     return terms

@@ -114,6 +114,24 @@ def test_the_backward_pass_by_hand_is_that_of_autograd(name: str, read: str) -> 
         torch.testing.assert_close(ours, expected)
 
 
+@NETWORKS
+def test_weights_that_are_held_for_several_passes_give_the_same_gradients(config: NetworkConfig) -> None:
+    def loss(network: FieldNetwork) -> torch.Tensor:
+        f, g = network.value_and_gradient(queries().double())
+        return (f + g.square().sum(dim=1)).mean() + network(queries(5).double()).mean()
+
+    held, plain = in_double(config), in_double(config)
+    with held.hold_weights():
+        loss(held).backward()
+    loss(plain).backward()
+    for one, other in zip(held.parameters(), plain.parameters(), strict=True):
+        torch.testing.assert_close(one.grad, other.grad)
+    with torch.no_grad():
+        for parameter in held.parameters():
+            parameter.mul_(0.5)
+    assert not torch.equal(held(queries().double()), plain(queries().double()))
+
+
 def test_a_second_backward_pass_is_refused_because_the_first_wrote_over_what_it_needs() -> None:
     network = in_double(CONFIGS["128"])
     f, g = network.value_and_gradient(queries().double())
