@@ -174,7 +174,7 @@ def _has_ended(cell: Cell, records: dict[tuple[str, str, str], Record], device: 
 
 def curve_of(cell: Cell, records: dict[tuple[str, str, str], Record]) -> list[dict[str, Any]]:
     """What a cell reached, a table of figures by measured step: on the kind of device where it came farther."""
-    curves = [curve_on(device, cell, records) for device in ("cuda", "cpu")]
+    curves = [curve_on(device, cell, records) for device in ("cpu", "cuda")]
     return max(curves, key=lambda curve: curve[-1]["step"] if curve else 0)
 
 

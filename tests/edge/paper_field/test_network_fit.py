@@ -21,7 +21,7 @@ from services.edge.errors import EdgeError
 from services.edge.field import checkpoint
 from services.edge.field.compute import capture_step, open_device, translate_memory_errors
 from services.edge.field.local import local_field
-from services.edge.field.step import Step
+from services.edge.field.step import STEPS_BEFORE_CAPTURE, Step
 from services.edge.paper_field.network_config import Densify, NetworkConfig
 from services.edge.paper_field.network_fit import fit_network
 from services.edge.paper_field.network_run import learning_rate
@@ -205,10 +205,14 @@ def test_fits_capture_one_at_a_time_each_on_a_stream_of_its_gpu(monkeypatch: pyt
 
 
 @pytest.mark.gpu
-def test_a_captured_fit_agrees_with_the_cpu_and_repeats() -> None:
+def test_a_captured_fit_repeats_and_its_first_steps_are_those_of_the_cpu() -> None:
     if not torch.cuda.is_available():
         pytest.skip("there is no CUDA device")
     config = replace(QUICK, steps=30, densify=Densify(steps=10, batch=256, farthest=0.1, field_below=1.0))
     first, second = (distances(last(fit_network(POINTS, config, device="cuda"))) for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    np.testing.assert_allclose(first, distances(last(fit_network(POINTS, config))), atol=1e-2)
+    # Three steps are replayed from the graph. Rounding grows a hundredfold in five steps: weights that differ by 1e-7
+    # give distances that differ by 0.2 after twenty.
+    short = replace(QUICK, steps=STEPS_BEFORE_CAPTURE + 3)
+    on_gpu, on_cpu = (distances(last(fit_network(POINTS, short, device=device))) for device in ("cuda", "cpu"))
+    np.testing.assert_allclose(on_gpu, on_cpu, atol=1e-2)
