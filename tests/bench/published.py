@@ -357,15 +357,19 @@ def draw(records: dict[tuple[str, str, str], Record]) -> None:
     rows = [row for row in (*OBJECTS, SCENE, *DEFORMED) if row.label in begun]
     if not rows:
         return
-    figure, grid = plt.subplots(
-        1, len(rows), figsize=(5 * len(rows), 3.8), layout="constrained", squeeze=False, sharey=True
-    )
-    axes = grid[0]
-    for axis, row in zip(axes, rows, strict=True):
+    across = math.ceil(len(rows) / 2)
+    size = (4.5 * across, 7.6)
+    figure, grid = plt.subplots(2, across, figsize=size, layout="constrained", squeeze=False, sharey=True, sharex=True)
+    axes = grid.ravel()
+    colours = {name: f"C{number}" for number, name in enumerate(dict.fromkeys(cell.label for cell in cells()))}
+    for axis in axes[len(rows) :]:
+        axis.set_visible(False)
+    for axis, row in zip(axes, rows, strict=False):
         for cell in cells():
             curve = [each for each in curve_of(cell, records) if "failed" not in each]
             if cell.row == row and curve:
-                axis.plot([x["step"] for x in curve], [x["chamfer_l1"] for x in curve], marker="o", label=cell.label)
+                places = [x["step"] for x in curve], [x["chamfer_l1"] for x in curve]
+                axis.plot(*places, marker="o", label=cell.label, color=colours[cell.label])
                 axis.axhline(curve[-1]["floor"], color="grey", linewidth=0.8, linestyle=":")
         axis.set(xscale="log", yscale="log", title=row.label, xlabel="steps")
         axis.legend(fontsize=7)

@@ -13,11 +13,15 @@ from scipy.spatial import cKDTree
 from services.edge.arrays import DistanceFn, Floats
 from services.edge.field.compute import translate_memory_errors
 from services.edge.field.planes import SPACING_RANK, rank_spacing
+from services.edge.paper_field.network_config import GPU_CHUNK
 from services.edge.paper_field.networks import FieldNetwork
 from services.edge.parallel import in_threads, slices
 
 FAR = 6.0  # local spacings: the network is used up to here. Its training reaches four, the extraction three and 2 cells
-CHUNK = {"cpu": 4_096, "cuda": 1 << 18}  # queries at once: on a CPU the activations of a layer stay in the cache (2 MB)
+CHUNK = {
+    "cpu": 4_096,
+    "cuda": GPU_CHUNK,
+}  # queries at once: on a CPU the activations of a layer stay in the cache (2 MB)
 TREE_CHUNK = 1 << 14  # queries of the KD-tree per task of a thread
 _TINY = 1e-12  # avoids a division by 0: a gradient of 0 stays 0, which the extraction treats as none
 

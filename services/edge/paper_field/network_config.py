@@ -19,6 +19,7 @@ MLP_PARAMETERS = 463_100
 """Parameters of the ancestors' network."""
 
 PER_POINT = 100  # queries per point: for 10,000 points the full million of the paper
+GPU_CHUNK = 1 << 15  # queries that a GPU evaluates at once: activations of some 400 MB with the ancestors' network
 WARM_QUERIES = 200_000  # most queries of the pool that the warm start uses: 40 steps of 5,000
 
 
