@@ -288,7 +288,7 @@ def _last_kept(cell: Cell, state: Path, suffix: str) -> tuple[int, Path] | None:
         for kind in ("cpu", "cuda")
         for path in (state / _folder_name(cell, kind)).glob(f"step-*.{suffix}")
     ]
-    return max(kept) if kept else None
+    return max(kept, key=lambda each: each[0]) if kept else None
 
 
 def _folder_name(cell: Cell, kind: str) -> str:
