@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import httpx
@@ -13,6 +14,8 @@ from services.cli.http import client_of
 from services.cli.progress import print_listing
 from services.storage.catalogue.entry import valid_key
 
+_NOTE_ID = re.compile(r"note_[0-9a-f]{16}", re.ASCII)
+
 
 def change_notes(key: str, gateway: str, *, add: str, at: Place | None, remove: str) -> None:
     """Pin or remove a note where one is given, and print all that the asset then has. Raises BadInput."""
@@ -20,6 +23,9 @@ def change_notes(key: str, gateway: str, *, add: str, at: Place | None, remove: 
         raise BadInput(INVALID_KEY.format(key))
     if bool(add) != (at is not None):
         raise BadInput("a note needs its text and its place: give both --add TEXT and --at X Y Z")
+    # Dots and slashes in it would lead to another address, and the asset itself would be deleted.
+    if remove and not _NOTE_ID.fullmatch(remove):
+        raise BadInput(f"'{printable(remove)}' is not the id of a note: `capture2vr notes {key}` lists them")
     path = f"/v1/assets/{key}/notes"
     try:
         with client_of(gateway) as client:

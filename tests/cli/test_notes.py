@@ -20,6 +20,7 @@ BAD = [
     (("cup", "--add", "a"), "give both --add TEXT and --at"),
     (("cup", "--add", "a", "--at", "90", "0", "0"), "far away"),
     (("cup", "--remove", "note_" + "0" * 16), "has no note"),
+    (("cup", "--remove", "note_1/../.."), "is not the id of a note"),  # the address of the asset itself
 ]
 
 
@@ -42,5 +43,6 @@ def test_notes_are_pinned_listed_and_removed(tmp_path: Path) -> None:
             done = notes(*arguments)
             assert done.returncode == 2, done.stderr
             assert said in done.stderr
+        assert read_entry(store_of_tenant(site.store, "ada"), "cup").notes == (note,)
         done = notes("cup", "--remove", note.id)
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
