@@ -11,16 +11,24 @@ from services.cli.errors import BadInput
 from services.cli.progress import console
 from services.download_formats import FORMATS, formats_of
 from services.edge.convert.convert_bundle import BundleFolder, convert
+from services.storage.catalogue.entry import valid_key
 
 
 def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
-    """Convert the results in a folder; return the file. out: None: beside them. Raises BadInput."""
-    bundle, key = _open(folder)
+    """Convert the results in a folder; return the file. out: None: beside them. Raises BadInput.
+
+    None of the results is ever replaced: of a key such as "mesh" the file would have the name of one.
+    """
+    bundle, key, names = _open(folder)
     possible = [each.name for each in formats_of([path.name for path in folder.iterdir() if bundle.has(path.name)])]
     if format_name not in possible:
         reason = "cannot be made from what is there" if format_name in FORMATS else "is no format"
         raise BadInput(f"{folder}: {format_name} {reason}; it can be one of: {', '.join(possible) or 'none'}")
     path = out or folder / FORMATS[format_name].file_name(key)
+    if path.resolve() in {(folder / name).resolve() for name in (*names, MANIFEST, REPORT)}:
+        raise BadInput(f"{path} is one of the results and would be lost: name another file with -o")
+    if path.is_dir() or not path.parent.is_dir():
+        raise BadInput(f"{path} cannot be written: name a file with -o, in a folder that exists")
     try:
         made = convert(bundle, format_name, key)
     except ValueError as error:
@@ -31,14 +39,17 @@ def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
     return path
 
 
-def _open(folder: Path) -> tuple[BundleFolder, str]:
-    """Return the bundle in a folder that was written last, and its asset key. Raises BadInput."""
+def _open(folder: Path) -> tuple[BundleFolder, str, frozenset[str]]:
+    """Return the bundle in a folder that was written last, its asset key and its files' names. Raises BadInput."""
     written = [folder / name for name in (MANIFEST, REPORT) if (folder / name).is_file()]
     manifest = max(written, key=lambda path: path.stat().st_mtime_ns, default=None)
     if manifest is None:
         raise BadInput(f"{folder} has no {MANIFEST} or {REPORT}: name a folder that `run` or `pull` has written")
     try:
         document = json.loads(manifest.read_bytes())
-        return BundleFolder(folder, document, frozenset(listed_files(document))), str(document["key"])
+        names, key = frozenset(listed_files(document)), str(document["key"])
+        if not valid_key(key):  # it becomes a file's name
+            raise ValueError(key)
+        return BundleFolder(folder, document, names), key, names
     except (ValueError, KeyError, TypeError):
         raise BadInput(f"{manifest} is damaged: run or pull again") from None

@@ -69,6 +69,24 @@ def test_results_on_this_machine_are_converted(tmp_path: Path, manifest: str) ->
         convert_folder(tmp_path, "glb", None)
 
 
+@pytest.mark.parametrize("key", ["mesh", "../mesh"])
+def test_no_result_is_replaced_by_its_conversion(tmp_path: Path, key: str) -> None:
+    bundle, folder = downloadable(), tmp_path / "out"
+    folder.mkdir()
+    written(bundle, folder)
+    report = {**bundle.manifest, "bytes": dict.fromkeys(bundle.files, 9), "key": key}
+    (folder / "report.json").write_text(json.dumps(report))
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    with pytest.raises(BadInput, match="would be lost: name another file" if key == "mesh" else "is damaged"):
+        convert_folder(folder, "ply", None)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+    if key == "mesh":
+        for out in (folder, folder / "none" / "a.ply"):
+            with pytest.raises(BadInput, match=f"{out} cannot be written: name a file"):
+                convert_folder(folder, "ply", out)
+        assert convert_folder(folder, "ply", folder / "mesh-z-up.ply").is_file()
+
+
 def test_of_two_results_in_a_folder_the_last_is_converted(tmp_path: Path) -> None:
     bundle = downloadable()
     written(bundle, tmp_path)
