@@ -16,6 +16,7 @@ import gzip
 import hashlib
 import json
 import shutil
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -24,6 +25,7 @@ from typing import Any
 
 from services.atomic_write import sync
 from services.cli.errors import BadInput
+from services.cli.progress import warn
 from services.storage.bundle import sha256_of
 from services.storage.object_backup import PART, StoredObject, content_path
 
@@ -70,9 +72,13 @@ class Backup:
         return self.folder.parents[1] / "objects"
 
     def inventory(self) -> list[StoredObject]:
-        """Read the inventory of the store. Raises OSError, ValueError."""
-        with gzip.open(self.folder / INVENTORY, "rt", encoding="utf-8") as file:
-            return [StoredObject(**json.loads(line)) for line in file]
+        """Read the inventory of the store. Raises BadInput where it is damaged."""
+        path = self.folder / INVENTORY
+        try:
+            with gzip.open(path, "rt", encoding="utf-8") as file:
+                return [StoredObject(**json.loads(line)) for line in file]
+        except (OSError, EOFError, zlib.error, ValueError, TypeError) as error:
+            raise BadInput(f"{path} is damaged ({error}): take another backup, with --at") from None
 
     def faults(self) -> Iterator[str]:
         """Yield the files that are missing or are not what they were, each with the reason. Raises OSError."""
@@ -101,6 +107,16 @@ def open_backup(folder: Path, name: str) -> Backup:
         raise BadInput(f"{folder} has no backup {name}; it has {', '.join(found)}")
     path = folder / "backups" / (name or found[0])
     return Backup(path, _read_manifest(path / _MANIFEST))
+
+
+def read_or_warn(folder: Path, name: str) -> tuple[Manifest, list[StoredObject]] | None:
+    """Return the manifest and the inventory of a backup; None, with a warning, where it is damaged."""
+    try:
+        backup = open_backup(folder, name)
+        return backup.manifest, backup.inventory()
+    except (BadInput, OSError):
+        warn(f"the earlier backup {folder / 'backups' / name} is damaged: `capture2vr backup verify` says how")
+        return None
 
 
 @contextmanager
@@ -150,12 +166,19 @@ def write_manifest(folder: Path, **values: Any) -> Manifest:
 
 
 def remove_old(folder: Path, keep: int) -> int:
-    """Remove all but the newest backups, and the contents that no other one has; return how many backups went."""
+    """Remove all but the newest backups, and the contents that no other one has; return how many backups went.
+
+    None goes while one of the newest is damaged: which contents it has is not known then.
+    """
     found = backups_in(folder)
     old = found[keep:]
     if not old:
         return 0
-    wanted = {each.sha256 for name in found[:keep] for each in open_backup(folder, name).inventory()}
+    newest = [read_or_warn(folder, name) for name in found[:keep]]
+    if None in newest:
+        warn("no older backup is removed before the damaged one's folder is")
+        return 0
+    wanted = {each.sha256 for backup in newest if backup for each in backup[1]}
     for name in old:
         shutil.rmtree(folder / "backups" / name)
     for path in (folder / "objects").glob("??/*"):

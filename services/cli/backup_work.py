@@ -22,6 +22,7 @@ from services.cli.backup_folder import (
     lock_folder,
     new_backup,
     open_backup,
+    read_or_warn,
     remove_old,
     write_inventory,
     write_manifest,
@@ -154,11 +155,11 @@ def _named_if_full(folder: Path) -> Iterator[None]:
 
 
 def _known(folder: Path) -> dict[str, StoredObject]:
-    """Return the inventory of the newest backup in the folder that has contents."""
+    """Return the inventory of the newest backup in the folder that has contents and is not damaged."""
     for name in backups_in(folder):
-        backup = open_backup(folder, name)
-        if backup.manifest.copied:
-            return {each.name: each for each in backup.inventory()}
+        match read_or_warn(folder, name):
+            case manifest, inventory if manifest.copied:
+                return {each.name: each for each in inventory}
     return {}
 
 

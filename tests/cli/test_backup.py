@@ -379,6 +379,22 @@ def test_old_backups_go_with_what_only_they_have(backups: Path, data: Path) -> N
     assert backup("verify", backups, "--at", name).returncode == 0
 
 
+@pytest.mark.parametrize("part", ["backup.json", "objects.json.gz"])
+def test_a_damaged_backup_does_not_stop_the_next(backups: Path, data: Path, part: str) -> None:
+    damaged = newest(backups)
+    os.truncate(damaged / part, 100)
+    done = backup("create", backups, "--with-objects", "--keep", 2, "--data", data)
+    assert (done.returncode, f"{damaged.name} is damaged" in done.stderr) == (0, True), done.stderr
+    assert newest(backups) != damaged
+    assert backup("verify", backups).returncode == 0
+    # The contents of the damaged one are not known, so nothing goes while it is one of those that are kept.
+    for _ in range(2):
+        done = backup("create", backups, "--with-objects", "--keep", 2, "--data", data)
+        assert done.returncode == 0, done.stderr
+    assert len(backups_in(backups)) == 2
+    assert damaged.name not in backups_in(backups)
+
+
 def test_what_a_killed_backup_left_is_removed(backups: Path, data: Path) -> None:
     (backups / "backups" / ".part-20200101T000000.000000Z").mkdir()
     (backups / "objects" / ".part-1").write_bytes(b"half")
