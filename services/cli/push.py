@@ -6,7 +6,8 @@ import json
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -14,11 +15,12 @@ from urllib.parse import quote
 import httpx
 
 from services.cli.assets import check_collection
-from services.cli.errors import BadInput, parse_answer, problem_sentence
+from services.cli.errors import INVALID_KEY, BadInput, parse_answer, problem_sentence
 from services.cli.http import client_of
 from services.cli.progress import StageBar, console, warn
 from services.cli.resumable_upload import upload_resumably
 from services.storage.archives import is_zip, pack
+from services.storage.catalogue.entry import valid_key
 
 _CHUNK_BYTES = 256 << 10  # of the upload; the progress bar moves with each
 _RESUMABLE_BYTES = 16 << 20  # of an upload that can go on; a smaller one is sent again within seconds
@@ -42,16 +44,20 @@ def push_capture(
     options: further fields of the job request, by the API's names; None: left out
     Raises BadInput with the gateway's error message.
     """
+    gateway = gateway.rstrip("/")
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
+    if not valid_key(key):  # before megabytes are uploaded
+        raise BadInput(INVALID_KEY.format(key))
     if collection := options.get("collection"):
-        check_collection(collection)  # before megabytes are uploaded
+        check_collection(collection)
+    request = {"asset_key": key, "label": label or key}
+    request |= {name: value for name, value in options.items() if value is not None}
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
-            capture = upload(client, source, bar, box=options.get("box"))
-            request = {"capture": capture["capture"], "asset_key": key, "label": label or key}
-            request |= {name: value for name, value in options.items() if value is not None}
-            job = _followed(client, _posted(client, "/v1/jobs", request), bar, gateway)
+            create = partial(_create_job, client, "/v1/jobs", request)
+            job = upload(client, source, bar, box=options.get("box"), then=create)
+            job = _followed(client, job, bar, gateway)
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     return _outcome(job, gateway)
@@ -64,15 +70,16 @@ def continue_capture(
 
     The asset's earlier job says all but `cut` and `edits`. Raises BadInput with the gateway's error message.
     """
+    gateway = gateway.rstrip("/")
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
+    request = {name: value for name, value in {"cut": cut, "edits": edits}.items() if value is not None}
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:
             earlier = _job_of(client, key)
-            capture = upload(client, source, bar, continues=earlier["capture"])
-            request = {"capture": capture["capture"], "cut": cut, "edits": edits}
-            again = {name: value for name, value in request.items() if value is not None}
-            job = _followed(client, _posted(client, earlier["links"]["again"], again), bar, gateway)
+            create = partial(_create_job, client, earlier["links"]["again"], request)
+            job = upload(client, source, bar, continues=earlier["capture"], then=create)
+            job = _followed(client, job, bar, gateway)
     except (httpx.TransportError, httpx.InvalidURL) as error:
         raise BadInput(f"{gateway} cannot be reached: {error}") from error
     return _outcome(job, gateway)
@@ -89,9 +96,19 @@ def _job_of(client: httpx.Client, key: str) -> Any:
     return parse_answer(client.get(f"/v1/jobs/{max(made, key=lambda each: each['version'])['job']}"))
 
 
-def _posted(client: httpx.Client, path: str, request: Mapping[str, Any]) -> Any:
-    """Create a job. One key per command: a retry after a lost answer finds the job, and creates no second one."""
-    return parse_answer(client.post(path, json=request, headers={"Idempotency-Key": uuid.uuid4().hex}))
+def _create_job(client: httpx.Client, path: str, request: Mapping[str, Any], capture: Mapping[str, Any]) -> Any:
+    """Create a job of a capture that was uploaded. Raises BadInput, httpx.TransportError.
+
+    One key for all attempts: the one after a lost answer finds the job, and creates no second one.
+    """
+    headers, began = {"Idempotency-Key": uuid.uuid4().hex}, time.monotonic()
+    while True:
+        try:
+            return parse_answer(client.post(path, json={**request, "capture": capture["capture"]}, headers=headers))
+        except httpx.TransportError:
+            if time.monotonic() - began > _GIVE_UP_S:
+                raise
+        time.sleep(_RECONNECT_S)
 
 
 def _followed(client: httpx.Client, job: dict[str, Any], bar: StageBar, gateway: str) -> dict[str, Any]:
@@ -108,11 +125,18 @@ def _followed(client: httpx.Client, job: dict[str, Any], bar: StageBar, gateway:
 
 
 def upload(
-    client: httpx.Client, source: Path, bar: StageBar, *, box: Sequence[float] | None = None, continues: str = ""
+    client: httpx.Client,
+    source: Path,
+    bar: StageBar,
+    *,
+    box: Sequence[float] | None = None,
+    continues: str = "",
+    then: Callable[[Any], Any] = lambda receipt: receipt,
 ) -> Any:
-    """Upload the capture as one zip; zip the source first if it is not one. Returns the receipt.
+    """Upload the capture as one zip; zip the source first if it is not one. Returns what `then` makes of the receipt.
 
-    A large one goes on where it stopped after a lost connection, or when the same is pushed again.
+    A large one goes on where it stopped after a lost connection, or when the same is pushed again, also where `then`
+    was refused.
 
     box        left, top, right, bottom of the thing in a single photo, with which the worker inspects it
     continues  id of the stored capture whose photos the new one has too; "": none
@@ -127,10 +151,10 @@ def upload(
         params |= {"continues": continues} if continues else {}
         if size >= _RESUMABLE_BYTES:
             told = {"filetype": "application/zip"}
-            return upload_resumably(client, archive, bar, told, params, file=source.name)
+            return upload_resumably(client, archive, bar, told, params, file=source.name, then=then)
         headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
         answer = client.post("/v1/captures", params=params, content=_chunks(archive, size, bar), headers=headers)
-        return parse_answer(answer, file=source.name)
+        return then(parse_answer(answer, file=source.name))
 
 
 def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:

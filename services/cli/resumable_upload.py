@@ -29,6 +29,7 @@ _CHECKING = httpx.Timeout(30.0, read=900.0)  # while the gateway checks and insp
 _TUS = {"Tus-Resumable": "1.0.0"}
 _AGAIN = {408, 409, 423, 425, 429, 460, 500, 502, 503, 504}  # answers after which the same may succeed
 _REFUSED = {400, 409, 415, 422}  # of a capture, for what it is
+_GONE = 404  # an upload that expired, or whose capture was deleted
 
 
 class _Again(Exception):  # noqa: N818 - not a fault yet
@@ -42,26 +43,36 @@ class _Again(Exception):  # noqa: N818 - not a fault yet
 
 
 def upload_resumably(
-    client: httpx.Client, archive: Path, bar: StageBar, told: Mapping[str, str], params: Mapping[str, str], *, file: str
+    client: httpx.Client,
+    archive: Path,
+    bar: StageBar,
+    told: Mapping[str, str],
+    params: Mapping[str, str],
+    *,
+    file: str,
+    then: Callable[[Any], Any],
 ) -> Any:
-    """Upload a file, make the capture of it, and return the receipt.
+    """Upload a file, make the capture of it, and return what `then` makes of the receipt.
 
     told    of the file: `filetype`, `filename`, …
-    params  of the capture: `box`
+    params  of the capture: `box`, `continues`
     file    its name, for errors that name none
+    then    creates the job: where it raises, the upload is remembered, and the next command sends nothing again
 
     Raises BadInput with the gateway's words, httpx.TransportError where it has been away for minutes.
     """
     size = archive.stat().st_size
-    memory = _Memory(client, archive)
+    memory = _Memory(client, archive, params)
     upload = _Attempts().run(lambda: _find(client, memory.upload) or _create(client, size, told))
     memory.remember(upload)
     _send(client, upload, archive, bar)
     bar.show("CHECKING", 1.0, f"{size / 1e6:.1f} MB")
     answer = _Attempts().run(lambda: _finish(client, upload, params))
-    if answer.is_success or answer.status_code in _REFUSED:
+    if answer.status_code in _REFUSED or answer.status_code == _GONE:
         memory.forget()
-    return parse_answer(answer, file=file)
+    done = then(parse_answer(answer, file=file))
+    memory.forget()
+    return done
 
 
 def _find(client: httpx.Client, upload: str) -> str:
@@ -169,12 +180,16 @@ class _Attempts:
 
 
 class _Memory:
-    """Remembers on this machine which upload a file's content belongs to at a gateway."""
+    """Remembers on this machine which upload a file's content belongs to at a gateway.
 
-    def __init__(self, client: httpx.Client, archive: Path) -> None:
+    params  of the capture: with others the same content is another capture
+    """
+
+    def __init__(self, client: httpx.Client, archive: Path, params: Mapping[str, str]) -> None:
         with archive.open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
-        self._name = hashlib.sha256(f"{client.base_url} {content}".encode()).hexdigest()[:32]
+        identity = " ".join((str(client.base_url), content, *(f"{name}={params[name]}" for name in sorted(params))))
+        self._name = hashlib.sha256(identity.encode()).hexdigest()[:32]
 
     @property
     def _path(self) -> Path:

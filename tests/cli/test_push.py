@@ -15,9 +15,10 @@ from typing import Any
 import httpx
 import pytest
 
+from services.cli import push
 from services.cli.errors import BadInput
 from services.cli.progress import StageBar
-from services.cli.push import upload
+from services.cli.push import push_capture, upload
 from services.storage.archives import pack
 from tests.support.gateway_process import running
 from tests.support.patience import PATIENCE_S
@@ -100,6 +101,64 @@ def test_a_push_without_a_folder_for_its_state_is_a_push_all_the_same(
         upload(client, path, bar)
         assert gateway.the_one_file(tmp_path) == sha256(path)
     assert "if this push is cut off, the next one begins anew" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_job_that_is_refused_costs_no_second_upload(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    path = tmp_path / "scan.ply"
+    path.write_bytes(cloud(20 * _MEGABYTE))
+    with running(tmp_path) as gateway:
+
+        def refused(**options: object) -> str:
+            with pytest.raises(BadInput) as failure:
+                push_capture(path, gateway.url, key="scan", label="", options=options)
+            return str(failure.value)
+
+        assert "there is no preset 'magic'" in refused(preset="magic")
+        (capture,) = gateway.captures()
+        assert "UPLOADING" in capsys.readouterr().err
+        assert "there is no preset 'other'" in refused(preset="other")
+        assert gateway.captures() == [capture]
+        assert "goes on at 21.0 of 21.0 MB" in capsys.readouterr().err
+        # The same bytes as the rest of another capture are another capture.
+        with httpx.Client(base_url=gateway.url) as client, StageBar() as bar, pytest.raises(BadInput, match="continue"):
+            upload(client, path, bar, continues=capture["capture"])
+        httpx.delete(f"{gateway.url}/v1/captures/{capture['capture']}").raise_for_status()
+        assert capture["capture"] in refused(preset="other")
+        assert "there is no preset 'other'" in refused(preset="other")
+        assert len(gateway.captures()) == 1
+
+
+def test_a_wrong_key_is_told_before_anything_is_sent(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="'a/b' is not a valid asset key"):
+        push_capture(tmp_path, "http://127.0.0.1:9", key="a/b", label="", options={})
+
+
+def test_a_lost_answer_is_asked_for_again_and_the_addresses_that_are_printed_have_one_slash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = {"id": "job_1", "asset_key": "scan", "stage": "", "fraction": 1.0, "state": "SUCCEEDED", "elapsed_s": 1}
+    job |= {"asset": {"state": "preview"}, "collection": "default", "capture": "cap_1"}
+
+    asked: list[str] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        if request.url.path == "/v1/jobs":
+            asked.append(request.headers["Idempotency-Key"])
+            if len(asked) < 2:
+                raise httpx.ReadError("the gateway restarts")
+        return httpx.Response(200, text="") if request.url.path.endswith("/events") else httpx.Response(200, json=job)
+
+    transport = httpx.MockTransport(answer)
+    monkeypatch.setattr(push, "client_of", lambda url, **_: httpx.Client(base_url=url, transport=transport))
+    (tmp_path / "scan.ply").write_bytes(cloud(1000))
+    push_capture(tmp_path / "scan.ply", "http://gateway:8080/", key="scan", label="", options={})
+    assert capsys.readouterr().err.count("http://gateway:8080/view/scan") == 2
+    assert len(asked) == 2
+    assert len(set(asked)) == 1
 
 
 @pytest.mark.slow
