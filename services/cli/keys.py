@@ -32,7 +32,7 @@ def create(
         ),
     ] = None,
     label: Annotated[str, typer.Option(help="What the key is for.")] = "",
-    expires_days: Annotated[int, typer.Option(min=0, help="Days until it expires; 0: never.")] = 0,
+    expires_days: Annotated[int, typer.Option(min=0, max=3650, help="Days until it expires; 0: never.")] = 0,
     data: Data = _DATA,
     gateway: Remote = "",
 ) -> None:
@@ -40,7 +40,7 @@ def create(
     from services.cli.keys_work import KeyOptions, create_key, open_keys
 
     options = KeyOptions(tenant, tuple(scope or _OWNER), label, expires_days)
-    with open_keys(data, gateway) as keys:
+    with open_keys(data, gateway, is_first=True) as keys:
         create_key(keys, options)
 
 
@@ -73,7 +73,7 @@ def revoke(
 @app.command()
 def rotate(
     key: Annotated[str, typer.Argument(help="Id of the key, from `keys list`: key_…")],
-    grace_days: Annotated[int, typer.Option(min=0, help="Days for which the old key goes on.")] = 1,
+    grace_days: Annotated[int, typer.Option(min=0, max=3650, help="Days for which the old key goes on.")] = 1,
     data: Data = _DATA,
     gateway: Remote = "",
 ) -> None:

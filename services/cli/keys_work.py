@@ -19,7 +19,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.cli.errors import BadInput, parse_answer, printable
 from services.cli.http import API_KEY_VARIABLE, client_of
-from services.cli.local_settings import local_settings
+from services.cli.local_settings import check_data, local_settings
 from services.cli.progress import console, print_listing, warn
 from services.gateway.access.api_key import ApiKey
 from services.gateway.access.caller import parse_scopes, scope_names
@@ -51,9 +51,10 @@ class KeyAdministration(Protocol):
 
 
 @contextmanager
-def open_keys(data: Path, gateway: str) -> Iterator[KeyAdministration]:
+def open_keys(data: Path, gateway: str, *, is_first: bool = False) -> Iterator[KeyAdministration]:
     """Open a gateway's keys: by its API, or in the database of the GATEWAY_* variables or of the data folder.
 
+    is_first  whether a data folder may be made: a key is created before the gateway is started for the first time
     Raises BadInput.
     """
     try:
@@ -63,6 +64,8 @@ def open_keys(data: Path, gateway: str) -> Iterator[KeyAdministration]:
             with client_of(gateway) as client:
                 yield _AtGateway(client)
         else:
+            if not is_first:
+                check_data(data)
             engine = open_engine(local_settings(data).database)
             try:
                 yield _InDatabase(AccessStore(engine))
