@@ -122,7 +122,7 @@ def run_preset(
         raise BadInput(INVALID_KEY.format(key))
     check_collection(options.collection)
     check_writable(out)
-    _check_place(out, source)
+    check_place(out, source)
     reference = _read_reference(options.reference) if options.reference else None
     try:
         with tempfile.TemporaryDirectory(prefix="capture2vr-") as scratch:
@@ -172,17 +172,20 @@ def key_from(source: Path) -> str:
 
 def check_writable(out: Path) -> None:
     """Raises BadInput where `out` cannot be written; called before the work begins."""
-    existing = next(path for path in (out, *out.absolute().parents) if path.exists())
+    existing = next(path for path in (out, *out.absolute().parents) if path.exists() or path.is_symlink())
     if not existing.is_dir():
-        raise BadInput(f"{existing} is a file; name a folder with -o")
+        what = "is a file" if existing.exists() else "is a link to something that is not there"
+        raise BadInput(f"{existing} {what}; name a folder with -o")
     if not os.access(existing, os.W_OK):
         raise BadInput(f"{existing} is not writable; name another folder with -o")
 
 
-def _check_place(out: Path, source: Path) -> None:
+def check_place(out: Path, source: Path) -> None:
     """Raises BadInput where the results would be mixed with the capture's files, or with folders of others."""
     if source.is_dir() and out.resolve() == source.resolve():
         raise BadInput(f"{out} is the capture: name another folder with -o")
+    if source.is_dir() and out.resolve().is_relative_to(source.resolve()):
+        raise BadInput(f"{out} lies in the capture, and would be read as a part of it: name another folder with -o")
     if other := folder_of_others(out):
         raise BadInput(f"{other} exists and is no result of `capture2vr run`: name another folder with -o")
 

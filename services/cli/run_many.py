@@ -13,7 +13,7 @@ from services.cli.earlier_results import is_run, remove_earlier
 from services.cli.edge_settings import edge_settings, machine_room
 from services.cli.errors import BadInput, printable, sentence
 from services.cli.progress import StageBar, console
-from services.cli.run import RunOptions, check_preset, check_writable, key_from, run_capture
+from services.cli.run import RunOptions, check_place, check_preset, check_writable, key_from, run_capture
 from services.edge.arrays import Tick
 from services.edge.engine.address import open_engine
 from services.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
@@ -74,6 +74,7 @@ def _places(sources: Sequence[Path], out: Path, options: RunOptions) -> dict[str
             raise BadInput(f"{places[key]} and {source} would both be written to {out / key}: rename one of them")
         if (out / key).exists() and not is_run(out / key):
             raise BadInput(f"{out / key} exists and is no result of `capture2vr run`: name another folder with -o")
+        check_place(out / key, source)
         places[key] = source
     check_writable(out)
     return places

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from services.cli.errors import BadInput
-from services.cli.run import Results, run_preset
+from services.cli.run import DEFAULTS, Results, RunOptions, run_preset
+from services.cli.run_many import run_captures
 from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.preset import Preset, preset_names
 from services.edge.worker import memory_budget
@@ -277,6 +278,25 @@ def test_a_run_never_replaces_its_capture(bowl: Path, tmp_path: Path) -> None:
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"the capture"]
     with pytest.raises(BadInput, match="is the capture: name another folder"):
         run_preset(tmp_path, tmp_path, TINY, device="cpu")
+
+
+def test_results_are_not_written_into_the_capture(bowl: Path, tmp_path: Path) -> None:
+    """The next run would take the first one's mesh, which is larger, for the capture."""
+    (tmp_path / "scan").mkdir()
+    scan = tmp_path / "scan" / "scan.ply"
+    scan.write_bytes(bowl.read_bytes())
+    options = RunOptions(key="bowl")
+    with pytest.raises(BadInput, match="out lies in the capture, and would be read as a part of it"):
+        run_preset(scan.parent, scan.parent / "out", TINY, options, device="cpu")
+    with pytest.raises(BadInput, match="lies in the capture"):
+        run_captures([scan.parent, bowl], scan.parent / "out", DEFAULTS, preset="draft", device="cpu", resolution=0)
+    assert list(tmp_path.rglob("*")) == [scan.parent, scan]
+
+
+def test_a_folder_on_a_disk_that_is_away_is_told_before_the_work(bowl: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    with pytest.raises(BadInput, match="out is a link to something that is not there"):
+        run_preset(bowl, tmp_path / "out", TINY, device="cpu")
 
 
 @pytest.mark.slow
