@@ -69,6 +69,8 @@ def _places(sources: Sequence[Path], out: Path, options: RunOptions) -> dict[str
     for source in sources:
         if not source.exists():
             raise BadInput(f"{source}: there is no such file or folder")
+        if not source.is_file() and not source.is_dir():
+            raise BadInput(f"{source} is neither a file nor a folder")
         key = key_from(source)
         if key in places:
             raise BadInput(f"{places[key]} and {source} would both be written to {out / key}: rename one of them")
@@ -89,10 +91,13 @@ def _submit(
 
 
 def _pack(path: Path, name: str) -> bytes:
-    """Return a file or folder as a tar, in which it has this name."""
+    """Return a file or folder as a tar, in which it has this name.
+
+    A link that names it is followed. Links and devices inside of it are left out: nobody who reads a capture opens one.
+    """
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w") as archive:
-        archive.add(path, name)
+        archive.add(path.resolve(), name, filter=lambda info: None if info.issym() or info.isdev() else info)
     return packed.getvalue()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,18 @@ def test_each_has_its_folder_and_a_bad_one_is_named(leaves: list[Path], tmp_path
     again = capture2vr("run", *leaves[:2], "-o", tmp_path / "out", *DRAFT)
     assert again.returncode == 0, again.stderr
     assert (tmp_path / "out" / "b" / "scene.blend").read_text() == "mine"
+
+
+def test_a_capture_may_be_a_link_and_have_links(leaves: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "link.ply").symlink_to(leaves[0])
+    (leaves[1] / "elsewhere.ply").symlink_to(leaves[0])
+    (leaves[1] / "twice.ply").hardlink_to(leaves[1] / "twig.ply")
+    os.mkfifo(leaves[1] / "pipe")
+    done = capture2vr("run", tmp_path / "link.ply", leaves[1], "-o", tmp_path / "out", *DRAFT)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a-leaf", "b"}
+    pipe = capture2vr("run", leaves[1] / "pipe", leaves[0], "-o", tmp_path / "out", *DRAFT)
+    assert (pipe.returncode, "pipe is neither a file nor a folder" in pipe.stderr) == (2, True), pipe.stderr
 
 
 @pytest.mark.parametrize(
