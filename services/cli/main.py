@@ -154,7 +154,7 @@ def presets() -> None:
 @app.command()
 def up(
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port of the gateway; 0: any free port.")] = 8080,
+    port: Annotated[int, typer.Option(min=0, max=65_535, help="Port of the gateway; 0: any free port.")] = 8080,
     data: Annotated[Path, typer.Option(help="Folder for captures, jobs and assets.")] = Path("capture2vr-data"),
     everybody: Open = False,
 ) -> None:

@@ -82,7 +82,8 @@ class Stack:
     """The child processes, gateway and worker. A dead one is restarted; its jobs are leased again automatically."""
 
     def __init__(self, host: str, port: int, data: Path, *, everybody: bool = False) -> None:
-        self.url = f"http://{'127.0.0.1' if host in {'0.0.0.0', '::'} else host}:{port}"  # noqa: S104
+        reached = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - every address of this machine
+        self.url = f"http://{f'[{reached}]' if ':' in reached else reached}:{port}"
         self._environment = _environment(host, port, data, edge_port=free_port(), everybody=everybody)
         self.store_root = data / "store"
         self._logs = data / "logs"

@@ -21,8 +21,9 @@ import pytest
 from PIL import Image
 
 from services.cli.push import follow
-from services.cli.up import free_port
+from services.cli.up import free_port, is_free, run_stack
 from tests.cli.test_run import capture2vr
+from tests.conftest import missing
 from tests.support.clouds import write_ply
 from tests.support.patience import HANG_S
 
@@ -155,6 +156,22 @@ def test_a_proxy_may_answer_for_a_gateway_that_restarts() -> None:
 
     with httpx.Client(base_url="http://gateway", transport=httpx.MockTransport(serve)) as client:
         assert list(follow(client, "job_1")) == [ended]
+
+
+@pytest.mark.parametrize("host", ["::", "::1"])
+def test_the_services_listen_on_ipv6(host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not is_free("::1", 0):
+        missing("IPv6")
+    monkeypatch.setenv("EDGE_DEVICE", "cpu")
+    with run_stack(host, 0, tmp_path, everybody=True) as stack:
+        assert stack.url.startswith("http://[::1]:")
+        assert "there is no collection default" in capture2vr("ls", "--gateway", stack.url).stderr
+
+
+def test_a_port_that_is_none_is_said_plainly(tmp_path: Path) -> None:
+    result = capture2vr("up", "--port", "99999", "--data", tmp_path / "data")
+    assert (result.returncode, "Traceback" in result.stderr) == (2, False)
+    assert not (tmp_path / "data").exists()
 
 
 def test_a_taken_port_is_said_plainly(url: str, tmp_path: Path) -> None:
