@@ -36,7 +36,14 @@ class AssetSearch:
     max_mb: float | None = None
 
     def query(self) -> dict[str, str | int]:
-        """The parameters of the gateway's search."""
+        """The parameters of the gateway's search. Raises BadInput for days and sizes that no clock and no store has."""
+        try:
+            return self._query()
+        except (OverflowError, ValueError):
+            options = "--since, --until, --min-mb and --max-mb"
+            raise BadInput(f"{options}: give days of the years 2 to 9998, and sizes that are finite") from None
+
+    def _query(self) -> dict[str, str | int]:
         end = None if self.until is None else _begin_of(self.until + timedelta(days=1)) - timedelta(seconds=1)
         facts = {
             "since": None if self.since is None else _begin_of(self.since).isoformat(),

@@ -199,7 +199,11 @@ def _print_next(keys: KeyFolder, address: Address, *, is_ours: bool) -> None:
 
 def _check_url(url: str) -> None:
     """Raise BadInput for a URL that is not http(s)://host[:port], or has characters with a meaning in .env."""
-    parts = urlsplit(url)
+    try:
+        parts = urlsplit(url)
+        _ = parts.port
+    except ValueError as error:
+        raise BadInput(f"--public-url: this is no URL: {error}") from None
     strange = not url.isascii() or any(not letter.isprintable() or letter in " \"'$#`\\" for letter in url)
     if strange or parts.scheme not in ("http", "https") or not parts.hostname or parts.path not in ("", "/"):
         raise BadInput("--public-url: give a URL like https://capture.example or http://10.0.0.7:8080, without a path")

@@ -430,6 +430,10 @@ def main() -> None:
     except (BadInput, SettingsError) as error:
         typer.echo(f"capture2vr: {printable(str(error))}", err=True)
         sys.exit(2)
+    except UnicodeEncodeError as error:  # words for people that a terminal of another encoding has sent
+        around = error.object[max(0, error.start - 20) : error.end + 20]
+        typer.echo(f"capture2vr: '{printable(around)}' is not UTF-8: type it in a terminal that is", err=True)
+        sys.exit(2)
     except OSError as error:  # e.g. the disk is full, or a file cannot be read
         file = f"{printable(str(error.filename))}: " if error.filename else ""
         typer.echo(f"capture2vr: {file}{error.strerror or error}", err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -23,6 +24,8 @@ def change_notes(key: str, gateway: str, *, add: str, at: Place | None, remove: 
         raise BadInput(INVALID_KEY.format(key))
     if bool(add) != (at is not None):
         raise BadInput("a note needs its text and its place: give both --add TEXT and --at X Y Z")
+    if at is not None and not all(map(math.isfinite, at)):
+        raise BadInput("--at: give three numbers that are finite")
     # Dots and slashes in it would lead to another address, and the asset itself would be deleted.
     if remove and not _NOTE_ID.fullmatch(remove):
         raise BadInput(f"'{printable(remove)}' is not the id of a note: `capture2vr notes {key}` lists them")

@@ -25,7 +25,10 @@ class SharedThing:
 
 def split_link(link: str) -> tuple[str, str]:
     """Return the gateway's URL and the token of a share link. Raises BadInput."""
-    parts = urlsplit(link)
+    try:
+        parts = urlsplit(link)
+    except ValueError:  # a bracket that is not closed
+        parts = urlsplit("")
     path, _, token = parts.path.rpartition("/")
     if parts.scheme not in ("http", "https") or not parts.netloc or not path.endswith("/s") or not token:
         raise BadInput(f"'{link}' is not a share link: it reads https://…/s/shr_…")

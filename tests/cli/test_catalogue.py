@@ -125,6 +125,10 @@ def test_a_collection_of_ones_own(url: str, store: LocalStore, folder: Path, run
     [
         (["ls", "--collection", "none"], "no collection none"),
         (["ls", "--collection", "../x"], "not a valid collection"),
+        (["ls", "--since", "0001-01-01"], "give days of the years 2 to 9998"),
+        (["ls", "--until", "9999-12-31"], "give days of the years 2 to 9998"),
+        (["ls", "--min-mb", "inf"], "sizes that are finite"),
+        (["name", "shoe", "--label", "sch\udcf6n"], "is not UTF-8"),  # as a Latin-1 terminal sends it
         (["rm", "none"], "no asset none"),
         (["rm", "shoe", "--collection", "x" * 300], "not a valid collection"),
         (["pull", "shoe", "-o", "never", "--collection", "ädä"], "not a valid collection"),

@@ -158,6 +158,8 @@ def test_force_makes_new_secrets_keeps_keys_and_says_what_follows(init: Init, de
         (("--public-url", "https://capture.example/$HOME"), "--public-url"),
         (("--public-url", "https://ada:x@capture.example"), "leave out user"),
         (("--public-url", "https://a.example\nOPEN=1"), "--public-url"),
+        (("--public-url", "https://[a.example"), "--public-url: this is no URL"),
+        (("--public-url", "https://a.example:99999999"), "--public-url: this is no URL"),
     ],
 )
 def test_a_wrong_address_is_named_and_nothing_is_written(

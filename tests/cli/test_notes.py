@@ -19,6 +19,7 @@ BAD = [
     (("../cup",), "is not a valid asset key"),
     (("cup", "--add", "a"), "give both --add TEXT and --at"),
     (("cup", "--add", "a", "--at", "90", "0", "0"), "far away"),
+    (("cup", "--add", "a", "--at", "nan", "0", "0"), "three numbers that are finite"),
     (("cup", "--remove", "note_" + "0" * 16), "has no note"),
     (("cup", "--remove", "note_1/../.."), "is not the id of a note"),  # the address of the asset itself
 ]

@@ -99,7 +99,9 @@ def test_an_older_version_than_was_seen_is_refused(pull: Pull, site: Site, secre
         pull(share=link)
 
 
-@pytest.mark.parametrize("link", ["nonsense", "https://vr.example/view/shoe", "ftp://vr.example/s/x", "https://a/s/"])
+@pytest.mark.parametrize(
+    "link", ["nonsense", "https://vr.example/view/shoe", "ftp://vr.example/s/x", "https://a/s/", "https://[a/s/shr_1"]
+)
 def test_what_is_no_link_is_told(pull: Pull, link: str) -> None:
     with pytest.raises(BadInput, match="is not a share link"):
         pull(share=link)
