@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from services.cli.errors import BadInput
 from services.storage.bundle import sha256_of
 
 MANIFEST, REPORT = "manifest.json", "report.json"
@@ -17,6 +18,7 @@ BUNDLE, PREVIEW, PICTURES = "bundle", "preview", "pictures"
 """Folders of a run's results, and where its report lists the pictures that are not part of the bundle."""
 
 _REFINED_PICTURE = "refined.png"
+_DATABASE = "gateway.db"
 
 
 def listed_files(document: dict[str, Any]) -> list[str]:
@@ -37,6 +39,17 @@ def folder_of_others(out: Path) -> Path | None:
     is_store = (out / BUNDLE / ".meta").is_dir()
     names = () if is_run(out) else (PREVIEW,) if is_store else (BUNDLE, PREVIEW)
     return next((out / name for name in names if (out / name).exists()), None)
+
+
+def check_capture(capture: Path) -> None:
+    """Raises BadInput where a folder inside of the capture's has results of a run, or a gateway's data.
+
+    Their meshes would be taken for the capture.
+    """
+    for path in sorted(capture.rglob("*")) if capture.is_dir() else ():
+        is_ours = path.name == _DATABASE or (path.name == REPORT and is_run(path.parent))
+        if is_ours and path.parent != capture:
+            raise BadInput(f"{path.parent} lies in the capture and was made by capture2vr: move it to another folder")
 
 
 def files_of_run(out: Path) -> list[Path]:

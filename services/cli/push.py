@@ -15,6 +15,7 @@ from urllib.parse import quote
 import httpx
 
 from services.cli.assets import check_collection
+from services.cli.earlier_results import check_capture
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer, problem_sentence
 from services.cli.http import client_of
 from services.cli.progress import StageBar, console, warn
@@ -47,6 +48,7 @@ def push_capture(
     gateway = gateway.rstrip("/")
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
+    check_capture(source)
     if not valid_key(key):  # before megabytes are uploaded
         raise BadInput(INVALID_KEY.format(key))
     if collection := options.get("collection"):
@@ -73,6 +75,7 @@ def continue_capture(
     gateway = gateway.rstrip("/")
     if not source.exists():
         raise BadInput(f"{source}: there is no such file or folder")
+    check_capture(source)
     request = {name: value for name, value in {"cut": cut, "edits": edits}.items() if value is not None}
     try:
         with client_of(gateway, timeout=_TIMEOUT) as client, StageBar() as bar:

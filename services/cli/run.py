@@ -18,7 +18,15 @@ import numpy as np
 
 from services.asset_names import AssetNames
 from services.cli.assets import check_collection
-from services.cli.earlier_results import BUNDLE, PICTURES, PREVIEW, files_of_both, folder_of_others, remove_earlier
+from services.cli.earlier_results import (
+    BUNDLE,
+    PICTURES,
+    PREVIEW,
+    check_capture,
+    files_of_both,
+    folder_of_others,
+    remove_earlier,
+)
 from services.cli.errors import INVALID_KEY, BadInput, printable, sentence
 from services.cli.progress import StageBar, console, warn
 from services.cli.report import report_page
@@ -186,6 +194,7 @@ def check_place(out: Path, source: Path) -> None:
         raise BadInput(f"{out} is the capture: name another folder with -o")
     if source.is_dir() and out.resolve().is_relative_to(source.resolve()):
         raise BadInput(f"{out} lies in the capture, and would be read as a part of it: name another folder with -o")
+    check_capture(source)
     if other := folder_of_others(out):
         raise BadInput(f"{other} exists and is no result of `capture2vr run`: name another folder with -o")
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from services.cli.errors import BadInput
+from services.cli.push import continue_capture, push_capture
 from services.cli.run import DEFAULTS, Results, RunOptions, run_preset
 from services.cli.run_many import run_captures
 from services.edge.paper_field.network_config import NetworkConfig
@@ -291,6 +292,25 @@ def test_results_are_not_written_into_the_capture(bowl: Path, tmp_path: Path) ->
     with pytest.raises(BadInput, match="lies in the capture"):
         run_captures([scan.parent, bowl], scan.parent / "out", DEFAULTS, preset="draft", device="cpu", resolution=0)
     assert list(tmp_path.rglob("*")) == [scan.parent, scan]
+
+
+def test_results_and_a_gateways_data_are_no_part_of_a_capture(bowl: Path, tmp_path: Path) -> None:
+    """As a folder is where `up` was started, or an earlier version of `run` has written to."""
+    capture = tmp_path / "scan"
+    Results(capture / "out", "shirt").write(bundle("preview", 0.003))
+    (capture / "scan.ply").write_bytes(bowl.read_bytes())
+    with pytest.raises(BadInput, match="scan/out lies in the capture and was made by capture2vr"):
+        run_preset(capture, tmp_path / "out", TINY, device="cpu")
+    (capture / "out").rename(tmp_path / "out")
+    (capture / "capture2vr-data" / "gateway").mkdir(parents=True)
+    (capture / "capture2vr-data" / "gateway" / "gateway.db").write_bytes(b"")
+    with pytest.raises(BadInput, match="capture2vr-data/gateway lies in the capture"):
+        push_capture(capture, "http://127.0.0.1:9", key="scan", label="", options={})
+    with pytest.raises(BadInput, match="capture2vr-data/gateway lies in the capture"):
+        continue_capture(capture, "http://127.0.0.1:9", key="scan", cut=None, edits=None)
+    # Results are a mesh like another to whoever names them.
+    with pytest.raises(BadInput, match="cannot be reached"):
+        push_capture(tmp_path / "out", "http://127.0.0.1:9", key="scan", label="", options={})
 
 
 def test_a_folder_on_a_disk_that_is_away_is_told_before_the_work(bowl: Path, tmp_path: Path) -> None:
