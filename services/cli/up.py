@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -210,5 +211,10 @@ def _environment(host: str, port: int, data: Path, *, edge_port: int, everybody:
 
 
 def _last_line(log: Path) -> str:
+    """Return what a service has said last: the message alone of a line in JSON."""
     lines = log.read_text(errors="replace").strip().splitlines()
-    return lines[-1] if lines else "its log is empty"
+    last = lines[-1] if lines else "its log is empty"
+    try:
+        return str(json.loads(last)["message"]).removeprefix("cannot start: ")
+    except (ValueError, KeyError, TypeError):  # before the log begins, such as of a wrong setting
+        return last

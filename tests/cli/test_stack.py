@@ -168,6 +168,14 @@ def test_the_services_listen_on_ipv6(host: str, tmp_path: Path, monkeypatch: pyt
         assert "there is no collection default" in capture2vr("ls", "--gateway", stack.url).stderr
 
 
+def test_a_data_folder_in_use_is_said_plainly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EDGE_DEVICE", "cpu")
+    with run_stack("127.0.0.1", 0, tmp_path):
+        second = capture2vr("up", "--port", "0", "--data", tmp_path)
+    said = f"capture2vr: the service gateway cannot start: another gateway uses {tmp_path / 'gateway'}: "
+    assert (second.returncode, second.stderr.startswith(said)) == (2, True), second.stderr
+
+
 def test_a_port_that_is_none_is_said_plainly(tmp_path: Path) -> None:
     result = capture2vr("up", "--port", "99999", "--data", tmp_path / "data")
     assert (result.returncode, "Traceback" in result.stderr) == (2, False)
