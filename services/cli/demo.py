@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 import threading
 from pathlib import Path
 
@@ -12,7 +11,8 @@ from services.cli.progress import console
 from services.cli.pull import pull_asset
 from services.cli.push import push_capture
 from services.cli.run import key_from
-from services.cli.up import DEFAULT_PORT, Stack, is_free, run_stack, stop_signals
+from services.cli.stop_signals import exit_on_signals, stop_signals
+from services.cli.up import DEFAULT_PORT, Stack, is_free, run_stack
 
 _KEY = "demo-garment"
 _PRESET = "draft"  # no training, so that the demo takes less than a minute
@@ -24,9 +24,7 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     capture  the user's capture; None: simulate one
     keep     whether to go on serving the viewer until interrupted
     """
-    for name in stop_signals():
-        if name != signal.SIGINT:  # raises KeyboardInterrupt
-            signal.signal(name, lambda number, _: sys.exit(128 + number))  # exits the `with` below: stops the stack
+    exit_on_signals()  # and stop the stack
     out.mkdir(parents=True, exist_ok=True)
     key = key_from(capture) if capture else _KEY
     with run_stack("127.0.0.1", _port(), out / "data", wait=False) as stack:

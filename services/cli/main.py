@@ -118,8 +118,10 @@ def run(
     """
     from services.cli.edge_settings import edge_settings, machine_room
     from services.cli.run import RunOptions, run_capture
+    from services.cli.stop_signals import exit_on_signals
     from services.edge.engine.address import engine_for_parts
 
+    exit_on_signals()
     recipe = read_edits(edits)
     options = RunOptions(
         key=key,
@@ -201,7 +203,9 @@ def push(
 ) -> None:
     """Upload a capture to a gateway, follow the job until it has ended, and print the asset's URL."""
     from services.cli.push import continue_capture, push_capture
+    from services.cli.stop_signals import exit_on_signals
 
+    exit_on_signals()
     rectangle = parse_box(box)
     recipe = read_edits(edits).as_json if edits else None
     options = {

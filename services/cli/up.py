@@ -18,6 +18,7 @@ import httpx
 
 from services.cli.errors import BadInput
 from services.cli.progress import console, warn
+from services.cli.stop_signals import stop_signals
 from services.strict_settings import LOOPBACK
 
 DEFAULT_PORT = 8080
@@ -49,15 +50,6 @@ def serve_together(host: str, port: int, data: Path, *, everybody: bool = False)
         while not stop.wait(0.5):
             stack.restart_dead()
     return 0
-
-
-def stop_signals() -> tuple[signal.Signals, ...]:
-    """Return the signals that stop the services: Ctrl-C, SIGTERM, and the terminal's end unless nohup ignores it.
-
-    The services have sessions of their own: who does not stop them leaves them running.
-    """
-    has_hangup = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
-    return (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if has_hangup else ()))
 
 
 @contextmanager

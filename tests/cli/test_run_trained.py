@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -22,9 +23,11 @@ from services.cli.run_many import run_captures
 from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.preset import Preset, preset_names
 from services.edge.worker import memory_budget
+from services.storage.archives import pack
 from services.storage.bundle import Bundle, sha256_hex
 from tests.cli.test_run import capture2vr
 from tests.support.clouds import write_ply
+from tests.support.patience import HANG_S
 from tests.support.repository import ROOT
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -330,6 +333,26 @@ def test_a_training_run_leaves_both_certificates_and_no_checkpoint(bowl: Path, t
     assert report["certificates"]["refined"]["steps"] == 10
     assert report["verdict"] in {"better", "even", "worse"}
     assert ("refined.png" in names) == ("preview" in names) == (report["verdict"] != "worse")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_command_that_is_ended_leaves_no_copy_of_the_capture(
+    bowl: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    pack(bowl, tmp_path / "bowl.zip")
+    scratch = tmp_path / "tmp"
+    scratch.mkdir()
+    command = [sys.executable, "-m", "services.cli", "run", tmp_path / "bowl.zip", "-o", tmp_path / "out"]
+    child = subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=ROOT, env={**os.environ, "TMPDIR": str(scratch)})
+    deadline = time.monotonic() + HANG_S
+    while not list(scratch.rglob("bowl.ply")):
+        assert child.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    child.send_signal(number)
+    assert child.wait(HANG_S) == 128 + number
+    assert list(scratch.iterdir()) == []
 
 
 @pytest.mark.slow
