@@ -99,6 +99,11 @@ def verify_backup(folder: Path, name: str) -> bool:
     faults = list(backup.faults())
     for fault in faults:
         console.print(f"damaged: {fault}", markup=False)
+    if any(fault.startswith(str(backup.contents)) for fault in faults):
+        console.print(
+            f"delete the damaged files in {backup.contents}: the next `backup create --with-objects` copies what the "
+            "store still has"
+        )
     if not faults:
         _print_backup(backup)
         console.print("every file of it is whole")

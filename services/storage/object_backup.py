@@ -155,7 +155,7 @@ def _copy_object(store: Store, folder: Path, known: Mapping[str, StoredObject], 
     """Copy an object; None where it was deleted since it was listed."""
     before = known.get(head.name)
     is_known = before is not None and (before.size, before.etag) == (head.size, head.etag) and before.sha256
-    if before is not None and is_known and content_path(folder, before.sha256).exists():
+    if before is not None and is_known and _is_there(content_path(folder, before.sha256), head.size):
         return before
     part = folder / f"{PART}{uuid.uuid4().hex}"
     try:
@@ -172,13 +172,21 @@ def _move_to_place(part: Path, folder: Path) -> str:
     """Give a new content its name in the folder, on the disk for good; return its sha256."""
     sha256 = sha256_of(part)
     path = content_path(folder, sha256)
-    if path.exists():
+    if _is_there(path, part.stat().st_size):
         part.unlink()
     else:
         path.parent.mkdir(mode=0o700, exist_ok=True)
         with atomic_write(path, temporary=part):
             part.chmod(0o600)
     return sha256
+
+
+def _is_there(path: Path, size: int) -> bool:
+    """Whether a content has its file, of its size: one that was cut off is written again. Its hash is for `verify`."""
+    try:
+        return path.stat().st_size == size
+    except FileNotFoundError:
+        return False
 
 
 def _restore_object(store: Store, folder: Path, wanted: StoredObject) -> Head:

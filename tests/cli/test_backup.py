@@ -395,6 +395,21 @@ def test_a_damaged_backup_does_not_stop_the_next(backups: Path, data: Path, part
     assert damaged.name not in backups_in(backups)
 
 
+def test_a_damaged_content_is_copied_again(backups: Path, data: Path) -> None:
+    """One that was cut off at once, another one once it is deleted."""
+    cut_off, changed = sorted((backups / "objects").rglob("*/*"), key=lambda path: path.stat().st_size)[-2:]
+    os.truncate(cut_off, 1)
+    changed.write_bytes(bytes(changed.stat().st_size))
+    assert backup("create", backups, "--with-objects", "--data", data).returncode == 0
+    verified = backup("verify", backups)
+    assert verified.returncode == 1
+    assert (cut_off.name in verified.stderr, changed.name in verified.stderr) == (False, True)
+    assert f"delete the damaged files in {backups / 'objects'}" in verified.stderr
+    changed.unlink()
+    assert backup("create", backups, "--with-objects", "--data", data).returncode == 0
+    assert backup("verify", backups).returncode == 0
+
+
 def test_what_a_killed_backup_left_is_removed(backups: Path, data: Path) -> None:
     (backups / "backups" / ".part-20200101T000000.000000Z").mkdir()
     (backups / "objects" / ".part-1").write_bytes(b"half")
