@@ -47,10 +47,13 @@ def passphrase() -> str:
 
 
 def read_keys(folder: Path) -> dict[str, KeyFile]:
-    """Read all files of a folder of keys, by their path in it. Raises BadInput, OSError."""
+    """Read all files of a folder of keys, by their path in it, also those that it has links to.
+
+    Raises BadInput, OSError.
+    """
     if not folder.is_dir():
         raise BadInput(f"--keys {folder}: there is no such folder")
-    paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.is_symlink()]
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     if not paths or sum(path.stat().st_size for path in paths) > _MOST_BYTES:
         raise BadInput(f"--keys {folder}: this is no folder of keys, it has {len(paths):,} files")
     return {

@@ -410,6 +410,17 @@ def test_a_damaged_content_is_copied_again(backups: Path, data: Path) -> None:
     assert backup("verify", backups).returncode == 0
 
 
+def test_a_key_that_is_a_link_is_in_the_backup(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "keys").mkdir()
+    generate_key(tmp_path / "elsewhere")
+    (tmp_path / "keys" / "signing").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "keys" / "signing.pub").write_bytes((tmp_path / "elsewhere.pub").read_bytes())
+    assert backup("create", tmp_path / "b", "--keys", tmp_path / "keys", "--data", data).returncode == 0
+    restored = backup("restore", tmp_path / "b", "--only", "keys", "--keys", tmp_path / "new", "--data", tmp_path / "x")
+    assert restored.returncode == 0, restored.stderr
+    assert (tmp_path / "new" / "signing").read_bytes() == (tmp_path / "elsewhere").read_bytes()
+
+
 def test_what_a_killed_backup_left_is_removed(backups: Path, data: Path) -> None:
     (backups / "backups" / ".part-20200101T000000.000000Z").mkdir()
     (backups / "objects" / ".part-1").write_bytes(b"half")
