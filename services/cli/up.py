@@ -18,7 +18,7 @@ import httpx
 
 from services.cli.errors import BadInput
 from services.cli.progress import console, warn
-from services.cli.stop_signals import stop_signals
+from services.cli.stop_signals import exit_on_signals, stop_signals
 from services.strict_settings import LOOPBACK
 
 DEFAULT_PORT = 8080
@@ -38,9 +38,10 @@ def serve_together(host: str, port: int, data: Path, *, everybody: bool = False)
     """
     _refuse_without_keys(host, port, data, everybody)
     stop = threading.Event()
-    for name in stop_signals():
-        signal.signal(name, lambda *_: stop.set())
+    exit_on_signals()  # while the services start: then there is nothing to wait for
     with run_stack(host, port, data, everybody=everybody) as stack:
+        for name in stop_signals():
+            signal.signal(name, lambda *_: stop.set())
         console.print(f"capture page   {stack.url}/")
         console.print(f"viewer         {stack.url}/view/KEY")
         console.print(f"API            {stack.url}/openapi.json")

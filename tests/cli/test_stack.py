@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -207,6 +208,24 @@ def test_a_terminal_that_is_closed_ends_the_services_too(tmp_path: Path, wrapper
                 product.send_signal(signal.SIGINT)
     with pytest.raises(httpx.TransportError):
         httpx.get(f"http://127.0.0.1:{port}/livez")
+
+
+def test_a_start_that_waits_for_its_store_can_be_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nowhere = {"STORAGE_KIND": "s3", "STORAGE_ENDPOINT": f"http://127.0.0.1:{free_port()}", "STORAGE_BUCKET": "b"}
+    for name, value in {**nowhere, "STORAGE_ACCESS_KEY": "a", "STORAGE_SECRET_KEY": "b" * 9}.items():
+        monkeypatch.setenv(name, value)
+    port = str(free_port())
+    command = [sys.executable, "-m", "services.cli", "up", "--port", port, "--data", tmp_path]
+    child = subprocess.Popen(command, env={**os.environ, "EDGE_DEVICE": "cpu"}, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + HANG_S
+    while is_free("127.0.0.1", int(port)):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    child.terminate()
+    _, said = child.communicate(timeout=HANG_S)
+    assert "were not ready" not in said
+    assert child.returncode == 128 + signal.SIGTERM
+    assert is_free("127.0.0.1", int(port))
 
 
 def test_a_mistyped_setting_is_an_error_that_names_it() -> None:
