@@ -28,7 +28,7 @@ _RESUMABLE_BYTES = 16 << 20  # of an upload that can go on; a smaller one is sen
 _TIMEOUT = httpx.Timeout(30.0, read=60.0)  # the gateway sends an event at least every 15 s while a job runs
 _RECONNECT_S = 1.0  # pause before reconnecting
 _GIVE_UP_S = 120.0  # without an answer of the gateway; a restart takes seconds
-_GATEWAY_AWAY = {502, 503, 504}
+_NOT_NOW = {429, 502, 503, 504}  # 429: of other requests of the tenant there were too many
 _TERMINAL = {"SUCCEEDED", "FAILED", "CANCELLED"}
 
 
@@ -167,7 +167,7 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
         try:
             headers = {"Last-Event-ID": last_event} if last_event else {}
             with client.stream("GET", f"/v1/jobs/{job}/events", headers=headers) as response:
-                _raise_if_away(response)
+                _raise_if_not_now(response)
                 if not response.is_success:
                     response.read()
                     parse_answer(response)
@@ -177,7 +177,7 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
                         last_event = line[3:].strip()
                     elif line.startswith("data:") and line[5:].strip():
                         yield {"stage": "", "fraction": 0.0, "state": "RUNNING", **json.loads(line[5:])}
-            state = parse_answer(_raise_if_away(client.get(f"/v1/jobs/{job}")))
+            state = parse_answer(_raise_if_not_now(client.get(f"/v1/jobs/{job}")))
             yield state
             if state["state"] in _TERMINAL:
                 return
@@ -187,10 +187,10 @@ def follow(client: httpx.Client, job: str) -> Iterator[dict[str, Any]]:
         time.sleep(_RECONNECT_S)
 
 
-def _raise_if_away(response: httpx.Response) -> httpx.Response:
-    """Return the answer. Raises httpx.ConnectError where a proxy answers because the gateway is away."""
-    if response.status_code in _GATEWAY_AWAY:
-        raise httpx.ConnectError(f"the proxy answered {response.status_code}")
+def _raise_if_not_now(response: httpx.Response) -> httpx.Response:
+    """Return the answer. Raises httpx.ConnectError where the gateway, or a proxy for it, has no answer now."""
+    if response.status_code in _NOT_NOW:
+        raise httpx.ConnectError(f"it answered {response.status_code}")
     return response
 
 

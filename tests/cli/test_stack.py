@@ -148,9 +148,9 @@ def test_no_gateway_is_said_plainly(disk: Path) -> None:
     assert "cannot be reached" in result.stderr
 
 
-def test_a_proxy_may_answer_for_a_gateway_that_restarts() -> None:
+def test_a_proxy_may_answer_for_a_gateway_that_restarts_and_a_busy_tenant_have_to_wait() -> None:
     ended = {"state": "SUCCEEDED", "stage": "", "fraction": 1.0}
-    answers = iter([httpx.Response(502), httpx.Response(503), httpx.Response(200, text="")])
+    answers = iter([*map(httpx.Response, (502, 503, 429)), httpx.Response(200, text="")])
 
     def serve(request: httpx.Request) -> httpx.Response:
         return next(answers) if request.url.path.endswith("/events") else httpx.Response(200, json=ended)
