@@ -10,7 +10,7 @@ from pathlib import Path
 from services.cli.progress import console
 from services.cli.pull import pull_asset
 from services.cli.push import push_capture
-from services.cli.run import key_from
+from services.cli.run import check_place, key_from
 from services.cli.stop_signals import exit_on_signals, stop_signals
 from services.cli.up import DEFAULT_PORT, Stack, is_free, run_stack
 
@@ -24,6 +24,8 @@ def run_demo(capture: Path | None, out: Path, *, keep: bool) -> None:
     capture  the user's capture; None: simulate one
     keep     whether to go on serving the viewer until interrupted
     """
+    if capture:
+        check_place(out, capture)
     exit_on_signals()  # and stop the stack
     out.mkdir(parents=True, exist_ok=True)
     key = key_from(capture) if capture else _KEY

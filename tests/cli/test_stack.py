@@ -21,6 +21,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from services.cli.demo import run_demo
+from services.cli.errors import BadInput
 from services.cli.push import follow
 from services.cli.up import free_port, is_free, run_stack
 from tests.cli.test_run import capture2vr
@@ -316,3 +318,9 @@ def test_the_demo_ends_with_picture_report_and_viewer(tmp_path: Path) -> None:
         "PACKING",
     ]
     assert (tmp_path / "demo" / "asset" / "preview.png").stat().st_size > 10_000
+
+
+def test_a_demo_does_not_keep_its_services_data_in_the_capture(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="lies in the capture"):
+        run_demo(tmp_path, tmp_path / "demo", keep=False)
+    assert list(tmp_path.iterdir()) == []
