@@ -79,6 +79,15 @@ def remove_earlier(out: Path) -> None:
         shutil.rmtree(out / name, ignore_errors=True)
 
 
+def names_of_both(out: Path) -> set[str]:
+    """Return the names of the files in `out` that an earlier run or pull says it has written, changed since or not."""
+    names = {path.name for path in files_of_run(out)}
+    try:
+        return {*names, MANIFEST, *listed_files(json.loads((out / MANIFEST).read_bytes()))}
+    except (OSError, ValueError, KeyError, TypeError):  # no manifest, or not one of ours
+        return names
+
+
 def files_of_pull(out: Path) -> list[Path]:
     """Return the files in `out` that the manifest of an earlier pull lists, and that are unchanged since."""
     try:

@@ -15,12 +15,13 @@ from rich.table import Table
 from services.cli.assets import check_collection
 from services.cli.catalogue_work import load_verification_keys
 from services.cli.download import RemoteObjects, fetch
-from services.cli.earlier_results import MANIFEST, files_of_pull
+from services.cli.earlier_results import MANIFEST, files_of_pull, names_of_both
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer
 from services.cli.http import client_of
 from services.cli.progress import console, warn
 from services.cli.seen_version import SeenVersion, user_folder
 from services.cli.share_link import SharedThing, open_link, split_link
+from services.storage.bundle import sha256_of
 from services.storage.catalogue.collection import Row, Shard, read_index, read_shard
 from services.storage.catalogue.entry import DEFAULT_COLLECTION, valid_key
 from services.storage.catalogue.faults import (
@@ -192,11 +193,16 @@ def _manifest(found: _FoundAsset) -> tuple[bytes, list[AssetFile]]:
 def _install(out: Path, files: dict[str, Path], manifest: bytes) -> None:
     """Copy all files to a staging folder first, so that a full disk changes nothing; then move them into `out`.
 
-    Deletes files of an earlier pull that are not part of this one, unless the user has changed them.
+    Deletes files of an earlier pull that are not part of this one, unless the user has changed them. Raises BadInput
+    where a file or folder of somebody else has the name of one.
     """
     out.mkdir(parents=True, exist_ok=True)
     if blocked := next((out / name for name in (*files, MANIFEST) if (out / name).is_dir()), None):
         raise BadInput(f"{blocked} is a folder, but a file must be written there; choose another folder with -o")
+    ours = names_of_both(out)
+    for name in (*files, MANIFEST):
+        if name not in ours and (out / name).exists() and not _is_same(out / name, files.get(name)):
+            raise BadInput(f"{out / name} is of no earlier pull, and would be replaced; choose another folder with -o")
     outdated = [path for path in files_of_pull(out) if path.name not in files]
     staging = out / ".pulling"
     shutil.rmtree(staging, ignore_errors=True)  # left by a command that was killed
@@ -211,6 +217,11 @@ def _install(out: Path, files: dict[str, Path], manifest: bytes) -> None:
             path.unlink()
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _is_same(path: Path, cached: Path | None) -> bool:
+    """Whether a file has the content of one in the cache already, as after a pull that was killed at its end."""
+    return cached is not None and sha256_of(path) == cached.name
 
 
 def _add_hint(fault: CatalogueFault, last_seen: SeenVersion) -> CatalogueFault:

@@ -303,6 +303,26 @@ def test_files_that_the_new_version_has_no_more_go_unless_they_are_yours(
     assert held(out).keys() == {"lod0.glb", "lod1.glb", "manifest.json", "notes.txt", "preview.png"}
 
 
+@pytest.mark.parametrize("name", ["mesh.ply", "manifest.json"])
+def test_a_file_of_ones_own_is_never_replaced(site: Site, pull: Pull, tmp_path: Path, name: str) -> None:
+    """As the capture itself, in whose folder the asset is pulled."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text('{"name": "mine"}')
+    with pytest.raises(BadInput, match=f"{name} is of no earlier pull, and would be replaced"):
+        pull()
+    assert held(out) == {name: b'{"name": "mine"}'}
+    (out / name).unlink()
+    pull()
+    (out / "manifest.json").unlink()  # as if it had been killed just before that was written
+    (out / "preview.png").unlink()
+    pull()
+    (out / "mesh.ply").write_text("drawn over")
+    site.publish("two")
+    pull()
+    assert held(out)["mesh.ply"] == bundle(content="two").files["mesh.ply"]
+
+
 def test_a_folder_in_the_way_is_named_before_anything_changes(site: Site, pull: Pull, tmp_path: Path) -> None:
     pull()
     (tmp_path / "out" / "lod1.glb").unlink()
