@@ -12,6 +12,7 @@ from services.storage.store import Store
 
 _PLACES = ("GATEWAY_DATA_DIR", "GATEWAY_DATABASE_URL")
 _STORES = ("STORAGE_ROOT", "STORAGE_KIND")
+_CONTENTS = ("gateway", "store", "gateway.db", "snapshots")  # of a data folder of `up`, or of a gateway alone
 
 
 def check_data(data: Path) -> None:
@@ -19,8 +20,12 @@ def check_data(data: Path) -> None:
 
     Raises BadInput.
     """
-    if not data.is_dir() and not any(os.environ.get(name) for name in (*_PLACES, *_STORES)):
+    if any(os.environ.get(name) for name in (*_PLACES, *_STORES)):
+        return
+    if not data.is_dir():
         raise BadInput(f"{data} does not exist: name the data folder of the gateway with --data")
+    if not any((data / name).exists() for name in _CONTENTS):
+        raise BadInput(f"{data}: there is no database or store of a gateway in it: name its data folder with --data")
 
 
 def local_settings(data: Path) -> GatewaySettings:

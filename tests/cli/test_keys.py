@@ -30,6 +30,17 @@ def test_a_mistyped_data_folder_is_named_and_not_made(data: Path, arguments: tup
     assert isinstance(said, BadInput)
     assert str(said) == f"{data} does not exist: name the data folder of the gateway with --data"
     assert not data.exists()
+    data.mkdir()
+    assert str(keys(data, *arguments).exception).startswith(f"{data}: there is no database or store of a gateway")
+    assert not list(data.iterdir())
+
+
+@pytest.mark.parametrize("command", ["check", "restore", "scrub"])
+def test_another_folder_is_not_found_whole(data: Path, command: str) -> None:
+    data.mkdir()
+    said = CliRunner().invoke(app, ["gateway", command, "--data", str(data)]).exception
+    assert str(said).startswith(f"{data}: there is no database or store of a gateway")
+    assert not list(data.iterdir())
 
 
 def test_days_without_end_are_refused(data: Path) -> None:
