@@ -19,7 +19,7 @@ from services.cli.earlier_results import check_capture
 from services.cli.errors import INVALID_KEY, BadInput, parse_answer, problem_sentence
 from services.cli.http import client_of
 from services.cli.progress import StageBar, console, warn
-from services.cli.resumable_upload import upload_resumably
+from services.cli.resumable_upload import CHECKING, upload_resumably
 from services.storage.archives import is_zip, pack
 from services.storage.catalogue.entry import valid_key
 
@@ -156,7 +156,8 @@ def upload(
             told = {"filetype": "application/zip"}
             return upload_resumably(client, archive, bar, told, params, file=source.name, then=then)
         headers = {"Content-Type": "application/zip", "Content-Length": str(size)}
-        answer = client.post("/v1/captures", params=params, content=_chunks(archive, size, bar), headers=headers)
+        content = _chunks(archive, size, bar)
+        answer = client.post("/v1/captures", params=params, content=content, headers=headers, timeout=CHECKING)
         return then(parse_answer(answer, file=source.name))
 
 

@@ -25,7 +25,8 @@ _PIECE_BYTES = 16 << 20  # with a checksum of its own: what a lost connection co
 _CHUNK_BYTES = 256 << 10  # the progress bar moves with each
 _PAUSE_S = (0.2, 0.5, 1.0, 2.0, 5.0)  # before attempts that follow each other
 _GIVE_UP_S = 300.0  # without progress: a phone's tunnel, a gateway's update
-_CHECKING = httpx.Timeout(30.0, read=900.0)  # while the gateway checks and inspects some gigabytes
+CHECKING = httpx.Timeout(30.0, read=900.0)
+"""While the gateway checks an upload, of gigabytes perhaps, and has it inspected: by each of several slow workers."""
 _TUS = {"Tus-Resumable": "1.0.0"}
 _AGAIN = {408, 409, 423, 425, 429, 460, 500, 502, 503, 504}  # answers after which the same may succeed
 _REFUSED = {400, 409, 415, 422}  # of a capture, for what it is
@@ -132,7 +133,7 @@ def _offset(client: httpx.Client, upload: str) -> int:
 
 
 def _finish(client: httpx.Client, upload: str, params: Mapping[str, str]) -> httpx.Response:
-    answer = client.post(f"{upload}/capture", params=dict(params), timeout=_CHECKING)
+    answer = client.post(f"{upload}/capture", params=dict(params), timeout=CHECKING)
     if answer.status_code in _REFUSED:
         client.delete(upload, headers=_TUS)
         return answer

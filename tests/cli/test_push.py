@@ -19,6 +19,7 @@ from services.cli import push
 from services.cli.errors import BadInput
 from services.cli.progress import StageBar
 from services.cli.push import push_capture, upload
+from services.gateway.worker_client import INSPECT_S
 from services.storage.archives import pack
 from tests.support.gateway_process import running
 from tests.support.patience import PATIENCE_S
@@ -146,6 +147,8 @@ def test_a_lost_answer_is_asked_for_again_and_the_addresses_that_are_printed_hav
     asked: list[str] = []
 
     def answer(request: httpx.Request) -> httpx.Response:
+        if request.url.path == "/v1/captures":  # a gateway waits for the inspection of a small file, too
+            assert request.extensions["timeout"]["read"] > 2 * INSPECT_S
         if request.url.path == "/v1/jobs":
             asked.append(request.headers["Idempotency-Key"])
             if len(asked) < 2:
