@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from services.atomic_write import atomic_write
-from services.cli.earlier_results import MANIFEST, REPORT, listed_files
+from services.cli.earlier_results import MANIFEST, REPORT, SOURCE, listed_files
 from services.cli.errors import BadInput
 from services.cli.progress import console
 from services.download_formats import FORMATS, formats_of
@@ -17,7 +17,7 @@ from services.storage.catalogue.entry import valid_key
 def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
     """Convert the results in a folder; return the file. out: None: beside them. Raises BadInput.
 
-    None of the results is ever replaced: of a key such as "mesh" the file would have the name of one.
+    The capture and the results are never replaced: with a key such as "mesh" the file would have the name of one.
     """
     bundle, key, names = _open(folder)
     possible = [each.name for each in formats_of([path.name for path in folder.iterdir() if bundle.has(path.name)])]
@@ -26,7 +26,7 @@ def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
         raise BadInput(f"{folder}: {format_name} {reason}; it can be one of: {', '.join(possible) or 'none'}")
     path = out or folder / FORMATS[format_name].file_name(key)
     if path.resolve() in {(folder / name).resolve() for name in (*names, MANIFEST, REPORT)}:
-        raise BadInput(f"{path} is one of the results and would be lost: name another file with -o")
+        raise BadInput(f"{path} is the capture or one of the results, and would be lost: name another file with -o")
     if path.is_dir() or not path.parent.is_dir():
         raise BadInput(f"{path} cannot be written: name a file with -o, in a folder that exists")
     try:
@@ -40,16 +40,19 @@ def convert_folder(folder: Path, format_name: str, out: Path | None) -> Path:
 
 
 def _open(folder: Path) -> tuple[BundleFolder, str, frozenset[str]]:
-    """Return the bundle in a folder that was written last, its asset key and its files' names. Raises BadInput."""
+    """Return the bundle in a folder that was written last, its asset key, and the names of its files and capture.
+
+    Raises BadInput.
+    """
     written = [folder / name for name in (MANIFEST, REPORT) if (folder / name).is_file()]
     manifest = max(written, key=lambda path: path.stat().st_mtime_ns, default=None)
     if manifest is None:
         raise BadInput(f"{folder} has no {MANIFEST} or {REPORT}: name a folder that `run` or `pull` has written")
     try:
         document = json.loads(manifest.read_bytes())
-        names, key = frozenset(listed_files(document)), str(document["key"])
+        files, key = frozenset(listed_files(document)), str(document["key"])
         if not valid_key(key):  # it becomes a file's name
             raise ValueError(key)
-        return BundleFolder(folder, document, names), key, names
+        return BundleFolder(folder, document, files), key, files | {str(document.get(SOURCE) or REPORT)}
     except (ValueError, KeyError, TypeError):
         raise BadInput(f"{manifest} is damaged: run or pull again") from None

@@ -17,6 +17,9 @@ MANIFEST, REPORT = "manifest.json", "report.json"
 BUNDLE, PREVIEW, PICTURES = "bundle", "preview", "pictures"
 """Folders of a run's results, and where its report lists the pictures that are not part of the bundle."""
 
+SOURCE = "source"
+"""Where a run's report has the name of its capture, if that lies beside the results; else ""."""
+
 _REFINED_PICTURE = "refined.png"
 _DATABASE = "gateway.db"
 

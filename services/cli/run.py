@@ -22,6 +22,7 @@ from services.cli.earlier_results import (
     BUNDLE,
     PICTURES,
     PREVIEW,
+    SOURCE,
     check_capture,
     files_of_both,
     folder_of_others,
@@ -361,10 +362,17 @@ class Results:
                 "version": asset.version,
                 "bytes": {name: len(content) for name, content in bundle.files.items()},
                 PICTURES: sorted(bundle.private),
+                SOURCE: self._source,
                 "reference": self._measure_distance(bundle.files["mesh.ply"]),
             },
             quality,
         )
+
+    @property
+    def _source(self) -> str:
+        """The name of the capture if it lies beside the results; else ""."""
+        found = self._capture
+        return found.name if found and found.resolve().parent == self.out.resolve() else ""
 
     def _spare_capture(self, bundle: Bundle) -> None:
         """Raises BadInput where one of the results has the capture's name, in the capture's folder."""

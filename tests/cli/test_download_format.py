@@ -87,6 +87,22 @@ def test_no_result_is_replaced_by_its_conversion(tmp_path: Path, key: str) -> No
         assert convert_folder(folder, "ply", folder / "mesh-z-up.ply").is_file()
 
 
+def test_the_capture_beside_its_results_is_not_replaced(tmp_path: Path) -> None:
+    """As of `run scan.ply -o .`, whose key is the name of the capture."""
+    capture, made = tmp_path / "scan.ply", downloadable()
+    capture.write_bytes(b"the capture")
+    written(made, tmp_path)
+    document = {**made.manifest, "bytes": dict.fromkeys(made.files, 9), "key": "scan"}
+    for source, is_refused in (("scan.ply", True), ("", False)):
+        (tmp_path / "report.json").write_text(json.dumps({**document, "source": source}))
+        if is_refused:
+            with pytest.raises(BadInput, match=r"scan\.ply is the capture or one of the results"):
+                convert_folder(tmp_path, "ply", None)
+            assert capture.read_bytes() == b"the capture"
+        else:
+            assert convert_folder(tmp_path, "ply", None) == capture
+
+
 def test_of_two_results_in_a_folder_the_last_is_converted(tmp_path: Path) -> None:
     bundle = downloadable()
     written(bundle, tmp_path)

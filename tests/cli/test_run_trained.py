@@ -280,6 +280,10 @@ def test_a_run_never_replaces_its_capture(bowl: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="would be replaced by the result of that name"):
         Results(tmp_path, "shirt", capture=capture).write(bundle("preview", 0.003))
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"the capture"]
+    scan = capture.rename(tmp_path / "scan.ply")
+    for out, source in ((tmp_path, "scan.ply"), (tmp_path / "out", "")):
+        Results(out, "shirt", capture=scan).write(bundle("preview", 0.003))
+        assert json.loads((out / "report.json").read_text())["source"] == source  # `convert` spares it
     with pytest.raises(BadInput, match="is the capture: name another folder"):
         run_preset(tmp_path, tmp_path, TINY, device="cpu")
 
