@@ -188,12 +188,19 @@ def to_points(
     cameras = tuple(frame.picture for frame in capture.frames if frame.picture)
     drawn_in = tuple(frame for frame in capture.frames if frame.shown and frame.shown.name in drawn)
     frames, held_out = hold_out_frames(capture.frames, hold_out)
-    held_out = tuple(frame for frame in held_out if FrameFaults().read_picture(frame) is not None)
+    faults = FrameFaults()  # what is compared at the end of a job must not end it
+    held_out = tuple(frame for frame in held_out if faults.read_depth(frame) and faults.read_picture(frame) is not None)
     in_parts = not has_stereo_depth(frames) and cut != "object"  # which is cut out of points in memory
     fused = (fuse_scene if in_parts else fuse)(frames, voxel=voxel, tick=lambda part: tick(0.8 * share * part))
     capture = replace(capture, frames=fused.frames)
     points = _rgbd_points(capture, fused, lambda fraction: tick(share * (0.8 + 0.2 * fraction)))
-    points = replace(points, held_out_views=tuple(map(texture_view, held_out)), cameras=cameras, drawn_in=drawn_in)
+    points = replace(
+        points,
+        held_out_views=tuple(map(texture_view, held_out)),
+        cameras=cameras,
+        drawn_in=drawn_in,
+        warnings=(*points.warnings, *faults.warnings(len(capture.frames))),
+    )
     points = _cut(points, capture, fused, cut, tick)
     if has_stereo_depth(frames):
         points = replace(points, warnings=points.warnings + flatness_warning(points.xyz))

@@ -44,11 +44,14 @@ def test_a_damaged_picture_costs_its_colours_only() -> None:
     assert "0007" not in {view.name for view in (*points.texture_views, *points.held_out_views)}
 
 
-def test_a_damaged_picture_among_those_held_out_is_not_compared_with() -> None:
+@pytest.mark.parametrize("depth", [False, True])
+def test_a_damaged_frame_among_those_held_out_is_not_compared_with(depth: bool) -> None:
     held_out = {view.name for view in to_points(capture_of(FRAMES), cut="scene").held_out_views}
     first = min(map(int, held_out))
-    points = to_points(capture_of(with_damage(first, depth=False)), cut="scene")
+    points = to_points(capture_of(with_damage(first, depth=depth)), cut="scene")
     assert {view.name for view in points.held_out_views} == held_out - {f"{first:04}"}
+    what = "frame" if depth else "colours"
+    assert points.warnings == (f"{what} skipped: {first:04}: cannot be decoded: its image data are damaged",)
 
 
 def test_a_damaged_depth_image_costs_its_frame() -> None:
