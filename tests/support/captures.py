@@ -109,9 +109,9 @@ def _row_major_k() -> list[float]:
     return [fx, 0, cx, 0, fy, cy, 0, 0, 1]
 
 
-def write_open3d(folder: Path) -> Path:
+def write_open3d(folder: Path, count: int = 4) -> Path:
     lines = []
-    for index, pose in enumerate(poses()):
+    for index, pose in enumerate(poses(count)):
         save_png(folder / f"depth/{index:05}.png", steps(depth_m(pose)))
         save_jpg(folder / f"color/{index:05}.jpg", picture(index))
         lines += [f"{index} {index} {index + 1}", *(" ".join(map(repr, row)) for row in pose.tolist())]

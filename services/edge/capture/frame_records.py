@@ -214,13 +214,19 @@ def _check_sizes(frames: Sequence[Frame]) -> None:
 def _check_depth(frames: Sequence[Frame], file: str) -> None:
     """Raise CAPTURE_EMPTY when no depth image has depth, CAPTURE_DEGENERATE when all have one value at every pixel.
 
-    The first and the last are decoded; the others only until one has depth that differs.
+    The first and the last are decoded; the others only until one has depth that differs. Raises the first error when
+    more than MAX_BAD_SHARE of them cannot be decoded; fewer are passed over, here as when the frames are used.
     """
-    ranges = [_depth_range_m(frames[place]) for place in {0, len(frames) - 1}]
+    broken: list[CaptureError] = []
+    ranges = [_depth_range_m(frames[place], broken) for place in sorted({0, len(frames) - 1})]
     for frame in frames[1:-1]:
+        if len(broken) > MAX_BAD_SHARE * len(frames):
+            raise broken[0]
         if any(low < high for low, high in ranges):
             return
-        ranges.append(_depth_range_m(frame))
+        ranges.append(_depth_range_m(frame, broken))
+    if len(broken) > MAX_BAD_SHARE * len(frames):
+        raise broken[0]
     if not any(high > 0 for _, high in ranges):
         hint = ("record again, and keep the thing within the sensor's range, 0.3 to 5 m",)
         raise CaptureError("CAPTURE_EMPTY", "has depth images in which every pixel is empty", file=file, hints=hint)
@@ -230,12 +236,16 @@ def _check_depth(frames: Sequence[Frame], file: str) -> None:
         raise CaptureError("CAPTURE_DEGENERATE", what, file=file, hints=hints)
 
 
-def _depth_range_m(frame: Frame) -> tuple[float, float]:
+def _depth_range_m(frame: Frame, broken: list[CaptureError]) -> tuple[float, float]:
     """Return the least and the largest depth, 0 for both without any.
 
-    Raises IMAGE_UNREADABLE for a size unlike the header's.
+    The error of a damaged image is added to `broken`. Raises IMAGE_UNREADABLE for a size unlike the header's.
     """
-    depth_m = frame.load_depth_m()
+    try:
+        depth_m = frame.load_depth_m()
+    except CaptureError as error:
+        broken.append(error)
+        return 0.0, 0.0
     if depth_m.shape != (frame.intrinsics.height, frame.intrinsics.width):
         header = f"{frame.intrinsics.width} x {frame.intrinsics.height}"
         what = f"decodes to {depth_m.shape[1]} x {depth_m.shape[0]} pixels, but its header says {header}"
@@ -246,7 +256,10 @@ def _depth_range_m(frame: Frame) -> tuple[float, float]:
 
 def _unit_warning(frames: Sequence[Frame]) -> tuple[str, ...]:
     """Return a warning when the first frame is so far away that its depth is probably not in the expected unit."""
-    depth_m = frames[0].load_depth_m()
+    try:
+        depth_m = frames[0].load_depth_m()
+    except CaptureError:  # it is damaged, which is said when the frames are used
+        return ()
     median = float(np.median(depth_m[depth_m > 0])) if (depth_m > 0).any() else 0.0
     if median <= _FAR_M:
         return ()

@@ -161,6 +161,32 @@ def test_one_whole_depth_image_among_empty_ones_is_found_wherever_it_is(tmp_path
     assert "3 of 4 depth images are empty" in points.warnings[0]
 
 
+@pytest.mark.parametrize("number", [0, 5, 11])
+def test_one_damaged_depth_image_of_many_is_passed_over_wherever_it_is(number: int, tmp_path: Path) -> None:
+    folder = write_open3d(tmp_path, 12)
+    _damage(folder / f"depth/{number:05}.png")
+    points = to_points(read_capture(folder), cut="scene")
+    assert len(points) >= 100
+    assert points.warnings[0].startswith(f"frame skipped: depth/{number:05}.png: cannot be decoded")
+
+
+def test_when_the_depth_images_that_are_looked_at_are_damaged_the_error_says_so(tmp_path: Path) -> None:
+    folder = write_open3d(tmp_path, 12)
+    for number in (0, 11):
+        _damage(folder / f"depth/{number:05}.png")
+    with pytest.raises(CaptureError, match="damaged") as caught:
+        read_capture(folder)
+    assert (caught.value.code, caught.value.file) == ("IMAGE_UNREADABLE", "depth/00000.png")
+
+
+def _damage(image: Path) -> None:
+    """Overwrite pixels behind a whole header."""
+    data = bytearray(image.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 40] = bytes(40)
+    image.write_bytes(bytes(data))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("write", "says", "advises"),
