@@ -50,7 +50,8 @@ _WITHOUT_POSES = (0.9, 0.91)  # of the progress bar: the first strategy once mor
 class Attempt:
     """Result of one strategy; `features` are those that the answer's observations refer to.
 
-    trouble       why the network that looks for more matches failed, "" where it did not
+    trouble       why the network that looks for more matches failed, or the mapper with these, "" where neither did
+    failed        why a further strategy failed after one that had placed enough photos, "" where none did
     contradicted  whether the poses that came with the photos contradict them, and were not used
     """
 
@@ -59,6 +60,7 @@ class Attempt:
     pairs: Ints
     answer: SfmResult
     trouble: str = ""
+    failed: str = ""
     contradicted: bool = False
 
     @property
@@ -83,10 +85,10 @@ def place(photos: Sequence[Photo], tick: Tick) -> Attempt:
 
     Where that leaves a few photos out, they are matched with all others once more, by more key points; where that
     leaves any out, by a network. Poses that came with the photos are not used where the first strategy places too few
-    by them, and nearly all without them.
+    by them, and nearly all without them. A strategy that fails does not lose what one before it has placed.
     """
     attempts: list[Attempt] = []
-    contradicted = False
+    contradicted, failed = False, ""
     tried: set[tuple[SiftSettings, bytes]] = set()
     for strategy in _STRATEGIES:
         pairs = strategy.pairs(len(photos))
@@ -94,7 +96,13 @@ def place(photos: Sequence[Photo], tick: Tick) -> Attempt:
             continue
         tried.add((strategy.setting, pairs.tobytes()))
         known = attempts[-1].features if attempts and attempts[-1].setting == strategy.setting else ()
-        attempts.append(_try(photos, strategy, known, tick))
+        try:
+            attempts.append(_try(photos, strategy, known, tick))
+        except EdgeError as error:
+            if not attempts or not _best(attempts).enough:
+                raise
+            failed = error.message
+            break
         if len(attempts) == 1 and not attempts[0].enough and _are_posed(photos):
             without_poses = [replace(photo, camera_to_world=None) for photo in photos]
             computed = _try(without_poses, replace(strategy, share=_WITHOUT_POSES), attempts[0].features, tick)
@@ -106,12 +114,15 @@ def place(photos: Sequence[Photo], tick: Tick) -> Attempt:
     if _GOOD <= best.share < 1 and best.setting != FINE and len(photos) <= MANY:
         left_out = best.left_out
         strategy = _Strategy(FINE, lambda count: with_all(sequential(count), left_out, count), _STRATEGIES[-1].share)
-        attempts.append(_try(photos, strategy, (), tick))
+        try:
+            attempts.append(_try(photos, strategy, (), tick))
+        except EdgeError as error:
+            failed = error.message
     best = _best(attempts)
     if best.share < 1 and is_installed():
         best = _try_learned(photos, best, tick)
     tick(1.0)
-    return replace(best, contradicted=contradicted)
+    return replace(best, contradicted=contradicted, failed=failed)
 
 
 def _best(attempts: Sequence[Attempt]) -> Attempt:
@@ -132,18 +143,18 @@ def _try_learned(photos: Sequence[Photo], before: Attempt, tick: Tick) -> Attemp
     """Try once more with what was matched before and with a network's matches.
 
     It matches the photos that were left out, or all of them where most were, as SIFT's own matches are then few.
-    Returns `before` where that places no more photos, with its trouble where the network fails."""
+    Returns `before` where that places no more photos, with its trouble where the network or the mapper fails."""
     tick = part_of(tick, *_LEARNED)
     try:
         wanted = before.left_out if before.share >= _GOOD else np.arange(len(photos))
         found = find_matches(photos, wanted, part_of(tick, 0.0, _LEARNED_MATCHES))
+        if not len(found.table):
+            return before
+        features, table = with_learned(before.features, found)
+        problem = _problem(photos, features, before.pairs, before.setting, table)
+        answer = solve(problem, part_of(tick, _LEARNED_MATCHES, 1.0))
     except EdgeError as error:
         return replace(before, trouble=error.message)
-    if not len(found.table):
-        return before
-    features, table = with_learned(before.features, found)
-    problem = _problem(photos, features, before.pairs, before.setting, table)
-    answer = solve(problem, part_of(tick, _LEARNED_MATCHES, 1.0))
     return _best([before, Attempt(before.setting, features, before.pairs, answer)])
 
 

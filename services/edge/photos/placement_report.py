@@ -62,10 +62,11 @@ def placement_warnings(photos: Sequence[Photo], attempt: Attempt) -> tuple[str, 
 
 
 def _more_matches(attempt: Attempt) -> tuple[str, ...]:
-    """Return a sentence on why no network looked for more matches: it failed, or is not installed."""
+    """Return sentences on why no more photos were placed: a further try failed, or the network, or it is missing."""
+    failed = (f"a further try to place photos failed: {attempt.failed}",) if attempt.failed else ()
     if attempt.trouble:
-        return (f"the network that looks for more matches failed: {attempt.trouble}",)
-    return () if is_installed() else (_COULD_BE_INSTALLED,)
+        return (*failed, f"the network that looks for more matches failed: {attempt.trouble}")
+    return failed if is_installed() else (*failed, _COULD_BE_INSTALLED)
 
 
 def _pieces(attempt: Attempt) -> list[int]:

@@ -19,10 +19,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.edge.arrays import Bytes, Floats
+from services.edge.arrays import Bytes, Floats, Tick
 from services.edge.capture.nouns import Intrinsics, Photo
 from services.edge.errors import Cancelled, CaptureError, EdgeError
 from services.edge.photos.features import FAST, FINE, Features, SiftSettings, features_of, pixel_ratio, root_sift
+from services.edge.photos.learned_matches import LearnedMatches
 from services.edge.photos.match_pairs import FEW, MANY, epipolar_errors, exhaustive, sequential, with_all
 from services.edge.photos.nouns import Alignment
 from services.edge.photos.sfm_process import Lens, SfmProblem, SfmResult, solve
@@ -346,6 +347,36 @@ def test_a_few_photos_that_were_left_out_are_tried_once_more(monkeypatch: pytest
     assert len(attempt.answer.placed) == 40
     assert [setting for setting, _ in asked] == [FAST, FINE]
     assert asked[1][1] == len(with_all(sequential(40), np.array([38, 39]), 40))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("network", [False, True])
+def test_what_was_placed_is_not_lost_with_a_further_try(
+    posed: list[Photo], network: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first try places 8 photos of 9, or of 10; the mapper of the next one is killed, as where memory runs out."""
+    asked: list[SfmProblem] = []
+
+    def solved(problem: SfmProblem, tick: Tick) -> SfmResult:
+        asked.append(problem)
+        if len(asked) > 1:
+            raise EdgeError("ALIGN_FAILED", "the solver ended with status -9: no output")
+        return solve(problem, tick)
+
+    found = LearnedMatches(tuple(np.zeros((0, 2), np.float32) for _ in range(10)), np.zeros((1, 4), np.int32))
+    monkeypatch.setattr("services.edge.photos.placement_attempts.solve", solved)
+    monkeypatch.setattr("services.edge.photos.placement_attempts.find_matches", lambda *_: found)
+    monkeypatch.setattr("services.edge.photos.placement_attempts.with_learned", lambda features, _: (features, None))
+    for module in ("placement_attempts", "placement_report"):
+        monkeypatch.setattr(f"services.edge.photos.{module}.is_installed", lambda: network)
+    blank = photo_of(np.full((SIZE[1], SIZE[0], 3), 200, np.uint8), "blank.jpg")
+    alignment = align([*unposed(posed), blank, *[replace(blank, name="other.jpg")] * network])
+    assert len(asked) == 3 if network else 2
+    assert [view.photo.name for view in alignment.views] == [photo.name for photo in posed]
+    assert alignment.warnings[1] == "a further try to place photos failed: the solver ended with status -9: no output"
+    assert (
+        any("network that looks for more matches failed: the solver" in each for each in alignment.warnings) == network
+    )
 
 
 def test_the_pairs_of_many_photos_grow_no_faster_than_the_photos() -> None:
