@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from services.edge.arrays import Bytes, Floats, Tick, no_tick
+from services.edge.capture.frame_records import as_warnings
 from services.edge.capture.nouns import Frame, Photo
 from services.edge.errors import CaptureError
 from services.edge.photos.nouns import Alignment, PhotoView
@@ -41,19 +42,27 @@ class _FramePicture:
 def place_frames(frames: Sequence[Frame], tick: Tick = no_tick) -> tuple[tuple[Frame, ...], tuple[str, ...]]:
     """Compute the poses of up to _MOST_FRAMES evenly spaced frames, in metres -> those placed, and warnings.
 
+    Frames whose picture cannot be decoded are left out; depth that cannot be decoded says nothing of the scale.
     Raises CaptureError: CAPTURE_LOW_OVERLAP and CAPTURE_DEGENERATE as of photos, CAPTURE_NO_POSES where the depth does
     not agree with the pictures; EdgeError ALIGN_FAILED.
     """
     pictured = [frame for frame in frames if frame.load_rgb is not None]
     step = max(1, -(-len(pictured) // _MOST_FRAMES))
     by_name = {frame.name: frame for frame in pictured[::step]}
-    alignment = align([_photo(frame) for frame in by_name.values()], tick=tick)
+    photos: list[Photo] = []
+    damaged: list[CaptureError] = []
+    for frame in by_name.values():
+        try:
+            photos.append(_photo(frame))
+        except CaptureError as error:
+            damaged.append(error)
+    alignment = align(photos, tick=tick)
     require_parallax(alignment)
     chosen = [by_name[view.photo.name] for view in alignment.views]
     metres = _metres_per_unit(alignment, chosen)
     placed = (replace(frame, camera_to_world=_scaled(view, metres))
               for frame, view in zip(chosen, alignment.views, strict=True))  # fmt: skip
-    return tuple(placed), alignment.warnings
+    return tuple(placed), (*as_warnings("frame skipped", damaged), *alignment.warnings)
 
 
 def _photo(frame: Frame) -> Photo:
@@ -83,7 +92,10 @@ def _metres_per_unit(alignment: Alignment, frames: Sequence[Frame]) -> float:
 
 def _depth_ratios(alignment: Alignment, number: int, frame: Frame) -> Floats:
     """Return measured over computed depth (K,) of the points that a view sees, where depth is known."""
-    view, depth_m = alignment.views[number], frame.load_depth_m()
+    try:
+        view, depth_m = alignment.views[number], frame.load_depth_m()
+    except CaptureError:  # it is passed over, and named, when the frames are fused
+        return np.zeros(0)
     xyz = alignment.xyz[alignment.seen_point[alignment.seen_view == number]]
     z = (np.linalg.inv(view.camera_to_world) @ np.column_stack([xyz, np.ones(len(xyz))]).T)[2]
     scale = np.array(depth_m.shape[::-1]) / np.array(view.photo.size)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.edge.arrays import Floats
+from services.edge.capture.images import broken_image
 from services.edge.capture.nouns import Capture, Frame
 from services.edge.capture_to_points import to_points
 from services.edge.errors import CaptureError
@@ -128,6 +129,18 @@ def test_frames_that_cannot_be_tracked_are_placed_by_their_pictures_in_metres(wa
     assert rigid is not None
     assert np.linalg.norm(eyes @ rigid[:3, :3].T + rigid[:3, 3] - true_eyes, axis=1).max() < 0.01
     assert "could not be tracked by depth" in found.warnings[0]
+
+
+@pytest.mark.slow
+def test_damaged_frames_do_not_keep_the_others_from_being_placed(walk: tuple[Frame, ...]) -> None:
+    def damaged() -> Floats:
+        raise broken_image("0003.png", "cannot be decoded: its image data are damaged")
+
+    spoilt = list(walk)
+    spoilt[3], spoilt[6] = replace(walk[3], load_rgb=damaged), replace(walk[6], load_depth_m=damaged)
+    placed, warnings = place_frames(spoilt)
+    assert [frame.name for frame in placed] == [frame.name for frame in walk if frame is not walk[3]]
+    assert warnings == ("frame skipped: 0003.png: cannot be decoded: its image data are damaged",)
 
 
 def partial_depth(frame: Frame) -> Callable[[], Floats]:
