@@ -157,6 +157,17 @@ def mesh_tiles(engine: Engine) -> bool:
     )
 
 
+def read_the_unreadable(engine: Engine) -> dict[str, Any]:
+    """Whether a result that nobody can read ends its task, one beside it, and whoever comes later."""
+    tasks = [engine.submit(_ONE, work) for work in (engine_tasks.unreadable, engine_tasks.version)]
+    ends = {"itself": error_of(tasks[0])}
+    try:
+        ends["later"] = error_of(engine.submit(_ONE, engine_tasks.version))
+    except EdgeError as error:
+        ends["later"] = {"code": error.code, "retryable": error.retryable}
+    return ends | {"all have ended": tasks[1].future.done()}
+
+
 def lose_the_head(engine: Engine, cluster: RayCluster, folder: Path) -> dict[str, Any]:
     folder.mkdir()
     task = engine.submit(_ONE, engine_tasks.wait, str(folder), 1)
@@ -176,7 +187,9 @@ def on_a_cluster(folder: Path) -> dict[str, Any]:
     with running() as cluster:
         cluster.start_nodes(one="--num-gpus=1", two="")
         with open_engine(ADDRESS, Needs()) as engine:
-            said = tell(engine, folder)
+            unreadable = read_the_unreadable(engine)
+        with open_engine(ADDRESS, Needs()) as engine:
+            said = tell(engine, folder) | {"unreadable": unreadable}
             needs = Needs(cpus=0.5, gpus=0.5)
             gpu = engine.submit(needs, engine_tasks.environment, "CUDA_VISIBLE_DEVICES")
             said["gpu"] = gpu.result(HANG_S)

@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import services
 from services.edge.arrays import Tick
@@ -21,6 +22,17 @@ class Unsendable(Exception):  # noqa: N818 - it reads as what it is
     def __init__(self) -> None:
         super().__init__("holds a function")
         self.held = lambda: None
+
+
+class Unreadable:
+    """A result that can be pickled, and not read again."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _refuse, ()
+
+
+def _refuse() -> None:
+    raise ImportError("there is no such thing here")
 
 
 def double(tick: Tick, number: int) -> int:
@@ -38,6 +50,10 @@ def fail(tick: Tick, file: str) -> None:
 
 def fail_unsendable(tick: Tick) -> None:
     raise Unsendable
+
+
+def unreadable(tick: Tick) -> Unreadable:
+    return Unreadable()
 
 
 def die(tick: Tick, begun: str) -> None:

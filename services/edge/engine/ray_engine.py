@@ -41,6 +41,7 @@ class RayEngine:
         self._address = address
         self._tasks: dict[Any, tuple[str, Submitted[Any]]] = {}
         self._lock, self._closed = Lock(), Event()
+        self._fault: EdgeError | None = None  # since when nobody looks any more at what has ended
         try:
             _knock(address)
             _connect(address)
@@ -62,10 +63,13 @@ class RayEngine:
         try:
             placed = [ray.put(each) if _is_large(each) else each for each in inputs]
             reference = run.remote(services.__version__, self._progress, name, work, *placed)
+            hash(reference)  # waits for the head's answer, which may be a refusal
         except Exception as error:
             raise self._lost(error) from error
         task.stop = lambda: self._kill(reference)
         with self._lock:
+            if self._fault:
+                raise self._fault
             self._tasks[reference] = name, task
         return task
 
@@ -103,9 +107,9 @@ class RayEngine:
             return
         ended, _ = ray.wait(list(tasks), num_returns=len(tasks), timeout=_POLL_S)
         for reference in ended:
-            with self._lock:
-                self._tasks.pop(reference, None)
             _end(tasks[reference][1], reference)
+            with self._lock:  # not before: where the head is lost meanwhile, the task ends with all others
+                self._tasks.pop(reference, None)
         self._read_progress({name: task for reference, (name, task) in tasks.items() if reference not in ended})
 
     def _read_progress(self, tasks: dict[str, Submitted[Any]]) -> None:
@@ -118,6 +122,7 @@ class RayEngine:
 
     def _give_up(self, error: EdgeError) -> None:
         with self._lock:
+            self._fault = error
             tasks = [task for _, task in self._tasks.values()]
             self._tasks.clear()
         for task in tasks:

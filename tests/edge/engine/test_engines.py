@@ -126,6 +126,14 @@ def test_a_lost_head_is_named(ray_story: dict[str, Any]) -> None:
     assert ray_story["no head"]["retryable"]
 
 
+def test_a_result_that_cannot_be_read_leaves_nobody_waiting(ray_story: dict[str, Any]) -> None:
+    told = ray_story["unreadable"]
+    assert (told["itself"]["code"], told["itself"]["retryable"]) == ("ENGINE_LOST", True)
+    assert "there is no such thing here" in told["itself"]["message"]
+    assert told["later"]["code"] == "ENGINE_LOST"
+    assert told["all have ended"]
+
+
 def until_begun(folder: Path, count: int) -> None:
     deadline = time.monotonic() + HANG_S
     while len(list(folder.glob("begun-*"))) < count:
