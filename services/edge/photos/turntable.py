@@ -20,6 +20,7 @@ from services.edge.parallel import in_threads
 from services.edge.photos.crop import CropBox, crop_photo
 
 _LONGEST = 320  # longer side in pixels of the compared pictures: shake of two pixels of a photo disappears in them
+_LEAST_PX = 8  # shorter side of the compared pictures; in narrower ones nothing can be told from the border
 _SMOOTH_PX = 1.2  # 1 sigma of the blur against noise
 _WINDOW_PX = 5  # side of the windows that are compared
 _NOISE = 2.0  # grey levels that noise, JPEG and flickering lamps leave after smoothing
@@ -66,7 +67,11 @@ def mask_background(photos: Sequence[Photo], tick: Tick = no_tick) -> tuple[Phot
     def watch(_: float) -> None:
         tick(0.0)  # most captures end before the masks: their bar must not jump back
 
-    if not _one_camera(photos) or not _has_still_background(_small_photos(photos, _ASKED, watch)):
+    if (
+        not _one_camera(photos)
+        or _is_narrow(photos[0])
+        or not _has_still_background(_small_photos(photos, _ASKED, watch))
+    ):
         return ()
     background = _Background.of(_small_photos(photos, _COMPARED, watch))
     masked = []
@@ -120,6 +125,11 @@ def _one_camera(photos: Sequence[Photo]) -> bool:
     first = photos[0]
     alike = all((photo.camera, photo.size, photo.turns) == (first.camera, first.size, first.turns) for photo in photos)
     return alike and all(photo.camera_to_world is None for photo in photos)
+
+
+def _is_narrow(photo: Photo) -> bool:
+    """Return whether a photo is a line or a few pixels: it then shows no thing, and has no gradient."""
+    return min(photo.size) * min(1.0, _LONGEST / max(photo.size)) < _LEAST_PX
 
 
 def _small_photos(photos: Sequence[Photo], most: int, tick: Tick) -> list[_SmallPhoto]:

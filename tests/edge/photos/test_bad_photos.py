@@ -136,6 +136,18 @@ def test_the_sky_has_no_texture(tmp_path: Path) -> None:
     assert "IMG_00.jpg" in caught.value.hints[1]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(1, 1), (1, 1800), (2, 900), (800, 1)])
+def test_photos_that_are_lines_or_dots_show_nothing(size: tuple[int, int], tmp_path: Path) -> None:
+    for number in range(3):
+        save_png(
+            tmp_path / f"{number}.png", np.random.default_rng(number).integers(90, 255, (*size, 3)).astype(np.uint8)
+        )
+    with pytest.raises(CaptureError) as caught:
+        to_depth(read_capture(tmp_path))
+    assert caught.value.code == "CAPTURE_LOW_OVERLAP"
+
+
 def test_the_mapper_ends_by_itself_before_its_parents_patience_does() -> None:
     """Then what it has placed is used; a child that is killed leaves nothing."""
     seconds = sfm_child._options(1.0, given=False).max_runtime_seconds
