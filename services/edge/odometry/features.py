@@ -28,7 +28,7 @@ class Features:
 
 
 def features_of(level: Level) -> Features | None:
-    """Detect a picture's features that have a depth; None without a picture, or with hardly any."""
+    """Detect a picture's features that have a depth; None without a picture, or with fewer than MIN_MATCHES."""
     import cv2
 
     if level.grey is None:
@@ -41,6 +41,8 @@ def features_of(level: Level) -> Features | None:
     pixel = at[:, 1] * level.camera.width + at[:, 0]
     q = level.inverse_depth.ravel()[pixel]
     known = q > 0
+    if known.sum() < MIN_MATCHES:
+        return None
     points = level.rays[pixel[known]] / q[known, None]
     return Features(points.astype(np.float32), np.asarray(descriptors)[known].astype(np.uint8))
 

@@ -157,6 +157,22 @@ def test_one_blank_frame_between_is_left_out() -> None:
     assert "0002" in tracked.warnings[0]
 
 
+@pytest.mark.slow
+def test_frames_whose_texture_is_all_beyond_the_depth_are_tracked() -> None:
+    """A plain thing before a town: the sensor reaches the thing alone, and the picture's features have no depth."""
+    far = np.zeros((PHONE.height, PHONE.width), bool)
+    far[:50] = True
+
+    def before_a_town(frame: Frame, number: int) -> Frame:
+        rgb = np.full((*far.shape, 3), 128, np.uint8)
+        rgb[:40] = np.random.default_rng(number).integers(0, 255, (10, 64, 3)).repeat(4, 0).repeat(4, 1)
+        depth_m = np.where(far, 0, frame.load_depth_m()).astype(np.float32)
+        return replace(frame, load_depth_m=lambda: depth_m, load_rgb=lambda: rgb)
+
+    frames = [before_a_town(frame, number) for number, frame in enumerate(film(things(), ORBIT[:8], sensor=SENSOR))]
+    assert len(track_frames(bare(tuple(frames))).frames) == 8
+
+
 def test_one_frame_alone_is_the_world() -> None:
     (frame,) = track_frames(bare(film(things(), ORBIT[:1]))).frames
     assert frame.camera_to_world is not None
