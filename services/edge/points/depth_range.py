@@ -15,6 +15,8 @@ MIN_PIXELS = 100
 """Least number of usable depth pixels in a whole capture; fewer do not describe a surface."""
 _NEAR_M, _FAR_M = 0.1, 8.0
 """Range, in metres, that phone depth sensors are specified for."""
+_NEAR_STEREO, _FAR_STEREO = 1 / 8, 10.0
+"""The same of photos, over the median depth: their unit may be any. Of photos at arm's length these are no narrower."""
 _MIN_CONFIDENCE = 0.25
 """Least confidence of a valid pixel: it drops the lowest of the usual three levels (0, 1/2, 1)."""
 _SURVEY_FRAMES = 8
@@ -62,6 +64,8 @@ def survey_frames(frames: Sequence[Frame]) -> Survey:
     middle = float(np.median(z))
     near_m = _NEAR_M if middle > 2 * _NEAR_M else middle / 2
     far_m = _FAR_M if middle < _FAR_M / 2 else 2 * middle
+    if any(frame.window_px > 1 for frame in frames):
+        near_m, far_m = min(near_m, _NEAR_STEREO * middle), max(far_m, _FAR_STEREO * middle)
     usual = (z >= near_m) & (z <= far_m)
     warnings: tuple[str, ...] = ()
     trusted = float(np.mean(confidence[usual] >= _MIN_CONFIDENCE))

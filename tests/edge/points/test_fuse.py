@@ -50,6 +50,22 @@ def test_clean_frames_give_the_surface_itself() -> None:
     assert np.mean(reach < 2 * fused.voxel) > 0.99
 
 
+@pytest.mark.parametrize("unit", [7.0, 1000.0, 1e-3])
+def test_depth_of_photos_is_the_same_in_any_unit(unit: float) -> None:
+    """Poses that come with photos have a unit of their own; a sensor's limits in metres mean nothing in it."""
+    world = scene((plane(1.2, 1.2), (150, 120, 90)), (plane(12, 12, z=-2.4), (90, 90, 120)))
+    photographed = [replace(frame, window_px=7) for frame in film(world, WALK[:8])]
+
+    def in_unit(frame: Frame) -> Frame:
+        pose = np.asarray(frame.camera_to_world).copy()
+        pose[:3, 3] *= unit
+        return replace(frame, camera_to_world=pose, load_depth_m=lambda: frame.load_depth_m() * np.float32(unit))
+
+    here, there = fuse(photographed), fuse([in_unit(frame) for frame in photographed])
+    assert len(there.xyz) == pytest.approx(len(here.xyz), rel=0.01)
+    assert np.ptp(there.xyz, axis=0) / unit == pytest.approx(np.ptp(here.xyz, axis=0), rel=0.01)
+
+
 def test_noise_and_jitter_are_averaged_away() -> None:
     frames = film(table_with_sphere(), WALK, sensor=PHONE_LIKE)
     fused = fuse(frames)
