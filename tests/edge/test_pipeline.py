@@ -22,6 +22,7 @@ from services.edge.pipeline import PREVIEW_STARTS, reconstruct
 from services.edge.preset import Preset, load_preset
 from services.edge.progress import Progress
 from services.edge.splats.spz import from_spz
+from services.edge.splats.surface_splats import Splats
 from services.storage.bundle import Bundle
 from tests.referees.glb_reader import Glb
 from tests.referees.ktx2.encoder import ktx2  # noqa: F401 - a fixture is used by its name
@@ -269,6 +270,23 @@ def test_splats_are_trained_on_the_photos_where_the_preset_says_so(sheet_bundles
     red, blue = (np.abs(splats.rgb.astype(int) - colour).max(axis=1) < 60 for colour in ((230, 60, 40), (40, 60, 200)))
     assert (red | blue).mean() > 0.8
     assert min(red.mean(), blue.mean()) > 0.3
+
+
+def test_splats_for_which_a_gpu_is_too_full_are_trained_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def fails_on_a_gpu(splats: Splats, *_: object, device: str, **__: object) -> Splats:
+        tried.append(device)
+        if device != "cpu":
+            raise EdgeError("GPU_OOM", "the GPU is full")
+        return splats
+
+    monkeypatch.setattr("services.edge.splat_training.train_splats.train_splats", fails_on_a_gpu)
+    *_, bundle = reconstruct(_striped_sheet("dark"), Preset("coarse", resolution=96, splat_steps=3), device="cuda:0")
+    assert isinstance(bundle, Bundle)
+    assert tried == ["cuda:0", "cpu"]
+    assert "splats.spz" in bundle.files
+    assert "the GPU is full; the splats were trained on the CPU" in bundle.manifest["warnings"]
 
 
 def test_a_capture_without_photos_gets_no_splats_and_a_warning() -> None:
