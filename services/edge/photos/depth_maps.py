@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -25,6 +26,7 @@ from services.edge.photos.depth_consistency import confirmations
 from services.edge.photos.depth_rim import remove_rim
 from services.edge.photos.nouns import Alignment, PhotoView, picture_camera
 from services.edge.photos.plane_sweep import DepthMap, SweepBackendOf, backend_on, sweep
+from services.edge.photos.plane_sweep_cpu import CpuSweep
 from services.edge.photos.source_views import SOURCES, choose_sources
 from services.edge.photos.undistorted import UndistortedPhoto, load_undistorted_grey, load_undistorted_rgb
 from services.edge.photos.upright_photo import UprightPhoto
@@ -54,6 +56,8 @@ _CLOCKWISE = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]
 """Camera axes of the picture rotated clockwise by a quarter turn, in those of the picture: its x is -y, its y is x."""
 _POLL_S = 0.2
 """Seconds between two checks whether the job was cancelled."""
+
+_log = logging.getLogger(__name__)
 
 
 def depth_frames(
@@ -104,7 +108,7 @@ def _sweep_views(
     backend_of: SweepBackendOf,
     tick: Tick,
 ) -> dict[int, DepthMap]:
-    """Compute the depth maps of the views in `swept`, in parallel.
+    """Compute the depth maps of the views in `swept`, in parallel; on the CPU those for which a GPU has no room.
 
     `tick` is called regularly; when it raises, running sweeps stop within one plane."""
     stop = threading.Event()
@@ -115,7 +119,15 @@ def _sweep_views(
 
     def work(view: int) -> DepthMap:
         others = [pictures[other] for other in sources[view]]
-        return sweep(pictures[view], others, _depths_of(alignment, view), watch, backend_of=backend_of)
+        try:
+            return sweep(pictures[view], others, _depths_of(alignment, view), watch, backend_of=backend_of)
+        except MemoryError:
+            if backend_of is CpuSweep:
+                raise
+            _log.warning(
+                "the GPU has no room for the depth of %s: it is computed on the CPU", pictures[view].view.photo.name
+            )
+        return sweep(pictures[view], others, _depths_of(alignment, view), watch)
 
     pool = ThreadPoolExecutor(_WORKERS)
     try:

@@ -6,7 +6,8 @@ steps of 1/32 pixel, here they are warped exactly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -24,9 +25,19 @@ _PLANES = 16
 """Planes processed at once: each tensor of 16 planes of 640 x 480 pixels takes 20 MB."""
 
 
-class TorchSweep:
-    """`SweepBackend` on a PyTorch device."""
+@contextmanager
+def _translate_memory_errors() -> Iterator[None]:
+    """Translate a full GPU's error into MemoryError, which callers without PyTorch know."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise MemoryError(str(error).splitlines()[0]) from None
 
+
+class TorchSweep:
+    """`SweepBackend` on a PyTorch device. Its methods raise MemoryError where the device is full."""
+
+    @_translate_memory_errors()
     def __init__(self, reference: UndistortedPhoto, sources: Sequence[UndistortedPhoto], device: str) -> None:
         self._device = torch.device(device)
         self._grey = self._put(reference.grey)
@@ -40,6 +51,7 @@ class TorchSweep:
         of = [WarpSource.of(reference, source) for source in sources]
         self._sources = [(self._put(each.grey), self._put(each.turn), self._put(each.shift)) for each in of]
 
+    @_translate_memory_errors()
     def choose_planes(self, planes: Floats, tick: Tick) -> Floats:
         """Choose a plane for each pixel by SGM: its index (H,W), with a fraction between planes."""
         costs = []
@@ -50,6 +62,7 @@ class TorchSweep:
         cost = torch.cat(costs).permute(1, 2, 0).to(torch.int16)
         return _lowest(_aggregate(cost, self._grey)).cpu().numpy()
 
+    @_translate_memory_errors()
     def score(self, q: Floats) -> Floats:
         """Return the ZNCC (H,W) in [-1,1] at the inverse depths q (H,W): the mean of the two best sources."""
         return self._score(self._put(q)[None])[0].cpu().numpy()

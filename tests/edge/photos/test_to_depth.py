@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,6 +25,7 @@ from services.edge.capture.nouns import Capture, Frame, Intrinsics, Photo
 from services.edge.capture_to_points import to_points
 from services.edge.errors import Cancelled, CaptureError
 from services.edge.mesh.align_to_reference import align_to_surface
+from services.edge.photos import depth_maps, plane_sweep, plane_sweep_torch
 from services.edge.photos.depth_consistency import confirmations
 from services.edge.photos.depth_maps import depth_frames
 from services.edge.photos.nouns import Alignment, PhotoView
@@ -290,6 +292,33 @@ def test_the_sweep_ends_soon_after_its_job_is_cancelled(aligned: Alignment) -> N
         depth_frames(aligned, tick=cancel)
     assert time.perf_counter() - began[0] < CANCEL_S
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool")]
+
+
+def test_depth_for_which_a_gpu_has_no_room_is_computed_on_the_cpu(
+    aligned: Alignment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Other jobs fill it, from the first picture on or while the planes are compared."""
+    asked: list[int] = []
+
+    def full(values: torch.Tensor) -> torch.Tensor:
+        asked.append(values.dim())
+        if len(asked) == 1 or values.dim() == 3:
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB.")
+        return box(values)
+
+    box = plane_sweep_torch._box
+    monkeypatch.setattr(plane_sweep_torch, "_box", full)
+    monkeypatch.setattr(depth_maps, "backend_on", lambda _: lambda a, b: plane_sweep_torch.TorchSweep(a, b, "cpu"))
+    found, expected = depth_frames(aligned, longest=160, device="cuda:0"), _on_the_cpu(aligned)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.load_depth_m(), other.load_depth_m())
+    assert 3 in asked
+
+
+def _on_the_cpu(aligned: Alignment) -> tuple[Frame, ...]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(depth_maps, "backend_on", plane_sweep.backend_on)
+        return depth_frames(aligned, longest=160)
 
 
 def test_views_that_share_nothing_are_an_error_that_says_what_to_do(aligned: Alignment) -> None:
