@@ -79,10 +79,13 @@ def unseen_sides(points: Points, frames: Sequence[Frame]) -> tuple[UnseenSide, .
 
 def _hull(xyz: Floats) -> tuple[Floats, Floats, Floats]:
     """Compute the convex hull: centres (F,3), outward unit normals (F,3) and areas (F,) of its triangles."""
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
     some = xyz[np.random.default_rng(0).permutation(len(xyz))[:_POINTS]]
-    hull = ConvexHull(some)
+    try:
+        hull = ConvexHull(some)
+    except QhullError:  # of points in one plane, as of a poster at one depth
+        hull = ConvexHull(some, qhull_options="QJ")
     corners = some[hull.simplices]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return corners.mean(axis=1), hull.equations[:, :3], np.linalg.norm(across, axis=1) / 2

@@ -177,3 +177,13 @@ def test_a_direction_keeps_its_length_and_its_height_in_the_asset(seed: int, met
     assert np.linalg.norm(told["toward"]) == pytest.approx(1, abs=2e-3)
     assert told["toward"][1] == pytest.approx(toward @ up, abs=2e-3)
     assert (told["advice"], told["share"]) == ("Shoot from behind.", 0.25)
+
+
+def test_a_thing_in_one_plane_is_unseen_from_behind() -> None:
+    """A poster that all cameras see at exactly one depth: its hull has no volume."""
+    x, z = np.meshgrid(np.linspace(-0.3, 0.3, 40), np.linspace(0, 0.4, 40))
+    xyz = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
+    points = Points(xyz, None, np.ones(len(xyz), np.float32), 1.0, "metric", np.array([0.0, 0.0, 1.0]))
+    poses = np.stack([look_at((x, -1.0, 0.2), (x, 0, 0.2)) for x in (-0.1, 0.0, 0.1)])
+    (behind,) = unseen_sides(points, film(scene((plane(1, 1), (0, 0, 0))), poses))
+    assert degrees_between(behind.toward, [0, 1, 0]) < 10
