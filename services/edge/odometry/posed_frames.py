@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from services.edge.arrays import Tick, no_tick
+from services.edge.capture.frame_records import MAX_BAD_SHARE, as_warnings
 from services.edge.capture.nouns import MIN_PHOTOS, Capture
 from services.edge.errors import CaptureError, EdgeError
 from services.edge.odometry.check_poses import pose_fault
@@ -12,6 +15,7 @@ from services.edge.odometry.tracker import track_frames
 from services.edge.photos.place_frames import place_frames
 
 _TRACKING = 0.6  # share of the progress that tracking takes, where structure from motion follows
+_ASTRAY = 20.0  # times the cameras' usual distance from their middle, and a metre: no walk leads there and back at once
 
 
 def with_poses(capture: Capture, tick: Tick = no_tick) -> Capture:
@@ -22,6 +26,7 @@ def with_poses(capture: Capture, tick: Tick = no_tick) -> Capture:
     """
     if any(frame.camera_to_world is None for frame in capture.frames):
         return _tracked(capture, tick)
+    capture = _without_strays(capture)
     fault = pose_fault(capture.frames)
     if fault is None:
         return capture
@@ -33,6 +38,22 @@ def with_poses(capture: Capture, tick: Tick = no_tick) -> Capture:
         raise CaptureError("CAPTURE_BAD_POSE", reason, file=error.file, hints=(hint, *error.hints)) from None
     sentence = f"{fault[0].upper()}{fault[1:]}. They were not used: the camera's way was computed from the images."
     return replace(tracked, warnings=(*capture.warnings, sentence, *tracked.warnings[len(capture.warnings) :]))
+
+
+def _without_strays(capture: Capture) -> Capture:
+    """Leave out the few frames whose camera is far away from all others: one such pose makes a room of a cup."""
+    eyes = np.stack([np.asarray(frame.camera_to_world, np.float64)[:3, 3] for frame in capture.frames])
+    away_m = np.linalg.norm(eyes - np.median(eyes, axis=0), axis=1)
+    astray = away_m > _ASTRAY * (1 + np.median(away_m))
+    if not 0 < astray.sum() <= max(1, MAX_BAD_SHARE * len(eyes)):
+        return capture
+    errors = [
+        CaptureError("CAPTURE_BAD_POSE", f"has a camera pose that is {away:.0f} m from the others", file=frame.name)
+        for frame, away, stray in zip(capture.frames, away_m, astray, strict=True)
+        if stray
+    ]
+    frames = tuple(frame for frame, stray in zip(capture.frames, astray, strict=True) if not stray)
+    return replace(capture, frames=frames, warnings=(*capture.warnings, *as_warnings("frame skipped", errors)))
 
 
 def _tracked(capture: Capture, tick: Tick) -> Capture:

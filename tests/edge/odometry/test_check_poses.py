@@ -85,6 +85,17 @@ def test_poses_in_millimetres_are_found() -> None:
     assert "times as far apart" in fault
 
 
+@pytest.mark.parametrize("number", [0, 5])
+def test_one_pose_far_away_does_not_make_a_landscape_of_things(number: int) -> None:
+    frames = THINGS[:12]
+    far = poses(frames)
+    far[number, 0, 3] += 130.0
+    points = to_points(Capture("rgbd", "open3d", frames=posed(frames, far), scale_confidence="metric"), cut="scene")
+    assert np.ptp(points.xyz, axis=0).max() < 2
+    (warning,) = points.warnings
+    assert warning.startswith(f"frame skipped: {number:04}: has a camera pose that is 1")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("spoil", [shuffled, all_the_same])
 def test_instead_of_wrong_poses_the_way_is_tracked(spoil: Callable[[Floats], Floats]) -> None:
