@@ -6,6 +6,7 @@ around the object.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -20,6 +21,7 @@ from services.edge.parallel import in_threads
 from services.edge.photos.crop import CropBox, crop_photo
 
 _LONGEST = 320  # longer side in pixels of the compared pictures: shake of two pixels of a photo disappears in them
+_ONE_CAMERA = 0.8  # least share of the photos that the still camera took; the others were edited, or do not belong here
 _LEAST_PX = 8  # shorter side of the compared pictures; in narrower ones nothing can be told from the border
 _SMOOTH_PX = 1.2  # 1 sigma of the blur against noise
 _WINDOW_PX = 5  # side of the windows that are compared
@@ -61,22 +63,21 @@ class _SmallPhoto:
 def mask_background(photos: Sequence[Photo], tick: Tick = no_tick) -> tuple[Photo, ...]:
     """Mask the still background of turntable photos, and crop them to the object; () if it is not a turntable.
 
-    Photos that cannot be read get no mask: screening reports them later.
+    Photos that cannot be read get no mask: screening reports them later. Nor do the few that another camera took, or
+    that were edited: what they show of the background matches nothing in the others.
     """
 
     def watch(_: float) -> None:
         tick(0.0)  # most captures end before the masks: their bar must not jump back
 
-    if (
-        not _one_camera(photos)
-        or _is_narrow(photos[0])
-        or not _has_still_background(_small_photos(photos, _ASKED, watch))
-    ):
+    taken = _of_one_camera(photos)
+    if not taken or _is_narrow(taken[0]) or not _has_still_background(_small_photos(taken, _ASKED, watch)):
         return ()
-    background = _Background.of(_small_photos(photos, _COMPARED, watch))
+    background = _Background.of(_small_photos(taken, _COMPARED, watch))
+    names = {photo.name for photo in taken}
     masked = []
     for number, photo in enumerate(photos):
-        masked.append(_mask_photo(photo, background))
+        masked.append(_mask_photo(photo, background) if photo.name in names else photo)
         tick((number + 1) / len(photos))
     thing = thing_box(masked)
     # Centred at the optical axis, and not so narrow that a normal lens would picture like a telephoto lens.
@@ -120,11 +121,20 @@ def axis_up(frames: Sequence[Frame]) -> Floats | None:
     return axis if upright >= 0 else -axis
 
 
-def _one_camera(photos: Sequence[Photo]) -> bool:
-    """Return whether one still camera can have taken all photos: same camera, size and orientation, and no poses."""
-    first = photos[0]
-    alike = all((photo.camera, photo.size, photo.turns) == (first.camera, first.size, first.turns) for photo in photos)
-    return alike and all(photo.camera_to_world is None for photo in photos)
+def _of_one_camera(photos: Sequence[Photo]) -> tuple[Photo, ...]:
+    """Return the photos that one still camera can have taken: same camera, size and orientation.
+
+    () where these are fewer than _ONE_CAMERA of all, or where photos have poses."""
+    if any(photo.camera_to_world is not None for photo in photos):
+        return ()
+    (usual, count), *_ = Counter(map(_camera_of, photos)).most_common(1)
+    if count < _ONE_CAMERA * len(photos):
+        return ()
+    return tuple(photo for photo in photos if _camera_of(photo) == usual)
+
+
+def _camera_of(photo: Photo) -> tuple[str, tuple[int, int], int]:
+    return photo.camera, photo.size, photo.turns
 
 
 def _is_narrow(photo: Photo) -> bool:

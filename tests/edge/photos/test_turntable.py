@@ -131,8 +131,17 @@ def test_a_makers_mark_in_every_photo_of_a_walk_is_no_background(walk: Capture) 
 
 def test_photos_of_several_cameras_or_of_known_pose_are_none(taken: Capture) -> None:
     first, *others = taken.photos
-    assert mask_background((replace(first, camera="another"), *others)) == ()
+    two_cameras = [replace(photo, camera=f"{number % 2}") for number, photo in enumerate(taken.photos)]
+    assert mask_background(two_cameras) == ()
     assert mask_background((replace(first, camera_to_world=np.eye(4)), *others)) == ()
+
+
+def test_one_edited_photo_among_them_only_has_no_mask(taken: Capture) -> None:
+    """Smaller and without metadata, as when it was sent by a messenger: a turntable without masks cannot be placed."""
+    edited = replace(taken.photos[3], camera="none", size=tuple(side // 2 for side in taken.photos[3].size))
+    masked = mask_background((*taken.photos[:3], edited, *taken.photos[4:]))
+    assert [photo.name for photo in masked if photo.mask is None] == [edited.name]
+    assert len(masked) == len(taken.photos)
 
 
 def test_a_photo_that_cannot_be_read_is_left_to_the_screen(taken: Capture) -> None:
