@@ -22,7 +22,7 @@ from services.edge.capture.frame_records import checked_intrinsics, missing_warn
 from services.edge.capture.images import read_bytes
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
-from services.edge.capture.posed_photos import GivenCamera, posed_capture, with_camera
+from services.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
 from services.edge.capture.poses import pose_from_quaternion
 from services.edge.capture.tables import is_number, truncated
 from services.edge.errors import CaptureError
@@ -86,7 +86,8 @@ def read(folder: Folder) -> Capture:
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=images_file, hints=(hint,))
     present = [image for image in images if image.name in places]
     tries = [partial(_photo, folder, places[image.name], image, cameras, images_file) for image in present]
-    return posed_capture("colmap", tries, warnings=missing_warning(missing, "photos"))
+    unlisted = unlisted_warning(folder, set(places.values()), images_file)
+    return posed_capture("colmap", tries, warnings=(*missing_warning(missing, "photos"), *unlisted))
 
 
 def _find_model(folder: Folder) -> tuple[str, str] | None:

@@ -27,7 +27,7 @@ from services.edge.capture.frame_records import (
 from services.edge.capture.images import has_8_bits, image_size, read_bytes
 from services.edge.capture.nouns import Capture, Intrinsics, Photo
 from services.edge.capture.photos import read_photo
-from services.edge.capture.posed_photos import GivenCamera, posed_capture, with_camera
+from services.edge.capture.posed_photos import GivenCamera, posed_capture, unlisted_warning, with_camera
 from services.edge.errors import CaptureError
 
 FILE = "transforms.json"
@@ -80,7 +80,9 @@ def _photos(folder: Folder, tree: dict[str, Any], frames: Sequence[dict[str, Any
         reason = f"lists {len(missing)} images, but the capture has none of them; the first is {missing[0]}"
         raise CaptureError("CAPTURE_COUNT_MISMATCH", reason, file=FILE, hints=("send the images too",))
     tries = [partial(_photo, folder, frame, name) for frame, name in present]
-    return posed_capture("nerfstudio", tries, warnings=missing_warning(missing, "images"))
+    depths = [depth for frame, _ in present if (depth := _depth_name(folder, frame)) is not None]
+    unlisted = unlisted_warning(folder, {*depths, *(name for _, name in present)}, FILE)
+    return posed_capture("nerfstudio", tries, warnings=(*missing_warning(missing, "images"), *unlisted))
 
 
 def _image_name(folder: Folder, frame: Mapping[str, Any]) -> str:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import posixpath
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 from services.edge.arrays import Floats
+from services.edge.capture.files import Folder
 from services.edge.capture.frame_records import MAX_BAD_SHARE, checked_intrinsics
 from services.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdict, ScaleConfidence
-from services.edge.capture.photos import evenly_spaced, left_out_warning, unreadable_verdict
+from services.edge.capture.photos import evenly_spaced, left_out_warning, pictures, unreadable_verdict
 from services.edge.capture.poses import Axes, checked_pose
 from services.edge.errors import CaptureError
 
+_NAMED = 3  # most photos that a warning names
 _SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio: scaled copies have rounded sides
 
 
@@ -64,6 +67,16 @@ def with_app_camera(photo: Photo, intrinsics: Intrinsics, camera_to_world: Float
     at = checked_intrinsics(intrinsics, photo.name)
     name = f"{at.fx:.2f} {at.cx:.2f} {at.cy:.2f}"
     return with_camera(photo, GivenCamera(name, at, (0.0,) * 5, camera_to_world, axes))
+
+
+def unlisted_warning(folder: Folder, listed: Collection[str], file: str) -> tuple[str, ...]:
+    """Return a warning about the photos beside the listed ones whose cameras `file` does not tell, if any."""
+    places = set(map(posixpath.dirname, listed))
+    left = [name for name in pictures(folder) if name not in listed and posixpath.dirname(name) in places]
+    if not left:
+        return ()
+    names = ", ".join(left[:_NAMED]) + (", ..." if len(left) > _NAMED else "")
+    return (f"{len(left)} photos were not used, because {file} does not tell their cameras: {names}",)
 
 
 def posed_capture(

@@ -341,3 +341,16 @@ def test_broken_bytes_are_an_answer(project: dict[str, Path], form: str, file: s
     finally:
         path.write_bytes(sound)
     assert result
+
+
+def test_photos_that_the_model_could_not_place_are_named(tmp_path: Path) -> None:
+    """Those of its own folder alone: downscaled copies beside it are no photos that somebody misses."""
+    write(tmp_path)
+    for place in ("images", "images_4"):
+        for index in range(5):
+            captures.save_jpg(tmp_path / place / f"left {index}.jpg", captures.picture(index))
+    capture = read(tmp_path)
+    assert len(capture.photos) == len(NAMES)
+    names = ", ".join(f"images/left {index}.jpg" for index in range(3))
+    said = "because sparse/0/images.bin does not tell their cameras"
+    assert capture.warnings == (f"5 photos were not used, {said}: {names}, ...",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -105,6 +106,16 @@ def test_poses_that_contradict_the_photos_are_not_used(
     assert capture.up is None
     placed = _steps([np.asarray(frame.camera_to_world) for frame in capture.frames])
     assert placed == pytest.approx(_steps(walk.camera_to_world), rel=0.2)
+
+
+def test_photos_without_a_pose_among_posed_ones_are_named(walk: Walkaround, tmp_path: Path) -> None:
+    folder = bad_photos.write_posed(tmp_path / "posed", walk.photos, walk.camera_to_world, walk.intrinsics)
+    tree = json.loads((folder / "transforms.json").read_text())
+    (folder / "transforms.json").write_text(json.dumps(tree | {"frames": tree["frames"][:8]}))
+    capture = read_capture(folder)
+    assert len(capture.photos) == 8
+    (warning,) = capture.warnings
+    assert warning.startswith("2 photos were not used, because transforms.json does not tell their cameras: images/IMG")
 
 
 def _steps(poses: Sequence[Floats]) -> Floats:
