@@ -15,7 +15,7 @@ from services.edge.odometry.tracker import track_frames
 from services.edge.photos.place_frames import place_frames
 
 _TRACKING = 0.6  # share of the progress that tracking takes, where structure from motion follows
-_ASTRAY = 20.0  # times the cameras' usual distance from their middle, and a metre: no walk leads there and back at once
+_ASTRAY = 20.0  # times the cameras' usual distance from their middle, and a metre
 
 
 def with_poses(capture: Capture, tick: Tick = no_tick) -> Capture:
@@ -44,8 +44,12 @@ def _without_strays(capture: Capture) -> Capture:
     """Leave out the few frames whose camera is far away from all others: one such pose makes a room of a cup."""
     eyes = np.stack([np.asarray(frame.camera_to_world, np.float64)[:3, 3] for frame in capture.frames])
     away_m = np.linalg.norm(eyes - np.median(eyes, axis=0), axis=1)
-    astray = away_m > _ASTRAY * (1 + np.median(away_m))
+    limit_m = _ASTRAY * (1 + np.median(away_m))
+    astray = away_m > limit_m
     if not 0 < astray.sum() <= max(1, MAX_BAD_SHARE * len(eyes)):
+        return capture
+    leaps_m = np.linalg.norm(eyes[astray, None] - eyes[~astray], axis=2)
+    if leaps_m.min() < limit_m / 2:  # somebody walked there
         return capture
     errors = [
         CaptureError("CAPTURE_BAD_POSE", f"has a camera pose that is {away:.0f} m from the others", file=frame.name)

@@ -16,7 +16,7 @@ from services.edge.capture.nouns import Capture, Frame
 from services.edge.capture_to_points import to_points
 from services.edge.errors import CaptureError
 from services.edge.odometry.check_poses import pose_fault
-from services.edge.odometry.posed_frames import with_poses
+from services.edge.odometry.posed_frames import _without_strays, with_poses
 from services.edge.photos.place_frames import place_frames
 from services.edge.procrustes import procrustes
 from tests.edge.odometry.test_tracker import off_m, things
@@ -94,6 +94,13 @@ def test_one_pose_far_away_does_not_make_a_landscape_of_things(number: int) -> N
     assert np.ptp(points.xyz, axis=0).max() < 2
     (warning,) = points.warnings
     assert warning.startswith(f"frame skipped: {number:04}: has a camera pose that is 1")
+
+
+def test_a_walk_far_away_is_no_wrong_pose() -> None:
+    far = np.concatenate([poses(THINGS)] * 12)
+    far[-30:, 0, 3] += np.linspace(0, 60, 30)
+    capture = Capture("rgbd", "open3d", frames=posed(THINGS * 12, far), scale_confidence="metric")
+    assert _without_strays(capture) is capture
 
 
 @pytest.mark.slow
