@@ -348,7 +348,13 @@ def test_a_command_that_is_ended_leaves_no_copy_of_the_capture(
     scratch = tmp_path / "tmp"
     scratch.mkdir()
     command = [sys.executable, "-m", "services.cli", "run", tmp_path / "bowl.zip", "-o", tmp_path / "out"]
-    child = subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=ROOT, env={**os.environ, "TMPDIR": str(scratch)})
+    child = subprocess.Popen(
+        command,
+        stderr=subprocess.DEVNULL,
+        cwd=ROOT,
+        env={**os.environ, "TMPDIR": str(scratch)},
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # tests under nohup ignore it
+    )
     deadline = time.monotonic() + HANG_S
     while not list(scratch.rglob("bowl.ply")):
         assert child.poll() is None
