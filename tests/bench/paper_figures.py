@@ -72,25 +72,22 @@ def columns(row: Row, figure: Figure, state: Path) -> list[Column]:
     truth = welded(known)
     seen = [Column(f"the {row.name}'s points", "", heat_maps.dots(row.sampled(known, 0)))] if figure.points else []
     for method in figure.methods:
-        seen.append(_of_literature(_farthest(row, method, state), truth, figure, state))
+        cell, reached = _farthest(row, method, state)
+        seen.append(_of_literature(cell, reached, truth, figure))
     product = product_mesh(row, state)
     seen.append(_measured(row, "the product, standard", "", product, truth, figure))
     return [*seen, Column("the truth", "", heat_maps.plain(figure.shown(truth)))]
 
 
-def _farthest(row: Row, method: str, state: Path) -> Cell:
-    """The cell of a method whose kept mesh came farthest: the paper's was trained with two numbers of queries."""
-
-    def steps(cell: Cell) -> int:
-        reached = mesh_reached(cell, state)
-        return reached[0] if reached else 0
-
-    return max((each for each in cells() if (each.row, each.method) == (row, method)), key=steps)
+def _farthest(row: Row, method: str, state: Path) -> tuple[Cell, tuple[int, Mesh] | None]:
+    """The cell of a method whose kept mesh came farthest, and that mesh with its step: the paper's was trained with two
+    numbers of queries."""
+    found = [(cell, mesh_reached(cell, state)) for cell in cells() if (cell.row, cell.method) == (row, method)]
+    return max(found, key=lambda each: each[1][0] if each[1] else 0)
 
 
-def _of_literature(cell: Cell, truth: Mesh, figure: Figure, state: Path) -> Column:
-    reached, of = mesh_reached(cell, state), cell.config.loss_steps
-    name = cell.label.replace(cell.method, NAMES[cell.method])
+def _of_literature(cell: Cell, reached: tuple[int, Mesh] | None, truth: Mesh, figure: Figure) -> Column:
+    name, of = cell.label.replace(cell.method, NAMES[cell.method]), cell.config.loss_steps
     if reached is None or not len(reached[1].faces):
         why = "not begun" if reached is None else f"no surface after {reached[0]:,} of {of:,} steps"
         print(f"| {cell.row.label} | {name} | {why} | | | |", flush=True)

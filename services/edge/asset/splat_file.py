@@ -29,16 +29,14 @@ def splat_file(
 
     pictures = [posed_picture(view, to_asset) for view in subject.colours.texture_views]
     mesh = finest.mesh if isinstance(finest, TexturedMesh) else finest
-    warnings: tuple[str, ...] = ()
-    for where in dict.fromkeys((device, "cpu")):
-        try:
-            start = cover_with_splats(finest, _COUNT)
-            trained = train_splats(start, mesh, pictures, steps=subject.preset.splat_steps, device=where, tick=tick)
-            return {SPLATS: to_spz(trained)}, warnings
-        except EdgeError as error:
-            if error.code != "GPU_OOM" or where == "cpu":
-                return {}, (*warnings, f"no splats were trained: {error.message}")
-            warnings = (f"{error.message}; the splats were trained on the CPU",)
-        except MemoryError:
-            return {}, (*warnings, "no splats were trained: there was not enough memory")
-    raise AssertionError("the CPU is tried last")
+    try:
+        start = cover_with_splats(finest, _COUNT)
+        trained = train_splats(start, mesh, pictures, steps=subject.preset.splat_steps, device=device, tick=tick)
+    except EdgeError as error:
+        if error.code == "GPU_OOM" and device != "cpu":
+            files, warnings = splat_file(finest, subject, to_asset, "cpu", tick)
+            return files, (f"{error.message}; the splats were trained on the CPU", *warnings)
+        return {}, (f"no splats were trained: {error.message}",)
+    except MemoryError:
+        return {}, ("no splats were trained: there was not enough memory",)
+    return {SPLATS: to_spz(trained)}, ()

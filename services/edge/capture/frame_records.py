@@ -300,8 +300,12 @@ def missing_warning(names: Sequence[str], what: str) -> tuple[str, ...]:
     """Return a warning about files that a recording lists but does not contain; none for an empty list."""
     if not names:
         return ()
-    shown = ", ".join(names[:_FRAMES_TO_WARN_OF]) + (", ..." if len(names) > _FRAMES_TO_WARN_OF else "")
-    return (f"{len(names)} {what} missing: {shown}",)
+    return (f"{len(names)} {what} missing: {first_names(names)}",)
+
+
+def first_names(names: Sequence[str]) -> str:
+    """Return the first names of a list, for a warning, and dots where there are more."""
+    return ", ".join(names[:_FRAMES_TO_WARN_OF]) + (", ..." if len(names) > _FRAMES_TO_WARN_OF else "")
 
 
 def no_poses(file: str, expected: str) -> CaptureError:

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 
 from services.edge.arrays import Floats
 from services.edge.capture.files import Folder
-from services.edge.capture.frame_records import MAX_BAD_SHARE, checked_intrinsics
+from services.edge.capture.frame_records import MAX_BAD_SHARE, checked_intrinsics, first_names
 from services.edge.capture.nouns import Capture, Intrinsics, Photo, PhotoVerdict, ScaleConfidence
 from services.edge.capture.photos import evenly_spaced, left_out_warning, pictures, unreadable_verdict
 from services.edge.capture.poses import Axes, checked_pose
 from services.edge.errors import CaptureError
 
-_NAMED = 3  # most photos that a warning names
 _SAME_SHAPE = 0.02  # relative tolerance of the aspect ratio: scaled copies have rounded sides
 
 
@@ -75,8 +74,7 @@ def unlisted_warning(folder: Folder, listed: Collection[str], file: str) -> tupl
     left = [name for name in pictures(folder) if name not in listed and posixpath.dirname(name) in places]
     if not left:
         return ()
-    names = ", ".join(left[:_NAMED]) + (", ..." if len(left) > _NAMED else "")
-    return (f"{len(left)} photos were not used, because {file} does not tell their cameras: {names}",)
+    return (f"{len(left)} photos were not used, because {file} does not tell their cameras: {first_names(left)}",)
 
 
 def posed_capture(
