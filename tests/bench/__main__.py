@@ -53,6 +53,7 @@ ON_DEMAND = {
     "figure9": "the paper's Figure 9: garments that are deformed and partly hidden",
     "peer-extraction": "the extraction beside DCUDF2's and MIND's on the same fields, where you have them",
     "peer-fields": "published networks with their published weights (GeoUDF, LoSF), where you have them",
+    "streams": "trainings of several jobs in one worker on a GPU: steps a second, on one CUDA stream and on one each",
     "published": "the methods of the literature at their own budget of steps: hours, resumable",
 }
 

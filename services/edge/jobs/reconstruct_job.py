@@ -18,7 +18,7 @@ from services.edge.capture_to_points import PreparedPoints, prepare
 from services.edge.engine.nouns import OpenEngine
 from services.edge.errors import EdgeError
 from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.field.device import Device
+from services.edge.field.device import Device, own_stream
 from services.edge.jobs.available_presets import capabilities_of
 from services.edge.jobs.central_client import Central, CentralUnavailable
 from services.edge.jobs.fit_job import FieldFitter, to_wire
@@ -93,11 +93,12 @@ class Reconstructor:
     ) -> pb.Finished:
         """Run the whole job. Raises EdgeError, and Cancelled when `report` does."""
         request = replace(request, collection=request.collection or self._collection)
-        if self._central and not request.prepared:  # prepared points are fitted here: no job is forwarded twice
-            return self._reconstruct_with(self._central, archive, request, scratch, checkpoint, report)
-        bar = Bar(lambda progress: report(to_wire(progress)))
-        prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
-        return _with_validating(self._fitter.fit(prepared, bar, request, checkpoint, report), seconds)
+        with own_stream(self._device.name):
+            if self._central and not request.prepared:  # prepared points are fitted here: no job is forwarded twice
+                return self._reconstruct_with(self._central, archive, request, scratch, checkpoint, report)
+            bar = Bar(lambda progress: report(to_wire(progress)))
+            prepared, seconds = self._prepare_points(archive, request, scratch, bar, report)
+            return _with_validating(self._fitter.fit(prepared, bar, request, checkpoint, report), seconds)
 
     def inspect(self, archive: Path, scratch: Path, box: PhotoBox | None, tick: Tick) -> pb.Inspection:
         """Read a capture and return its kind, format and size, and the outline of the thing in a single photo.

@@ -6,7 +6,8 @@ import json
 import threading
 import time
 import zipfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from services.edge.worker.memory_budget import MemoryBudget
 from services.storage.bundle import Bundle
 from services.storage.catalogue.collection import index_name
 from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
+from services.storage.catalogue.publish import PublishedAsset, publish
 from services.storage.memory import MemoryStore
 from services.storage.tenant_store import store_of_tenant
 from tests.support.captures import write_nerfstudio
@@ -177,6 +178,30 @@ async def test_a_key_of_another_collection_is_refused_by_name(
     assert (failed.code, failed.retryable) == ("KEY_ELSEWHERE", False)
     assert "in collection ada, not in bob" in failed.message
     assert (read_entry(store, "shoe").version, read_entry(store, "shoe").collections) == (1, ["ada"])
+
+
+async def test_a_job_computes_in_a_stream_of_its_own(
+    store: MemoryStore, scratch: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    streams: list[str] = []
+    seen: list[tuple[str, ...]] = []
+
+    @contextmanager
+    def stream(device: str) -> Iterator[None]:
+        streams.append(f"of {device}")
+        yield
+        streams.clear()
+
+    def look(*asset: Any, **where: Any) -> PublishedAsset:
+        seen.append(tuple(streams))
+        return publish(*asset, **where)
+
+    monkeypatch.setattr("services.edge.jobs.reconstruct_job.own_stream", stream)
+    work = Reconstructor(store, known_presets(None), find_device("cpu"), MemoryBudget(1 << 40), publish=look)
+    async with worker(work, scratch) as client:
+        await client.ended(archive(tmp_path, dome_ply=hemisphere_ply(200)), asset_key="dome", preset="draft")
+    assert set(seen) == {("of cpu",)}
+    assert streams == []
 
 
 @pytest.mark.parametrize(
