@@ -102,10 +102,25 @@ def test_no_cell_keeps_the_others_waiting_longer_than_told(stored: Path, monkeyp
 
     monkeypatch.setattr(published.subprocess, "Popen", Ended)
     monkeypatch.setattr(published, "draw", lambda records: None)
+    monkeypatch.setattr(published, "measure_product", lambda records: None)
     began = time.time()
     published.main(["--rows", "lounge", "--state", str(stored), "--hours", "2", "--cell-minutes", "3"])
     assert len(ends) == 4
     assert all(began + 175 < each < time.time() + 185 for each in ends)
+
+
+def test_the_product_is_measured_once_on_the_scene(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = Row("lounge", partial(surfaces.disk), points=300, resolution=24)
+    monkeypatch.setattr(published, "SCENE", room)
+    monkeypatch.setattr(published, "OWN", "draft")
+    records = Records(stored / "published.json")
+    published.measure_product(records)
+    (record,) = records.all().values()
+    assert (record.row, record.method) == (room.label, "draft")
+    assert record.figures["chamfer_l1"] < 0.1
+    monkeypatch.setattr(published, "run_yardstick_cell", None)
+    published.measure_product(records)
+    assert list(records.all().values()) == [record]
 
 
 def test_what_a_gpu_reached_stands_beside_what_a_cpu_did(stored: Path) -> None:
@@ -148,6 +163,7 @@ def test_a_table_tells_how_far_a_method_came_and_why_one_is_missing(
     records.add(record_of(cell.row.label, cell.label, cell.settings("cpu"), {"curve": [half]}))
     scene = next(each for each in cells() if each.row == published.SCENE and each.label == "paper")
     records.add(record_of(scene.row.label, scene.label, scene.settings("cpu"), {"curve": [whole]}))
+    records.add(record_of(scene.row.label, "standard", {}, {"chamfer_l1": 0.0032, "consistency": 0.0123}))
     paper_tables.main([], table)
     lines = capsys.readouterr().out.splitlines()
     assert all(line.count("|") == lines[3].count("|") for line in lines if line.startswith("|") and table != "table4")
@@ -158,6 +174,9 @@ def test_a_table_tells_how_far_a_method_came_and_why_one_is_missing(
     if table in ("table3", "table4"):
         assert "| 100,000 |" in text
         assert "0.00430" in text
+    if table == "table3":
+        assert lines[-1].startswith("| the product | – | – | 0.00320 |")
+        assert lines[-1].endswith("| – | 1,230 |")
     if table != "table4":
         assert "no public code" in text
 

@@ -34,6 +34,7 @@ class Line:
     absent: str = ""
 
 
+PRODUCT = Line("the product", (), published.OWN)
 ONE_PHOTO = "of one photo: bench single-image"
 METHODS = (
     ("Ground truth", "floor", ""),
@@ -106,12 +107,12 @@ def _table2(records: Stored) -> Iterator[str]:
         yield f"\n{row.label} (the paper's: its ShapeNet sample, {row.name})\n"
         yield _head("Chamfer-L1", "consistency × 10⁵", "F@.005", "F@.01")
         yield "|" + "---|" * 10
-        for line in (*lines, Line("the product", (), "standard")):
+        for line in (*lines, PRODUCT):
             found = _figures(row, line, records)
             chamfer, consistency, near, wide = line.printed or (None,) * 4
             pairs = [
                 _pair(chamfer, found.get("chamfer_l1"), "{:.5f}"),
-                _pair(_times(1e5, consistency), _times(1e5, found.get("consistency")), "{:.3g}"),
+                _pair(_times(1e5, consistency), _times(1e5, found.get("consistency")), "{:,.5g}"),
                 _pair(near, found.get("f_005"), "{:.3f}"),
                 _pair(wide, found.get("f_010"), "{:.3f}"),
             ]
@@ -122,12 +123,13 @@ def _table3(records: Stored) -> Iterator[str]:
     yield f"\n{SCENE.label} points (the paper's: a lounge of the Stanford 3D scenes), 1,000 points per square metre\n"
     yield _head("Chamfer-L1", "Chamfer-L2 × 10⁻⁶", "consistency × 10⁵")
     yield "|" + "---|" * 8
-    for line in TABLE_3:
+    for line in (*TABLE_3, PRODUCT):
         found = _figures(SCENE, line, records)
+        chamfer, squared, consistency = line.printed or (None,) * 3
         pairs = [
-            _pair(line.printed[0], found.get("chamfer_l1"), "{:.5f}"),
-            _pair(line.printed[1], _times(1e6, found.get("chamfer_l2")), "{:.4g}"),
-            _pair(_times(1e5, line.printed[2]), _times(1e5, found.get("consistency")), "{:.3g}"),
+            _pair(chamfer, found.get("chamfer_l1"), "{:.5f}"),
+            _pair(squared, _times(1e6, found.get("chamfer_l2")), "{:.4g}"),
+            _pair(_times(1e5, consistency), _times(1e5, found.get("consistency")), "{:,.5g}"),
         ]
         yield f"| {line.name} | {found['steps']} | {' | '.join(pairs)} |"
 
@@ -154,8 +156,8 @@ def _figures(row: Row, line: Line, records: Stored) -> dict[str, Any]:
         known = next((record.figures for record in records.values() if record.row == row.label), {})
         curve = known.get("curve", [known])
         return {"steps": "–", "chamfer_l1": curve[-1].get("floor"), "f_005": curve[-1].get("floor_f_005")}
-    if line.method == "standard":
-        found = [each for (label, method, _), each in records.items() if (label, method) == (row.label, "standard")]
+    if line == PRODUCT:
+        found = [each for (label, method, _), each in records.items() if (label, method) == (row.label, line.method)]
         return {"steps": "–", **found[0].figures} if found else {"steps": "not measured"}
     cell = next(each for each in cells() if each.row == row and each.label == line.method)
     return _reached(cell, records)
