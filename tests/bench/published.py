@@ -205,6 +205,7 @@ def run_cell(cell: Cell, state: Path, until: float, device: str) -> None:
     """Train a cell from its checkpoint on, until the time is over, and record what it reached."""
     import torch
 
+    from services.edge.field import checkpoint
     from services.edge.mesh.clean import clean
     from services.edge.mesh.extract import extract
     from services.edge.paper_field.learned import LearnedField
@@ -234,7 +235,7 @@ def run_cell(cell: Cell, state: Path, until: float, device: str) -> None:
             if (step.number in MEASURED_AT or over or step.number == step.of) and (new or not kept.exists()):
                 seconds = round(clock.seconds, 1)
                 with clock.paused():
-                    torch.save(step.field.network.state_dict(), kept.with_suffix(".pt"))
+                    kept.with_suffix(".pt").write_bytes(checkpoint.saved_bytes(step.field.network.state_dict()))
                     mesh = clean(extract(step.field, points, resolution=cell.row.resolution), points)
                     keep_mesh(kept, mesh)
                     entry = {"step": step.number, "queries": _queries(step.number, cell.config), "seconds": seconds}

@@ -7,6 +7,7 @@ one. The fingerprint ties a file to its points, settings and kind of device; the
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 from pathlib import Path
 from typing import Any
@@ -43,8 +44,19 @@ def save(path: Path, state: State, mark: str) -> None:
     """
     # An older lease of the job may end right now and remove the folder, if nothing is in it yet.
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    with atomic_write(path) as part, part.open("wb") as file:
-        torch.save({**state, "fingerprint": mark}, file)
+    data = saved_bytes({**state, "fingerprint": mark})
+    with atomic_write(path) as part:
+        part.write_bytes(data)
+
+
+def saved_bytes(state: State) -> bytes:
+    """Return the bytes of a file that torch.load reads.
+
+    Where a disk is full, torch.save raises a RuntimeError about positions in the file; Python's own writing, OSError.
+    """
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    return buffer.getvalue()
 
 
 def load(path: Path, mark: str, device: torch.device) -> State | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -82,6 +83,22 @@ def test_a_folder_that_an_older_lease_took_along_is_made_again(tmp_path: Path) -
     path = tmp_path / "job_1" / "2.checkpoint"
     checkpoints.save(path, {"done": 3}, "mark")
     assert checkpoints.load(path, "mark", torch.device("cpu")) == {"done": 3}
+
+
+def test_a_full_disk_is_an_error_of_the_system_and_the_old_file_stays(tmp_path: Path) -> None:
+    path = tmp_path / "fit"
+    checkpoints.save(path, {"done": 3}, "mark")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))  # a file that reaches it cannot grow, as on a full disk
+    try:
+        with pytest.raises(OSError, match="too large"):
+            checkpoints.save(path, {"weights": torch.zeros(100_000)}, "mark")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    assert checkpoints.load(path, "mark", torch.device("cpu")) == {"done": 3}
+    assert [each.name for each in tmp_path.iterdir()] == ["fit"]
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 torn", b"\x80\x02.", None])
