@@ -52,7 +52,10 @@ class FieldTraining:
         if self.device == "cpu":
             return None
         if not self.halved and isinstance(self.config, NetworkConfig):  # anchors have no batch: a step uses them all
-            smaller = replace(self.config, batch=max(1, self.config.batch // 2))
+            densify = self.config.densify
+            if densify is not None:  # its batch is the larger one, and may be the one that did not fit
+                densify = replace(densify, batch=max(1, densify.batch // 2))
+            smaller = replace(self.config, batch=max(1, self.config.batch // 2), densify=densify)
             return replace(self, config=smaller, halved=True), "the batch was halved"
         return replace(self, device="cpu"), "the field was trained on the CPU"
 

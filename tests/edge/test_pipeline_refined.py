@@ -24,7 +24,7 @@ from services.edge.field.step import Step
 from services.edge.paper_field import network_fit as fit_module
 from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.pipeline import PreviewKept, reconstruct
-from services.edge.preset import Preset
+from services.edge.preset import Preset, load_preset
 from services.edge.progress import Progress
 from services.edge.training import FieldTraining
 from services.storage.bundle import Bundle
@@ -245,6 +245,19 @@ def test_anchors_know_no_batch_and_step_down_to_the_cpu_at_once() -> None:
     assert smaller is not None
     assert (smaller[0].device, smaller[0].config) == ("cpu", config)
     assert smaller[0].with_less_memory() is None
+
+
+def test_a_full_gpu_halves_the_batch_after_the_densification_too() -> None:
+    config = load_preset("cap-udf").fit
+    assert isinstance(config, NetworkConfig)
+    nothing = np.empty((0, 3))
+    training = FieldTraining(nothing, None, config, "cuda:0", lambda q: (q[:, 0], q), nothing, nothing)
+    smaller = training.with_less_memory()
+    assert smaller is not None
+    halved = smaller[0].config
+    assert isinstance(halved, NetworkConfig)
+    assert halved.densify is not None
+    assert (halved.batch, halved.densify.batch) == (2_500, 10_000)
 
 
 @pytest.mark.usefixtures("perfect")
