@@ -1,8 +1,9 @@
 """Draw the training queries: one pool for the whole fit, in which a query has a number j, and its batches.
 
-P (N,3)   points;  σ_p = s · (distance from p to its 50th neighbour),  s = max(¼, ¼√(N/20000))
+P (N,3)   points
+p_s, p_w  the strong anchor, of a random subset S of P, and the weak one, the nearest to it of a part of that subset
+σ_p       s · (distance from p to its 50th neighbour in S),  s = max(¼, ¼√(|S|/20000))
 ε_j       the offset of pair j, N(0, σ_p²)
-p_s, p_w  the strong anchor, of a random subset of P, and the weak one, the nearest to it of a part of that subset
 q_s = p_s + ε,  q_w = p_w + ε
 
 On a locally flat surface both queries of a pair have the same distance. Far queries are uniform in the padded box.
@@ -69,12 +70,14 @@ def draw_pool(
     xyz = np.ascontiguousarray(xyz, np.float32)
     tree = cKDTree(xyz)
     count = pool_size(len(xyz), config)
-    sigma = np.empty(len(xyz), np.float32)
-    for part in slices(len(xyz), PART // 8):
-        sigma[part] = _sigmas(xyz[part], tree)
-        yield None
     strong = rng.permutation(len(xyz))[: strong_count(xyz, tree, config, metres)]
     yield None
+    # Among the strong anchors: a spread by all points would leave those half-way between two of few without queries.
+    among = cKDTree(xyz[strong]) if len(strong) < len(xyz) else tree
+    sigma = np.empty(len(xyz), np.float32)
+    for part in slices(len(strong), PART // 8):
+        sigma[strong[part]] = _sigmas(xyz[strong[part]], among)
+        yield None
     # Every strong anchor has equally many queries, to within one.
     anchor = strong[rng.permutation(np.arange(count) % len(strong))]
     offset = rng.standard_normal((count, 3), np.float32) * sigma[anchor, None]
@@ -125,19 +128,19 @@ class Batches:
 
 
 def _sigmas(xyz: Floats, tree: cKDTree) -> Floats:
-    """σ_p (M,) of points (M,3) that are among the tree's."""
+    """σ_p (M,) of strong anchors (M,3), whose tree it is."""
     scale = max(SPREAD, SPREAD * math.sqrt(tree.n / SPREAD_POINTS))
     return np.asarray(scale * _rank_distance(xyz, tree, min(RANK, tree.n - 1)), np.float32)
 
 
 def strong_count(xyz: Floats, tree: cKDTree, config: NetworkConfig, metres: float | None) -> int:
-    """Number of strong anchors among points (N,3), whose tree it is."""
+    """Number of strong anchors among points (N,3), whose tree it is: at least as many as a fit needs points."""
     if metres is None:
         return len(xyz)
     rank = min(AREA_RANK, tree.n - 1)
     area_m2 = math.pi / rank * float(np.square(_rank_distance(xyz, tree, rank)).sum()) * metres**2
-    most = config.strong_per_m2 * area_m2
-    return len(xyz) if most >= len(xyz) else max(round(most), 1)
+    most = max(config.strong_per_m2 * area_m2, RANK + 1)
+    return len(xyz) if most >= len(xyz) else round(most)
 
 
 def _rank_distance(xyz: Floats, tree: cKDTree, rank: int) -> Floats:

@@ -58,6 +58,18 @@ def test_strong_anchors_are_as_dense_as_asked_for_and_weak_ones_a_part_of_them(p
     assert len(drawn(config).anchor.unique()) == len(POINTS), "of no known unit"
 
 
+@pytest.mark.parametrize("metres", [0.3, 0.02])
+def test_of_a_small_thing_queries_still_reach_all_points(metres: float) -> None:
+    # A hemisphere of 30 cm has 141 anchors at 1,000 per square metre, one of 2 cm not even one.
+    pool = drawn(NetworkConfig(pool=20_000), metres=metres)
+    strong = pool.anchor.unique()
+    assert len(strong) == pytest.approx(max(51, 2 * np.pi * (metres / 2) ** 2 * 1_000), rel=0.15)
+    assert len(pool.nearest.unique()) > 0.9 * len(POINTS)
+    sigma = 0.25 * cKDTree(POINTS[strong]).query(POINTS[strong], k=51)[0][:, -1]
+    spread = pool.offset / torch.from_numpy(sigma)[torch.searchsorted(strong, pool.anchor), None]
+    assert spread.std() == pytest.approx(1, abs=0.02)
+
+
 def test_dense_clouds_spread_their_queries_wider() -> None:
     many = np.random.default_rng(0).random((30_000, 3)).astype(np.float32)
     pool = drawn(NetworkConfig(pool=30_000), many)
