@@ -12,6 +12,7 @@ from services.edge.paper_field.network_config import Densify, NetworkConfig
 from services.edge.preset import AUTOMATIC, Preset, load_preset, memory_bytes, parse_preset, preset_names
 
 LITERATURE = ("cap-udf", "levelset-udf", "paper", "paper-no-self", "paper-scene", "paper-variant")
+LOSSES = ("chamfer", "projection", "surface", "orthogonality", "self_consistency")
 FOLDER = Path(presets.__file__).parent / "presets"
 
 
@@ -76,6 +77,20 @@ def test_an_unknown_key_is_an_error_that_names_it(text: str, named: str) -> None
         ('[fit]\nmodel = "larger"', "fit.model = 'larger' is not 'anchors' or 'separable' or 'mlp'"),
         ("[fit]\ndensify = 3", "fit.densify = 3 is not a table"),
         ("[fit]\nwidths = [128, 256]", "'mine': fit.widths = .128, 256.: the network has 6 layers"),
+        ("[fit]\nsteps = 0", "'mine': fit.steps = 0: it must be at least 1"),
+        ("[fit]\nbatch = -1", "fit.batch = -1: it must be at least 1"),
+        ("[fit]\npool = 0", "fit.pool = 0: it must be at least 1"),
+        ("[fit]\nseed = -1", "fit.seed = -1: it must be at least 0"),
+        ("[fit]\nchamfer = -1", "fit.chamfer = -1: it must be at least 0"),
+        ("[fit]\nlearning_rate = nan", "fit.learning_rate = nan: it must be above 0"),
+        ("[fit]\nmemory = 2", "fit.memory = 2: it must be from 0 to below 1"),
+        ("[fit]\nstrong_per_m2 = inf\nweak_per_m2 = inf", "fit.weak_per_m2 = inf: it must be finite"),
+        ("[fit.densify]\nbatch = 0", "fit.densify.batch = 0: it must be at least 1"),
+        ("[fit.densify]\ngrowth = 0", "fit.densify.growth = 0: it must be above 0"),
+        (
+            "[fit]\n" + "".join(f"{loss} = 0\n" for loss in LOSSES),
+            "no loss has a weight above 0",
+        ),
         ('[fit]\nsign = "up"', "fit.sign = 'up' is not 'printed' or 'decaying'"),
     ],
 )

@@ -5,6 +5,7 @@ They are the paper's for an object (section 4.2) unless a reason is given; the s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,9 +24,14 @@ GPU_CHUNK = 1 << 15  # queries that a GPU evaluates at once: activations of some
 WARM_QUERIES = 200_000  # most queries of the pool that the warm start uses: 40 steps of 5,000
 
 
+_WEIGHTS = ("chamfer", "projection", "surface", "orthogonality", "self_consistency")
+
+
 @dataclass(frozen=True, slots=True)
 class Densify:
     """The second round of CAP-UDF: the fitted surface is sampled, and the fit goes on with those points added.
+
+    Raises ValueError for a number with which it cannot be done.
 
     steps         steps after the round, on top of the fit's own
     batch         queries per step after it: there are more points to cover
@@ -40,10 +46,14 @@ class Densify:
     farthest: float = 0.0035
     growth: float = 1.0
 
+    def __post_init__(self) -> None:
+        _check_at_least(1, self, "steps", "batch")
+        _check_above_zero(self, "field_below", "farthest", "growth")
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkConfig:
-    """Settings of the training of a network. Raises ValueError for widths of which no network can be built.
+    """Settings of the training of a network. Raises ValueError for those with which no network can be built or trained.
 
     model             "separable" is the paper's network, "mlp" that of its ancestors (463,100 parameters)
     widths            channels of the six layers of the separable network. The paper prints "128 or 256" and 147,200
@@ -106,11 +116,18 @@ class NetworkConfig:
         if len(self.widths) != LAYERS or min(self.widths) < 1:
             given = ", ".join(map(str, self.widths))
             raise ValueError(f"widths = [{given}]: the network has {LAYERS} layers, each with at least one channel")
-        if not 0 < self.weak_per_m2 <= self.strong_per_m2:
+        if not (0 < self.weak_per_m2 <= self.strong_per_m2 and math.isfinite(self.weak_per_m2)):
             raise ValueError(
-                f"weak_per_m2 = {self.weak_per_m2:g}: it must be above 0 and at most strong_per_m2, "
+                f"weak_per_m2 = {self.weak_per_m2:g}: it must be finite, above 0 and at most strong_per_m2, "
                 f"which is {self.strong_per_m2:g}"
             )
+        _check_at_least(1, self, "steps", "batch", "pool")
+        _check_at_least(0, self, "warm_start", "warm_up", "patience", "seed", "far_share", "decay", *_WEIGHTS)
+        _check_above_zero(self, "learning_rate")
+        if not 0 <= self.memory < 1:
+            raise ValueError(f"memory = {self.memory:g}: it must be from 0 to below 1")
+        if not any(getattr(self, name) for name in _WEIGHTS):
+            raise ValueError(f"no loss has a weight above 0: {', '.join(_WEIGHTS)}")
         if not 0 <= self.neighbours <= LAYERS:
             raise ValueError(f"neighbours = {self.neighbours}: {LAYERS} layers of kernel 3 reach at most {LAYERS}")
         if self.neighbours and self.certainty == "input":
@@ -135,6 +152,18 @@ class NetworkConfig:
     def total_steps(self) -> int:
         """All steps, the warm start included: 100 % of a progress bar."""
         return self.warm_start + self.loss_steps
+
+
+def _check_at_least(least: int, config: object, *names: str) -> None:
+    for name in names:
+        if not least <= (value := getattr(config, name)) < math.inf:
+            raise ValueError(f"{name} = {value:g}: it must be at least {least}, and finite")
+
+
+def _check_above_zero(config: object, *names: str) -> None:
+    for name in names:
+        if not 0 < (value := getattr(config, name)) < math.inf:
+            raise ValueError(f"{name} = {value:g}: it must be above 0, and finite")
 
 
 def parameter_count(config: NetworkConfig) -> int:
