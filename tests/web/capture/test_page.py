@@ -169,7 +169,7 @@ def test_a_training_is_seen_and_its_certificate_read(page: Page, stack: Stack, b
     options = page.locator("#preset option")
     expect(options.first).to_contain_text("Automatic")
     published = page.locator("#preset optgroup[label='Methods from the literature'] option")
-    expect(published.filter(has_text="CAP-UDF")).to_contain_text("takes 7 hours to a day on two cores")
+    expect(published.filter(has_text="CAP-UDF")).to_contain_text("takes 4 hours to a day on two cores")
     assert "brief" not in " ".join(published.all_text_contents())
     page.locator("#preset").select_option("brief")
     page.locator("#name").fill("trained bowl")
