@@ -23,7 +23,13 @@ _AZIMUTH, _ELEVATION = 30.0, 18.0  # degrees: front and side both show, and a li
 _SKY_RAYS = 400_000  # the noise of fewer would show; at this size the noise of these does not
 _FRAMES = 24  # 15° from one to the next: it still looks like turning
 _FRAME_MS = 125  # one turn in 3 s
-_QUALITIES = (82, 68, 54, 40, 26, 12, 0)  # of WebP: the best that fits is taken; 82 looks like the original
+_LOSSLESS, _TWO_LEVELS = 100, 0  # of WebP's alpha: as it is, and without its shades between 0 and 255
+# Of WebP's colours and alpha: the best that fits is taken; 82 looks like the original. Alpha that is kept as it is may
+# alone take all of the bytes where a thing is full of gaps, as leaves and lace are.
+_QUALITIES = (
+    *((colours, _LOSSLESS) for colours in (82, 68, 54, 40, 26, 12, 0)),
+    *((colours, _TWO_LEVELS) for colours in (40, 12, 0)),
+)
 _PROBES = 4  # evenly spread frames from which the size of all is estimated
 _SPARE = 0.9  # of the bytes: what the estimate may use, for it is not exact
 
@@ -64,21 +70,22 @@ def _compress(frames: Sequence[Bytes], most: int) -> bytes:
     """Encode frames as one WebP of the best quality that takes at most `most` bytes."""
     probes = frames[:: max(1, len(frames) // _PROBES)]
     share = len(probes) / len(frames)
-    for quality in _QUALITIES:
-        if len(probes) < len(frames) and len(_webp(probes, quality)) > _SPARE * share * most:
+    for quality in _QUALITIES[:-1]:
+        if len(probes) < len(frames) and len(_webp(probes, *quality)) > _SPARE * share * most:
             continue
-        picture = _webp(frames, quality)
+        picture = _webp(frames, *quality)
         if len(picture) <= most:
-            break
-    return picture
+            return picture
+    return _webp(frames, *_QUALITIES[-1])
 
 
-def _webp(frames: Sequence[Bytes], quality: int) -> bytes:
+def _webp(frames: Sequence[Bytes], colours: int, alpha: int) -> bytes:
+    """Encode frames at these qualities, 0 to 100, of their colours and of their alpha."""
     from PIL import Image
 
     first, *others = (Image.fromarray(frame) for frame in frames)
     out = BytesIO()
     # Every frame is a key frame: where everything moves, a difference from the last frame is no smaller, and slower.
     turn = {"save_all": True, "append_images": others, "duration": _FRAME_MS, "loop": 0, "kmin": 0, "kmax": 1}
-    first.save(out, "WEBP", quality=quality, method=4, **(turn if others else {}))
+    first.save(out, "WEBP", quality=colours, alpha_quality=alpha, method=4, **(turn if others else {}))
     return out.getvalue()

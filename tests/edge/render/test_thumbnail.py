@@ -179,6 +179,17 @@ def test_colours_that_do_not_compress_still_keep_within_the_bytes() -> None:
     assert len(turning_preview(noisy)) <= TURNING_BYTES
 
 
+@pytest.mark.slow
+def test_a_thing_full_of_gaps_keeps_within_the_bytes() -> None:
+    rng = np.random.default_rng(0)
+    leaves = rng.normal(size=(25_000, 1, 3))
+    leaves *= 0.5 * rng.random((25_000, 1, 1)) ** (1 / 6) / np.linalg.norm(leaves, axis=2, keepdims=True)
+    corners = leaves + rng.normal(size=(25_000, 3, 3)) * 0.006
+    bush = Mesh(corners.reshape(-1, 3), np.arange(75_000).reshape(-1, 3))
+    assert len(thumbnail(bush)) <= THUMBNAIL_BYTES
+    assert len(turning_preview(bush)) <= TURNING_BYTES
+
+
 @pytest.mark.parametrize("size", [1e-20, 1e-3, 1e7, 1e30])
 def test_any_size_and_place_gives_the_same_picture(size: float) -> None:
     (usual,) = frames(thumbnail(WEDGE))
