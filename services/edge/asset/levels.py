@@ -10,12 +10,11 @@ from services.edge.arrays import Floats, Tick, part_of
 from services.edge.asset.manifest import AssetSubject
 from services.edge.asset.photo_check import posed_picture
 from services.edge.asset.target import Target
-from services.edge.export.colour_atlas import MOST_FACES
 from services.edge.export.glb import to_glb
 from services.edge.export.ktx2 import EncodeKtx2
-from services.edge.export.usdz import to_usdz
+from services.edge.export.usdz import to_phone_usdz
 from services.edge.mesh.nouns import Mesh, TexturedMesh
-from services.edge.mesh.simplify import lods, simplify
+from services.edge.mesh.simplify import lods
 from services.edge.parallel import in_threads, shared_ticks
 from services.edge.render.contact_sheet import render_sheet
 from services.edge.render.thumbnail import thumbnail, turning_preview
@@ -115,11 +114,6 @@ def preview_images(levels: Sequence[Mesh | TexturedMesh], *, last: bool, tick: T
     if last:
         makers |= {
             "turning.webp": partial(turning_preview, middle, tick=turned),
-            "asset.usdz": partial(_usdz, middle),
+            "asset.usdz": partial(to_phone_usdz, middle),
         }
     return dict(zip(makers, in_threads(lambda make: make(), list(makers.values())), strict=True))
-
-
-def _usdz(level: Mesh | TexturedMesh) -> bytes:
-    """Write a level as .usdz; where a preset's budgets leave it too many faces for a colour atlas, with fewer."""
-    return to_usdz(simplify(level, MOST_FACES, binding=True) if isinstance(level, Mesh) else level)

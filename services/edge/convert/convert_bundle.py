@@ -25,7 +25,7 @@ from services.edge.convert.tileset_zip import tileset_zip
 from services.edge.export.glb import to_glb
 from services.edge.export.obj import to_obj_zip
 from services.edge.export.ply import ply_bytes
-from services.edge.export.usdz import to_usdz
+from services.edge.export.usdz import to_phone_usdz
 from services.edge.export.z_up import z_up
 from services.edge.mesh.nouns import Mesh, TexturedMesh
 from services.edge.splats.splat_glb import to_splat_glb
@@ -105,7 +105,7 @@ def _upright(mesh: Mesh) -> Mesh:
 
 def _usdz(bundle: BundleFolder, key: str) -> bytes:
     """The bundle's own file, which is of a level that phones can show; a preview has none yet."""
-    return bundle.read("asset.usdz") if bundle.has("asset.usdz") else to_usdz(_finest(bundle).mesh)
+    return bundle.read("asset.usdz") if bundle.has("asset.usdz") else to_phone_usdz(_finest(bundle).mesh)
 
 
 def _splats_spz(bundle: BundleFolder, key: str) -> bytes:

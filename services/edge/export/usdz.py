@@ -16,10 +16,11 @@ import numpy as np
 
 import services
 from services.edge.arrays import Floats, Ints
-from services.edge.export.colour_atlas import face_picture
+from services.edge.export.colour_atlas import MOST_FACES, face_picture
 from services.edge.export.shading import Shaded, shaded
 from services.edge.mesh.normals import face_normals
 from services.edge.mesh.nouns import Mesh, TexturedMesh
+from services.edge.mesh.simplify import simplify
 
 _SCENE, _PICTURE = "asset.usda", "colour.jpg"
 _ALIGNMENT = 64  # bytes: programs map the files into memory as they lie
@@ -31,6 +32,11 @@ _UV_DECIMALS = 4  # a fifth of a texel of a texture of 2048²
 _LARGEST = 3e38  # largest 32-bit float, which readers turn the text into
 _NEUTRAL = " = (0.6, 0.6, 0.6)"  # linear light grey that shows shading both ways: a mesh without colours
 _ROUGHNESS = 0.9  # as in the GLB: captured light already holds the real highlights
+
+
+def to_phone_usdz(level: Mesh | TexturedMesh) -> bytes:
+    """Encode a level of detail as `to_usdz` does; one with too many faces for a colour atlas is simplified first."""
+    return to_usdz(simplify(level, MOST_FACES, binding=True) if isinstance(level, Mesh) else level)
 
 
 def to_usdz(subject: Mesh | TexturedMesh) -> bytes:

@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 
 from services.edge.arrays import no_tick
-from services.edge.asset import levels as appearance
 from services.edge.asset.levels import add_textures, pack_glb, preview_images
 from services.edge.asset.manifest import AssetSubject
 from services.edge.asset.target import TARGETS, Target, measure_cost, target_of
@@ -173,7 +172,7 @@ def test_a_texture_that_cannot_be_made_costs_a_warning(monkeypatch: pytest.Monke
 
 def test_a_preset_of_large_levels_still_gets_a_file_for_phones(monkeypatch: pytest.MonkeyPatch) -> None:
     """A colour atlas has room for 131,072 faces: an operator's preset may ask for more."""
-    monkeypatch.setattr(appearance, "MOST_FACES", 1_000)
+    monkeypatch.setattr("services.edge.export.usdz.MOST_FACES", 1_000)
     monkeypatch.setattr("services.edge.export.colour_atlas.MOST_FACES", 1_000)
     level = bumpy_sheet()
     coloured = replace(level, rgb=print_of(level.vertices))

@@ -195,3 +195,14 @@ def test_usdz_is_the_bundles_own_where_it_has_one(tmp_path: Path) -> None:
     made = convert(written(downloadable(), tmp_path / "none"), "usdz", "sheet")
     with zipfile.ZipFile(io.BytesIO(made)) as package:
         assert package.namelist() == ["asset.usda", "colour.jpg"]
+
+
+def test_usdz_of_a_level_too_large_for_a_colour_atlas_has_fewer_triangles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A preview made for the target `archive` has all triangles in its finest level, and no file for phones yet."""
+    monkeypatch.setattr("services.edge.export.usdz.MOST_FACES", 100)
+    monkeypatch.setattr("services.edge.export.colour_atlas.MOST_FACES", 100)
+    made = convert(written(downloadable(coloured(), "float"), tmp_path), "usdz", "sheet")
+    with zipfile.ZipFile(io.BytesIO(made)) as package:
+        assert package.namelist() == ["asset.usda", "colour.jpg"]
