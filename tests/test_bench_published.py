@@ -114,6 +114,10 @@ def test_the_product_is_measured_once_on_the_scene(stored: Path, monkeypatch: py
     monkeypatch.setattr(published, "SCENE", room)
     monkeypatch.setattr(published, "OWN", "draft")
     records = Records(stored / "published.json")
+    with monkeypatch.context() as slow:
+        slow.setattr(published, "_OWN_TIMEOUT_S", 0.01)
+        published.measure_product(records)
+    assert "failed" in next(iter(records.all().values())).figures
     published.measure_product(records)
     (record,) = records.all().values()
     assert (record.row, record.method) == (room.label, "draft")
