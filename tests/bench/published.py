@@ -166,14 +166,12 @@ def measure(options: argparse.Namespace) -> list[str]:
 
 def measure_product(records: Records) -> None:
     """Measure the product's preset on the scene, unless its figures are there; what failed is tried again."""
-    chosen = Settings(OWN, resolution=SCENE.resolution)
-    settings = {**SCENE.scan, "resolution": chosen.resolution}
     known = [each for each in records.all().values() if (each.row, each.method) == (SCENE.label, OWN)]
     if any("failed" not in each.figures for each in known):
         return
-    truth = SCENE.truth()
+    truth, chosen = SCENE.truth(), Settings(OWN, resolution=SCENE.resolution)
     figures = run_yardstick_cell(SCENE.sampled(truth, chosen.seed), truth, chosen, _OWN_TIMEOUT_S)
-    records.add(record_of(SCENE.label, OWN, settings, figures))
+    records.add(record_of(SCENE.label, OWN, {**SCENE.scan, "resolution": chosen.resolution}, figures))
 
 
 def _name(cell: Cell) -> str:

@@ -2,16 +2,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Barrier
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import torch
 
+from services.edge.arrays import Floats
 from services.edge.errors import EdgeError
 from services.edge.field import device
 from services.edge.field.device import find_device, own_stream
@@ -19,11 +21,6 @@ from services.edge.paper_field.network_config import NetworkConfig
 from services.edge.paper_field.network_fit import fit_network
 from services.edge.preset import load_preset
 from tests.support import surfaces
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from services.edge.arrays import Floats
 
 _FIND = """
 import sys
@@ -42,7 +39,6 @@ def test_auto_loads_no_torch_where_no_driver_is() -> None:
 
 
 def test_auto_asks_torch_where_a_driver_may_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch")
     asked = []
     monkeypatch.setattr(torch.cuda, "is_available", lambda: asked.append(True) or False)
     monkeypatch.setattr(device, "_DRIVER_FILES", (str(tmp_path / "none"), str(tmp_path)))
@@ -59,7 +55,6 @@ def test_absent_device(wanted: str) -> None:
 def test_jobs_at_the_same_time_have_a_stream_each_and_later_ones_use_them_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    torch = pytest.importorskip("torch")
     made: list[str] = []
     entered: list[int] = []
     both = Barrier(2)
@@ -94,7 +89,6 @@ def test_jobs_at_the_same_time_have_a_stream_each_and_later_ones_use_them_again(
 
 @pytest.mark.gpu
 def test_a_job_in_its_own_stream_trains_the_same_field_as_alone() -> None:
-    torch = pytest.importorskip("torch")
     if not torch.cuda.is_available():
         pytest.skip("there is no CUDA device")
     points = surfaces.sampled(surfaces.hemisphere(), 1_000)
