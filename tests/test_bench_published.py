@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from services.edge.field import checkpoint
+from services.edge.mesh.sampling import area
 from services.edge.paper_field.network_config import Densify, NetworkConfig
 from tests.bench import paper_tables, published
 from tests.bench.published import Cell, cells, run_cell
@@ -102,28 +102,27 @@ def test_no_cell_keeps_the_others_waiting_longer_than_told(stored: Path, monkeyp
 
     monkeypatch.setattr(published.subprocess, "Popen", Ended)
     monkeypatch.setattr(published, "draw", lambda records: None)
-    monkeypatch.setattr(published, "measure_product", lambda records: None)
+    monkeypatch.setattr(published, "measure_product", lambda row, records: None)
     began = time.time()
-    published.main(["--rows", "lounge", "--state", str(stored), "--hours", "2", "--cell-minutes", "3"])
+    published.main(["--rows", "lounge, 108,088", "--state", str(stored), "--hours", "2", "--cell-minutes", "3"])
     assert len(ends) == 4
     assert all(began + 175 < each < time.time() + 185 for each in ends)
 
 
-def test_the_product_is_measured_once_on_the_scene(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_product_is_measured_once_on_a_scene(stored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     room = Row("lounge", partial(surfaces.disk), points=300, resolution=24)
-    monkeypatch.setattr(published, "SCENE", room)
     monkeypatch.setattr(published, "OWN", "draft")
     records = Records(stored / "published.json")
     with monkeypatch.context() as slow:
         slow.setattr(published, "_OWN_TIMEOUT_S", 0.01)
-        published.measure_product(records)
+        published.measure_product(room, records)
     assert "failed" in next(iter(records.all().values())).figures
-    published.measure_product(records)
+    published.measure_product(room, records)
     (record,) = records.all().values()
     assert (record.row, record.method) == (room.label, "draft")
     assert record.figures["chamfer_l1"] < 0.1
     monkeypatch.setattr(published, "run_yardstick_cell", None)
-    published.measure_product(records)
+    published.measure_product(room, records)
     assert list(records.all().values()) == [record]
 
 
@@ -148,6 +147,22 @@ def test_every_row_has_every_method_at_its_published_steps() -> None:
     assert len(named) == len(list(cells()))
 
 
+@pytest.mark.parametrize("row", [published.DRESS, published.TRUCK], ids=lambda row: row.name)
+def test_the_areas_of_the_objects_are_those_of_their_meshes(row: Row) -> None:
+    assert area(row.truth()) == pytest.approx(published.AREA_M2[row.name], rel=1e-4)
+
+
+def test_every_density_is_trained_with_and_without_the_loss_and_has_a_unit() -> None:
+    found = {(cell.row.name, cell.row.points, cell.method) for cell in cells() if cell.metres}
+    for name, points in (("dress", 2_492), ("truck", 2_734), ("lounge", 108_088)):
+        for factor in (1, 10):
+            near = {each[2] for each in found if each[0] == name and each[1] == pytest.approx(factor * points, abs=5)}
+            assert {"paper", "paper-no-self"} <= near
+    room = [cell for cell in cells() if cell.row == published.DENSE_SCENE]
+    assert {cell.method for cell in room} == {"paper", "paper-no-self", "cap-udf", "levelset-udf"}
+    assert all(cell.metres == pytest.approx(5) for cell in room), "the room is five metres long"
+
+
 def test_the_lounge_has_a_thousand_points_per_square_metre() -> None:
     room = published.lounge()
     points = surfaces.sampled(room, 5_000)
@@ -160,38 +175,34 @@ def test_the_lounge_has_a_thousand_points_per_square_metre() -> None:
 def test_a_table_tells_how_far_a_method_came_and_why_one_is_missing(
     table: str, stored: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cell = next(each for each in cells() if each.row == paper_tables.DRESS and each.label == "paper")
     half = {"step": 20_000, "queries": 2e7, "seconds": 60.0, "chamfer_l1": 0.0042, "floor": 0.0025, "floor_f_005": 0.95}
-    whole = {**half, "step": 100_000, "chamfer_l1": 0.0043, "chamfer_l2": 3e-6}
+    whole = {**half, "step": 100_000, "chamfer_l1": 0.0043, "chamfer_l2": 3e-6, "gpu_mb": 398}
     records = Records(stored / "published.json")
-    records.add(record_of(cell.row.label, cell.label, cell.settings("cpu"), {"curve": [half]}))
-    scene = next(each for each in cells() if each.row == published.SCENE and each.label == "paper")
-    records.add(record_of(scene.row.label, scene.label, scene.settings("cpu"), {"curve": [whole]}))
-    records.add(record_of(scene.row.label, "standard", {}, {"chamfer_l1": 0.0032, "consistency": 0.0123}))
+    thin = published.by_density(published.DRESS, 1_000)
+    reached = {(published.DRESS, "paper"): half, (thin, "paper"): half, (published.SCENE, "paper"): whole}
+    for cell in cells():
+        if (cell.row, cell.label) in reached:
+            figures = {"curve": [reached[cell.row, cell.label]]}
+            records.add(record_of(cell.row.label, cell.label, cell.settings("cpu"), figures))
+    for scene, chamfer in ((published.SCENE, 0.0032), (published.DENSE_SCENE, 0.0031)):
+        records.add(record_of(scene.label, "standard", {}, {"chamfer_l1": chamfer, "consistency": 0.0123}))
     paper_tables.main([], table)
-    lines = capsys.readouterr().out.splitlines()
-    assert all(line.count("|") == lines[3].count("|") for line in lines if line.startswith("|") and table != "table4")
-    text = "\n".join(lines)
-    if table in ("table2", "table4"):
-        assert "20,000 of 40,000" in text
-        assert "0.00420" in text
-    if table in ("table3", "table4"):
-        assert "| 100,000 |" in text
-        assert "0.00430" in text
-    if table == "table3":
-        assert lines[-1].startswith("| the product | – | – | 0.00320 |")
-        assert lines[-1].endswith("| – | 1,230 |")
-    if table != "table4":
-        assert "no public code" in text
-
-
-def test_what_is_not_finished_is_shown_with_its_steps(stored: Path) -> None:
-    cell = replace(next(iter(cells())))
-    entry = {"step": 500, "queries": 5e5, "seconds": 90.0, "chamfer_l1": 0.005, "f_005": 0.5, "components": 3.0}
-    entry |= {"normal_consistency": 0.9, "floor": 0.0025}
-    records = Records(stored / "published.json")
-    records.add(record_of(cell.row.label, cell.label, cell.settings("cpu"), {"curve": [entry]}))
-    lines = list(published.table(records.all()))
-    assert "| 500 | 40,000 | 0.5 M | 2 |" in lines[2]
-    assert lines[3].count("|") == lines[2].count("|")
-    assert "| 0 | 40,000 |" in lines[3]
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert len({line.count("|") for line in lines}) == 1, "every line has every column"
+    expected = {
+        "table2": ["| the paper | 20,000 of 40,000 | 0.00158 | 0.00420 |", "| no public code |"],
+        "table3": [
+            "| the paper | 100,000 | 0.00260 | 0.00430 |",
+            "| the paper | 0 of 100,000 | – | – |",
+            "| the product | – | – | 0.00320 |",
+            "| the product | – | – | 0.00310 |",
+            "| no public code |",
+        ],
+        "table4": [
+            "| dress | 1,000 | with | 20,000 of 40,000 | 0.00160 | 0.00420 | 0.00250 | 2.1–3.2 | – | – |",
+            "| dress | 10,000 | without | 0 of 40,000 | 0.01251 | – | – | 6.1–7.8 | – | – |",
+            "| lounge | 1,000 | with | 100,000 | – | 0.00430 | 0.00250 | – | 398 | – |",
+            "| lounge | 10,000 | with | 0 of 100,000 | – | – | – | – | – | – |",
+        ],
+    }
+    assert all(any(part in line for line in lines) for part in expected[table])

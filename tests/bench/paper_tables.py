@@ -13,15 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from tests.bench import published, yardstick
-from tests.bench.published import OBJECTS, SCENE, Cell, cells
+from tests.bench.published import DENSE_PER_M2, DENSE_SCENE, DRESS, PER_M2, SCENE, TRUCK, Cell, by_density, cells
 from tests.bench.records import Record, Records
 from tests.bench.shapes import Row
 
 Stored = dict[tuple[str, str, str], Record]
-
-DRESS, TRUCK = (
-    next(row for row in OBJECTS if row.name == name and row.points == 10_000) for name in ("dress", "truck")
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +80,14 @@ TABLE_3 = _lines(
     (0.0027, 0.281, 0.0001),
     (0.0026, 0.2587, 0.00009),
 )
-"""Chamfer-L1, Chamfer-L2 × 10⁻⁶, consistency."""
+"""Chamfer-L1, Chamfer-L2 × 10⁻⁶, consistency, at 1,000 points per square metre."""
 TABLE_4 = {
-    ("Van", False): 0.00595,
-    ("Van", True): 0.00586,
-    ("Dress", False): 0.00917,
-    ("Dress", True): 0.0016,
+    PER_M2: {TRUCK: (0.00595, 0.00586), DRESS: (0.00917, 0.0016), SCENE: (None, None)},
+    DENSE_PER_M2: {TRUCK: (0.00798, 0.0067), DRESS: (0.01251, 0.00255), SCENE: (None, None)},
 }
-"""Chamfer-L1 at 1,000 points per square metre, by subject and whether the self-consistency loss is on."""
+"""Chamfer-L1 without and with the self-consistency loss, by points per square metre; the truck's is that of a van."""
+MEMORY_GB = {PER_M2: ("3.9–6.8", "2.1–3.2"), DENSE_PER_M2: ("6.1–7.8", "3.6–4.5")}
+"""The GPU memory beside them, printed once for both objects."""
 
 
 def main(arguments: list[str], table: str) -> None:
@@ -120,32 +116,38 @@ def _table2(records: Stored) -> Iterator[str]:
 
 
 def _table3(records: Stored) -> Iterator[str]:
-    yield f"\n{SCENE.label} points (the paper's: a lounge of the Stanford 3D scenes), 1,000 points per square metre\n"
-    yield _head("Chamfer-L1", "Chamfer-L2 × 10⁻⁶", "consistency × 10⁵")
-    yield "|" + "---|" * 8
-    for line in (*TABLE_3, PRODUCT):
-        found = _figures(SCENE, line, records)
-        chamfer, squared, consistency = line.printed or (None,) * 3
-        pairs = [
-            _pair(chamfer, found.get("chamfer_l1"), "{:.5f}"),
-            _pair(squared, _times(1e6, found.get("chamfer_l2")), "{:.4g}"),
-            _pair(_times(1e5, consistency), _times(1e5, found.get("consistency")), "{:,.5g}"),
-        ]
-        yield f"| {line.name} | {found['steps']} | {' | '.join(pairs)} |"
+    for scene, per_m2 in ((SCENE, PER_M2), (DENSE_SCENE, DENSE_PER_M2)):
+        yield f"\n{scene.label} points, {per_m2:,} per square metre (the paper's: a lounge of the Stanford 3D scenes)\n"
+        yield _head("Chamfer-L1", "Chamfer-L2 × 10⁻⁶", "consistency × 10⁵")
+        yield "|" + "---|" * 8
+        for line in (*TABLE_3, PRODUCT):
+            found = _figures(scene, line, records)
+            printed = line.printed if per_m2 == PER_M2 else ()
+            chamfer, squared, consistency = printed or (None,) * 3
+            pairs = [
+                _pair(chamfer, found.get("chamfer_l1"), "{:.5f}"),
+                _pair(squared, _times(1e6, found.get("chamfer_l2")), "{:.4g}"),
+                _pair(_times(1e5, consistency), _times(1e5, found.get("consistency")), "{:,.5g}"),
+            ]
+            yield f"| {line.name} | {found['steps']} | {' | '.join(pairs)} |"
 
 
 def _table4(records: Stored) -> Iterator[str]:
-    yield "\n| subject | self-consistency | steps | Chamfer-L1, printed | reached | peak MB, process | GPU MB |"
-    yield "|---|---|---|---|---|---|---|"
-    for row, subject in ((TRUCK, "Van"), (DRESS, "Dress"), (SCENE, "")):
-        for method, on in (("paper-no-self", False), ("paper", True)):
-            found = _figures(row, Line("", (), method), records)
-            printed = TABLE_4.get((subject, on))
-            yield (
-                f"| {row.label} | {'with' if on else 'without'} | {found['steps']} "
-                f"| {_pair(printed, found.get('chamfer_l1'), '{:.5f}')} "
-                f"| {found.get('peak_mb', '–')} | {found.get('gpu_mb', '–')} |"
-            )
+    yield (
+        "\n| subject | points per m² | self-consistency | steps | Chamfer-L1, printed | reached | floor "
+        "| GPU GB, printed | GPU MB | peak MB, process |"
+    )
+    yield "|" + "---|" * 10
+    for per_m2, subjects in TABLE_4.items():
+        for row, both in subjects.items():
+            for on, method in enumerate(("paper-no-self", "paper")):
+                found = _figures(by_density(row, per_m2), Line("", (), method), records)
+                yield (
+                    f"| {row.name} | {per_m2:,} | {'with' if on else 'without'} | {found['steps']} "
+                    f"| {_pair(both[on], found.get('chamfer_l1'), '{:.5f}')} | {_number(found.get('floor'), '{:.5f}')} "
+                    f"| {MEMORY_GB[per_m2][on] if both[on] else '–'} | {found.get('gpu_mb', '–')} "
+                    f"| {found.get('peak_mb', '–')} |"
+                )
 
 
 def _figures(row: Row, line: Line, records: Stored) -> dict[str, Any]:
@@ -181,7 +183,11 @@ def _times(factor: float, value: float | None) -> float | None:
 
 
 def _pair(printed: float | None, reached: float | None, form: str) -> str:
-    return " | ".join("–" if value is None else form.format(value) for value in (printed, reached))
+    return f"{_number(printed, form)} | {_number(reached, form)}"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else form.format(value)
 
 
 TABLES: dict[str, Callable[[Stored], Iterator[str]]] = {"table2": _table2, "table3": _table3, "table4": _table4}
