@@ -38,7 +38,12 @@ def main() -> int:
         if args.head in (None, training.head):
             print(f"{training.head}:", flush=True)
             training = replace(training, steps=args.steps or training.steps, seed=args.seed, meshes=meshes)
-            train(training, args.out, torch.device(args.device), things=things, report=_print)
+            try:
+                train(training, args.out, torch.device(args.device), things=things, report=_print)
+            except OSError as error:
+                reason = f"{error.filename or args.out}: {error.strerror or error}"
+                print(f"{reason}; mend that and run it again: it goes on from the last checkpoint", file=sys.stderr)
+                return 1
     return 0
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
 from torch import nn
 
 from services.atomic_write import atomic_write
+from services.edge.field.checkpoint import saved_bytes
 from services.edge.single_photo.network import Pixels
 from services.edge.single_photo.weights import BACKBONE, SHIPPED, load_pixels, load_weights, read_weights
 from services.edge.single_photo_training.field_heads import AnchorUdf, Field, Implicit
@@ -27,14 +27,15 @@ class TrainingRecord:
 
 
 def save_half(head: nn.Module, trained: TrainingRecord, path: Path) -> None:
-    """Write a head in half precision; a field is saved without its backbone."""
+    """Write a head in half precision; a field is saved without its backbone. Raises OSError."""
     state = {
         name: value.half() if value.is_floating_point() else value
         for name, value in head.state_dict().items()
         if not name.startswith(BACKBONE)
     }
+    data = saved_bytes({"head": state, "steps": trained.steps, "seconds": trained.seconds})
     with atomic_write(path) as part:
-        torch.save({"head": state, "steps": trained.steps, "seconds": trained.seconds}, part)
+        part.write_bytes(data)
 
 
 def new_head(name: str, folder: Path) -> nn.Module:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
@@ -26,6 +27,7 @@ from services.edge.single_photo.guess import MOST_CONFIDENT, Guess, guess
 from services.edge.single_photo.network import BINS, POINTS, Pixels
 from services.edge.single_photo.test_time_views import VIEWS, _choose_yaw, predict_from_views
 from services.edge.single_photo.weights import SHIPPED, load_pixels
+from services.edge.single_photo_training import __main__ as training_command
 from services.edge.single_photo_training.batches import HELD_OUT, held_out_batch, training_batches
 from services.edge.single_photo_training.evaluate import head_points
 from services.edge.single_photo_training.field_heads import (
@@ -40,7 +42,7 @@ from services.edge.single_photo_training.losses import chamfer, f_score
 from services.edge.single_photo_training.pictures import render_pictures
 from services.edge.single_photo_training.shapes import SAMPLES, generate_shapes
 from services.edge.single_photo_training.train import HeadTraining, train
-from services.edge.single_photo_training.weight_files import FIELDS, load_field, training_of
+from services.edge.single_photo_training.weight_files import FIELDS, TrainingRecord, load_field, save_half, training_of
 from services.storage.bundle import Bundle
 from tests.support.single_photos import photo
 
@@ -286,6 +288,20 @@ def test_a_killed_training_ends_like_one_that_nobody_stopped(name: str, tmp_path
     for key, value in whole.state_dict().items():
         assert torch.equal(value, again.state_dict()[key]), key
     assert training_of(name, tmp_path / "killed").steps == 7
+
+
+def test_a_full_disk_at_the_end_of_a_training_is_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """/dev/full takes the weights' bytes as a disk without space does."""
+    (tmp_path / "pixels.pt.part").symlink_to("/dev/full")
+    monkeypatch.setattr(training_command, "train", lambda *_, **__: save_half(Pixels(), TrainingRecord(1, 1.0), file))
+    file = tmp_path / "pixels.pt"
+    monkeypatch.setattr(sys, "argv", ["training", "--head", "pixels", "--out", str(tmp_path)])
+    assert training_command.main() == 1
+    told = f"{tmp_path}: No space left on device; mend that and run it again: it goes on from the last checkpoint"
+    assert capsys.readouterr().err == f"{told}\n"
+    assert not file.exists()
 
 
 def test_weights_that_are_missing_or_of_another_head_are_named(tmp_path: Path) -> None:
