@@ -91,7 +91,7 @@ class Stack:
             if service not in self._children or self._children[service].poll() is not None:
                 with (self._logs / f"{service}.log").open("ab") as log:
                     self._children[service] = subprocess.Popen(  # noqa: S603 - our own module
-                        [sys.executable, "-m", "services.cli", service],
+                        [sys.executable, "-m", "services.cli.service_process", service, str(os.getpid())],
                         env=self._environment,
                         stdout=log,
                         stderr=log,

@@ -3,25 +3,23 @@ be interrupted from Python. The children that are our own set themselves up here
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import resource
 import selectors
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
 from services.edge.arrays import Tick
+from services.parent_death import end_with_parent
 
 _POLL_SECONDS = 0.1  # between two ticks: the longest time that a cancelled job still runs
 _LOG_LINES = 3  # the last lines of the program's output that are quoted in an error
 _HALF_WAY_SECONDS = 5.0  # after which the progress of a program that reports none is shown as one half
-_PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2): signal for this process when its parent dies
 
 ReportFraction = Callable[[float], None]
 """Function with which a child reports the fraction done."""
@@ -130,8 +128,7 @@ def die_with_parent() -> BinaryIO:
 
     What is printed from now on goes to standard error.
     """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

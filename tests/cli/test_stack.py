@@ -18,6 +18,7 @@ from pathlib import Path
 
 import httpx
 import numpy as np
+import psutil
 import pytest
 from PIL import Image
 
@@ -210,6 +211,21 @@ def test_a_terminal_that_is_closed_ends_the_services_too(tmp_path: Path, wrapper
                 product.send_signal(signal.SIGINT)
     with pytest.raises(httpx.TransportError):
         httpx.get(f"http://127.0.0.1:{port}/livez")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's signal at a parent's death is Linux's")
+def test_an_up_that_is_killed_leaves_no_service_behind(tmp_path: Path) -> None:
+    port = free_port()
+    command = [sys.executable, "-m", "services.cli", "up", "--port", str(port), "--data", str(tmp_path / "data")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as product:
+        assert product.stderr is not None
+        assert any("capture page" in line for line in product.stderr)
+        services = psutil.Process(product.pid).children(recursive=True)
+        assert services
+        product.kill()
+    _, alive = psutil.wait_procs(services, timeout=HANG_S)
+    assert not alive
+    assert is_free("127.0.0.1", port)
 
 
 def test_a_start_that_waits_for_its_store_can_be_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

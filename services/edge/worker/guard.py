@@ -6,7 +6,6 @@ next to none, survives, and reads in the control group's counters why its child 
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import os
 import signal
@@ -16,10 +15,10 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from services.edge.worker.control_group import ControlGroup
+from services.parent_death import end_with_parent
 
 _log = logging.getLogger(__name__)
 
-_PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2): signal for this process when its parent dies
 _PAUSE_S = 1.0  # before a worker that ran out of memory starts again
 _SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -59,7 +58,7 @@ def _run(serve: Serve, *, out_of_memory: bool) -> int:
     parent = os.getpid()
     child = os.fork()
     if child == 0:
-        _die_with(parent)
+        end_with_parent(parent)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         _serve_and_exit(serve, out_of_memory)
 
@@ -98,9 +97,3 @@ def _serve_and_exit(serve: Serve, out_of_memory: bool) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)
-
-
-def _die_with(parent: int) -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before this line
-        os._exit(1)
