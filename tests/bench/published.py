@@ -397,9 +397,11 @@ def draw(records: dict[tuple[str, str, str], Record]) -> None:
     rows = [row for row in (*OBJECTS, SCENE, *DEFORMED, *OBJECTS_BY_DENSITY, DENSE_SCENE) if row.label in begun]
     if not rows:
         return
-    across = math.ceil(len(rows) / 2)
-    size = (4.5 * across, 7.6)
-    figure, grid = plt.subplots(2, across, figsize=size, layout="constrained", squeeze=False, sharey=True, sharex=True)
+    across = min(len(rows), 4)
+    down = math.ceil(len(rows) / across)
+    figure, grid = plt.subplots(
+        down, across, figsize=(4.5 * across, 3.8 * down), layout="constrained", squeeze=False, sharey=True, sharex=True
+    )
     axes = grid.ravel()
     colours = {name: f"C{number}" for number, name in enumerate(dict.fromkeys(cell.label for cell in cells()))}
     for axis in axes[len(rows) :]:
