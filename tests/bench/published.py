@@ -392,8 +392,7 @@ def draw(records: dict[tuple[str, str, str], Record]) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    begun = {cell.row.label for cell in cells() if curve_of(cell, records)}
-    rows = [row for row in (*OBJECTS, SCENE, *DEFORMED, *OBJECTS_BY_DENSITY, DENSE_SCENE) if row.label in begun]
+    rows = list(dict.fromkeys(cell.row for cell in cells() if curve_of(cell, records)))
     if not rows:
         return
     across = min(len(rows), 4)
