@@ -211,9 +211,9 @@ class _AnchorFit:
         # A tensor, because a captured CUDA graph reads it from a fixed address.
         rate = torch.tensor(self._config.learning_rate, device=self._device)
         optimiser = Adam([shape], rate, MOMENTS)
-        done = self._restore(shape, optimiser)
+        done, losses = self._restore(shape, optimiser)
         if done == current.steps:  # killed after its last step: yield it again, so that the caller gets this field
-            yield self._step(done, {}, current, shape)
+            yield self._step(done, losses, current, shape)
         values = torch.zeros(len(LOSSES), device=self._device)
 
         def descent() -> None:
@@ -231,7 +231,7 @@ class _AnchorFit:
             if done % PER_YIELD[self._device.type] == 0 or done == current.steps:
                 losses = dict(zip(LOSSES, values.tolist(), strict=True))
                 refuse_divergence(losses, EXPLODED, self._config.learning_rate, done)
-                self._write(shape, optimiser, done)
+                self._write(shape, optimiser, done, losses)
                 yield self._step(done, losses, current, shape)
         return (shape * current.free).detach()
 
@@ -244,23 +244,23 @@ class _AnchorFit:
             anchors = replace(current.anchors, shape=(shape * current.free).detach().cpu().numpy().copy())
         return Step(before + done, self._total_steps, losses, AnchorField(anchors))
 
-    def _write(self, shape: Tensor, optimiser: Adam, done: int) -> None:
+    def _write(self, shape: Tensor, optimiser: Adam, done: int, losses: Mapping[str, float]) -> None:
         """Write the checkpoint, if the last one is old enough."""
         if self._checkpoint is None or time.monotonic() - self._written < checkpoints.SECONDS:
             return
-        current = {"shape": shape.detach(), "optimiser": optimiser.state_dict(), "done": done}
+        current = {"shape": shape.detach(), "optimiser": optimiser.state_dict(), "done": done, "losses": dict(losses)}
         checkpoints.save(self._checkpoint, {"finished": self._finished, "round": current}, self._fingerprint)
         self._written = time.monotonic()
 
-    def _restore(self, shape: Tensor, optimiser: Adam) -> int:
-        """Restore the round from the checkpoint, if one was read. Returns how many of its steps are done."""
+    def _restore(self, shape: Tensor, optimiser: Adam) -> tuple[int, Mapping[str, float]]:
+        """Restore the round from the checkpoint, if one was read. Returns its steps done and their last losses."""
         if self._state is None:
-            return 0
+            return 0, {}
         state, self._state = self._state, None
         with torch.no_grad():
             shape.copy_(state["shape"])
         optimiser.load_state_dict(state["optimiser"])
-        return int(state["done"])
+        return int(state["done"]), state["losses"]
 
 
 def _losses_and_gradient(shape: Tensor, current: TrainingRound) -> Tensor:

@@ -19,7 +19,7 @@ from services.atomic_write import atomic_write
 from services.edge.arrays import Floats
 
 SECONDS = 5.0  # between two writes: the most that a kill loses; a synced write of some 6 MB takes far less
-VERSION = 2  # of the state's layout
+VERSION = 3  # of the state's layout
 
 State = dict[str, Any]
 """Tensors and plain numbers by name."""

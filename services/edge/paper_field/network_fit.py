@@ -44,7 +44,8 @@ def fit_network(
     metres      length of the unit frame's longest side, where it is known: the anchors' densities are per square metre
 
     The same points, config and device give the same field. While the pool is drawn, steps repeat a number and have no
-    losses. The last step's number is below `of` where patience ended the fit.
+    losses. The last step's number is below `of` where patience ended the fit. A fit that was killed after its last step
+    yields that step again.
     Raises EdgeError FIT_TOO_FEW_POINTS, FIT_DIVERGED, GPU_OOM, DEVICE_ABSENT, and ValueError for points that are
     not finite or for a config that needs a `base` or `held_out` which is missing.
     """
@@ -55,6 +56,7 @@ def fit_network(
         raise ValueError(f"a patience of {config.patience} steps needs held-out points")
     with translate_memory_errors(f"the fit of {len(xyz):,} points in batches of {config.batch:,}"):
         run = NetworkRun(xyz, config, open_device(device), held_out, checkpoint, metres)
+        killed_at_end = run.is_complete
         pool = yield from run.yield_steps(draw_pool(xyz, config, run.device, metres))
         if run.done < config.warm_start and base is not None:
             target = yield from run.yield_steps(base_values(pool, base))
@@ -74,5 +76,5 @@ def fit_network(
             batches = Batches(len(pool), config.densify.batch, config.seed, run.device)
             paper = paper_objective(run.network, pool, run.memory_of(pool), config, batches.size)
             yield from run.descend(paper, paper_weights(config), batches, config.total_steps)
-        if run.restore_best():
-            yield run.step({})
+        if run.restore_best() or killed_at_end:
+            yield run.step(run.losses if killed_at_end else {})

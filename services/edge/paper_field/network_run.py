@@ -45,7 +45,7 @@ class Best:
 class NetworkRun:
     """The state of one fit.
 
-    done     number of steps done;  ended  whether patience has ended the fit
+    done     number of steps done;  ended  whether patience has ended the fit;  losses  of the last step
     added    (K,3) points of the densification round, or None before it
     memory   ω (J,) of the pool in use, or None before its first loss
     """
@@ -60,6 +60,7 @@ class NetworkRun:
         metres: float | None,
     ) -> None:
         self.config, self.device, self.done, self.ended = config, device, 0, False
+        self.losses: Mapping[str, float] = {}
         self.network = network_of(config).to(device)
         if isinstance(self.network, NeighbourNetwork):
             self.network.use_points(torch.from_numpy(xyz).to(device))
@@ -76,6 +77,11 @@ class NetworkRun:
         self._written = time.monotonic()
         if checkpoint and (state := checkpoints.load(checkpoint, self._mark, device)):
             self._restore(state)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether no step is left."""
+        return self.ended or self.done == self.config.total_steps
 
     def step(self, losses: Mapping[str, float]) -> Step:
         """Build the step for the caller."""
@@ -123,11 +129,11 @@ class NetworkRun:
             if self.done - start == STEPS_BEFORE_CAPTURE:
                 run = capture_step(descent, self.device)
             if self.done % PER_YIELD[self.device.type] == 0 or self.done == until:
-                losses = dict(zip(("total", *weights), values.tolist(), strict=True))
-                refuse_divergence(losses, EXPLODED, self.config.learning_rate, self.done)
+                self.losses = dict(zip(("total", *weights), values.tolist(), strict=True))
+                refuse_divergence(self.losses, EXPLODED, self.config.learning_rate, self.done)
                 self._check_held_out()
                 self._write()
-                yield self.step(losses)
+                yield self.step(self.losses)
 
     def restore_best(self) -> bool:
         """Restore the weights with the least residual on the held-out points. Returns False where there are none."""
@@ -160,6 +166,7 @@ class NetworkRun:
         return {
             "done": self.done,
             "ended": self.ended,
+            "losses": dict(self.losses),
             "network": self.network.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "memory": self.memory,
@@ -168,7 +175,8 @@ class NetworkRun:
         }
 
     def _restore(self, state: checkpoints.State) -> None:
-        self.done, self.ended, self.memory = state["done"], state["ended"], state["memory"]
+        self.done, self.ended, self.losses = state["done"], state["ended"], state["losses"]
+        self.memory = state["memory"]
         self.network.load_state_dict(state["network"])
         self._optimiser.load_state_dict(state["optimiser"])
         self.added = None if state["added"] is None else state["added"].cpu().numpy()

@@ -95,6 +95,16 @@ def test_every_reading_of_the_equations_trains_and_goes_on_where_it_was_killed(
     assert min(step.number for step in islice(other, 40) if step.losses) == 1
 
 
+def test_a_fit_killed_behind_its_last_step_yields_that_step_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checkpoint, "SECONDS", 0.0)
+    whole = last(fit_network(POINTS, QUICK, checkpoint=tmp_path / "fit.pt"))
+    again = last(fit_network(POINTS, QUICK, checkpoint=tmp_path / "fit.pt"))
+    assert (again.number, again.of, again.losses) == (whole.number, whole.of, whole.losses)
+    np.testing.assert_array_equal(distances(again), distances(whole))
+
+
 @pytest.mark.slow
 def test_a_seed_gives_one_field_whatever_other_fits_run_beside_it() -> None:
     expected = distances(last(fit_network(POINTS, QUICK)))
