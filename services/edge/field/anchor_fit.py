@@ -248,7 +248,7 @@ class _AnchorFit:
         """Write the checkpoint, if the last one is old enough."""
         if self._checkpoint is None or time.monotonic() - self._written < checkpoints.SECONDS:
             return
-        current = {"shape": shape.detach(), "optimiser": optimiser.state_dict(), "done": done, "losses": dict(losses)}
+        current = {"shape": shape.detach(), "optimiser": optimiser.state_dict(), "done": done, "losses": losses}
         checkpoints.save(self._checkpoint, {"finished": self._finished, "round": current}, self._fingerprint)
         self._written = time.monotonic()
 

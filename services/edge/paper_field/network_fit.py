@@ -56,7 +56,10 @@ def fit_network(
         raise ValueError(f"a patience of {config.patience} steps needs held-out points")
     with translate_memory_errors(f"the fit of {len(xyz):,} points in batches of {config.batch:,}"):
         run = NetworkRun(xyz, config, open_device(device), held_out, checkpoint, metres)
-        killed_at_end = run.is_complete
+        if run.ended or run.done == config.total_steps:  # killed after its last step: no pool is needed any more
+            run.restore_best()
+            yield run.step(run.losses)
+            return
         pool = yield from run.yield_steps(draw_pool(xyz, config, run.device, metres))
         if run.done < config.warm_start and base is not None:
             target = yield from run.yield_steps(base_values(pool, base))
@@ -76,5 +79,5 @@ def fit_network(
             batches = Batches(len(pool), config.densify.batch, config.seed, run.device)
             paper = paper_objective(run.network, pool, run.memory_of(pool), config, batches.size)
             yield from run.descend(paper, paper_weights(config), batches, config.total_steps)
-        if run.restore_best() or killed_at_end:
-            yield run.step(run.losses if killed_at_end else {})
+        if run.restore_best():
+            yield run.step({})

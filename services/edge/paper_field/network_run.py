@@ -60,7 +60,7 @@ class NetworkRun:
         metres: float | None,
     ) -> None:
         self.config, self.device, self.done, self.ended = config, device, 0, False
-        self.losses: Mapping[str, float] = {}
+        self.losses: dict[str, float] = {}
         self.network = network_of(config).to(device)
         if isinstance(self.network, NeighbourNetwork):
             self.network.use_points(torch.from_numpy(xyz).to(device))
@@ -77,11 +77,6 @@ class NetworkRun:
         self._written = time.monotonic()
         if checkpoint and (state := checkpoints.load(checkpoint, self._mark, device)):
             self._restore(state)
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether no step is left."""
-        return self.ended or self.done == self.config.total_steps
 
     def step(self, losses: Mapping[str, float]) -> Step:
         """Build the step for the caller."""
@@ -166,7 +161,7 @@ class NetworkRun:
         return {
             "done": self.done,
             "ended": self.ended,
-            "losses": dict(self.losses),
+            "losses": self.losses,
             "network": self.network.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "memory": self.memory,
