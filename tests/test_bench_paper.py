@@ -77,7 +77,7 @@ def test_a_mesh_on_the_truth_has_the_first_colour_and_one_beside_it_the_last() -
 
 def test_a_picture_shows_colours_words_and_stays_small(tmp_path: Path) -> None:
     truth = surfaces.disk()
-    rows = [[Column("one", "CD 0", heat_maps.coloured(truth, truth)), Column("two", "not begun", None)]]
+    rows = [[Column("one", "CD 0", heat_maps.coloured(truth, truth)), Column("two", "no mesh", None)]]
     heat_maps.draw(rows, View(0, 60), tmp_path / "figure.png")
     with Image.open(tmp_path / "figure.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
@@ -128,7 +128,7 @@ def test_a_figure_draws_what_is_kept_and_names_what_is_not(
     picture, glb = tmp_path / "figure.png", tmp_path / "figure.glb"
     paper_figures.main(["--state", str(state), "--picture", str(picture), "--glb", str(glb)], "figure5")
     lines = capsys.readouterr().out.splitlines()
-    assert "| disk, 300 | CAP-UDF | not begun | | | |" in lines
+    assert "| disk, 300 | CAP-UDF | no mesh in --state | | | |" in lines
     ours = next(line for line in lines if "the paper" in line)
     assert "2,000 of 40,000 steps" in ours
     assert float(ours.split("|")[4]) < 0.01, "the latest mesh is the disk, not the hemisphere"
@@ -276,7 +276,7 @@ def test_seconds_on_the_wire_are_bytes_over_the_link() -> None:
     assert "and the person's" not in lines[3]
 
 
-def test_table_7_names_what_has_not_begun_and_counts_what_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_7_names_what_is_not_kept_and_counts_what_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sheet = surfaces.two_sheets()
     monkeypatch.setattr(paper_delivery, "product_mesh", lambda row, state: sheet)
     monkeypatch.setattr(paper_delivery, "import_costs", lambda files: [{"seconds": 0.002} for _ in files])
@@ -286,7 +286,7 @@ def test_table_7_names_what_has_not_begun_and_counts_what_has(tmp_path: Path, mo
     keep_mesh(folder / "step-500.npz", sheet)
     lines = list(paper_delivery.table7(tmp_path))
     assert len({line.count("|") for line in lines}) == 1
-    assert any("CAP-UDF | not begun | 827.62 | – |" in line for line in lines)
+    assert any("CAP-UDF | no mesh in --state | 827.62 | – |" in line for line in lines)
     paper = next(line for line in lines if "the paper | 500 of 100,000" in line)
     assert f"| {len(sheet.faces) / 1e3:.2f} |" in paper
     assert sum("LOD" in line for line in lines) == 3

@@ -26,7 +26,7 @@ from services.storage.bundle import Bundle
 from tests.bench.delivery import import_costs, read_mesh, write_obj
 from tests.bench.paper_figures import NAMES, product_mesh
 from tests.bench.paper_tables import DRESS
-from tests.bench.published import SCENE, add_state, cells, mesh_reached
+from tests.bench.published import NO_MESH, SCENE, add_state, cells, mesh_reached
 
 LINKS = (20, 150, 200, 1000)  # Mbit/s; the paper asks for 150 to 200
 PRINTED_7 = {
@@ -137,7 +137,7 @@ def table7(state: Path) -> Iterator[str]:
         reached = mesh_reached(cell, state)
         if reached is None or not len(reached[1].faces):
             printed = PRINTED_7[cell.method]
-            why = "not begun" if reached is None else f"no surface after {reached[0]:,}"
+            why = NO_MESH if reached is None else f"no surface after {reached[0]:,}"
             yield f"| {NAMES[cell.method]} | {why} | " + " | ".join(f"{each:.2f} | –" for each in printed) + " | – |"
             continue
         step, mesh = reached

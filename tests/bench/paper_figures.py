@@ -16,7 +16,7 @@ from services.edge.mesh.nouns import Mesh
 from tests.bench import heat_maps
 from tests.bench.heat_maps import Column, View
 from tests.bench.methods import Settings, make
-from tests.bench.published import OBJECTS, SCENE, Cell, add_state, cells, keep_mesh, kept_mesh, mesh_reached
+from tests.bench.published import NO_MESH, OBJECTS, SCENE, Cell, add_state, cells, keep_mesh, kept_mesh, mesh_reached
 from tests.bench.shapes import DEFORMED, Row
 from tests.support.mesh_metrics import compare, welded
 
@@ -89,7 +89,7 @@ def _farthest(row: Row, method: str, state: Path) -> tuple[Cell, tuple[int, Mesh
 def _of_literature(cell: Cell, reached: tuple[int, Mesh] | None, truth: Mesh, figure: Figure) -> Column:
     name, of = cell.label.replace(cell.method, NAMES[cell.method]), cell.config.loss_steps
     if reached is None or not len(reached[1].faces):
-        why = "not begun" if reached is None else f"no surface after {reached[0]:,} of {of:,} steps"
+        why = NO_MESH if reached is None else f"no surface after {reached[0]:,} of {of:,} steps"
         print(f"| {cell.row.label} | {name} | {why} | | | |", flush=True)
         return Column(name, why, None)
     step, mesh = reached

@@ -310,6 +310,10 @@ def kept_mesh(path: Path) -> Mesh:
         return Mesh(kept["vertices"].astype(np.float64), kept["faces"].astype(np.int64))
 
 
+NO_MESH = "no mesh in --state"
+"""What a table says of a cell whose meshes are not kept on this machine; `published --table` tells what it reached."""
+
+
 def mesh_reached(cell: Cell, state: Path) -> tuple[int, Mesh] | None:
     """The mesh of the last measured step that the folder of --state keeps, and that step; None without."""
     last = _last_kept(cell, state, "npz")
