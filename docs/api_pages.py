@@ -25,6 +25,7 @@ GROUPS = {
     "pages": "The addresses of the web pages.",
 }
 """Tag of the OpenAPI document -> what its page says first."""
+PAGES = ("index.md", "schemas.md", *(f"{group}.md" for group in GROUPS))
 _PROBLEM = "application/problem+json"
 
 

@@ -12,9 +12,9 @@ import posixpath
 import re
 import shutil
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 
+from api_pages import PAGES as API_PAGES
 from api_pages import api_pages
 
 ROOT = Path(__file__).parents[1]
@@ -37,8 +37,8 @@ _LINK = re.compile(r"(?P<text>!?\[(?:[^\[\]]|\[[^\]]*\])*\])\((?P<target>[^()\s]
 
 
 def site_paths(root: Path = ROOT) -> dict[str, str]:
-    """Path in the repository -> path on the site, of every page and picture."""
-    paths = dict(OTHER_PAGES)
+    """Path in the repository -> path on the site, of every page and picture, those that are written here included."""
+    paths = OTHER_PAGES | {f"docs/routes/{name}": f"routes/{name}" for name in API_PAGES}
     for folder, place in (("docs", ""), ("tests/bench", "bench/"), ("tests/bench/results", "bench/")):
         for file in sorted((root / folder).iterdir()):
             name = f"{folder}/{file.name}"
@@ -75,23 +75,17 @@ def write_site(folder: Path, paths: dict[str, str]) -> list[str]:
     """Write all pages and pictures into the folder. Returns a sentence for each link that leads nowhere."""
     shutil.rmtree(folder, ignore_errors=True)
     faults: list[str] = []
+    written = {f"docs/routes/{name}": text for name, text in api_pages()}
     for path, place in paths.items():
         target = folder / place
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.suffix != ".md":
             shutil.copyfile(ROOT / path, target)
             continue
-        text, missing = page_on_site((ROOT / path).read_text(), path, paths)
+        text, missing = page_on_site(written.get(path) or (ROOT / path).read_text(), path, paths)
         target.write_text(text)
         faults += [f"{path}: the link {each} leads to no file" for each in missing]
-    _write_api(folder / "routes", api_pages())
     return faults
-
-
-def _write_api(folder: Path, pages: Iterable[tuple[str, str]]) -> None:
-    folder.mkdir()
-    for name, text in pages:
-        (folder / name).write_text(text)
 
 
 def main() -> None:
