@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import socket
 import subprocess
-import sys
 import threading
 import weakref
 from dataclasses import dataclass
+
+from services.child_start import python_command, start_child
 
 _PASSED_ON = ("PATH", "HOME", "PYTHONPATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TMPDIR")  # never a secret
 # Threads of libraries do not survive a fork; a process for each piece of work is parallel enough.
@@ -74,9 +75,9 @@ class _Server:
         self._control, theirs = socket.socketpair()
         variables = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
         with theirs:
-            self._process = subprocess.Popen(  # noqa: S603 - our own module
-                [sys.executable, *program, str(theirs.fileno())],
-                env={**variables, **_ONE_THREAD},
+            self._process = start_child(
+                python_command(*program, str(theirs.fileno())),
+                environment={**variables, **_ONE_THREAD},
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C in a terminal is for the service, which then ends this

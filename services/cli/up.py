@@ -7,7 +7,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import httpx
 
+from services.child_start import python_command, start_child
 from services.cli.errors import BadInput
 from services.cli.progress import console, warn
 from services.cli.stop_signals import exit_on_signals, stop_signals
@@ -90,9 +90,9 @@ class Stack:
         for service in ("edge", "gateway"):
             if service not in self._children or self._children[service].poll() is not None:
                 with (self._logs / f"{service}.log").open("ab") as log:
-                    self._children[service] = subprocess.Popen(  # noqa: S603 - our own module
-                        [sys.executable, "-m", "services.cli.service_process", service, str(os.getpid())],
-                        env=self._environment,
+                    self._children[service] = start_child(
+                        python_command("-m", "services.cli.service_process", service, str(os.getpid())),
+                        environment=self._environment,
                         stdout=log,
                         stderr=log,
                         start_new_session=True,  # Ctrl-C reaches only this process, which stops the children in order

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+from services.child_start import start_child
 from services.edge.arrays import Tick
 from services.parent_death import end_with_parent
 
@@ -53,7 +54,7 @@ def run_child(
     """
     with log.open("wb") as errors:
         output = subprocess.PIPE if tells_progress else errors
-        with subprocess.Popen(  # noqa: S603 - our own programs
+        with start_child(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, bufsize=0, start_new_session=True
         ) as child:
             try:

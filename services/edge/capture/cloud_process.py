@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 import tempfile
 import weakref
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from services.child_start import python_command
 from services.edge.arrays import Floats, Tick
 from services.edge.capture.colours import rgb8
 from services.edge.capture.files import unreadable
@@ -56,7 +56,7 @@ def _greyed_warning(folder: Path, count: int, file: str) -> tuple[str, ...]:
 def _decode(kind: str, path: Path, file: str, folder: Path, tick: Tick, most_seconds: float) -> None:
     """Run the child, which writes POSITIONS and COLOURS to `folder`."""
     module, limit = "services.edge.capture.cloud_child", str(_CHILD_BYTES)
-    command = [sys.executable, "-m", module, kind, str(path.resolve()), str(folder), limit]
+    command = python_command("-m", module, kind, str(path.resolve()), str(folder), limit)
     try:
         run_child(command, f"the {kind} decoder", folder / "log", tick, most_seconds=most_seconds)
     except ChildError as error:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from services.child_start import python_command
 from services.download_formats import MESH
 from services.edge.arrays import Tick
 from services.edge.child_process import ChildError, run_child
@@ -71,7 +71,7 @@ def _convert(order: DownloadOrder, folder: Path, scratch: Path, tick: Tick) -> P
     """Convert the bundle in a process of its own, and return the file."""
     out, log = scratch / "made", scratch / "log"
     arguments: list[str | Path] = [folder, order.format.name, order.key, out]
-    command = [sys.executable, "-m", "services.edge.convert", *arguments]
+    command = python_command("-m", "services.edge.convert", *arguments)
     try:
         run_child(command, "the conversion", log, tick, most_seconds=_MOST_SECONDS)
     except ChildError as error:

@@ -6,7 +6,6 @@ Guilherme Potje et al., "XFeat: Accelerated Features for Lightweight Image Match
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from services.child_start import python_command
 from services.edge.arrays import Bools, Bytes, Floats, Ints, Tick, no_tick, part_of
 from services.edge.capture.nouns import Photo
 from services.edge.child_process import ChildError, run_child
@@ -96,7 +96,7 @@ def _stored(xy: Floats, photo: Photo, picture: Bytes) -> Floats:
 
 def _run(folder: Path, tick: Tick) -> None:
     """Run the child process, which reads the pictures in `folder` and writes the matches there."""
-    command = [sys.executable, "-m", "services.edge.photos.learned_child", str(folder)]
+    command = python_command("-m", "services.edge.photos.learned_child", str(folder))
     try:
         run_child(command, "the matcher", folder / _LOG, tick, most_seconds=_SILENT_SECONDS, tells_progress=True)
     except ChildError as error:

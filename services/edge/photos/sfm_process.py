@@ -5,7 +5,6 @@ pycolmap runs in a child, because its native code may crash the process, cannot 
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.child_start import python_command
 from services.edge.arrays import Floats, Ints, Tick, no_tick
 from services.edge.capture.nouns import Intrinsics
 from services.edge.child_process import ChildError, run_child
@@ -103,7 +103,7 @@ def solve(problem: SfmProblem, tick: Tick = no_tick) -> SfmResult:
 
 def _run(folder: Path, tick: Tick) -> None:
     """Run the child process, which reads the problem in `folder` and writes the result there."""
-    command = [sys.executable, "-m", "services.edge.photos.sfm_child", str(folder)]
+    command = python_command("-m", "services.edge.photos.sfm_child", str(folder))
     try:
         run_child(command, "the solver", folder / _LOG, tick, most_seconds=_SILENT_SECONDS, tells_progress=True)
     except ChildError as error:

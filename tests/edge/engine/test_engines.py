@@ -103,6 +103,10 @@ def test_captures_are_reconstructed_on_the_cluster(ray_story: dict[str, Any]) ->
     assert ran["states"] == {"leaf": "preview", "twig": "preview"}
 
 
+def test_no_worker_imports_from_the_folder_where_ray_was_started(ray_story: dict[str, Any]) -> None:
+    assert ray_story["strangers"] == []
+
+
 def test_a_scene_is_made_on_the_cluster(ray_story: dict[str, Any]) -> None:
     scene = ray_story["scene"]
     assert scene["status"] == 0, scene["said"]
