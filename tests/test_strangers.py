@@ -14,22 +14,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.child_start import python_command, start_child
-from services.cli.up import run_stack
-from services.download_formats import FORMATS
-from services.edge.arrays import no_tick
-from services.edge.capture.detect import read_capture
-from services.edge.engine.local_engine import LocalEngine
-from services.edge.engine.nouns import Needs
-from services.edge.jobs.make_download import make_download
-from services.edge.photos.learned_matches import find_matches, is_installed
-from services.edge.photos.sfm_process import solve
-from services.edge.texture.unwrap import unwrap
-from services.fork_client import ForkServer
-from services.storage.catalogue.downloads import DownloadOrder
-from services.storage.catalogue.entry import read_entry
-from services.storage.catalogue.publish import publish
-from services.storage.memory import MemoryStore
+from capture2vr.cli.up import run_stack
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.cameras.learned_matches import find_matches, is_installed
+from capture2vr.edge.cameras.sfm_process import solve
+from capture2vr.edge.engine.local_engine import LocalEngine
+from capture2vr.edge.engine.nouns import Needs
+from capture2vr.edge.jobs.make_download import make_download
+from capture2vr.edge.read_capture import read_capture
+from capture2vr.edge.texture.unwrap import unwrap
+from capture2vr.order.download_formats import FORMATS
+from capture2vr.process.child_start import python_command, start_child
+from capture2vr.process.fork_client import ForkServer
+from capture2vr.storage.catalogue.downloads import DownloadOrder
+from capture2vr.storage.catalogue.entry import read_entry
+from capture2vr.storage.catalogue.publish import publish
+from capture2vr.storage.memory import MemoryStore
 from tests.conftest import missing
 from tests.edge.photos.test_learned_matches import problem_of_matches
 from tests.edge.photos.test_structure_from_motion import scene
@@ -111,9 +111,9 @@ CHILDREN = {
     "unwrap": unwrap_mesh,
     "download": convert_for_download,
     "local engine": run_tasks,
-    "upload checks": fork_from("services.gateway.uploads.check_work"),
-    "pictures": fork_from("services.gateway.pictures.shrink_work"),
-    "inspection": fork_from("services.edge.jobs.inspection_work"),
+    "upload checks": fork_from("capture2vr.gateway.uploads.check_work"),
+    "pictures": fork_from("capture2vr.gateway.pictures.shrink_work"),
+    "inspection": fork_from("capture2vr.edge.jobs.inspection_work"),
     "up": start_services,
 }
 

@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from services.child_start import start_child
-from services.edge.arrays import Tick
-from services.parent_death import end_with_parent
+from capture2vr.edge.arrays import Tick
+from capture2vr.process.child_start import start_child
+from capture2vr.process.parent_death import end_with_parent
 
 _POLL_SECONDS = 0.1  # between two ticks: the longest time that a cancelled job still runs
 _LOG_LINES = 3  # the last lines of the program's output that are quoted in an error

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 import psutil
 
-from services.edge.arrays import no_tick
-from services.edge.engine.address import LOCAL, open_engine
-from services.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
-from services.edge.errors import Cancelled, EdgeError
-from services.edge.tiles.mesh_tile import mesh_tile
-from services.edge.tiles.parts import PART_NEEDS
+from capture2vr.edge.arrays import no_tick
+from capture2vr.edge.engine.address import LOCAL, open_engine
+from capture2vr.edge.engine.nouns import Engine, Needs, Submitted, wait_for_all
+from capture2vr.edge.errors import Cancelled, EdgeError
+from capture2vr.edge.tiles.mesh_tile import mesh_tile
+from capture2vr.edge.tiles.parts import PART_NEEDS
 from tests.edge.tiles.hall import GRID, hall
 from tests.support import engine_tasks
 from tests.support.clouds import write_ply
@@ -124,7 +124,7 @@ def run_scene(folder: Path) -> dict[str, Any]:
     """What `capture2vr run` makes of a scene of two tiles, in a process of its own."""
     folder.mkdir()
     scene = write_ply(folder / "hall.ply", hall())
-    command = [sys.executable, "-m", "services.cli", "run", str(scene), "-o", str(folder / "out")]
+    command = [sys.executable, "-m", "capture2vr.cli", "run", str(scene), "-o", str(folder / "out")]
     flags = ["--preset", "scene-tiles", "--resolution", "500"]
     done = subprocess.run(
         [*command, *flags], env={**os.environ, "EDGE_ENGINE": ADDRESS}, capture_output=True, text=True

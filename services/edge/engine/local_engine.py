@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from threading import Lock, Thread
 from typing import Any
 
-from services.child_start import python_command, start_child
-from services.edge.engine.nouns import ATTEMPTS, Needs, Result, Submitted, Work, lost
-from services.edge.errors import EdgeError
+from capture2vr.edge.engine.nouns import ATTEMPTS, Needs, Result, Submitted, Work, lost
+from capture2vr.edge.errors import EdgeError
+from capture2vr.process.child_start import python_command, start_child
 
-_CHILD = "services.edge.engine.local_child"
+_CHILD = "capture2vr.edge.engine.local_child"
 
 
 @dataclass(slots=True)

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-from services.child_start import python_command
-from services.edge.arrays import Floats, Ints, Tick, no_tick
-from services.edge.child_process import ChildError, run_child
-from services.edge.mesh.edges import border_edges
-from services.edge.mesh.normals import face_normals
-from services.edge.mesh.nouns import Mesh
-from services.edge.mesh.topology import compact
+from capture2vr.edge.arrays import Floats, Ints, Tick, no_tick
+from capture2vr.edge.child_process import ChildError, run_child
+from capture2vr.edge.mesh.edges import border_edges
+from capture2vr.edge.mesh.normals import face_normals
+from capture2vr.edge.mesh.nouns import Mesh
+from capture2vr.edge.mesh.topology import compact
+from capture2vr.process.child_start import python_command
 
 MOST_FACES = 75_000
 """Most triangles that are unwrapped: 50,000 take seconds; a mesh of many openings cannot be brought down to them."""
